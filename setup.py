@@ -1,0 +1,52 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Installation with pip and with colcon (ament_python)."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'bvh_ros'
+
+SHAPES = ['python-fcl>=0.7.0.6']
+# One set that was tested together: these wheels must match each other.
+ROS = [
+    'ros-jazzy-rclpy==7.1.6',
+    'ros-jazzy-common-interfaces==5.3.6',
+    'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
+    *SHAPES,
+]
+REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
+PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *SHAPES]
+TEST = ['pytest>=7', 'pytest-timeout>=2', 'hypothesis>=6.80', *ROS, *REPORT]
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='A dynamic box tree of moving obstacles, with exact raycasts and overlaps, for ROS 2 and plain Python',
+    long_description=open('README.md', encoding='utf-8').read(),
+    long_description_content_type='text/markdown',
+    author='The bvh_ros authors',
+    maintainer='The bvh_ros authors',
+    maintainer_email='maintainers@bvh-ros.example',
+    license='Apache-2.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', glob('config/*')),
+        (f'share/{NAME}/launch', glob('launch/*.launch.*')),
+    ],
+    zip_safe=False,
+    python_requires='>=3.10',
+    install_requires=['numpy>=1.24', 'numba>=0.59'],
+    extras_require={'shapes': SHAPES, 'ros': ROS, 'report': REPORT, 'peers': PEERS, 'test': TEST},
+    entry_points={
+        'console_scripts': [
+            'bvh_node = bvh_ros.ros.node:main',
+            'bvh_demo = bvh_ros.demo:main',
+            'bvh_report = bvh_ros.report.cli:main',
+        ]
+    },
+)
