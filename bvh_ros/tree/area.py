@@ -1,0 +1,85 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The surface area heuristic's measure (Goldsmith and Salmon 1987): surface area in 3D, perimeter in 2D.
+
+Only comparisons and ratios of areas matter, so all of one comparison are of boxes times one power of two, chosen so that nothing
+overflows: float64 areas do from edges of 1e154 on, and vanish below 1e-162.
+"""
+
+import math
+
+import numpy as np
+
+from .compiling import kernel
+from .nodes import is_leaf
+
+# Edges between these need no scaling: their products, and sums of many, are normal doubles.
+SMALLEST_EDGE, LARGEST_EDGE = 2.0**-400, 2.0**400
+
+
+@kernel
+def half_area(lo, hi, scale):
+    """Half the surface area (3D) or half the perimeter (2D) of the box times `scale`."""
+    x = hi[0] * scale - lo[0] * scale
+    y = hi[1] * scale - lo[1] * scale
+    if lo.shape[0] == 2:
+        return x + y
+    z = hi[2] * scale - lo[2] * scale
+    return x * y + (x + y) * z
+
+
+@kernel
+def node_area(nodes, node, scale):
+    here = nodes[node]
+    return half_area(here.lo, here.hi, scale)
+
+
+@kernel
+def union_area(nodes, a, b, scale):
+    """Half area of the smallest box around two nodes' boxes."""
+    a_node, b_node = nodes[a], nodes[b]
+    x = max(a_node.hi[0], b_node.hi[0]) * scale - min(a_node.lo[0], b_node.lo[0]) * scale
+    y = max(a_node.hi[1], b_node.hi[1]) * scale - min(a_node.lo[1], b_node.lo[1]) * scale
+    if a_node.lo.shape[0] == 2:
+        return x + y
+    z = max(a_node.hi[2], b_node.hi[2]) * scale - min(a_node.lo[2], b_node.lo[2]) * scale
+    return x * y + (x + y) * z
+
+
+@kernel
+def area_scale(nodes, a, b):
+    """Power of two that brings the longest edge of the union of two nodes near 1, if its products could leave the doubles."""
+    a_node, b_node = nodes[a], nodes[b]
+    longest = 0.0
+    for axis in range(a_node.lo.shape[0]):
+        longest = max(longest, max(a_node.hi[axis], b_node.hi[axis]) - min(a_node.lo[axis], b_node.lo[axis]))
+    if SMALLEST_EDGE < longest < LARGEST_EDGE or longest == 0.0:
+        return 1.0
+    if math.isinf(longest):
+        return 2.0**-1022
+    return math.ldexp(1.0, min(-math.frexp(longest)[1], 1022))
+
+
+@kernel
+def tree_cost(nodes, heights, root):
+    """Sum over the inner nodes of area / area of the root; the number of inner nodes where the root's area is zero.
+
+    Areas are of boxes times the power of two that brings the root's longest edge near 1: none overflows, and what vanishes is
+    below 1e-300 of the root's.
+    """
+    if is_leaf(root):
+        return 0.0
+    scale = area_scale(nodes, root, root)
+    root_area = node_area(nodes, root, scale)
+    stack = np.empty(np.int64(heights[root]) + 2, np.int64)
+    stack[0], top, total, inner = root, 1, 0.0, 0
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if is_leaf(node):
+            continue
+        inner += 1
+        total += node_area(nodes, node, scale)
+        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
+        top += 2
+    return total / root_area if root_area > 0.0 else float(inner)

@@ -1,0 +1,168 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Input made sound before it reaches a kernel: float64, C order, finite, lo <= hi; or one plain sentence why not."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .compiling import kernel
+from .nodes import ALL, SLOT_MASK
+
+Floats = NDArray[np.float64]
+
+
+@kernel
+def _first_not_finite(values):
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            if not np.isfinite(values[i, j]):
+                return i
+    return -1
+
+
+@kernel
+def _first_reversed(lo, hi):
+    for i in range(lo.shape[0]):
+        for j in range(lo.shape[1]):
+            if lo[i, j] > hi[i, j]:
+                return i
+    return -1
+
+
+@kernel
+def _first_bad_handle(handles, given, seen, once):
+    """(row, why): why 0 is none, 1 an unknown handle, 2 one given before although each must be given once."""
+    for i in range(given.shape[0]):
+        slot = given[i] & SLOT_MASK
+        if given[i] < 0 or slot >= handles.shape[0] or handles[slot] != given[i]:
+            return i, 1
+        if once:
+            if seen[slot]:
+                return i, 2
+            seen[slot] = True
+    return -1, 0
+
+
+def floats(name: str, value: ArrayLike) -> Floats:
+    """An own, writable, C-ordered float64 copy: kernels then meet one array type only, and never the caller's memory."""
+    try:
+        return np.array(value, dtype=np.float64, order='C')
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'{name} must be numbers: {error}') from None
+
+
+def point(name: str, value: ArrayLike, ndim: int) -> Floats:
+    """A finite point or vector of shape (ndim,)."""
+    array = floats(name, value)
+    if array.shape != (ndim,):
+        raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
+    for coordinate in array.tolist():
+        if not math.isfinite(coordinate):
+            raise ValueError(f'{name} must be finite, not {array.tolist()}')
+    return array
+
+
+def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+    """Finite points or vectors of shape (n, ndim); n is `count` where given."""
+    array = floats(name, value)
+    if array.ndim == 1 and array.size == 0:
+        array = array.reshape(0, ndim)
+    if array.ndim != 2 or array.shape[1] != ndim or (count is not None and len(array) != count):
+        rows = 'n' if count is None else count
+        raise ValueError(f'{name} must have shape ({rows}, {ndim}), not {array.shape}')
+    row = _first_not_finite(array)
+    if row >= 0:
+        raise ValueError(f'{name} must be finite: row {row} is {array[row].tolist()}')
+    return array
+
+
+def boxes(lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None) -> tuple[Floats, Floats]:
+    """Rows of boxes: finite, lo <= hi on every axis."""
+    low = points('lo', lo, ndim, count)
+    high = points('hi', hi, ndim, len(low))
+    row = _first_reversed(low, high)
+    if row >= 0:
+        raise ValueError(f'lo must not exceed hi: row {row} has lo {low[row].tolist()} and hi {high[row].tolist()}')
+    return low, high
+
+
+def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
+    """One box: finite, lo <= hi on every axis."""
+    low, high = point('lo', lo, ndim), point('hi', hi, ndim)
+    if not (low <= high).all():
+        raise ValueError(f'lo must not exceed hi: lo is {low.tolist()} and hi is {high.tolist()}')
+    return low, high
+
+
+def mask(value: Any) -> np.uint32:
+    """One mask of 32 bits."""
+    try:
+        number = int(value)
+    except (TypeError, ValueError):
+        raise ValueError(f'mask must be an integer of 32 bits, not {value!r}') from None
+    if number != value or not 0 <= number <= ALL:
+        raise ValueError(f'mask must be an integer from 0 to {ALL}, not {value!r}')
+    return np.uint32(number)
+
+
+def masks(value: Any, count: int) -> NDArray[np.uint32]:
+    """A mask a row, from one for all or an array of shape (count,)."""
+    array = np.asarray(value)
+    if array.ndim == 0:
+        return np.full(count, mask(array[()]), np.uint32)
+    if array.shape != (count,) or (array.dtype.kind not in 'iu' and array.size):
+        raise ValueError(f'mask must be an integer or have shape ({count},) of integers, not {array.shape} {array.dtype}')
+    bad = np.flatnonzero((array < 0) | (array > ALL))
+    if bad.size:
+        raise ValueError(f'mask must be from 0 to {ALL}: row {bad[0]} is {array[bad[0]]}')
+    return array.astype(np.uint32)
+
+
+def limit(name: str, value: Any) -> float:
+    """A distance >= 0 that may be inf."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f'{name} must be a number, not {value!r}') from None
+    if not number >= 0.0:
+        raise ValueError(f'{name} must not be negative or NaN, not {number}')
+    return number
+
+
+def limits(name: str, value: ArrayLike, count: int) -> Floats:
+    """A distance >= 0 a row, from one for all or an array of shape (count,); inf is allowed."""
+    array = floats(name, value)
+    if array.ndim == 0:
+        return np.full(count, limit(name, array[()]))
+    if array.shape != (count,):
+        raise ValueError(f'{name} must be a number or have shape ({count},), not {array.shape}')
+    bad = np.flatnonzero(~(array >= 0.0))
+    if bad.size:
+        raise ValueError(f'{name} must not be negative or NaN: row {bad[0]} is {array[bad[0]]}')
+    return array
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    """An integer of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f'{name} must be an integer of at least {least}, not {value!r}')
+    return int(value)
+
+
+def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) -> NDArray[np.int64]:
+    """Slots of live handles; KeyError names the first unknown one, ValueError the first double one (with `once`)."""
+    array = np.array(given)
+    if array.size == 0:
+        return np.empty(0, np.int64)
+    if array.ndim != 1 or array.dtype.kind not in 'iu':
+        raise ValueError(f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}')
+    numbers = array.astype(np.int64)
+    row, why = _first_bad_handle(handles, numbers, np.zeros(len(handles) if once else 0, np.bool_), once)
+    if why == 1:
+        raise KeyError(f'handle {array[row]} in row {row} names no box of this tree')
+    if why == 2:
+        raise ValueError(f'handles must be given once each: row {row} repeats {array[row]}')
+    return numbers & SLOT_MASK

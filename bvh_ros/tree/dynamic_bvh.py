@@ -1,0 +1,351 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The class: checks input, owns the arrays, and hands the work to the kernels."""
+
+from collections.abc import Iterator
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import building, checks, moving, storing, validation
+from .area import tree_cost
+from .compiling import cache_folder
+from .nodes import (
+    COUNT,
+    LAST_SERIAL,
+    NONE,
+    ROOT,
+    SLOT_BITS,
+    SLOT_MASK,
+    aligned_empty,
+    box_dtype,
+    link_free,
+    node_dtype,
+)
+from .queries import Floats, Ids, Queries
+
+SEARCHES = ('greedy', 'branch_and_bound')
+
+# Shares of the boxes that leave their fat box in one move_many, from which on writing all in place and refitting, and from
+# which on building anew, is faster than inserting each again. Measured: see `bvh_ros report speed`.
+REFIT_SHARE = 0.125
+REBUILD_SHARE = 0.5
+
+
+class DynamicBVH(Queries):
+    """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at any time.
+
+    Parameters
+    ----------
+    ndim : {2, 3}
+        A planar scene pays for no z.
+    margin : float
+        Boxes in the tree are grown by this on every side (m), so that small moves cost nothing. Answers do not depend on it.
+    sibling_search : {'greedy', 'branch_and_bound'}
+        How an insertion looks for the best sibling: one descent, or the best of all.
+    capacity : int
+        Boxes to make room for at first; the storage grows by itself.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of its range.
+
+    Examples
+    --------
+    >>> tree = DynamicBVH()
+    >>> crate = tree.insert([0, 0, 0], [1, 1, 1])
+    >>> tree.raycast([-3, 0.5, 0.5], [1, 0, 0]).t
+    3.0
+    >>> tree.move(crate, [5, 0, 0], [6, 1, 1])
+    True
+    >>> tree.raycast([-3, 0.5, 0.5], [1, 0, 0]).point.tolist()
+    [5.0, 0.5, 0.5]
+    """
+
+    def __init__(
+        self, ndim: int = 3, *, margin: float = 0.0, sibling_search: str = 'greedy', capacity: int = 16
+    ) -> None:
+        if isinstance(ndim, bool) or ndim not in (2, 3):
+            raise ValueError(f'ndim must be 2 or 3, not {ndim!r}')
+        if sibling_search not in SEARCHES:
+            raise ValueError(f'sibling_search must be one of {SEARCHES}, not {sibling_search!r}')
+        self.ndim = int(ndim)
+        self.margin = checks.limit('margin', margin)
+        if np.isinf(self.margin):
+            raise ValueError('margin must be finite')
+        self.sibling_search = sibling_search
+        self._serial = 1
+        self._counters = dict.fromkeys(('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds'), 0)
+        self._allocate(checks.whole('capacity', capacity, 1))
+
+    @classmethod
+    def from_boxes(
+        cls, lo: ArrayLike, hi: ArrayLike, *, mask: ArrayLike | None = None, margin: float = 0.0
+    ) -> 'DynamicBVH':
+        """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row order."""
+        ndim = np.shape(lo)[1] if np.ndim(lo) == 2 else 0
+        if ndim not in (2, 3):
+            raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {np.shape(lo)}')
+        tree = cls(ndim, margin=margin, capacity=max(len(np.asarray(lo)), 1))
+        tree.insert_many(lo, hi, mask)
+        return tree
+
+    # ---- storage
+
+    def _allocate(self, capacity: int) -> None:
+        self._nodes = aligned_empty(2 * capacity, node_dtype(self.ndim))
+        self._heights = np.zeros(2 * capacity, np.int16)
+        self._tight = np.empty(capacity if self.margin > 0.0 else 0, box_dtype(self.ndim))
+        self._handles = np.full(capacity, NONE, np.int64)
+        self._state = np.array([NONE, 0, NONE, NONE], np.int64)
+        link_free(self._nodes, self._state, 0, capacity)
+
+    def _reserve(self, more: int) -> None:
+        """Make room for so many more boxes, at least doubling, and check that the numbers last."""
+        if self._serial + more - 1 > LAST_SERIAL:
+            raise OverflowError(f'a tree can name {LAST_SERIAL} insertions; make a new one')
+        old, need = len(self._handles), len(self) + more
+        if need <= old:
+            return
+        capacity = min(max(need, 2 * old), SLOT_MASK + 1)
+        if need > capacity:
+            raise OverflowError(f'a tree holds at most {SLOT_MASK + 1} boxes')
+        nodes = aligned_empty(2 * capacity, self._nodes.dtype)
+        nodes[: 2 * old] = self._nodes
+        self._nodes = nodes
+        self._heights = np.concatenate([self._heights, np.zeros(2 * (capacity - old), np.int16)])
+        self._handles = np.concatenate([self._handles, np.full(capacity - old, NONE, np.int64)])
+        if len(self._tight):
+            self._tight = np.concatenate([self._tight, np.empty(capacity - old, self._tight.dtype)])
+        link_free(self._nodes, self._state, old, capacity)
+
+    def _keep_exact_boxes(self) -> None:
+        """From the first predicted displacement on, fat and exact boxes differ even where the margin is zero."""
+        if not len(self._tight):
+            self._tight = np.empty(len(self._handles), box_dtype(self.ndim))
+            self._tight['lo'], self._tight['hi'] = self._nodes['lo'][::2], self._nodes['hi'][::2]
+
+    @property
+    def _thorough(self) -> bool:
+        return self.sibling_search == 'branch_and_bound'
+
+    def _slot(self, handle: Any) -> int:
+        """Slot of a live handle, else KeyError; what is no integer is no handle either."""
+        if isinstance(handle, (int, np.integer)) and not isinstance(handle, bool) and handle >= 0:
+            slot = int(handle) & SLOT_MASK
+            if slot < len(self._handles) and self._handles[slot] == handle:
+                return slot
+        raise KeyError(f'handle {handle!r} names no box of this tree')
+
+    # ---- changes
+
+    def insert(self, lo: ArrayLike, hi: ArrayLike, mask: int = 1) -> int:
+        """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend with every insertion."""
+        low, high = checks.box(lo, hi, self.ndim)
+        return int(self._insert(low[None], high[None], checks.masks(checks.mask(mask), 1))[0])
+
+    def insert_many(self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike | None = None) -> Ids:
+        """Insert n boxes, shape (n, ndim) each; return their handles in row order.
+
+        `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds already, or more, and it is built anew.
+        """
+        low, high = checks.boxes(lo, hi, self.ndim)
+        return self._insert(low, high, checks.masks(1 if mask is None else mask, len(low)))
+
+    def _insert(self, low: Floats, high: Floats, masks: NDArray[np.uint32]) -> Ids:
+        count = len(low)
+        self._reserve(count)
+        build = count >= max(2, len(self))
+        new = np.empty(count, np.int64)
+        moving.insert_rows(
+            self._nodes, self._heights, self._tight, self._handles, self._state,
+            low, high, masks, self.margin, self._serial, self._thorough, not build, new,
+        )
+        self._serial += count
+        self._counters['inserted'] += count
+        if build:
+            self.rebuild()
+        return new
+
+    def remove(self, handle: int) -> None:
+        """Remove a box. KeyError if the handle names none."""
+        self._remove(np.array([self._slot(handle)]))
+
+    def remove_many(self, handles: ArrayLike) -> None:
+        """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError), none."""
+        self._remove(checks.slots_of(self._handles, handles))
+
+    def _remove(self, slots: Ids) -> None:
+        moving.remove_rows(self._nodes, self._heights, self._handles, self._state, slots)
+        self._counters['removed'] += len(slots)
+
+    def clear(self) -> None:
+        """Remove all boxes. Their handles stay stale for ever."""
+        self._counters['removed'] += len(self)
+        self._allocate(len(self._handles))
+
+    def move(self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None) -> bool:
+        """Give a box its new bounds; true if the tree changed, false if the box stayed within its fat box.
+
+        `displacement`, shape (ndim,), is where the box is expected to be next, relative to now: its fat box then reaches there.
+        KeyError if the handle names no box.
+        """
+        slot = self._slot(handle)
+        low, high = checks.box(lo, hi, self.ndim)
+        ahead = self._ahead(None if displacement is None else np.asarray(displacement)[None], 1)
+        changed = moving.move_one(
+            self._nodes, self._heights, self._tight, self._state,
+            2 * slot, low, high, self.margin, ahead[0], self._thorough,
+        )
+        self._counters['reinserted' if changed else 'kept'] += 1
+        return bool(changed)
+
+    def move_many(
+        self, handles: ArrayLike, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None
+    ) -> int:
+        """Give n boxes their new bounds, shape (n, ndim) each; return how many changed the tree.
+
+        Few that leave their fat boxes are inserted again one by one; many are written in place and the tree is refitted and partly
+        optimised; if most leave, it is built anew. All or, if a handle is unknown (KeyError) or given twice (ValueError), none.
+        """
+        slots = checks.slots_of(self._handles, handles)
+        low, high = checks.boxes(lo, hi, self.ndim, len(slots))
+        ahead = self._ahead(displacement, len(slots))
+        rows = np.empty(len(slots), np.int64)
+        count = moving.rows_that_leave(self._nodes, self._tight, slots, low, high, self.margin, ahead, rows)
+        rows, share = rows[:count], count / max(len(self), 1)
+        self._counters['kept'] += len(slots) - count
+        if share < REFIT_SHARE:
+            moving.reinsert_rows(
+                self._nodes, self._heights, self._tight, self._state,
+                rows, slots, low, high, self.margin, ahead, self._thorough,
+            )
+            self._counters['reinserted'] += count
+            return count
+        moving.write_rows(self._nodes, self._tight, rows, slots, low, high, self.margin, ahead)
+        if share < REBUILD_SHARE:
+            building.refit_all(self._nodes, self._heights, int(self._state[ROOT]))
+            self._counters['refitted'] += count
+            self.optimize()
+        else:
+            self.rebuild()
+        return count
+
+    def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
+        if displacement is None:
+            return np.zeros((count, self.ndim))
+        ahead = checks.points('displacement', displacement, self.ndim, count)
+        if ahead.any():
+            self._keep_exact_boxes()
+        return ahead
+
+    def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
+        """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
+        slots = checks.slots_of(self._handles, handles)
+        moving.set_masks(self._nodes, slots, checks.masks(mask, len(slots)))
+
+    def rebuild(self) -> None:
+        """Build the tree anew by binned SAH over all axes. Handles stay."""
+        building.build_all(self._nodes, self._heights, self._handles, self._state, True)
+        self._counters['rebuilds'] += 1
+
+    def optimize(self) -> None:
+        """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the subtrees in turn."""
+        building.optimize(self._nodes, self._heights, self._state)
+
+    # ---- introspection
+
+    def __len__(self) -> int:
+        return int(self._state[COUNT])
+
+    def __contains__(self, handle: object) -> bool:
+        try:
+            self._slot(handle)
+        except KeyError:
+            return False
+        return True
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.ids().tolist())
+
+    def ids(self) -> Ids:
+        """All handles, ascending."""
+        return np.sort(self._handles[self._handles >= 0])
+
+    def boxes(self, handles: ArrayLike) -> tuple[Floats, Floats]:
+        """Exact boxes (without margin) of the handles, shape (n, ndim) each. KeyError if one names no box."""
+        slots = checks.slots_of(self._handles, handles, once=False)
+        records = self._tight[slots] if len(self._tight) else self._nodes[2 * slots]
+        return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(-1, self.ndim).copy()
+
+    def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
+        """Masks of the handles, shape (n,). KeyError if one names no box."""
+        slots = checks.slots_of(self._handles, handles, once=False)
+        return np.array(self._nodes['mask'][2 * slots], np.uint32)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats] | None:
+        """Smallest box around all exact boxes, as (lo, hi); None if the tree is empty."""
+        live = np.flatnonzero(self._handles >= 0)
+        if not len(live):
+            return None
+        records = self._tight[live] if len(self._tight) else self._nodes[2 * live]
+        return records['lo'].min(axis=0), records['hi'].max(axis=0)
+
+    @property
+    def height(self) -> int:
+        """Levels of inner nodes; at most 4 log2(n) + 4."""
+        root = int(self._state[ROOT])
+        return 0 if root == NONE else int(self._heights[root])
+
+    def cost(self) -> float:
+        """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of inner nodes if that is zero."""
+        root = int(self._state[ROOT])
+        return 0.0 if root == NONE else float(tree_cost(self._nodes, self._heights, root))
+
+    def validate(self) -> None:
+        """Raise RuntimeError, saying what is broken, unless the tree is sound."""
+        complaint, node = validation.check_structure(self._nodes, self._handles, self._state)
+        if complaint == validation.SOUND:
+            complaint, node = validation.check_metrics(self._nodes, self._heights, self._tight, self._state)
+        if complaint != validation.SOUND:
+            raise RuntimeError(f'{validation.COMPLAINTS[complaint]} (node {node})')
+
+    def stats(self) -> dict[str, Any]:
+        """Size, shape, memory, what has been done so far, and which parts are on."""
+        arrays = (self._nodes, self._heights, self._tight, self._handles, self._state)
+        return {
+            'boxes': len(self),
+            'capacity': len(self._handles),
+            'ndim': self.ndim,
+            'height': self.height,
+            'cost': self.cost(),
+            'bytes': sum(array.nbytes for array in arrays),
+            'margin': self.margin,
+            'sibling_search': self.sibling_search,
+            'exact_boxes_beside_nodes': bool(len(self._tight)),
+            'kernel_cache': str(cache_folder()),
+            **self._counters,
+        }
+
+    # ---- keeping
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the tree to one .npz file; `load` gives it back with the same handles."""
+        storing.save(path, self.__getstate__())
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> 'DynamicBVH':
+        """Read what `save` wrote. ValueError if the file is of another format version or not such a file."""
+        tree = cls.__new__(cls)
+        tree.__setstate__(storing.load(path))
+        return tree
+
+    def __getstate__(self) -> dict[str, Any]:
+        return storing.pack(self)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        storing.unpack(self, state)

@@ -1,0 +1,147 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many boxes in, out or elsewhere in one call, with fat boxes (Catto, GDC 2019) and the three ways to move many.
+
+A fat box is the exact one grown by the margin, and on the side of a predicted displacement by that. While the exact box stays in
+it the tree has nothing to do. A fat box far larger than a new one would be (five margins, five displacements) is replaced, so
+that a box that was large or fast for one tick does not stay large.
+"""
+
+
+import numpy as np
+
+from .building import rebalance
+from .compiling import kernel
+from .insertion import link_leaf, unlink_leaf
+from .nodes import COUNT, NONE, ROOT, SLOT_BITS, free_leaf, take_leaf
+
+LARGEST = 1.7976931348623157e308
+SLACK = 5.0
+
+
+@kernel
+def _fat_bounds(lo, hi, margin, displacement):
+    low = lo - margin + min(displacement, 0.0)
+    high = hi + margin + max(displacement, 0.0)
+    return max(low, -LARGEST), min(high, LARGEST)
+
+
+@kernel
+def write_leaf(nodes, tight, leaf, lo, hi, margin, displacement):
+    """Write the boxes of a leaf: the fat one into its node, the exact one beside it where boxes are fat."""
+    here = nodes[leaf]
+    for axis in range(here.lo.shape[0]):
+        here.lo[axis], here.hi[axis] = _fat_bounds(lo[axis], hi[axis], margin, displacement[axis])
+    write_tight(tight, leaf, lo, hi)
+
+
+@kernel
+def write_tight(tight, leaf, lo, hi):
+    if tight.shape[0] > 0:
+        box = tight[leaf >> 1]
+        for axis in range(box.lo.shape[0]):
+            box.lo[axis], box.hi[axis] = lo[axis], hi[axis]
+
+
+@kernel
+def fits(nodes, tight, leaf, lo, hi, margin, displacement):
+    """Whether the leaf's node may stay as it is: it contains the box and is not far larger than it need be."""
+    here = nodes[leaf]
+    for axis in range(here.lo.shape[0]):
+        if tight.shape[0] == 0:
+            if here.lo[axis] != lo[axis] or here.hi[axis] != hi[axis]:
+                return False
+            continue
+        low, high = _fat_bounds(lo[axis], hi[axis], SLACK * margin, SLACK * displacement[axis])
+        if not (low <= here.lo[axis] <= lo[axis] and hi[axis] <= here.hi[axis] <= high):
+            return False
+    return True
+
+
+@kernel
+def insert_rows(nodes, heights, tight, handles, state, lo, hi, masks, margin, serial, branch_and_bound, link, new):
+    """Insert rows of boxes with ascending serial numbers; their handles go to `new`. link False: the caller builds the tree."""
+    still = np.zeros(lo.shape[1])
+    for i in range(lo.shape[0]):
+        leaf = take_leaf(nodes, state)
+        write_leaf(nodes, tight, leaf, lo[i], hi[i], margin, still)
+        nodes[leaf].mask = masks[i]
+        heights[leaf] = 0
+        slot = leaf >> 1
+        handles[slot] = new[i] = ((serial + i) << SLOT_BITS) | slot
+        if link:
+            link_leaf(nodes, heights, state, leaf, branch_and_bound)
+            rebalance(nodes, heights, state, state[COUNT])
+
+
+@kernel
+def remove_rows(nodes, heights, handles, state, slots):
+    for i in range(slots.shape[0]):
+        leaf = 2 * slots[i]
+        unlink_leaf(nodes, heights, state, leaf)
+        free_leaf(nodes, state, leaf)
+        handles[slots[i]] = NONE
+        if state[ROOT] != NONE:
+            rebalance(nodes, heights, state, state[COUNT])
+
+
+@kernel
+def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
+    """Take the leaf out and insert it at its new place."""
+    unlink_leaf(nodes, heights, state, leaf)
+    write_leaf(nodes, tight, leaf, lo, hi, margin, displacement)
+    link_leaf(nodes, heights, state, leaf, branch_and_bound)
+    rebalance(nodes, heights, state, state[COUNT])
+
+
+@kernel
+def rows_that_leave(nodes, tight, slots, lo, hi, margin, displacements, leaving):
+    """Number the rows whose box has left its fat box; for the others only the exact box is written."""
+    count = 0
+    for i in range(slots.shape[0]):
+        leaf = 2 * slots[i]
+        if fits(nodes, tight, leaf, lo[i], hi[i], margin, displacements[i]):
+            write_tight(tight, leaf, lo[i], hi[i])
+        else:
+            leaving[count] = i
+            count += 1
+    return count
+
+
+@kernel
+def reinsert_rows(nodes, heights, tight, state, rows, slots, lo, hi, margin, displacements, branch_and_bound):
+    for i in rows:
+        move_leaf(
+            nodes, heights, tight, state, 2 * slots[i], lo[i], hi[i], margin, displacements[i], branch_and_bound
+        )
+
+
+@kernel
+def write_rows(nodes, tight, rows, slots, lo, hi, margin, displacements):
+    for i in rows:
+        write_leaf(nodes, tight, 2 * slots[i], lo[i], hi[i], margin, displacements[i])
+
+
+@kernel
+def move_one(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
+    """Move one box; true if the tree changed."""
+    if fits(nodes, tight, leaf, lo, hi, margin, displacement):
+        write_tight(tight, leaf, lo, hi)
+        return False
+    move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound)
+    return True
+
+
+@kernel
+def set_masks(nodes, slots, masks):
+    """Write the masks of leaves, and widen or narrow those of their ancestors."""
+    for i in range(slots.shape[0]):
+        node = 2 * slots[i]
+        nodes[node].mask = masks[i]
+        node = np.int64(nodes[node].parent)
+        while node != NONE:
+            union = nodes[nodes[node].left].mask | nodes[nodes[node].right].mask
+            if nodes[node].mask == union:
+                break
+            nodes[node].mask = union
+            node = np.int64(nodes[node].parent)

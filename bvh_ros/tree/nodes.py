@@ -1,0 +1,140 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Storage: the only place that knows how a node lies in memory.
+
+One record array holds the whole tree. Slot k owns two places in it: node 2k is the leaf of slot k, and node 2k + 1 is an inner
+node (any inner node: n leaves have n - 1 of them, wherever one was free). So whether a node is a leaf can be told from its number:
+
+    node      0      1      2      3      4      5   ...
+            leaf   inner   leaf  inner   leaf  inner
+    slot      0             1             2
+
+A node is 64 bytes in 3D: one cache line. Free places form two lists, linked through `parent`.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compiling import kernel
+
+NONE = -1
+ALL = 0xFFFFFFFF  # the query mask that sees every box
+
+SLOT_BITS = 26  # 67 million boxes at once, and 2**37 insertions over a tree's life
+SLOT_MASK = (1 << SLOT_BITS) - 1
+LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
+
+# Places in the small state array that kernels read and write.
+ROOT, COUNT, FREE_LEAF, FREE_INNER = range(4)
+
+
+def node_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of a node; the number of dimensions is part of the type, so compiled loops over axes are unrolled."""
+    return np.dtype(
+        [
+            ('lo', np.float64, (ndim,)),
+            ('hi', np.float64, (ndim,)),
+            ('left', np.int32),
+            ('right', np.int32),
+            ('parent', np.int32),
+            ('mask', np.uint32),
+        ]
+    )
+
+
+def box_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of an exact box; kept beside the nodes only where a margin makes the leaves' boxes fat."""
+    return np.dtype([('lo', np.float64, (ndim,)), ('hi', np.float64, (ndim,))])
+
+
+def aligned_empty(count: int, dtype: np.dtype[Any], alignment: int = 64) -> NDArray[Any]:
+    """Uninitialised array whose first byte lies on a cache line, so that a 64-byte record never straddles two."""
+    buffer = np.empty(count * dtype.itemsize + alignment, np.uint8)
+    start = -buffer.ctypes.data % alignment
+    return buffer[start : start + count * dtype.itemsize].view(dtype)
+
+
+@kernel
+def is_leaf(node):
+    return node & 1 == 0
+
+
+@kernel
+def leaf_box(nodes, tight, leaf):
+    """The exact box of a leaf: beside the nodes where they are fat, else the node's own."""
+    if tight.shape[0] > 0:
+        box = tight[leaf >> 1]
+        return box.lo, box.hi
+    node = nodes[leaf]
+    return node.lo, node.hi
+
+
+@kernel
+def link_free(nodes, state, start, stop):
+    """Put the slots [start, stop) on the free lists, lowest slot first out."""
+    for slot in range(stop - 1, start - 1, -1):
+        nodes[2 * slot].parent = state[FREE_LEAF]
+        nodes[2 * slot + 1].parent = state[FREE_INNER]
+        state[FREE_LEAF] = 2 * slot
+        state[FREE_INNER] = 2 * slot + 1
+
+
+@kernel
+def take_leaf(nodes, state):
+    leaf = state[FREE_LEAF]
+    state[FREE_LEAF] = nodes[leaf].parent
+    state[COUNT] += 1
+    return leaf
+
+
+@kernel
+def take_inner(nodes, state):
+    inner = state[FREE_INNER]
+    state[FREE_INNER] = nodes[inner].parent
+    return inner
+
+
+@kernel
+def free_leaf(nodes, state, leaf):
+    nodes[leaf].parent = state[FREE_LEAF]
+    state[FREE_LEAF] = leaf
+    state[COUNT] -= 1
+
+
+@kernel
+def free_inner(nodes, state, inner):
+    nodes[inner].parent = state[FREE_INNER]
+    state[FREE_INNER] = inner
+
+
+@kernel
+def replace_child(nodes, state, parent, old, new):
+    """Hang `new` where `old` hung; `parent` NONE means that `old` was the root."""
+    if parent == NONE:
+        state[ROOT] = new
+    elif nodes[parent].left == old:
+        nodes[parent].left = new
+    else:
+        nodes[parent].right = new
+    nodes[new].parent = parent
+
+
+@kernel
+def adopt(nodes, heights, node):
+    """Make box, mask and height of an inner node those of its children; true if any of them changed."""
+    here = nodes[node]
+    left, right = nodes[here.left], nodes[here.right]
+    mask = left.mask | right.mask
+    height = 1 + max(heights[here.left], heights[here.right])
+    changed = mask != here.mask or height != heights[node]
+    here.mask = mask
+    heights[node] = height
+    for axis in range(here.lo.shape[0]):
+        lo = min(left.lo[axis], right.lo[axis])
+        hi = max(left.hi[axis], right.hi[axis])
+        changed |= lo != here.lo[axis] or hi != here.hi[axis]
+        here.lo[axis] = lo
+        here.hi[axis] = hi
+    return changed

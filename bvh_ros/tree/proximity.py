@@ -1,0 +1,96 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The k boxes nearest to a point, depth first with the nearer child first (Roussopoulos et al. 1995).
+
+A distance is computed with a relative error below 4 u (u = 2**-53: one rounding of a difference, one each of square, sum and
+root), or to within 1e-322 where it is subnormal; it is infinite only where the exact one exceeds the largest double. Which box is
+nearer is decided by the computed distances, ties by the smaller handle; so the answer does not depend on the shape of the tree.
+"""
+
+import math
+
+import numpy as np
+
+from .compiling import kernel
+from .nodes import NONE, is_leaf, leaf_box
+from .slab import PAD, TINY
+
+
+@kernel
+def distance(lo, hi, point):
+    """Distance of a point from a closed box, 0 inside."""
+    longest = 0.0
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        longest = max(longest, gap)
+        total += gap * gap
+    if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
+        return math.sqrt(total)
+    # Squares would leave the doubles: the same with all gaps times a power of two.
+    exponent = math.frexp(longest)[1]
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = math.ldexp(max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]), -exponent)
+        total += gap * gap
+    return math.ldexp(math.sqrt(total), exponent)
+
+
+@kernel
+def _keep(slots, distances, handles, count, k, slot, gap):
+    """Put (slot, gap) in its place among the k best so far; return how many there are now."""
+    if count == k:
+        if gap > distances[k - 1] or (gap == distances[k - 1] and handles[slot] > handles[slots[k - 1]]):
+            return count
+        count -= 1
+    place = count
+    while place > 0 and (
+        gap < distances[place - 1] or (gap == distances[place - 1] and handles[slot] < handles[slots[place - 1]])
+    ):
+        slots[place], distances[place] = slots[place - 1], distances[place - 1]
+        place -= 1
+    slots[place], distances[place] = slot, gap
+    return count + 1
+
+
+@kernel
+def nearest(nodes, heights, tight, handles, root, point, k, max_distance, mask, slots, distances):
+    """Write the k nearest within `max_distance`, nearest first; return how many there are."""
+    if root == NONE or k == 0:
+        return 0
+    stack, bounds = np.empty(np.int64(heights[root]) + 2, np.int64), np.empty(np.int64(heights[root]) + 2)
+    stack[0], bounds[0], top = root, 0.0, 1
+    count = 0
+    while top > 0:
+        top -= 1
+        node, bound = stack[top], bounds[top]
+        limit = distances[k - 1] if count == k else max_distance
+        if bound > limit * PAD + TINY or nodes[node].mask & mask == 0:
+            continue
+        if is_leaf(node):
+            lo, hi = leaf_box(nodes, tight, node)
+            gap = distance(lo, hi, point)
+            if gap <= max_distance:
+                count = _keep(slots, distances, handles, count, k, node >> 1, gap)
+            continue
+        near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
+        near_bound = distance(nodes[near].lo, nodes[near].hi, point)
+        far_bound = distance(nodes[far].lo, nodes[far].hi, point)
+        if far_bound < near_bound:
+            near, far, near_bound, far_bound = far, near, far_bound, near_bound
+        stack[top], bounds[top] = far, far_bound
+        stack[top + 1], bounds[top + 1] = near, near_bound
+        top += 2
+    return count
+
+
+@kernel
+def nearest_many(nodes, heights, tight, handles, root, points, k, max_distances, masks, slots, distances):
+    """Row by row; rows with fewer than k boxes keep what `slots` and `distances` held there."""
+    for i in range(points.shape[0]):
+        row_slots, row_distances = slots[i], distances[i]
+        count = nearest(
+            nodes, heights, tight, handles, root, points[i], k, max_distances[i], masks[i], row_slots, row_distances
+        )
+        for j in range(count, k):
+            row_slots[j], row_distances[j] = NONE, np.inf

@@ -1,0 +1,32 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the queries return."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class RayHit(NamedTuple):
+    """Where a ray enters a box."""
+
+    id: int
+    """Handle of the box."""
+    t: float
+    """Distance in units of the direction, within 2 ulp; inf where the exact one exceeds the largest double. 0 inside."""
+    point: NDArray[np.float64]
+    """The point of entry, shape (ndim,): in the closed box, on the entered face. The origin where the ray starts inside."""
+    normal: NDArray[np.float64]
+    """The outward normal of the face entered, shape (ndim,); zero where the ray starts inside."""
+
+
+class RayHits(NamedTuple):
+    """First hits of n rays, row for row."""
+
+    ids: NDArray[np.int64]
+    """Handles, shape (n,); -1 where nothing is hit."""
+    t: NDArray[np.float64]
+    """Distances in units of the directions, shape (n,); inf where nothing is hit."""
+    normals: NDArray[np.float64]
+    """Outward normals, shape (n, ndim); zero where nothing is hit or the ray starts inside."""

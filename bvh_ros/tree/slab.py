@@ -1,0 +1,180 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against boxes: the one slab test for inner nodes, and the exact decision for leaves.
+
+A box is the overlap of its slabs (Kay and Kajiya 1986). A ray is inside the slab of one axis between two distances,
+
+    entry = (near - o) / d,   exit = (far - o) / d,   near, far = (lo, hi) if d > 0 else (hi, lo),
+
+and meets the box if the latest entry is not after the earliest exit.
+
+**Inner nodes** must not lose a hit; a needless visit is harmless. With u = 2**-53, (plane - o) * (1 / d) is within a factor (1 + u)**3 of
+the truth, so the comparison is padded by 1 + 16 u, more than the 1 + 2 gamma(3) of Ize 2013, "Robust BVH Ray Traversal", section 3,
+because the best distance so far has rounding of its own. `prepare_ray` keeps 1 / d away from overflow and underflow, and a pad of
+`TINY` covers products that underflow.
+
+**Leaves** are decided as real arithmetic decides. entry_a <= exit_b compares two quotients of differences. Each is computed with two
+roundings, so with a relative error below 2 u + u**2 (below the smallest normal double: an absolute error of at most 2**-1074). Two
+computed values that differ by more than 8 u, relatively, and by more than `TINY` are in the order of their exact ones. Else
+multiplying out by both directions leaves the sign of a sum of four products, which `exact_sign` computes without rounding.
+"""
+
+import math
+
+import numpy as np
+
+from .compiling import kernel
+from .exact_sign import sign_of_four_products
+
+PAD = 1.0 + 16 * 2.0**-53
+CLEAR = 1.0 + 8 * 2.0**-53
+TINY = 1e-322
+SCALE = 600  # binary places by which extreme directions are brought back to the middle of the exponents
+INSIDE = -1  # the axis of a hit whose ray starts inside
+
+# What prepare_ray leaves in `ray`: one row an item.
+ORIGIN, DIRECTION, INVERSE = range(3)
+
+
+@kernel
+def prepare_ray(ray, bounds_lo, bounds_hi):
+    """Fill the row of inverses; return (scale, wide).
+
+    The traversal measures distance in units of 2**scale, see `traversal_distance`; scale is 0 unless 1 / d or a distance would
+    leave the normal doubles. An axis whose inverse still would is NaN, which bounds nothing in `enters`: the leaves decide.
+    `wide` says that plane - origin may overflow.
+    """
+    largest = 0.0
+    reach = 0.0
+    for axis in range(bounds_lo.shape[0]):
+        origin = ray[ORIGIN, axis]
+        largest = max(largest, abs(ray[DIRECTION, axis]))
+        reach = max(reach, abs(bounds_hi[axis] - origin), abs(bounds_lo[axis] - origin))
+    scale = 0
+    if largest > 0.0 and not (2.0**-1000 < largest < 2.0**1000 and reach < largest * 2.0**1000):
+        scale = 3 - math.frexp(largest)[1]  # the largest component in [4, 8): no distance along it overflows
+    for axis in range(bounds_lo.shape[0]):
+        direction = ray[DIRECTION, axis]
+        scaled = direction
+        if scale != 0:
+            scaled = math.ldexp(direction, scale)
+        inverse = 1.0 / abs(scaled)
+        if direction != 0.0 and not (inverse < np.inf and math.ldexp(scaled, -scale) == direction):
+            inverse = np.nan
+        ray[INVERSE, axis] = math.copysign(inverse, direction)
+    return scale, math.isinf(reach)
+
+
+@kernel
+def traversal_distance(t, scale):
+    return t if scale == 0 else math.ldexp(t, -scale)
+
+
+@kernel
+def enters(lo, hi, ray, limit, wide):
+    """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters after `limit`.
+
+    0 * inf is NaN where the ray runs in the plane of a face: comparisons with NaN are false, so the slab bounds nothing, and the
+    touching ray goes on, as closed boxes want.
+    """
+    entry = 0.0
+    leave = limit
+    for axis in range(lo.shape[0]):
+        inverse = ray[INVERSE, axis]
+        at_lo = (lo[axis] - ray[ORIGIN, axis]) * inverse
+        at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
+        near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
+        entry = near if near > entry else entry
+        leave = far if far < leave else leave
+    if math.isinf(entry):
+        return 0.0 if wide else np.inf
+    return entry if entry <= leave * PAD + TINY else np.inf
+
+
+@kernel
+def plane_distance(plane, origin, direction):
+    """(plane - origin) / direction within 2 ulp; inf only where the exact value is as large."""
+    difference = plane - origin
+    if math.isinf(difference):
+        return (plane * 0.5 - origin * 0.5) / direction * 2.0
+    return difference / direction
+
+
+@kernel
+def compare_distances(t, plane, origin, direction, other_t, other_plane, other_origin, other_direction):
+    """Sign of (plane - origin) / direction - the same of the other, exactly; t and other_t are the computed values, not negative."""
+    if t * CLEAR + TINY < other_t:
+        return -1
+    if other_t * CLEAR + TINY < t:
+        return 1
+    sign = sign_of_four_products(
+        plane, other_direction, -origin, other_direction, -other_plane, direction, other_origin, direction
+    )
+    return sign if (direction > 0.0) == (other_direction > 0.0) else -sign
+
+
+@kernel
+def near_plane(lo, hi, ray, axis):
+    return lo[axis] if ray[DIRECTION, axis] > 0.0 else hi[axis]
+
+
+@kernel
+def within(t, plane, origin, direction, t_max):
+    """Whether (plane - origin) / direction <= t_max, exactly."""
+    if math.isinf(t_max):
+        return True
+    return compare_distances(t, plane, origin, direction, t_max, t_max, 0.0, 1.0) <= 0
+
+
+@kernel
+def meets(lo, hi, ray, t_max):
+    """Exact decision of a ray and a closed box: (hit, t, axis).
+
+    `axis` is the one entered last, INSIDE where the ray starts in the box. Ties between axes go to the lowest.
+    """
+    ndim = lo.shape[0]
+    t = 0.0
+    entered = INSIDE
+    for axis in range(ndim):
+        origin, direction = ray[ORIGIN, axis], ray[DIRECTION, axis]
+        below, above = origin < lo[axis], origin > hi[axis]
+        if below or above:
+            if direction == 0.0 or below != (direction > 0.0):
+                return False, np.inf, INSIDE  # parallel outside, or flying away
+            plane = lo[axis] if below else hi[axis]
+            distance = plane_distance(plane, origin, direction)
+            if entered == INSIDE or (
+                compare_distances(
+                    distance, plane, origin, direction,
+                    t, near_plane(lo, hi, ray, entered), ray[ORIGIN, entered], ray[DIRECTION, entered],
+                ) > 0
+            ):
+                t, entered = distance, axis
+    if entered == INSIDE:
+        return True, 0.0, INSIDE
+    plane, origin, direction = near_plane(lo, hi, ray, entered), ray[ORIGIN, entered], ray[DIRECTION, entered]
+    for axis in range(ndim):
+        if axis != entered and ray[DIRECTION, axis] != 0.0:
+            far = hi[axis] if ray[DIRECTION, axis] > 0.0 else lo[axis]
+            leave = plane_distance(far, ray[ORIGIN, axis], ray[DIRECTION, axis])
+            if compare_distances(
+                t, plane, origin, direction, leave, far, ray[ORIGIN, axis], ray[DIRECTION, axis]
+            ) > 0:
+                return False, np.inf, INSIDE
+    return within(t, plane, origin, direction, t_max), t, entered
+
+
+@kernel
+def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
+    """Sign of the exact difference of two hits' distances along one ray."""
+    if axis == INSIDE or other_axis == INSIDE:
+        return (0 if other_axis == INSIDE else -1) if axis == INSIDE else 1
+    plane, other_plane = near_plane(lo, hi, ray, axis), near_plane(other_lo, other_hi, ray, other_axis)
+    if axis == other_axis:  # one axis, one direction: the planes are in the order of the hits
+        if plane == other_plane:
+            return 0
+        return -1 if (plane < other_plane) == (ray[DIRECTION, axis] > 0.0) else 1
+    return compare_distances(
+        t, plane, ray[ORIGIN, axis], ray[DIRECTION, axis],
+        other_t, other_plane, ray[ORIGIN, other_axis], ray[DIRECTION, other_axis],
+    )
