@@ -1,0 +1,134 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""GetPlan requests to plain numbers, and answers to GetPlan replies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+
+from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.markers import nanoseconds
+from bvh_ros.ros.frames import Transform
+from bvh_ros.scene import SceneHit
+
+ERROR = 'error: '  # begins the frame_id of a reply that is no answer
+
+Vector = tuple[float, float, float]
+
+
+class Query(NamedTuple):
+    """A request in the node's frame."""
+
+    start: Vector
+    goal: Vector
+    orientation: rotations.Quaternion  # of the box; 0, 0, 0, 0 = identity
+    tolerance: float  # m
+
+
+def query(
+    request: Any, into_node: Callable[[str, int], Transform | None], *, oriented: bool
+) -> Query:
+    """Read a nav_msgs/srv/GetPlan request.
+
+    Parameters
+    ----------
+    request : nav_msgs.srv.GetPlan.Request
+    into_node : callable
+        From a frame and a stamp to the transform into the node's frame, or None.
+    oriented : bool
+        Whether the request's orientation matters: for boxes it does, for segments it does not.
+
+    Raises
+    ------
+    ValueError
+        If the request cannot be answered, with the reason.
+    """
+    tolerance = request.tolerance
+    if not (math.isfinite(tolerance) and tolerance >= 0.0):
+        raise ValueError(f'tolerance must be finite and at least 0, not {tolerance:g}')
+    start, goal = _position('start', request.start), _position('goal', request.goal)
+    turn = (0.0, 0.0, 0.0, 0.0)
+    if oriented:
+        q = request.start.pose.orientation
+        turn = (q.x, q.y, q.z, q.w)
+        if not all(map(math.isfinite, turn)):
+            raise ValueError('start.pose.orientation is not finite')
+    for_start = into_node(request.start.header.frame_id, nanoseconds(request.start.header.stamp))
+    for_goal = into_node(request.goal.header.frame_id, nanoseconds(request.goal.header.stamp))
+    if for_start is not None:
+        start, turn = _vector(for_start.points(start)), _moved(for_start, turn)
+    if for_goal is not None:
+        goal = _vector(for_goal.points(goal))
+    return Query(start, goal, turn, tolerance)
+
+
+def fill(plan: Path, hits: Iterable[SceneHit], frame_id: str, newest: int) -> None:
+    """Write the answer to a query into a Path.
+
+    Parameters
+    ----------
+    plan : nav_msgs.msg.Path
+    hits : iterable of SceneHit
+        One pose each, in this order.
+    frame_id : str
+        The node's frame.
+    newest : int
+        Time of the newest update that the answer knows of, ns.
+    """
+    plan.header.frame_id = frame_id
+    plan.header.stamp = time(newest)
+    poses = []
+    for hit in hits:
+        normal = hit.normal
+        turn = rotations.from_normal(float(normal[0]), float(normal[1]), float(normal[2]))
+        poses.append(_pose(hit.name, hit.stamp, _vector(hit.point), turn))
+    plan.poses = poses
+
+
+def fill_error(plan: Path, request: Any, reason: str, frame_id: str, now: int) -> None:
+    """Write the reply that never looks free: one pose at `start` whose name says what is wrong."""
+    plan.header.frame_id = frame_id
+    plan.header.stamp = time(now)
+    at = request.start.pose.position
+    place = tuple(c if math.isfinite(c) else 0.0 for c in (at.x, at.y, at.z))
+    plan.poses = [_pose(ERROR + reason, now, _vector(place), rotations.IDENTITY)]
+
+
+def time(stamp: int) -> Time:
+    """Return ns as a builtin_interfaces Time."""
+    seconds, rest = divmod(stamp, 1_000_000_000)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def _pose(name: str, stamp: int, place: Vector, turn: rotations.Quaternion) -> PoseStamped:
+    stamped = PoseStamped()
+    stamped.header.frame_id = name
+    stamped.header.stamp = time(stamp)
+    position, orientation = stamped.pose.position, stamped.pose.orientation
+    position.x, position.y, position.z = place
+    orientation.x, orientation.y, orientation.z, orientation.w = turn
+    return stamped
+
+
+def _position(what: str, stamped: Any) -> Vector:
+    at = stamped.pose.position
+    place = (at.x, at.y, at.z)
+    if not all(map(math.isfinite, place)):
+        raise ValueError(f'{what}.pose.position is not finite')
+    return place
+
+
+def _moved(transform: Transform, turn: rotations.Quaternion) -> rotations.Quaternion:
+    x, y, z, w = transform.orientations(turn).tolist()
+    return x, y, z, w
+
+
+def _vector(values: Iterable[float]) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

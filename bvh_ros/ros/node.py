@@ -1,0 +1,125 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node: reads its parameters, joins sources, scene and services, and ends quietly."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import rclpy
+from rclpy.exceptions import InvalidTopicNameException, ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from bvh_ros.ros.diagnostics import Diagnostics
+from bvh_ros.ros.frames import Frames, tf2_lookup
+from bvh_ros.ros.parameters import ConfigurationError, read_settings
+from bvh_ros.ros.services import QueryServices, TriggerServices
+from bvh_ros.ros.sources import SOURCE_TYPES, create_source
+from bvh_ros.ros.warm_up import warm_up
+from bvh_ros.scene import Scene
+
+if TYPE_CHECKING:
+    from bvh_ros.ros.sources.source import Source
+
+EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
+QOS_PERIOD = 1.0  # seconds
+WRONG_CONFIGURATION = 2  # exit code
+
+
+class BvhNode(Node):
+    """Keeps moving obstacles in a dynamic bounding volume hierarchy and answers queries.
+
+    Raises
+    ------
+    ConfigurationError
+        If a parameter cannot be used.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('bvh')
+        settings = read_settings(self, {name: t.options for name, t in SOURCE_TYPES.items()})
+        self.settings = settings
+        self.scene = Scene(
+            planar=settings.planar, margin=settings.margin, max_obstacles=settings.max_obstacles
+        )
+        lookup = tf2_lookup(self) if settings.use_tf else None
+        self.frames = Frames(settings.frame_id, lookup)
+        self.sources: list[Source] = [
+            create_source(self, source, self.scene, self.frames) for source in settings.sources
+        ]
+
+    def start(self) -> None:
+        """Compile what is needed, subscribe, and only then offer the services."""
+        kinds = {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
+        warm_up(
+            planar=self.settings.planar,
+            margin=self.settings.margin,
+            kinds=kinds,
+            log=self.get_logger().info,
+        )
+        for source in self.sources:
+            self._subscribe(source)
+        self.queries = QueryServices(self, self.scene, self.frames, self.sources)
+        TriggerServices(self, self.scene, self.sources)
+        Diagnostics(self, self.scene, self.queries, self.sources)
+        self.create_timer(EXPIRY_PERIOD, self._expire)
+        self.create_timer(QOS_PERIOD, self._check_qos)
+        self.get_logger().info(self.in_words())
+
+    def in_words(self) -> str:
+        """Say what is served and which parts this scene uses."""
+        settings = self.settings
+        heard = ', '.join(
+            f'{source.name} ({source.settings.type} on {source.subscription.topic})'
+            for source in self.sources
+            if source.subscription is not None
+        )
+        parts = {
+            '2D tree of footprints': settings.planar,
+            '3D tree': not settings.planar,
+            f'margin {settings.margin:g} m': settings.margin > 0.0,
+            'tf2': self.frames.lookup is not None,
+        }
+        used = ', '.join(part for part, on in parts.items() if on)
+        off = 'narrow phase (python-fcl) until a turned or round shape is asked about'
+        return (
+            f"ready in frame '{settings.frame_id}'; sources: {heard or 'none'}; "
+            f'on: {used}; off: {off}'
+        )
+
+    def _subscribe(self, source: Source) -> None:
+        try:
+            source.subscribe()
+        except (RuntimeError, ParameterException, InvalidTopicNameException) as error:
+            raise ConfigurationError(f"source '{source.name}': {error}") from error
+
+    def _expire(self) -> None:
+        self.scene.expire(self.get_clock().now().nanoseconds)
+
+    def _check_qos(self) -> None:
+        for source in self.sources:
+            if source.subscription is not None:
+                source.subscription.check()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until Ctrl-C or SIGTERM."""
+    try:
+        rclpy.init(args=args)
+        node = BvhNode()
+        node.start()
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 0
+    except ConfigurationError as error:
+        print(f'bvh_node: {error}', file=sys.stderr)
+        return WRONG_CONFIGURATION
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,242 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node's parameters: declared with descriptors and ranges, read once into plain settings."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Value = bool | int | float | str | list[str]
+
+
+class ConfigurationError(ValueError):
+    """A parameter has a value that the node cannot work with; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One parameter: its default (whose type it keeps), meaning and range."""
+
+    name: str
+    default: Value
+    description: str
+    minimum: float = -sys.float_info.max
+    maximum: float = sys.float_info.max
+    choices: tuple[str, ...] = ()
+
+
+NODE_OPTIONS = (
+    Option('frame_id', 'map', 'Frame in which obstacles are kept and answers are given.'),
+    Option('planar', False, 'See the world from above: footprints in a 2D tree, z is ignored.'),
+    Option(
+        'margin',
+        0.0,
+        'Every box in the tree is fattened by this many metres, so that small moves cost no work. '
+        'Answers do not depend on it.',
+        minimum=0.0,
+    ),
+    Option(
+        'max_obstacles',
+        1_000_000,
+        'More obstacles than this are refused.',
+        minimum=1,
+        maximum=2**31 - 1,
+    ),
+    Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
+    Option('use_tf', True, 'Transform other frames by tf2, where tf2_ros is installed.'),
+)
+SOURCE_OPTIONS = (
+    Option('prefix', '', 'Begins the name of every obstacle of this source.'),
+    Option('required', False, 'Until this source has spoken, every query answers an error.'),
+    Option(
+        'max_age',
+        0.0,
+        'Once this source has been silent for longer (s), every query answers an error. 0: never.',
+        minimum=0.0,
+    ),
+)
+# Later options and what rclpy itself declares: a source of such a name could not have options.
+RESERVED_NAMES = (
+    *(option.name for option in NODE_OPTIONS),
+    *('views', 'use_sim_time', 'qos_overrides', 'start_type_description_service'),
+)
+DEFAULT_SOURCE = 'markers'
+DEFAULT_TYPE = 'MarkerArray'
+DEFAULT_TOPIC = '~/obstacles'
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """What one source was told."""
+
+    name: str
+    type: str
+    topic: str
+    prefix: str
+    required: bool
+    max_age: float  # s, 0 = unlimited
+    options: Mapping[str, Any]  # those of its type
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the node was told."""
+
+    frame_id: str
+    planar: bool
+    margin: float  # m
+    max_obstacles: int
+    use_tf: bool
+    sources: tuple[SourceSettings, ...]
+
+
+def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings:
+    """Declare and read all parameters.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    types : mapping of str to sequence of Option
+        The source types there are, with the options of each.
+
+    Raises
+    ------
+    ConfigurationError
+        If a value has the wrong type or range, or contradicts another.
+    """
+    values = {option.name: read(node, '', option) for option in NODE_OPTIONS}
+    if not values['frame_id']:
+        raise ConfigurationError("parameter 'frame_id' is empty")
+    # YAML cannot say "an empty list of strings" other than ['']
+    names = [name for name in values.pop('sources') if name]
+    _check_source_names(names)
+    sources = tuple(_read_source(node, name, types) for name in names)
+    _check_for_misspelt_options(node, names)
+    return Settings(**values, sources=sources)
+
+
+def read(node: Node, prefix: str, option: Option) -> Any:
+    """Declare one parameter and return its value."""
+    name = prefix + option.name
+    descriptor = ParameterDescriptor(
+        description=option.description, read_only=True, dynamic_typing=True
+    )
+    if option.choices:
+        descriptor.additional_constraints = 'One of: ' + ', '.join(option.choices)
+    low, high = option.minimum, option.maximum
+    if isinstance(option.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif isinstance(option.default, int) and not isinstance(option.default, bool):
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    try:
+        value = node.declare_parameter(name, option.default, descriptor).value
+    except InvalidParameterValueException as error:
+        raise _out_of_range(name, option) from error
+    return _checked(name, option, value)
+
+
+def _checked(name: str, option: Option, value: Any) -> Any:
+    """Return the value in its option's type or raise ConfigurationError."""
+    default = option.default
+    if isinstance(default, list):
+        value = [] if value is None else list(value) if _is_list(value) else value
+        good = isinstance(value, list) and all(isinstance(item, str) for item in value)
+        wanted = 'a list of strings'
+    elif isinstance(default, bool):
+        good, wanted = isinstance(value, bool), 'true or false'
+    elif isinstance(default, float):
+        good, wanted = _is_number(value, (int, float)), 'a number'
+        value = float(value) if good else value
+    elif isinstance(default, int):
+        good, wanted = _is_number(value, (int,)), 'a whole number'
+    else:
+        good, wanted = isinstance(value, str), 'a string'
+    if not good:
+        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {value!r}")
+    if option.choices and value not in option.choices:
+        choices = ', '.join(option.choices)
+        raise ConfigurationError(f"parameter '{name}' must be one of {choices}, not {value!r}")
+    # An integer given for a double escapes rclpy's own range check, and so does NaN.
+    if _is_number(value, (int, float)) and not option.minimum <= value <= option.maximum:
+        raise _out_of_range(name, option)
+    return value
+
+
+def _out_of_range(name: str, option: Option) -> ConfigurationError:
+    unlimited = sys.float_info.max
+    low = f'at least {option.minimum:.10g}' if option.minimum > -unlimited else ''
+    high = f'at most {option.maximum:.10g}' if option.maximum < unlimited else ''
+    limits = ' and '.join(limit for limit in (low, high or 'finite') if limit)
+    return ConfigurationError(f"parameter '{name}' must be {limits}")
+
+
+def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -> SourceSettings:
+    prefix = f'{name}.'
+    is_default = name == DEFAULT_SOURCE
+    known = ', '.join(types)
+    type_option = Option('type', DEFAULT_TYPE if is_default else '', f'One of: {known}')
+    topic_option = Option('topic', DEFAULT_TOPIC if is_default else '', 'Topic to subscribe to.')
+    # Both visualization_msgs/MarkerArray and MarkerArray will do.
+    type_name = read(node, prefix, type_option).rpartition('/')[2]
+    if type_name not in types:
+        raise ConfigurationError(
+            f"parameter '{name}.type' must be one of {known}, not {type_name!r}"
+        )
+    topic = read(node, prefix, topic_option)
+    if not topic:
+        raise ConfigurationError(f"source '{name}' needs a parameter '{name}.topic'")
+    shared = {option.name: read(node, prefix, option) for option in SOURCE_OPTIONS}
+    own = {option.name: read(node, prefix, option) for option in types[type_name]}
+    return SourceSettings(name=name, type=type_name, topic=topic, options=own, **shared)
+
+
+def _check_source_names(names: Sequence[str]) -> None:
+    for name in names:
+        if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
+            raise ConfigurationError(
+                f"parameter 'sources': {name!r} is not a name (letters, digits and underscores)"
+            )
+        if name in RESERVED_NAMES:
+            raise ConfigurationError(
+                f"parameter 'sources': {name!r} is the name of another parameter"
+            )
+        if names.count(name) > 1:
+            raise ConfigurationError(f"parameter 'sources': {name!r} is there twice")
+
+
+def _check_for_misspelt_options(node: Node, sources: Sequence[str]) -> None:
+    """Refuse options that nobody reads: a misspelt `required` would make the world look safe."""
+    declared = node.list_parameters([], 0).result.names
+    for name in _overrides(node):
+        source = name.partition('.')[0]
+        if name in declared or source == 'qos_overrides':
+            continue
+        near = difflib.get_close_matches(name, declared, 1)
+        hint = f"; did you mean '{near[0]}'?" if near else ''
+        if source in sources:
+            raise ConfigurationError(f"there is no parameter '{name}'{hint}")
+        node.get_logger().warning(f"parameter '{name}' is not one of this node{hint}")
+
+
+def _overrides(node: Node) -> Sequence[str]:
+    """Return the names of the parameters given at start; rclpy keeps them to itself."""
+    return tuple(getattr(node, '_parameter_overrides', ()))
+
+
+def _is_number(value: Any, types: tuple[type, ...]) -> bool:
+    return isinstance(value, types) and not isinstance(value, bool)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, (str, bytes))

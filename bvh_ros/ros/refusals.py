@@ -1,0 +1,59 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What was refused, how often and why: counted, logged without flooding, shown in diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Protocol
+
+from bvh_ros.scene import Refusal
+
+LOG_EVERY = 2.0  # seconds
+
+
+class Logger(Protocol):
+    """The part of a rclpy logger that is used here."""
+
+    def warning(self, message: str) -> object:
+        """Log a warning."""
+
+
+class Refused:
+    """Counts refusals of one kind and remembers the last reason.
+
+    Parameters
+    ----------
+    logger : Logger
+    what : str
+        Who was refused, as the log says it: `query`, `source 'markers'`.
+    """
+
+    def __init__(self, logger: Logger, what: str) -> None:
+        self.count = 0
+        self.last = ''
+        self._logger = logger
+        self._what = what
+        self._unlogged = 0
+        self._log_again = -float('inf')
+
+    def add(self, reason: str, count: int = 1) -> None:
+        """Count `count` refusals for one reason."""
+        self.count += count
+        self.last = reason
+        self._unlogged += count
+        now = time.monotonic()
+        if now < self._log_again:
+            return
+        more = f' ({self._unlogged - 1} more since the last report)' if self._unlogged > 1 else ''
+        self._logger.warning(f'{self._what} refused: {reason}{more}')
+        self._unlogged = 0
+        self._log_again = now + LOG_EVERY
+
+    def add_rows(self, refusals: Sequence[Refusal]) -> None:
+        """Count the rows of an update that were refused."""
+        if refusals:
+            first = refusals[0]
+            who = f"'{first.name}': " if first.name else ''
+            self.add(who + first.reason, len(refusals))

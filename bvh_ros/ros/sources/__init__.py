@@ -1,0 +1,74 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The kinds of topics that obstacles come from.
+
+A module is imported only when a source of its type is configured.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, NamedTuple
+
+from bvh_ros.ros.parameters import Option, SourceSettings
+from bvh_ros.scene import ShapeKind
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.frames import Frames
+    from bvh_ros.ros.sources.source import Source
+    from bvh_ros.scene import Scene
+
+
+class SourceType(NamedTuple):
+    """Where a type of source is written down, which shapes it brings and its options."""
+
+    module: str
+    class_name: str
+    kinds: tuple[ShapeKind, ...]
+    options: tuple[Option, ...]
+
+
+SOURCE_TYPES = {
+    'MarkerArray': SourceType(
+        'bvh_ros.ros.sources.marker_array',
+        'MarkerArraySource',
+        (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER),
+        (),
+    ),
+    'PointCloud2': SourceType(
+        'bvh_ros.ros.sources.point_cloud2',
+        'PointCloud2Source',
+        (ShapeKind.BOX,),
+        (
+            Option(
+                'voxel',
+                0.1,
+                'Edge length (m) of the cube at each point of a cloud without sizes.',
+                minimum=0.0,
+            ),
+        ),
+    ),
+    'OccupancyGrid': SourceType(
+        'bvh_ros.ros.sources.occupancy_grid',
+        'OccupancyGridSource',
+        (ShapeKind.BOX,),
+        (
+            Option('occupied_at', 65, 'Cells of at least this value are occupied.', 0, 127),
+            Option('z_min', 0.0, 'Lower end (m) of the obstacles above the grid.'),
+            Option('z_max', 2.0, 'Upper end (m) of the obstacles above the grid.'),
+            Option(
+                'unknown', 'free', 'What unknown cells (-1) are.', choices=('free', 'occupied')
+            ),
+        ),
+    ),
+}
+
+
+def create_source(node: Node, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:
+    """Return the source that these settings describe, not yet subscribed."""
+    kind = SOURCE_TYPES[settings.type]
+    source_class = getattr(importlib.import_module(kind.module), kind.class_name)
+    source: Source = source_class(node, settings, scene, frames)
+    return source

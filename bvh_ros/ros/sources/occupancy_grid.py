@@ -1,0 +1,48 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Obstacles from an OccupancyGrid topic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+
+from bvh_ros.ros.conversions import occupancy_grid
+from bvh_ros.ros.conversions.markers import moved, nanoseconds
+from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.sources.source import Source
+from bvh_ros.scene import Numbered, Refusal
+
+
+class OccupancyGridSource(Source):
+    """Replaces its boxes with the occupied cells of each message, merged to rectangles."""
+
+    message_type = OccupancyGrid
+    depth = 1  # a map replaces the one before it
+    transient_local = True
+    follows_publisher = False
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        options = self.settings.options
+        if options['z_min'] > options['z_max']:
+            raise ConfigurationError(f"parameter '{self.name}.z_min' is above '{self.name}.z_max'")
+
+    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
+        """Replace all boxes."""
+        options = self.settings.options
+        shapes = occupancy_grid.boxes(
+            message,
+            occupied_at=options['occupied_at'],
+            unknown_occupied=options['unknown'] == 'occupied',
+            z_min=options['z_min'],
+            z_max=options['z_max'],
+        )
+        stamp = nanoseconds(message.header.stamp)
+        shapes = moved(shapes, self.frames.into_node(message.header.frame_id, stamp))
+        n = len(shapes.kind)
+        names = Numbered(f'{self.settings.prefix}{self.name}#', np.arange(n))
+        return n, self.scene.replace(self.name, '', names, shapes, stamp=stamp or now)

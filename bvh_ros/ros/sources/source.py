@@ -1,0 +1,110 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What all sources share: when they spoke last, what they refused, whether queries may trust them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.sources.subscribing import FollowingSubscription
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.frames import Frames
+    from bvh_ros.ros.parameters import SourceSettings
+    from bvh_ros.scene import Refusal, Scene
+
+
+class Source(ABC):
+    """Brings the messages of one topic into the scene, and owns the obstacles it brought.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    settings : SourceSettings
+    scene : Scene
+    frames : Frames
+    """
+
+    message_type: ClassVar[type]
+    depth: ClassVar[int] = 10
+    transient_local: ClassVar[bool] = False
+    follows_publisher: ClassVar[bool] = True
+
+    def __init__(self, node: Node, settings: SourceSettings, scene: Scene, frames: Frames) -> None:
+        self.settings = settings
+        self.name = settings.name
+        self.scene = scene
+        self.frames = frames
+        self.refused = Refused(node.get_logger(), f"source '{settings.name}'")
+        self.messages = 0
+        self.skipped = 0  # points without a place
+        self.spoke_at = 0  # ns on the node's clock
+        self.has_spoken = False
+        self._node = node
+        self._clock = node.get_clock()
+        self.subscription: FollowingSubscription | None = None
+
+    def subscribe(self) -> None:
+        """Begin to listen."""
+        self.subscription = FollowingSubscription(
+            self._node,
+            self.message_type,
+            self.settings.topic,
+            self.receive,
+            depth=self.depth,
+            transient_local=self.transient_local,
+            follow=self.follows_publisher,
+        )
+
+    def receive(self, message: Any) -> None:
+        """Apply one message; what cannot be used is counted and explained, never raised."""
+        now = self._clock.now().nanoseconds
+        self.messages += 1
+        try:
+            items, refusals = self.apply(message, now)
+        except ValueError as error:
+            self.refused.add(str(error))
+            return
+        except Exception as error:  # a fault of ours must not silence the other sources
+            self.refused.add(f'internal error: {error!r}')
+            return
+        self.refused.add_rows(refusals)
+        if items == 0 or len(refusals) < items:
+            self.spoke_at, self.has_spoken = now, True
+
+    @abstractmethod
+    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
+        """Bring a message into the scene.
+
+        Returns
+        -------
+        int, sequence of Refusal
+            How many items the message has, and which of them were refused.
+
+        Raises
+        ------
+        ValueError
+            If the whole message is refused; the scene is unchanged.
+        """
+
+    def forget(self) -> None:
+        """Start over, after the scene was cleared: a required source must speak again."""
+        self.has_spoken = False
+
+    def problem(self, now: int) -> str:
+        """Say why the world is incomplete without this source, or return an empty text."""
+        settings = self.settings
+        if not self.has_spoken:
+            return f"required source '{self.name}' has not spoken yet" if settings.required else ''
+        silent = (now - self.spoke_at) / 1e9
+        if settings.max_age and silent > settings.max_age:
+            return (
+                f"source '{self.name}' is silent for {silent:.3g} s, "
+                f'longer than its max_age of {settings.max_age:g} s'
+            )
+        return ''
