@@ -27,7 +27,7 @@ import rclpy
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.client import BvhClient, BvhError, BvhTimeout, Hit
+from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
 
 DURATION = 15.0  # seconds of the warehouse
 RATE = 10.0  # frames a second of the warehouse
@@ -258,7 +258,7 @@ def wait_for(client: BvhClient, process: subprocess.Popen[bytes]) -> None:
         try:
             client.wait_until_ready(timeout=1.0)
             return
-        except BvhTimeout:
+        except BvhTimeoutError:
             if process.poll() is not None:
                 raise RuntimeError(f'the node ended with code {process.returncode}') from None
             if time.monotonic() > deadline:
@@ -287,9 +287,7 @@ def main(args: Sequence[str] | None = None) -> int:
     own_domain = os.environ.get('ROS_DOMAIN_ID') or str(1 + os.getpid() % 100)
     os.environ['ROS_DOMAIN_ID'] = str(own_domain if options.domain is None else options.domain)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    print(
-        f'bvh_demo on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}: starting bvh_node', flush=True
-    )
+    print(f'starting bvh_node on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}', flush=True)
     frames = warehouse() if options.replay is None else replay(options.replay)
     rclpy.init(args=[])
     try:
@@ -302,7 +300,7 @@ def main(args: Sequence[str] | None = None) -> int:
             table = play(frames, options.speed, node, client)
     except KeyboardInterrupt:
         return 130
-    except (BvhTimeout, RuntimeError) as error:
+    except (BvhTimeoutError, RuntimeError) as error:
         print(f'bvh_demo: {error}', file=sys.stderr)
         return 1
     finally:

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses in other frames: transformed when tf2 knows them, refused when it does not, never ignored."""
+"""Other frames: transformed where tf2 knows them, else refused, never ignored."""
 
 from __future__ import annotations
 

@@ -217,7 +217,7 @@ def _check_source_names(names: Sequence[str]) -> None:
 
 def _check_for_misspelt_options(node: Node, sources: Sequence[str]) -> None:
     """Refuse options that nobody reads: a misspelt `required` would make the world look safe."""
-    declared = node.list_parameters([], 0).result.names
+    declared = node.list_parameters([], 0).names
     for name in _overrides(node):
         source = name.partition('.')[0]
         if name in declared or source == 'qos_overrides':

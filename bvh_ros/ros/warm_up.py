@@ -6,16 +6,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 from bvh_ros.tree import compiling
 
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
+EDGE = (0.9, 0.9, 0.9)
+TURNED = (0.1, 0.2, 0.3, 0.9)
 SLOW = 1.0  # seconds: a step that takes longer was not in the cache
 
 Step = tuple[str, Callable[[], object]]
+Vector = tuple[float, float, float]
 
 
 def warm_up(
@@ -50,19 +55,18 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
     names = Numbered('box#', numbers)
     middle = np.column_stack((numbers, numbers % 5, numbers % 3)).astype(np.float64)
 
-    def boxes(shift: float) -> Shapes:
-        return _shapes(ShapeKind.BOX, middle + shift)
-
     def replace(shift: float) -> object:
-        return scene.replace('cloud', '', names, boxes(shift), stamp=1)
+        return scene.replace('cloud', '', names, Shapes.boxes(middle + shift, EDGE), stamp=1)
+
+    def put(number: int, place: NDArray[np.float64]) -> None:
+        scene.update('markers', [f'one/{number}'], Shapes.boxes(place, EDGE), stamp=1)
 
     def add_one_by_one() -> None:
         for number in range(BOXES):
-            shape = Shapes(*(column[number : number + 1] for column in boxes(50.0)))
-            scene.update('markers', [f'one/{number}'], shape, stamp=1)
+            put(number, middle[number] + 50.0)
 
     def move_some() -> None:
-        scene.update('markers', ['one/1'], _shapes(ShapeKind.BOX, middle[:1] - 9.0), stamp=2)
+        put(1, middle[1] - 9.0)
         replace(0.001)
         replace(7.0)
 
@@ -77,11 +81,11 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
         *_queries(scene, start, goal, 'boxes'),
     ]
     for kind in kinds:
-        steps.append((f'add {kind.name.lower()}s', lambda kind=kind: _add_turned(scene, kind)))
+        steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
     return [*steps, *_rays(scene, start, goal, 'turned and round shapes')]
 
 
-def _rays(scene: Scene, start: tuple, goal: tuple, what: str) -> list[Step]:
+def _rays(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:
     return [
         (f'raycast, {what}', lambda: scene.raycast(start, goal)),
         (f'raycast_all, {what}', lambda: scene.raycast_all(start, goal)),
@@ -90,7 +94,7 @@ def _rays(scene: Scene, start: tuple, goal: tuple, what: str) -> list[Step]:
     ]
 
 
-def _queries(scene: Scene, start: tuple, goal: tuple, what: str) -> list[Step]:
+def _queries(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:
     return [
         *_rays(scene, start, goal, what),
         (f'overlap, {what}', lambda: scene.overlap((0.0, 0.0, 0.0), (9.0, 9.0, 9.0))),
@@ -98,14 +102,6 @@ def _queries(scene: Scene, start: tuple, goal: tuple, what: str) -> list[Step]:
 
 
 def _add_turned(scene: Scene, kind: ShapeKind) -> None:
-    place = np.array([[3.0, 3.5 + kind, 3.0]])
-    scene.update('turned', [f'{kind.name}/0'], _shapes(kind, place, (0.1, 0.2, 0.3, 0.9)), stamp=3)
-
-
-def _shapes(
-    kind: ShapeKind, places: np.ndarray, turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
-) -> Shapes:
-    n = len(places)
-    return Shapes(
-        np.full(n, kind, dtype=np.uint8), places, np.tile(turn, (n, 1)), np.full((n, 3), 0.9)
-    )
+    shape = Shapes.boxes([3.0, 3.5 + kind, 3.0], EDGE, [TURNED])
+    shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
+    scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)

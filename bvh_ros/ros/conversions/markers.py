@@ -19,21 +19,11 @@ from bvh_ros.scene import Refusal, ShapeKind, Shapes
 ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
 SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
 LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
-TYPE_NAMES = [
-    'ARROW',
-    'CUBE',
-    'SPHERE',
-    'CYLINDER',
-    'LINE_STRIP',
-    'LINE_LIST',
-    'CUBE_LIST',
-    'SPHERE_LIST',
-    'POINTS',
-    'TEXT_VIEW_FACING',
-    'MESH_RESOURCE',
-    'TRIANGLE_LIST',
+TYPE_NAMES = (
+    *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
+    *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
     'ARROW_STRIP',
-]
+)
 
 
 class Update(NamedTuple):
@@ -46,7 +36,7 @@ class Update(NamedTuple):
 
 
 class ReplaceList(NamedTuple):
-    """The elements `name#0`, `name#1`, ... of one list marker take the place of its former ones."""
+    """The elements `name#0`, `name#1`, ... of a list marker replace its former ones."""
 
     name: str
     shapes: Shapes
@@ -69,13 +59,21 @@ class DeleteAll(NamedTuple):
 Step = Update | ReplaceList | Delete | DeleteAll
 
 
+class Reading(NamedTuple):
+    """A message, understood."""
+
+    steps: list[Step]
+    refusals: list[Refusal]
+    namespaces: set[str]  # of all its markers, with the prefix
+
+
 def steps(
     markers: Iterable[Any],
     *,
     now: int,
     into_node: Callable[[str, int], Transform | None],
     prefix: str = '',
-) -> tuple[list[Step], list[Refusal]]:
+) -> Reading:
     """Read markers in order.
 
     Consecutive markers of one kind, frame and stamp become one step, so that thousands of them go
@@ -94,14 +92,14 @@ def steps(
 
     Returns
     -------
-    list of Step, list of Refusal
+    Reading
         What to do, in order, and the markers that cannot be used.
     """
     reader = _Reader(now, into_node, prefix)
     for row, marker in enumerate(markers):
         reader.read(row, marker)
     reader.end_run()
-    return reader.steps, reader.refusals
+    return Reading(reader.steps, reader.refusals, reader.namespaces)
 
 
 class _Reader:
@@ -115,12 +113,15 @@ class _Reader:
         self.prefix = prefix
         self.steps: list[Step] = []
         self.refusals: list[Refusal] = []
+        self.namespaces: set[str] = set()
         self._frame: tuple[str, int] = ('', 0)
         self._first_row = 0
         self._rows: dict[str, tuple[float, ...]] = {}  # by name: a name twice ends the run
 
     def read(self, row: int, marker: Any) -> None:
-        name = f'{self.prefix}{marker.ns}/{marker.id}'
+        namespace = self.prefix + marker.ns
+        self.namespaces.add(namespace)
+        name = f'{namespace}/{marker.id}'
         action = marker.action
         if action == ADD_OR_MODIFY:
             reason = self._add(row, name, marker)
@@ -134,7 +135,7 @@ class _Reader:
                 self.steps.append(Delete([name]))
         elif action == DELETE_ALL:
             self.end_run()
-            self.steps.append(DeleteAll(self.prefix + marker.ns if marker.ns else None))
+            self.steps.append(DeleteAll(namespace if marker.ns else None))
         else:
             self.refusals.append(Refusal(row, name, f'unknown marker action {action}'))
 

@@ -82,7 +82,6 @@ def rectangles(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _merged_runs(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    rows, columns = mask.shape
     edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, start = np.nonzero(edges == 1)
     end = np.nonzero(edges == -1)[1]

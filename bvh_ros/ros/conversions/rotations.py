@@ -15,7 +15,7 @@ IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 def normalised(quaternions: ArrayLike) -> NDArray[np.float64]:
-    """Return unit quaternions; a zero quaternion means no rotation, as an unset message field does.
+    """Return unit quaternions; a zero quaternion (an unset field) is no rotation.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def normalised(quaternions: ArrayLike) -> NDArray[np.float64]:
         x, y, z, w; NaN and infinity stay NaN, for the caller to refuse.
     """
     q = np.array(quaternions, dtype=np.float64)
-    # Scaling by the largest component first keeps tiny and huge quaternions from under- or overflowing.
+    # Scaled by the largest component first: the squares of tiny and huge ones do not fit.
     largest = np.abs(q).max(axis=-1, keepdims=True)
     zero = largest == 0.0
     with np.errstate(invalid='ignore'):

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all sources share: when they spoke last, what they refused, whether queries may trust them."""
+"""What all sources share: when they spoke, what they refused, whether to trust the world."""
 
 from __future__ import annotations
 

@@ -1,0 +1,122 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Grids: the rectangles cover the occupied cells, each once, and are few."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bvh_ros.ros.conversions import occupancy_grid
+
+OPTIONS = {'occupied_at': 65, 'unknown_occupied': False, 'z_min': 0.0, 'z_max': 2.0}
+
+
+def grid(cells, resolution=0.5, at=(0, 0, 0), turn=(0, 0, 0, 1)):
+    cells = np.asarray(cells, dtype=np.int8)
+    origin = SimpleNamespace(
+        position=SimpleNamespace(x=at[0], y=at[1], z=at[2]),
+        orientation=SimpleNamespace(x=turn[0], y=turn[1], z=turn[2], w=turn[3]),
+    )
+    info = SimpleNamespace(
+        width=cells.shape[1], height=cells.shape[0], resolution=resolution, origin=origin
+    )
+    return SimpleNamespace(info=info, data=cells.ravel())
+
+
+def painted(rectangles, shape):
+    count = np.zeros(shape, dtype=int)
+    for column, row, end_column, end_row in rectangles:
+        assert column < end_column
+        assert row < end_row
+        count[row:end_row, column:end_column] += 1
+    return count
+
+
+@pytest.mark.parametrize('density', [0.0, 0.1, 0.5, 0.9, 1.0])
+@pytest.mark.parametrize('shape', [(1, 1), (1, 9), (9, 1), (7, 5), (20, 31)])
+def test_rectangles_cover_each_cell_once(density, shape):
+    mask = np.random.default_rng(3).random(shape) < density
+    assert np.array_equal(painted(occupancy_grid.rectangles(mask), shape), mask)
+
+
+@pytest.mark.parametrize(
+    ('mask', 'expected'),
+    [
+        (np.ones((8, 9)), [[0, 0, 9, 8]]),
+        (np.eye(2), [[0, 0, 1, 1], [1, 1, 2, 2]]),
+        ([[1, 1, 1], [1, 0, 0]], None),
+        (np.zeros((3, 3)), []),
+        (np.zeros((0, 0)), []),
+    ],
+)
+def test_rectangles_of_simple_masks(mask, expected):
+    found = occupancy_grid.rectangles(np.asarray(mask, dtype=bool))
+    if expected is None:
+        assert len(found) == 2
+    else:
+        assert found.tolist() == expected
+
+
+def test_rows_apart_are_not_merged():
+    mask = np.array([[1, 1], [0, 0], [1, 1]], dtype=bool)
+    assert sorted(occupancy_grid.rectangles(mask).tolist()) == [[0, 0, 2, 1], [0, 2, 2, 3]]
+
+
+def test_values_that_are_occupied():
+    cells = [[0, 64, 65, 100, 127, -1, -2]]
+    assert occupancy_grid.boxes(grid(cells), **OPTIONS).size[:, 0].tolist() == [1.5]
+    both = occupancy_grid.boxes(grid(cells), **{**OPTIONS, 'unknown_occupied': True})
+    assert both.size[:, 0].tolist() == [2.5]
+
+
+def test_boxes_lie_along_the_yaw_of_the_origin():
+    yaw = math.radians(90)
+    turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
+    shapes = occupancy_grid.boxes(
+        grid([[0, 100, 100]], at=(10, 20, 3), turn=turn), **{**OPTIONS, 'z_min': -1.0}
+    )
+    # x from 0.5 to 1.5 and y from 0 to 0.5 in the grid; x of the grid is y of the world.
+    assert np.allclose(shapes.position, [[10 - 0.25, 20 + 1.0, 3 + 0.5]])
+    assert np.allclose(shapes.size, [[1.0, 0.5, 3.0]])
+    assert np.allclose(shapes.orientation, [turn])
+
+
+def lying(**values):
+    message = grid([[0, 100], [100, 0]])
+    for name, value in values.items():
+        setattr(message.info if hasattr(message.info, name) else message, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ('message', 'reason'),
+    [
+        (lying(width=3), 'data has 4 cells'),
+        (lying(height=0), 'data has 4 cells'),
+        (lying(resolution=0.0), 'resolution'),
+        (lying(resolution=-0.1), 'resolution'),
+        (lying(resolution=math.nan), 'resolution'),
+        (lying(resolution=math.inf), 'resolution'),
+        (grid([[100]], at=(math.nan, 0, 0)), 'not finite'),
+        (grid([[100]], turn=(0, 0, math.inf, 1)), 'not finite'),
+        (grid([[100]], turn=(0.1, 0, 0, 1)), 'tilted'),
+    ],
+)
+def test_a_grid_that_contradicts_itself_is_refused(message, reason):
+    with pytest.raises(ValueError, match=reason):
+        occupancy_grid.boxes(message, **OPTIONS)
+
+
+def test_willow_garage(shared_data):
+    """Half a real building: 3,486 occupied cells become a third as many boxes, exactly over them."""
+    cells = np.loadtxt(
+        shared_data / 'willow_garage_map' / 'occupied_cells.csv', delimiter=',', skiprows=1
+    )
+    columns, rows = np.floor(cells[:, :2] / 0.1 + 1e-6).astype(int).T
+    mask = np.zeros((rows.max() + 1, columns.max() + 1), dtype=bool)
+    mask[rows, columns] = True
+    found = occupancy_grid.rectangles(mask)
+    assert np.array_equal(painted(found, mask.shape), mask)
+    assert len(found) < len(cells) / 2

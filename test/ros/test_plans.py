@@ -1,0 +1,111 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""GetPlan requests to queries, answers to replies."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from bvh_ros.ros.conversions import plans
+from bvh_ros.ros.frames import FrameError, Frames, Transform
+from bvh_ros.scene import SceneHit
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+
+
+def known(target, source, stamp):
+    assert target == 'map'
+    if source == 'turned':
+        return Transform(np.array((10.0, 0.0, 0.0)), np.array((0.0, 0.0, 1.0, 0.0)))
+    raise FrameError(f"no transform from '{source}' at {stamp}")
+
+
+FRAMES = Frames('map', known)
+
+
+def request(start=(0, 0, 0), goal=(1, 0, 0), tolerance=0.0, **frames):
+    message = GetPlan.Request(tolerance=float(tolerance))
+    for stamped, place in ((message.start, start), (message.goal, goal)):
+        at = stamped.pose.position
+        at.x, at.y, at.z = map(float, place)
+    message.start.header.frame_id = frames.get('start_frame', '')
+    message.goal.header.frame_id = frames.get('goal_frame', '')
+    return message
+
+
+def read(message, *, oriented=False):
+    return plans.query(message, FRAMES.into_node, oriented=oriented)
+
+
+def test_frames_of_start_and_goal_may_differ():
+    query = read(request((1, 2, 3), (1, 2, 3), start_frame='turned', goal_frame='map'))
+    assert np.allclose(query.start, (9, -2, 3))
+    assert query.goal == (1, 2, 3)
+
+
+def test_the_box_turns_with_the_frame_of_start():
+    message = request(start_frame='turned')
+    turn = message.start.pose.orientation
+    turn.x, turn.w = 1.0, 0.0  # half a turn about x, then half a turn about z: about y
+    assert np.allclose(np.abs(read(message, oriented=True).orientation), (0, 1, 0, 0))
+
+
+@pytest.mark.parametrize('bad', [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize('place', range(3))
+@pytest.mark.parametrize('which', ['start', 'goal'])
+def test_places_that_are_not_finite_are_refused(which, place, bad):
+    point = [0.0, 0.0, 0.0]
+    point[place] = bad
+    with pytest.raises(ValueError, match=which):
+        read(request(**{which: point}))
+
+
+@pytest.mark.parametrize('tolerance', [-1e-30, -1.0, math.nan, math.inf])
+def test_tolerances_that_are_no_radius_are_refused(tolerance):
+    with pytest.raises(ValueError, match='tolerance'):
+        read(request(tolerance=tolerance))
+
+
+def test_orientation_matters_for_boxes_only():
+    message = request()
+    message.start.pose.orientation.x = math.nan
+    read(message)
+    with pytest.raises(ValueError, match='orientation'):
+        read(message, oriented=True)
+
+
+@pytest.mark.parametrize('which', ['start_frame', 'goal_frame'])
+def test_unknown_frames_are_refused(which):
+    with pytest.raises(ValueError, match='nowhere'):
+        read(request(**{which: 'nowhere'}))
+    with pytest.raises(ValueError, match='tf2_ros'):
+        plans.query(request(**{which: 'x'}), Frames('map').into_node, oriented=False)
+
+
+def test_reply():
+    hits = [
+        SceneHit('a/1', 1, 0.5, np.array((1.0, 2.0, 3.0)), np.array((-1.0, 0.0, 0.0)), 5 * 10**9),
+        SceneHit('a/2', 2, 0.6, np.array((4.0, 5.0, 6.0)), np.zeros(3), 6 * 10**9 + 7),
+    ]
+    plan = Path()
+    plans.fill(plan, hits, 'map', 9 * 10**9 + 1)
+    assert plan.header.frame_id == 'map'
+    assert (plan.header.stamp.sec, plan.header.stamp.nanosec) == (9, 1)
+    first, second = plan.poses
+    assert first.header.frame_id == 'a/1'
+    assert (first.pose.position.x, first.pose.position.y, first.pose.position.z) == (1, 2, 3)
+    assert (first.pose.orientation.z, first.pose.orientation.w) == (1, 0)
+    assert (second.header.stamp.sec, second.header.stamp.nanosec) == (6, 7)
+    assert second.pose.orientation.w == 1
+
+
+def test_an_error_never_looks_free_and_has_no_nan():
+    plan = Path()
+    plans.fill_error(plan, request((1, math.nan, -math.inf)), 'no', 'map', 3)
+    (pose,) = plan.poses
+    assert pose.header.frame_id == 'error: no'
+    at = pose.pose.position
+    assert (at.x, at.y, at.z) == (1, 0, 0)

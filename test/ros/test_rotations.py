@@ -1,0 +1,64 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Quaternions, checked against rotation matrices."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bvh_ros.ros.conversions import rotations
+
+RNG = np.random.default_rng(1)
+
+
+def matrix(q):
+    """Rotation matrix of a unit quaternion, by the textbook formula."""
+    x, y, z, w = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    'normal',
+    [
+        (1, 0, 0),
+        (0, 1, 0),
+        (0, 0, -1),
+        (-1, 1e-9, 0),
+        (-1, 0, 1e-300),
+        (-math.sqrt(0.5), math.sqrt(0.5), 0),
+        *(v / np.linalg.norm(v) for v in RNG.normal(size=(50, 3))),
+    ],
+)
+def test_from_normal_turns_x_onto_it(normal):
+    q = rotations.from_normal(*normal)
+    assert math.isclose(math.hypot(*q), 1.0, rel_tol=1e-15)
+    assert np.allclose(matrix(q)[:, 0], normal, atol=1e-14, rtol=0)
+
+
+def test_from_normal_special_cases():
+    assert rotations.from_normal(0, 0, 0) == (0, 0, 0, 1)
+    assert rotations.from_normal(-1, 0, 0) == (0, 0, 1, 0)  # half a turn about z
+    assert rotations.from_normal(-1, -0.0, 0.0) == (0, 0, 1, 0)
+
+
+def test_rotate_and_multiply_agree_with_matrices():
+    first, second = rotations.normalised(RNG.normal(size=(2, 20, 4)))
+    points = RNG.normal(size=(20, 3))
+    for f, s, p, turned in zip(
+        first, second, points, rotations.rotate(rotations.multiply(first, second), points)
+    ):
+        assert np.allclose(matrix(f) @ matrix(s) @ p, turned, atol=1e-14)
+
+
+def test_normalised():
+    q = rotations.normalised([[0, 0, 0, 0], [0, 0, 2, 0], [1e-200, 0, 0, 1e-200], [3e200, 0, 0, 0]])
+    root = math.sqrt(0.5)
+    assert np.allclose(q, [[0, 0, 0, 1], [0, 0, 1, 0], [root, 0, 0, root], [1, 0, 0, 0]])
+    assert np.isnan(rotations.normalised([math.nan, 0, 0, 1])).any()
