@@ -1,0 +1,20 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
+
+from .registry import Numbered
+from .results import NO_NODE, Obstacle, SceneHit
+from .scene import Scene
+from .shapes import Shapes, ShapeKind
+from .updating import Refusal
+
+__all__ = [
+    'NO_NODE',
+    'Numbered',
+    'Obstacle',
+    'Refusal',
+    'Scene',
+    'SceneHit',
+    'ShapeKind',
+    'Shapes',
+]

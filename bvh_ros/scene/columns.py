@@ -1,0 +1,69 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the scene knows of each obstacle, as arrays indexed by the slot of its box in the tree."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+NO_HANDLE = -1
+
+Slots = NDArray[np.int64]
+
+# One record for the kernels; fields in the order that needs no padding between them.
+GEOMETRY = np.dtype(
+    [
+        ('position', np.float64, (3,)),
+        ('orientation', np.float64, (4,)),
+        ('half', np.float64, (3,)),
+        ('kind', np.uint8),
+        ('shaped', np.bool_),  # anything but an axis-aligned box: needs a narrow phase
+    ],
+    align=True,
+)
+
+
+class Columns:
+    """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not NO_HANDLE."""
+
+    def __init__(self) -> None:
+        self.tree_handle = np.empty(0, np.int64)
+        self.node_handle = np.empty(0, np.int64)
+        self.geometry = np.empty(0, GEOMETRY)
+        self.categories = np.empty(0, np.uint32)
+        self.stamp = np.empty(0, np.int64)
+        self.expires = np.empty(0, np.int64)
+        self.source = np.empty(0, np.int64)
+        self.group = np.empty(0, np.int64)
+
+    def grow(self, count: int) -> None:
+        """Make room for the slots below `count`, at least doubling."""
+        old = len(self.tree_handle)
+        if count <= old:
+            return
+        capacity = max(count, 2 * old)
+        for name, array in vars(self).items():
+            bigger = np.zeros(capacity, array.dtype)
+            bigger[:old] = array
+            setattr(self, name, bigger)
+        self.tree_handle[old:] = NO_HANDLE
+
+    def used(self) -> Slots:
+        """Slots in use, in order of the node handles, that is of first appearance."""
+        slots = np.flatnonzero(self.tree_handle != NO_HANDLE)
+        return slots[np.argsort(self.node_handle[slots])]
+
+    def forget(self, slots: Slots) -> None:
+        """Mark slots as free. What scans whole columns must not find them."""
+        self.tree_handle[slots] = NO_HANDLE
+        self.node_handle[slots] = 0
+        self.geometry['shaped'][slots] = False
+        self.expires[slots] = 0
+        self.group[slots] = 0
+        self.source[slots] = 0
+
+
+def as_index(slots: Slots) -> Slots | slice:
+    """The same places as a slice where they are consecutive: reading and writing whole columns is several times faster."""
+    if len(slots) > 1 and slots[-1] - slots[0] == len(slots) - 1 and (np.diff(slots) == 1).all():
+        return slice(int(slots[0]), int(slots[-1]) + 1)
+    return slots

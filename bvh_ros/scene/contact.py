@@ -1,0 +1,147 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One obstacle of any shape: into its own frame, where a ray enters it, which point of it is closest.
+
+`shape` is a record of `columns.GEOMETRY`. An axis-aligned box is met in the world's frame by its
+corners lo and hi, which are exact; every other shape in its own frame, where it lies at the origin.
+"""
+
+import math
+
+import numpy as np
+
+from ..tree.compiling import kernel
+from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
+from .ray_shapes import (
+    ROUND,
+    enter_box,
+    enter_cylinder,
+    enter_rounded_box,
+    enter_rounded_cylinder,
+    enter_sphere,
+    length,
+)
+
+BOX, SPHERE, CYLINDER = range(3)  # ShapeKind, as a kernel can read it
+
+
+@kernel
+def rotate(quaternion, vector, sign):
+    """Turn a vector in place by a unit quaternion, or back by it with sign -1."""
+    x, y, z, w = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], quaternion[3]
+    a, b, c = vector[0], vector[1], vector[2]
+    u, v, n = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    vector[0] = a + w * u + y * n - z * v
+    vector[1] = b + w * v + z * u - x * n
+    vector[2] = c + w * n + x * v - y * u
+
+
+@kernel
+def to_frame(shape, ray, local):
+    """Fill `local` with origin and unit direction in the shape's frame; return the direction's length."""
+    total = length(ray[DIRECTION])
+    for axis in range(3):
+        local[0, axis] = ray[ORIGIN, axis]
+        local[1, axis] = ray[DIRECTION, axis] / total if total > 0.0 else 0.0
+        if shape.shaped:
+            local[0, axis] -= shape.position[axis]
+    if shape.shaped and shape.kind != SPHERE:
+        rotate(shape.orientation, local[0], -1.0)
+        rotate(shape.orientation, local[1], -1.0)
+    return total
+
+
+@kernel
+def enter_shape(shape, lo, hi, ray, radius, t_max, local, corners):
+    """(t, feature) of a ray, or of a ball swept along it, in units of the ray's direction; t inf: not met up to t_max."""
+    if not shape.shaped and radius == 0.0:
+        hit, t, axis = meets(lo, hi, ray, t_max)
+        return (t if hit else np.inf), axis
+    total = to_frame(shape, ray, local)
+    reach = t_max * total
+    half = shape.half
+    if shape.kind == SPHERE:
+        s, feature = enter_sphere(local[0], local[1], half[0] + radius, reach)
+    elif shape.kind == CYLINDER:
+        if radius == 0.0:
+            s, feature = enter_cylinder(local[0], local[1], half[0], half[2], reach)
+        else:
+            s, feature = enter_rounded_cylinder(
+                local[0], local[1], half[0], half[2], radius, reach
+            )
+    else:
+        for axis in range(3):
+            corners[0, axis] = -half[axis] if shape.shaped else lo[axis]
+            corners[1, axis] = half[axis] if shape.shaped else hi[axis]
+        if radius == 0.0:
+            s, feature = enter_box(local[0], local[1], corners[0], corners[1], reach)
+        else:
+            s, feature = enter_rounded_box(
+                local[0], local[1], corners[0], corners[1], radius, reach
+            )
+    return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
+
+
+@kernel
+def closest_point(shape, point, out):
+    """The point of a shape at the origin of its frame that is closest to `point`; `point` itself inside."""
+    half = shape.half
+    if shape.kind == BOX:
+        for axis in range(3):
+            out[axis] = min(max(point[axis], -half[axis]), half[axis])
+        return
+    far = length(point) if shape.kind == SPHERE else math.hypot(point[0], point[1])
+    shrink = half[0] / far if far > half[0] else 1.0
+    for axis in range(3):
+        out[axis] = point[axis] * shrink
+    if shape.kind == CYLINDER:
+        out[2] = min(max(point[2], -half[2]), half[2])
+
+
+@kernel
+def contact(shape, lo, hi, ray, t, feature, radius, local, corners, point, normal):
+    """Fill in the obstacle's point that is met at t, and the outward normal; zero if the start lies in the obstacle."""
+    s = t * to_frame(shape, ray, local)
+    centre, way, closest, outward = local[0], local[1], corners[0], corners[1]
+    for axis in range(3):
+        centre[axis] += s * way[axis]
+        closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+        outward[axis] = 0.0
+    if shape.shaped:
+        closest_point(shape, centre, closest)
+    if feature == INSIDE or radius > 0.0:
+        for axis in range(3):
+            outward[axis] = centre[axis] - closest[axis]
+        if (
+            length(outward) == 0.0 and feature != INSIDE
+        ):  # the ball is smaller than the rounding of its place
+            for axis in range(3):
+                outward[axis] = -way[axis]
+    elif feature == ROUND:
+        for axis in range(3 if shape.kind == SPHERE else 2):
+            outward[axis] = centre[axis]
+    else:
+        outward[feature] = -math.copysign(1.0, way[feature])
+        if shape.shaped:
+            closest[feature] = outward[feature] * shape.half[feature]
+        else:
+            closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
+    to_world(shape, closest, outward, point, normal)
+    if feature == INSIDE and length(normal) == 0.0:
+        for axis in range(3):
+            point[axis] = ray[ORIGIN, axis]
+
+
+@kernel
+def to_world(shape, closest, outward, point, normal):
+    """Bring a point and a direction of any length back from the shape's frame; the direction becomes a unit vector or zero."""
+    total = length(outward)
+    for axis in range(3):
+        point[axis] = closest[axis]
+        normal[axis] = outward[axis] / total if total > 0.0 else 0.0
+    if shape.shaped:
+        if shape.kind != SPHERE:
+            rotate(shape.orientation, point, 1.0)
+            rotate(shape.orientation, normal, 1.0)
+        for axis in range(3):
+            point[axis] += shape.position[axis]

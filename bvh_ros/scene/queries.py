@@ -1,0 +1,270 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The questions a scene answers: each checks its input, asks the tree or a kernel, and names what was found."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..tree import checks
+from ..tree.dynamic_bvh import DynamicBVH
+from ..tree.nodes import ALL, NONE, SLOT_MASK
+from . import casting, overlaps
+from .columns import Columns
+from .registry import Registry, Slots
+from .results import NO_NODE, SceneHit
+from .shapes import Floats
+
+
+class SceneQueries:
+    """Queries of a scene. Any number of threads may ask while none changes it."""
+
+    planar: bool
+    _tree: DynamicBVH
+    _columns: Columns
+    _registry: Registry
+    _any_shaped: bool
+
+    # ---- rays
+
+    def raycast(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        radius: float = 0.0,
+        mask: int = ALL,
+        skip_inside: bool = False,
+    ) -> SceneHit | None:
+        """Return the first obstacle on the way from start to goal.
+
+        Parameters
+        ----------
+        start, goal : array_like, shape (3,)
+            Ends of the segment, m. If they are equal, the point (the ball) at `start` is asked for.
+        radius : float
+            Of a ball swept along the segment, m; 0 is a thin ray.
+        mask : int
+            Only obstacles with ``categories & mask != 0`` are seen.
+        skip_inside : bool
+            Ignore obstacles that the point or ball touches at the start.
+
+        Returns
+        -------
+        SceneHit or None
+            `t` is where the ray's point or the ball's centre is between start (0) and goal (1). `point` lies on the obstacle,
+            `normal` leads from there to the ball's centre. An obstacle that contains the start is met at ``t = 0`` with a zero
+            normal. Among axis-aligned boxes a thin ray is decided exactly; ties by the smaller handle.
+
+        Raises
+        ------
+        ValueError
+            If an argument is NaN, infinite, negative (`radius`) or of the wrong shape.
+        """
+        origin, direction, radius = self._segment(start, goal, radius)
+        if radius == 0.0 and not self._any_shaped:
+            hit = self._tree.raycast(
+                origin[: self._tree.ndim], direction[: self._tree.ndim], 1.0, mask, skip_inside
+            )
+            if hit is None:
+                return None
+            return self._hit(
+                hit.id & SLOT_MASK,
+                hit.t,
+                self._lift(hit.point, origin),
+                self._lift(hit.normal, None),
+            )
+        slots, ts, points, normals = self._cast(
+            origin[None], direction[None], radius, np.ones(1), checks.masks(mask, 1), skip_inside
+        )
+        return (
+            self._hit(int(slots[0]), float(ts[0]), points[0], normals[0])
+            if slots[0] != NONE
+            else None
+        )
+
+    def raycast_all(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        radius: float = 0.0,
+        mask: int = ALL,
+        skip_inside: bool = False,
+    ) -> list[SceneHit]:
+        """Return all obstacles on the way, nearest first, ties by handle. Arguments as `raycast`."""
+        origin, direction, radius = self._segment(start, goal, radius)
+        ndim = self._tree.ndim
+        if radius == 0.0 and not self._any_shaped:
+            hits = self._tree.raycast_all(origin[:ndim], direction[:ndim], 1.0, mask, skip_inside)
+            return [
+                self._hit(
+                    hit.id & SLOT_MASK,
+                    hit.t,
+                    self._lift(hit.point, origin),
+                    self._lift(hit.normal, None),
+                )
+                for hit in hits
+            ]
+        slots, ts, points, normals = casting.cast_every(
+            *self._tree._tree(),
+            self._columns.geometry,
+            origin[:ndim],
+            direction[:ndim],
+            radius,
+            1.0,
+            checks.mask(mask),
+            bool(skip_inside),
+        )
+        order = np.lexsort((self._columns.node_handle[slots], ts))
+        return [self._hit(int(slots[i]), float(ts[i]), points[i], normals[i]) for i in order]
+
+    def raycast_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+        """First obstacles on n thin rays ``origin + t * direction``, ``0 <= t <= t_max``.
+
+        Parameters
+        ----------
+        origins, directions : array_like, shape (n, 3)
+        t_max, mask : one for all rays, or array_like of shape (n,)
+
+        Returns
+        -------
+        handles : (n,) uint32
+            Node handles, NO_NODE (0xFFFFFFFF) where nothing is hit.
+        t : (n,)
+            In units of the directions; inf where nothing is hit.
+        points, normals : (n, 3)
+            NaN and zero where nothing is hit.
+        """
+        starts = checks.points('origins', origins, 3)
+        ways = checks.points('directions', directions, 3, len(starts))
+        reaches, masks = (
+            checks.limits('t_max', t_max, len(starts)),
+            checks.masks(mask, len(starts)),
+        )
+        if self._any_shaped:
+            slots, ts, points, normals = self._cast(starts, ways, 0.0, reaches, masks, skip_inside)
+        else:
+            ndim = self._tree.ndim
+            hits = self._tree.raycast_many(
+                starts[:, :ndim], ways[:, :ndim], reaches, masks, skip_inside
+            )
+            slots = np.where(hits.ids >= 0, hits.ids & SLOT_MASK, NONE)
+            ts, points, normals = (
+                hits.t,
+                np.full((len(starts), 3), np.nan),
+                np.zeros((len(starts), 3)),
+            )
+            met = np.flatnonzero(slots != NONE)
+            normals[:, :ndim] = hits.normals
+            points[met] = starts[met] + ts[met, None] * ways[met]
+        handles = np.full(len(starts), NO_NODE, np.uint32)
+        handles[slots != NONE] = self._columns.node_handle[slots[slots != NONE]]
+        return handles, ts, points, normals
+
+    def _segment(
+        self, start: ArrayLike, goal: ArrayLike, radius: float
+    ) -> tuple[Floats, Floats, float]:
+        origin, end = checks.point('start', start, 3), checks.point('goal', goal, 3)
+        with np.errstate(over='ignore'):
+            direction = end - origin
+        if not np.isfinite(direction).all():
+            raise ValueError('the segment from start to goal is longer than the largest double')
+        radius = checks.limit('radius', radius)
+        if np.isinf(radius):
+            raise ValueError('radius must be finite')
+        return origin, direction, radius
+
+    def _cast(
+        self,
+        origins: Floats,
+        directions: Floats,
+        radius: float,
+        t_max: Floats,
+        masks: NDArray[np.uint32],
+        skip_inside: bool,
+    ) -> tuple[Slots, Floats, Floats, Floats]:
+        count, ndim = len(origins), self._tree.ndim
+        found = (
+            np.empty(count, np.int64),
+            np.empty(count),
+            np.full((count, 3), np.nan),
+            np.zeros((count, 3)),
+        )
+        casting.cast_rows(
+            *self._tree._tree(),
+            self._columns.geometry,
+            origins[:, :ndim],
+            directions[:, :ndim],
+            radius,
+            t_max,
+            masks,
+            bool(skip_inside),
+            found,
+        )
+        return found
+
+    def _lift(self, vector: Floats, origin: Floats | None) -> Floats:
+        """A planar vector in space: at the height of `origin`, or flat."""
+        if not self.planar:
+            return vector
+        return np.append(vector, 0.0 if origin is None else origin[2])
+
+    # ---- boxes
+
+    def overlap(
+        self,
+        start: ArrayLike,
+        goal: ArrayLike,
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 0.0),
+        tolerance: float = 0.0,
+        mask: int = ALL,
+    ) -> list[SceneHit]:
+        """Return all obstacles that touch a box, nearest to its centre first, ties by handle.
+
+        Parameters
+        ----------
+        start, goal : array_like, shape (3,)
+            Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a ball.
+        orientation : array_like, shape (4,)
+            Quaternion x, y, z, w of the box's axes; zero is the identity.
+        tolerance : float
+            The box is grown by this all round, with rounded corners: obstacles at most so far from it count, m.
+        mask : int
+            Only obstacles with ``categories & mask != 0`` are seen.
+
+        Returns
+        -------
+        list of SceneHit
+            `point` is the obstacle's point closest to the box's centre, `t` the distance between the two (m), `normal` leads from
+            the point to the centre; zero if the centre lies in the obstacle.
+
+        Raises
+        ------
+        ValueError
+            If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape.
+        """
+        query = overlaps.box_query(start, goal, orientation, tolerance, self.planar)
+        found = overlaps.find(self._tree, self._columns, query, mask)
+        slots, distances, points, normals = found
+        order = np.lexsort((self._columns.node_handle[slots], distances))
+        return [
+            self._hit(int(slots[i]), float(distances[i]), points[i], normals[i]) for i in order
+        ]
+
+    def _hit(self, slot: int, t: float, point: Floats, normal: Floats) -> SceneHit:
+        columns = self._columns
+        return SceneHit(
+            self._registry.name(slot),
+            int(columns.node_handle[slot]),
+            t,
+            point,
+            normal,
+            int(columns.stamp[slot]),
+        )

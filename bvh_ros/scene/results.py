@@ -1,0 +1,43 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the scene returns."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .shapes import ShapeKind
+
+NO_NODE = 0xFFFFFFFF  # instead of a node handle: nothing is hit
+
+
+class SceneHit(NamedTuple):
+    """An obstacle that a query meets."""
+
+    name: str
+    handle: int
+    """Node handle, 1 to 2^31 - 1, not reused while the scene lives."""
+    t: float
+    """Rays: 0 at the start, 1 at the goal. Overlaps: distance of `point` from the query's centre, m."""
+    point: NDArray[np.float64]
+    """Shape (3,), m: where a ray meets the obstacle or a swept ball touches it; for overlaps its point closest to the centre."""
+    normal: NDArray[np.float64]
+    """Shape (3,), outward; zero where the query starts (for overlaps: has its centre) in the obstacle."""
+    stamp: int
+    """Last update of the obstacle, ns."""
+
+
+class Obstacle(NamedTuple):
+    """What the scene knows of one obstacle. A box turned by right angles is kept as the same box unturned."""
+
+    name: str
+    handle: int
+    kind: ShapeKind
+    position: NDArray[np.float64]
+    orientation: NDArray[np.float64]
+    size: NDArray[np.float64]
+    stamp: int
+    expires: int
+    source: str
+    group: str

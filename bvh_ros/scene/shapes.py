@@ -1,0 +1,214 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Shapes of obstacles as arrays: what is legal, one canonical form, and the boxes that bound them."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+# A unit quaternion is known to about one ulp a component. One this close to a rotation that maps axes to axes is taken as that
+# rotation: the box would differ by less than the rounding of its own corners.
+SNAP = 2.0**-50
+
+# Relative growth of the bounds of what is not an axis-aligned box: above the rounding of the rotation and of the sum of three
+# products, so that the broad phase never loses what the true shape touches.
+OUTWARD = 2.0**-48
+
+
+class ShapeKind(IntEnum):
+    """Kinds of obstacles."""
+
+    BOX = 0
+    SPHERE = 1
+    CYLINDER = 2
+
+
+class Shapes(NamedTuple):
+    """Poses and sizes of n obstacles, one a row.
+
+    Every shape is given by the box around it in its own frame: a sphere by its diameter three times, a cylinder (axis: local z)
+    by diameter, diameter, height.
+    """
+
+    kind: NDArray[np.uint8]
+    """(n,) values of `ShapeKind`."""
+    position: Floats
+    """(n, 3) centres, m."""
+    orientation: Floats
+    """(n, 4) quaternions x, y, z, w. Zero is the identity; others need not be of unit length."""
+    size: Floats
+    """(n, 3) full edge lengths along the shape's own axes, m."""
+
+    @classmethod
+    def boxes(
+        cls, position: ArrayLike, size: ArrayLike, orientation: ArrayLike | None = None
+    ) -> 'Shapes':
+        """Boxes; without `orientation` (n, 4) axis-aligned. A `size` of shape (3,) holds for all."""
+        centres = np.asarray(position, np.float64).reshape(-1, 3)
+        turns = (
+            np.zeros((len(centres), 4))
+            if orientation is None
+            else np.asarray(orientation, np.float64)
+        )
+        kind = np.full(len(centres), ShapeKind.BOX, np.uint8)
+        return cls(
+            kind, centres, turns, np.broadcast_to(np.asarray(size, np.float64), centres.shape)
+        )
+
+
+REASONS = (
+    '',
+    'its kind is none of BOX, SPHERE and CYLINDER',
+    'its position is not finite',
+    'its orientation is not finite',
+    'its size is not finite',
+    'its size is negative',
+    'the three sizes of a sphere must be equal (they are its diameter)',
+    'only circular cylinders are supported: the sizes along x and y must be equal (they are the diameter)',
+    'a sphere or cylinder needs sizes above zero',
+    'its bounds exceed the largest double',
+)
+(
+    FINE,
+    UNKNOWN_KIND,
+    BAD_POSITION,
+    BAD_ORIENTATION,
+    BAD_SIZE,
+    NEGATIVE_SIZE,
+    NOT_ROUND,
+    NOT_CIRCULAR,
+    NO_SIZE,
+    TOO_LARGE,
+) = range(len(REASONS))
+
+
+def as_shapes(shapes: Shapes) -> Shapes:
+    """The same with arrays of the right types; ValueError where their lengths disagree."""
+    position = np.asarray(shapes.position, np.float64)
+    count = len(position)
+    kind = np.asarray(shapes.kind)
+    arrays = [
+        position,
+        np.asarray(shapes.orientation, np.float64),
+        np.asarray(shapes.size, np.float64),
+    ]
+    for name, array, wanted in zip(
+        Shapes._fields,
+        [kind, *arrays],
+        [(count,), (count, 3), (count, 4), (count, 3)],
+        strict=True,
+    ):
+        if array.shape != wanted:
+            raise ValueError(f'shapes.{name} has shape {array.shape}, not {wanted}')
+    if kind.dtype.kind not in 'iu' and count:
+        raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
+    return Shapes(np.where((kind >= 0) & (kind < 255), kind, 255).astype(np.uint8), *arrays)
+
+
+def faults(shapes: Shapes) -> NDArray[np.uint8]:
+    """Index into `REASONS` of the first fault of each row, `FINE` where there is none."""
+    kind, position, orientation, size = shapes
+    code = np.zeros(len(kind), np.uint8)
+    box, sphere, cylinder = (kind == value for value in ShapeKind)
+
+    def refuse(bad: NDArray[np.bool_], reason: int) -> None:
+        code[bad & (code == FINE)] = reason
+
+    # A sum of finite numbers may overflow, but then it goes the slow way and is found fine.
+    if not np.isfinite(position.sum() + orientation.sum() + size.sum()):
+        refuse(~np.isfinite(position).all(axis=1), BAD_POSITION)
+        refuse(~np.isfinite(orientation).all(axis=1), BAD_ORIENTATION)
+        refuse(~np.isfinite(size).all(axis=1), BAD_SIZE)
+    if size.size and not size.min() >= 0:
+        refuse((size < 0).any(axis=1), NEGATIVE_SIZE)
+    if not box.all():
+        refuse(~(box | sphere | cylinder), UNKNOWN_KIND)
+        refuse(sphere & ((size[:, 0] != size[:, 1]) | (size[:, 0] != size[:, 2])), NOT_ROUND)
+        refuse(cylinder & (size[:, 0] != size[:, 1]), NOT_CIRCULAR)
+        refuse((sphere | cylinder) & ~(size > 0).all(axis=1), NO_SIZE)
+    return code
+
+
+def canonical(shapes: Shapes) -> tuple[Shapes, NDArray[np.bool_]]:
+    """Unit quaternions, and the mask of axis-aligned boxes.
+
+    A box whose rotation maps axes to axes becomes the same box unturned, its sizes exchanged. A sphere loses its rotation.
+    """
+    kind, position, orientation, size = shapes
+    if not orientation[:, :3].any():  # clouds and plain markers: nothing is turned
+        unturned = np.zeros((len(kind), 4))
+        unturned[:, 3] = 1.0
+        return Shapes(kind, position, unturned, size), kind == ShapeKind.BOX
+    orientation = unit_quaternions(orientation)
+    aligned = maps_axes_to_axes(orientation) & (kind == ShapeKind.BOX)
+    # Entries within rounding of -1, 0 and 1: made so, their products with the sizes are exact.
+    permutation = np.abs(np.rint(rotations(orientation[aligned])))
+    size = size.copy()
+    size[aligned] = np.einsum('nij,nj->ni', permutation, size[aligned])
+    orientation[aligned | (kind == ShapeKind.SPHERE)] = (0.0, 0.0, 0.0, 1.0)
+    return Shapes(kind, position, orientation, size), aligned
+
+
+def unit_quaternions(orientation: Floats) -> Floats:
+    """Quaternions (n, 4) brought to unit length, zero ones to the identity."""
+    largest = np.abs(orientation).max(axis=1, initial=0.0, keepdims=True)
+    zero = largest[:, 0] == 0
+    # By a power of two first, so that squares neither overflow nor vanish.
+    scaled = np.ldexp(orientation, -np.frexp(largest)[1])
+    scaled[zero] = (0.0, 0.0, 0.0, 1.0)
+    unit: Floats = scaled / np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
+    return unit
+
+
+def maps_axes_to_axes(orientation: Floats) -> NDArray[np.bool_]:
+    """Whether unit quaternions are among the 24 rotations of a cube: 1, 2 or 4 components of equal magnitude, the others zero."""
+    magnitude = np.abs(orientation)
+    present = magnitude > SNAP
+    count = present.sum(axis=1)
+    ideal = np.where(present, 1.0 / np.sqrt(np.maximum(count, 1.0))[:, None], 0.0)
+    matches: NDArray[np.bool_] = (np.abs(magnitude - ideal) <= SNAP).all(axis=1) & (count != 3)
+    return matches
+
+
+def rotations(orientation: Floats) -> Floats:
+    """Rotation matrices (n, 3, 3) of unit quaternions; column k is the shape's own axis k."""
+    x, y, z, w = orientation.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Boxes (n, 3) around canonical shapes: exact (position -+ size / 2) where aligned, else a few ulp outwards."""
+    half = shapes.size * 0.5
+    if aligned.all():
+        return shapes.position - half, shapes.position + half
+    turned = np.flatnonzero(~aligned)
+    half[turned] = _reach(shapes, turned)
+    lo, hi = shapes.position - half, shapes.position + half
+    pad = (np.abs(shapes.position[turned]) + half[turned]) * OUTWARD + 5e-324
+    lo[turned] -= pad
+    hi[turned] += pad
+    return lo, hi
+
+
+def _reach(shapes: Shapes, rows: NDArray[np.int64]) -> Floats:
+    """How far shapes reach from their centres along the world's axes."""
+    half = shapes.size[rows] * 0.5
+    matrices = rotations(shapes.orientation[rows])
+    reach: Floats = np.einsum('nij,nj->ni', np.abs(matrices), half)
+    sphere = shapes.kind[rows] == ShapeKind.SPHERE
+    reach[sphere] = half[sphere]
+    cylinder = shapes.kind[rows] == ShapeKind.CYLINDER
+    axis = matrices[cylinder][:, :, 2]
+    # A disc of radius R reaches R sin(angle between its axis and the world's).
+    sine = np.sqrt(np.square(axis[:, [1, 2, 0]]) + np.square(axis[:, [2, 0, 1]]))
+    reach[cylinder] = half[cylinder][:, 2:] * np.abs(axis) + half[cylinder][:, :1] * sine
+    return reach
