@@ -3,6 +3,7 @@
 """Installation with pip and with colcon (ament_python)."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -23,8 +24,8 @@ TEST = ['pytest>=7', 'pytest-timeout>=2', 'hypothesis>=6.80', *ROS, *REPORT]
 setup(
     name=NAME,
     version='0.1.0',
-    description='A dynamic box tree of moving obstacles, with exact raycasts and overlaps, for ROS 2 and plain Python',
-    long_description=open('README.md', encoding='utf-8').read(),
+    description='Dynamic box tree of moving obstacles with exact raycasts, with or without ROS 2',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     author='The bvh_ros authors',
     maintainer='The bvh_ros authors',

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start the given bvh_node, show it one box over ROS 2, ask what a segment meets, and end the node.
+"""Start the given bvh_node, show it one box over ROS 2, ask what a segment meets, end the node.
 
 Run: python ask_node.py PATH_OF_BVH_NODE
 """

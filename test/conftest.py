@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 @pytest.fixture(scope='session')
 def shared_data() -> Path:
-    """Folder of recorded input (traffic, laser scans, a building); it lies beside the clone, not in it."""
+    """Folder of recorded input (traffic, scans, a building); it lies beside the clone."""
     folder = ROOT.parent / 'shared' / 'data'
     if not folder.is_dir():
         pytest.skip(f'the recordings are not on this machine: no folder {folder}')

@@ -1,13 +1,13 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plain Python users get the tree without ROS, without python-fcl and without the report's libraries."""
+"""Plain Python users get the tree without ROS, python-fcl and the report's libraries."""
 
 import subprocess
 import sys
 
 import pytest
 
-HEAVY = ('rclpy', 'fcl', 'matplotlib', 'scipy', 'tqdm')
+HEAVY = ('rclpy', 'fcl', 'matplotlib', 'tqdm')
 
 
 @pytest.mark.parametrize('module', ['bvh_ros', 'bvh_ros.tree', 'bvh_ros.scene'])

@@ -1,0 +1,47 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of the report."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from . import peers, speed
+from .page import Page
+from .progress import Progress
+
+PARTS = {'peers': peers, 'speed': speed}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the chosen parts and write the page."""
+    options = _options(arguments)
+    if find_spec('matplotlib') is None:
+        sys.exit("bvh_report draws with matplotlib: pip install 'bvh_ros[report]'")
+    parts = list(PARTS.values()) if options.part == 'all' else [PARTS[options.part]]
+    with Progress(sum(part.steps(options.quick) for part in parts)) as progress:
+        page = Page(options.out, progress.write)
+        for part in parts:
+            part.run(page, progress, options.quick)
+    print(f'written: {page.write()}')
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
+    parser.add_argument(
+        'part',
+        choices=[*PARTS, 'all'],
+        help='peers: other libraries on the same work; '
+        'speed: growth, calls, policies, searches, cold start',
+    )
+    parser.add_argument(
+        '--out', type=Path, default=Path('report_out'), help='folder to write to (%(default)s)'
+    )
+    parser.add_argument(
+        '--quick',
+        action='store_true',
+        help='small scenes and few repeats: shows that it runs, no more',
+    )
+    return parser.parse_args(arguments)

@@ -1,0 +1,23 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The libraries that the report compares, each in the form that serves it best."""
+
+from .base import Library, Work
+from .coal import Coal
+from .embree import Embree
+from .fcl import Fcl, FclWithNarrowPhase
+from .kd_tree import KdTree
+from .ours import Ours
+from .rtree import Rtree
+
+LIBRARIES: tuple[Library, ...] = (
+    Ours(),
+    Embree(),
+    Coal(),
+    Fcl(),
+    FclWithNarrowPhase(),
+    Rtree(),
+    KdTree(),
+)
+
+__all__ = ['LIBRARIES', 'Library', 'Work']

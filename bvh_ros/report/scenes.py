@@ -1,0 +1,66 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The random scenes of the report."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+EDGE = 100.0  # m, of the cube that the boxes fill
+FILLED = 0.02  # of its volume
+
+
+class Boxes(NamedTuple):
+    """n boxes, shape (n, 3) each, m."""
+
+    lo: Floats
+    hi: Floats
+
+
+class Rays(NamedTuple):
+    """n rays, shape (n, 3) each; the directions are unit vectors."""
+
+    origins: Floats
+    directions: Floats
+
+
+def uniform_boxes(count: int, rng: np.random.Generator) -> Boxes:
+    """Boxes of random proportions, spread evenly, that fill about 2 % of the cube."""
+    size = (FILLED * EDGE**3 / count) ** (1 / 3)
+    centers = spread(count, rng)
+    half = rng.uniform(0.16, 0.8, (count, 3)) * size
+    return Boxes(centers - half, centers + half)
+
+
+def spread(count: int, rng: np.random.Generator) -> Floats:
+    """Points spread evenly over the cube."""
+    return rng.uniform(-EDGE / 2, EDGE / 2, (count, 3))
+
+
+def incoherent_rays(count: int, rng: np.random.Generator) -> Rays:
+    """Rays from anywhere to anywhere, in float32 numbers: every library gets the same rays."""
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    return Rays(
+        spread(count, rng).astype(np.float32).astype(np.float64),
+        directions.astype(np.float32).astype(np.float64),
+    )
+
+
+def moved(boxes: Boxes, shift: Floats) -> Boxes:
+    """The boxes, each shifted by its row."""
+    return Boxes(boxes.lo + shift, boxes.hi + shift)
+
+
+def query_edge(boxes: Boxes, hits: float) -> float:
+    """Edge of the cube that meets so many of the boxes on average, at a random place."""
+    sizes = boxes.hi - boxes.lo
+    low, high = 0.0, EDGE
+    for _ in range(60):
+        edge = (low + high) / 2
+        met = float(np.prod(sizes + edge, axis=1).sum()) / EDGE**3
+        low, high = (edge, high) if met < hits else (low, edge)
+    return low

@@ -1,0 +1,64 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cold start: from `import bvh_ros` to the first answer, with compiled kernels and without."""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+
+from ..page import Page
+from ..progress import Progress
+from ..tables import Cell, Table
+
+WARM_RUNS = 5
+FIRST_ANSWER = """
+import time
+start = time.perf_counter()
+from bvh_ros import DynamicBVH
+imported = time.perf_counter()
+tree = DynamicBVH()
+tree.insert([1, -1, -1], [2, 1, 1])
+assert tree.raycast([0, 0, 0], [1, 0, 0]).t == 1.0
+print(imported - start, time.perf_counter() - start)
+"""
+
+
+def steps(brief: bool) -> int:
+    """How often the progress bar will move."""
+    return 1 + (1 if brief else WARM_RUNS)
+
+
+def run(page: Page, progress: Progress, brief: bool) -> None:
+    """Measure in processes of their own, with a cache folder of their own."""
+    with tempfile.TemporaryDirectory() as folder:
+        progress.say('speed: cold start')
+        rows: list[list[Cell]] = [['empty', *_first_answer(folder)]]
+        progress.step()
+        runs = []
+        for _ in range(steps(brief) - 1):
+            runs.append(_first_answer(folder))
+            progress.step()
+    rows.append(['warm', *(statistics.median(column) for column in zip(*runs, strict=True))])
+    page.add('### Cold start')
+    page.add(
+        'One box, one ray, in a new process. The first start ever compiles the kernels that it '
+        'needs; later ones load them.'
+    )
+    page.table(
+        Table('speed_cold_start', ('kernel cache', 's, import', 's, import to first answer'), rows)
+    )
+
+
+def _first_answer(cache: str) -> tuple[float, float]:
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': cache}
+    result = subprocess.run(
+        [sys.executable, '-c', FIRST_ANSWER],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    imported, answered = map(float, result.stdout.split())
+    return imported, answered

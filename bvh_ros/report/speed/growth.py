@@ -1,0 +1,78 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Growth: time and memory a box, and time a ray, from a thousand to a million boxes."""
+
+import numpy as np
+
+from ... import DynamicBVH
+from .. import plots
+from ..page import Page
+from ..progress import Progress
+from ..scenes import incoherent_rays, uniform_boxes
+from ..tables import Table
+from ..timing import Job, interleaved
+
+SIZES = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
+SIZES_QUICK = (100, 1_000)
+RAYS, REPEATS = 20_000, 5
+HEADER = (
+    'boxes',
+    'ns a ray',
+    'ns a ray, 2 threads',
+    'ns a box, built',
+    'bytes a box',
+    'height',
+    '4 log2 n + 4',
+    'tree cost',
+)
+
+
+def steps(brief: bool) -> int:
+    """How often the progress bar will move."""
+    return REPEATS * len(SIZES_QUICK if brief else SIZES)
+
+
+def run(page: Page, progress: Progress, brief: bool) -> None:
+    """Measure, and draw."""
+    rows = []
+    for size in SIZES_QUICK if brief else SIZES:
+        progress.say(f'speed: growth, {size:,} boxes')
+        rows.append(_row(size, 200 if brief else RAYS, progress))
+    page.add('### Growth')
+    page.add(
+        'Uniform boxes that fill 2 % of the cube; incoherent rays in batches; margin 0. '
+        '*bytes a box*: the arrays of a tree built at this size.'
+    )
+    page.table(Table('speed_growth', HEADER, rows))
+    columns = dict(zip(HEADER, zip(*rows, strict=True), strict=True))
+    plots.lines(
+        page.plot('speed_growth', 'Time a ray and a box against the number of boxes'),
+        {name: plots.Line(columns['boxes'], columns[name]) for name in HEADER[1:4]},
+        'boxes',
+        'ns',
+        'Growth',
+    )
+
+
+def _row(size: int, asked: int, progress: Progress) -> list[int | float]:
+    rng = np.random.default_rng(size)
+    boxes, rays = uniform_boxes(size, rng), incoherent_rays(asked, rng)
+    tree = DynamicBVH.from_boxes(*boxes)
+    jobs = {
+        'one': Job(lambda: tree.raycast_many(*rays), asked),
+        'two': Job(lambda: tree.raycast_many(*rays, threads=2), asked),
+        'build': Job(lambda: DynamicBVH.from_boxes(*boxes), size),
+    }
+    times = {name: t.nanoseconds for name, t in interleaved(jobs, REPEATS, progress.step).items()}
+    bytes_a_box = DynamicBVH.from_boxes(*boxes).stats()['bytes'] / size
+    bound = 4 * float(np.log2(size)) + 4
+    return [
+        size,
+        times['one'],
+        times['two'],
+        times['build'],
+        bytes_a_box,
+        tree.height,
+        bound,
+        tree.cost(),
+    ]

@@ -1,0 +1,53 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Timing: jobs take turns and the median counts, so that what else the machine does hits all."""
+
+import statistics
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+
+class Job(NamedTuple):
+    """A piece of work that can be repeated."""
+
+    run: Callable[[], Any]
+    """What is timed."""
+    units: int
+    """How many rays, boxes or queries one run answers."""
+    answers: Callable[[Any], int] | None = None
+    """Counts the answers of a run (hits, pairs), to compare what was answered; not timed."""
+
+
+class Timing(NamedTuple):
+    """What a job took."""
+
+    nanoseconds: float
+    """Median over the repeats, a unit."""
+    answers: int | None
+    """Answers of the first run."""
+
+
+def seconds(run: Callable[[], Any]) -> float:
+    """How long one run takes."""
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
+
+
+def interleaved(
+    jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None]
+) -> dict[str, Timing]:
+    """Run the jobs in turns, after an untimed run each; `tick` is called after each turn."""
+    first = {name: job.run() for name, job in jobs.items()}
+    counts = {
+        name: job.answers(first[name]) if job.answers else None for name, job in jobs.items()
+    }
+    took: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(repeats):
+        for name, job in jobs.items():
+            took[name].append(seconds(job.run) / job.units)
+        tick()
+    return {
+        name: Timing(statistics.median(times) * 1e9, counts[name]) for name, times in took.items()
+    }

@@ -1,0 +1,41 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The report's quick form runs and writes what it promises. Timings depend on the machine."""
+
+import csv
+
+import pytest
+
+pytest.importorskip('matplotlib')
+
+from bvh_ros.report import cli
+
+
+@pytest.fixture(scope='module', params=sorted(cli.PARTS))
+def written(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp(request.param)
+    cli.main([request.param, '--quick', '--out', str(folder)])
+    return folder
+
+
+def test_page_shows_every_table_and_plot(written):
+    page = (written / 'report.md').read_text(encoding='utf-8')
+    assert page.startswith('# bvh_ros: report')
+    assert '| ---' in page
+    for picture in written.glob('*.png'):
+        assert f'({picture.name})' in page
+        assert picture.read_bytes().startswith(b'\x89PNG')
+
+
+def test_tables_are_rectangular_and_filled(written):
+    tables = list(written.glob('*.csv'))
+    assert tables
+    for path in tables:
+        header, *rows = csv.reader(path.open(encoding='utf-8'))
+        assert rows, path
+        assert {len(row) for row in rows} == {len(header)}, path
+
+
+def test_an_unknown_part_is_refused(tmp_path):
+    with pytest.raises(SystemExit):
+        cli.main(['guess', '--out', str(tmp_path)])
