@@ -14,58 +14,45 @@ class Line(NamedTuple):
     y: Sequence[float]
 
 
-def lines(
-    path: Path,
-    curves: Mapping[str, Line],
-    x_label: str,
-    y_label: str,
-    title: str,
-    log_y: bool = True,
-) -> None:
-    """Write a PNG of curves over a logarithmic x axis."""
+def lines(path: Path, curves: Mapping[str, Line], x_label: str, y_label: str, title: str) -> None:
+    """Write a PNG of curves over logarithmic axes."""
     figure, axes = _figure(title)
     for name, curve in curves.items():
         axes.plot(curve.x, curve.y, marker='o', label=name)
-    axes.set_xscale('log')
-    if log_y:
-        axes.set_yscale('log')
+    _logarithmic(axes, 'x')
+    _logarithmic(axes, 'y')
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     axes.legend(frameon=False)
-    _write(figure, path)
+    figure.savefig(path, dpi=160)
 
 
-def bars(path: Path, groups: Mapping[str, Mapping[str, float]], x_label: str, title: str) -> None:
-    """Write a PNG of horizontal bars on a logarithmic axis, in named groups."""
-    figure, axes = _figure(
-        title, height=1.0 + 0.22 * sum(len(group) + 1 for group in groups.values())
-    )
-    colours = {
-        name: f'C{k}'
-        for k, name in enumerate(dict.fromkeys(n for g in groups.values() for n in g))
-    }
+def ratios(
+    path: Path, groups: Mapping[str, Mapping[str, float]], x_label: str, title: str
+) -> None:
+    """Write a PNG of bars that begin at 1 on a logarithmic axis, in named groups."""
+    figure, axes = _figure(title, height=1.2 + 0.2 * sum(len(g) + 1 for g in groups.values()))
+    names = dict.fromkeys(name for group in groups.values() for name in group)
+    colours = {name: f'C{k}' for k, name in enumerate(names)}
     place, ticks = 0, []
     for group in groups.values():
         ticks.append(place + (len(group) - 1) / 2)
-        for name, value in group.items():
-            axes.barh(place, value, color=colours[name])
-            axes.annotate(f' {value:,.0f}', (value, place), va='center', fontsize=7)
+        for name, ratio in group.items():
+            axes.barh(place, ratio - 1, left=1.0, color=colours[name])
+            side = {'ha': 'left', 'text': f' {ratio:.3g}'} if ratio >= 1 else {'ha': 'right'}
+            text = side.pop('text', f'{ratio:.2g} ')
+            axes.annotate(text, (ratio, place), va='center', fontsize=7, **side)
             place += 1
         place += 1
-    handles = [axes.barh([0], [0], color=colour, label=name) for name, colour in colours.items()]
-    axes.legend(
-        handles=handles,
-        frameon=False,
-        fontsize=8,
-        loc='lower right',
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=3,
-    )
     axes.set_yticks(ticks, list(groups))
     axes.invert_yaxis()
-    axes.set_xscale('log')
+    _logarithmic(axes, 'x')
+    axes.axvline(1.0, color='black', linewidth=1)
+    axes.margins(x=0.12)
     axes.set_xlabel(x_label)
-    _write(figure, path)
+    keys = [axes.barh([0], [0], left=1.0, color=c, label=name) for name, c in colours.items()]
+    figure.legend(handles=keys, frameon=False, fontsize=8, loc='outside lower center', ncols=3)
+    figure.savefig(path, dpi=160)
 
 
 def _figure(title: str, height: float = 4.5) -> tuple[Any, Any]:
@@ -78,9 +65,20 @@ def _figure(title: str, height: float = 4.5) -> tuple[Any, Any]:
     axes = figure.add_subplot()
     axes.set_title(title, loc='left', fontsize=10)
     axes.grid(alpha=0.3)
+    axes.set_axisbelow(True)
     axes.spines[['top', 'right']].set_visible(False)
     return figure, axes
 
 
-def _write(figure: Any, path: Path) -> None:
-    figure.savefig(path, dpi=160)
+def _logarithmic(axes: Any, direction: str) -> None:
+    """Make an axis logarithmic, with plain numbers at 1, 2, 5, 10 where they have room."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axes.set(**{f'{direction}scale': 'log'})
+    axis = getattr(axes, f'{direction}axis')
+    low, high = axis.get_data_interval()
+    short = high < 1e3 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=15))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value:,.10g}'))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())
