@@ -10,14 +10,15 @@ import math
 
 import numpy as np
 
-from .compiling import kernel
-from .nodes import is_leaf
+from .compiling import inlined, lean_kernel
+from .machine import stack_array
+from .nodes import DEEPEST, is_leaf
 
 # Edges between these need no scaling: their products, and sums of many, are normal doubles.
 SMALLEST_EDGE, LARGEST_EDGE = 2.0**-400, 2.0**400
 
 
-@kernel
+@inlined
 def half_area(lo, hi, scale):
     """Half the surface area (3D) or half the perimeter (2D) of the box times `scale`."""
     x = hi[0] * scale - lo[0] * scale
@@ -28,13 +29,13 @@ def half_area(lo, hi, scale):
     return x * y + (x + y) * z
 
 
-@kernel
+@inlined
 def node_area(nodes, node, scale):
     here = nodes[node]
     return half_area(here.lo, here.hi, scale)
 
 
-@kernel
+@inlined
 def union_area(nodes, a, b, scale):
     """Half area of the smallest box around two nodes' boxes."""
     a_node, b_node = nodes[a], nodes[b]
@@ -46,7 +47,7 @@ def union_area(nodes, a, b, scale):
     return x * y + (x + y) * z
 
 
-@kernel
+@inlined
 def area_scale(nodes, a, b):
     """Power of two that brings the longest edge of the union of two nodes near 1, if its products could leave the doubles."""
     a_node, b_node = nodes[a], nodes[b]
@@ -60,8 +61,8 @@ def area_scale(nodes, a, b):
     return math.ldexp(1.0, min(-math.frexp(longest)[1], 1022))
 
 
-@kernel
-def tree_cost(nodes, heights, root):
+@lean_kernel
+def tree_cost(nodes, root):
     """Sum over the inner nodes of area / area of the root; the number of inner nodes where the root's area is zero.
 
     Areas are of boxes times the power of two that brings the root's longest edge near 1: none overflows, and what vanishes is
@@ -71,7 +72,7 @@ def tree_cost(nodes, heights, root):
         return 0.0
     scale = area_scale(nodes, root, root)
     root_area = node_area(nodes, root, scale)
-    stack = np.empty(np.int64(heights[root]) + 2, np.int64)
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top, total, inner = root, 1, 0.0, 0
     while top > 0:
         top -= 1

@@ -11,30 +11,31 @@ import math
 import numpy as np
 
 from .area import half_area
-from .compiling import kernel
-from .nodes import COUNT, NONE, ROOT, adopt, free_inner, is_leaf, take_inner
+from .compiling import inlined, kernel, lean_kernel
+from .machine import stack_array
+from .nodes import COUNT, DEEPEST, NONE, ROOT, adopt, free_inner, is_leaf, take_inner
 
 BINS = 16
 
 
-@kernel
+@inlined
 def levels_needed(count):
     """Height of a balanced tree over `count` leaves: ceil(log2(count))."""
     mantissa, exponent = math.frexp(float(count))
     return exponent - 1 if mantissa == 0.5 else exponent
 
 
-@kernel
+@inlined
 def floor_log2(count):
     return math.frexp(float(count))[1] - 1
 
 
-@kernel
+@inlined
 def _center(item, axis):
     return item.lo[axis] * 0.5 + item.hi[axis] * 0.5
 
 
-@kernel
+@inlined
 def _swap(items, i, j):
     a, b = items[i], items[j]
     a.left, b.left = b.left, a.left
@@ -43,7 +44,7 @@ def _swap(items, i, j):
         a.hi[axis], b.hi[axis] = b.hi[axis], a.hi[axis]
 
 
-@kernel
+@lean_kernel
 def _halve(items, start, stop, axis):
     """Quickselect (Hoare 1961): returns the middle, with no centre on its left above one on its right."""
     middle = (start + stop) >> 1
@@ -69,7 +70,7 @@ def _halve(items, start, stop, axis):
     return middle
 
 
-@kernel
+@inlined
 def _fill_bins(items, start, stop, axis, origin, per_length, bins, bin_boxes, bin_count):
     for b in range(bins):
         bin_count[b] = 0
@@ -84,14 +85,14 @@ def _fill_bins(items, start, stop, axis, origin, per_length, bins, bin_boxes, bi
         _grow(bin_boxes[b], item)
 
 
-@kernel
+@inlined
 def _grow(box, other):
     for k in range(box.lo.shape[0]):
         box.lo[k] = min(box.lo[k], other.lo[k])
         box.hi[k] = max(box.hi[k], other.hi[k])
 
 
-@kernel
+@inlined
 def _cheapest_bin(bins, bin_boxes, bin_count, scale, right_cost, sweep):
     """The bin before which a split has the least sum of area times count, as (cost, bin)."""
     empty, box = sweep[0], sweep[1]
@@ -116,7 +117,7 @@ def _cheapest_bin(bins, bin_boxes, bin_count, scale, right_cost, sweep):
     return best_cost, best
 
 
-@kernel
+@inlined
 def _divide(items, start, stop, axis, origin, per_length, bins, split):
     """Move the items of the bins before `split` to the front; returns where the others begin."""
     i, j = start, stop - 1
@@ -129,7 +130,7 @@ def _divide(items, start, stop, axis, origin, per_length, bins, split):
     return i
 
 
-@kernel
+@lean_kernel
 def split_range(items, start, stop, levels, all_axes, bin_boxes, bin_count, right_cost, sweep):
     """Where to split items[start:stop], reordered so that both sides are contiguous and each fits below `levels` levels."""
     count = stop - start
@@ -218,7 +219,7 @@ def build(nodes, heights, state, items, count, levels, all_axes):
     return np.int64(made[0])
 
 
-@kernel
+@lean_kernel
 def put_item(nodes, items, place, node):
     here, item = nodes[node], items[place]
     item.left = node
@@ -227,10 +228,10 @@ def put_item(nodes, items, place, node):
         item.hi[axis] = here.hi[axis]
 
 
-@kernel
+@lean_kernel
 def dissolve(nodes, heights, state, root, items, cut):
     """Free the inner nodes from `root` down to subtrees of height `cut`; return how many of those, named in `items`."""
-    stack = np.empty(np.int64(heights[root]) + 2, np.int64)
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
@@ -245,9 +246,9 @@ def dissolve(nodes, heights, state, root, items, cut):
     return count
 
 
-@kernel
-def count_leaves(nodes, heights, root):
-    stack = np.empty(np.int64(heights[root]) + 2, np.int64)
+@lean_kernel
+def count_leaves(nodes, root):
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
@@ -279,13 +280,13 @@ def rebuild_subtree(nodes, heights, state, root, count, levels, all_axes):
     return fresh
 
 
-@kernel
+@inlined
 def height_limit(count):
     """At most 4 log2(count) + 4."""
     return 4 * floor_log2(count) + 4
 
 
-@kernel
+@lean_kernel
 def build_levels(count):
     """Levels that a bulk build may use: enough for SAH to have its way in real scenes, few enough to leave insertions room."""
     return 3 * floor_log2(count) + 2
@@ -303,7 +304,7 @@ def rebalance(nodes, heights, state, count):
         while heights[node] <= 2 * floor_log2(leaves) + 2:  # up to the first subtree that is too high for its leaves
             parent = np.int64(nodes[node].parent)
             other = np.int64(nodes[parent].right if nodes[parent].left == node else nodes[parent].left)
-            leaves += count_leaves(nodes, heights, other)
+            leaves += count_leaves(nodes, other)
             node = parent
         node = rebuild_subtree(nodes, heights, state, node, leaves, levels_needed(leaves) + 1, True)
         node = np.int64(nodes[node].parent)
@@ -336,7 +337,7 @@ def refit_all(nodes, heights, root):
     """Make every inner box tight again, children before parents, without changing the tree's shape."""
     if is_leaf(root):
         return
-    order, stack = np.empty(2 * 1024, np.int64), np.empty(np.int64(heights[root]) + 2, np.int64)
+    order, stack = np.empty(2 * 1024, np.int64), stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
@@ -351,6 +352,15 @@ def refit_all(nodes, heights, root):
                 top += 1
     for i in range(count - 1, -1, -1):
         adopt(nodes, heights, order[i])
+
+
+
+
+@inlined
+def keep_height(nodes, heights, state):
+    """After a change: nothing to do but compare two numbers, nearly always."""
+    if heights[state[ROOT]] > height_limit(state[COUNT]):
+        rebalance(nodes, heights, state, state[COUNT])
 
 
 TREELET = 256  # leaves of a subtree that `optimize` rebuilds at once: small enough for the first-level cache

@@ -61,18 +61,35 @@ def is_warm() -> bool:
     return folder is not None and any(folder.rglob('*.nbi'))
 
 
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    folder = cache_folder()
+    if folder is None:
+        return numba.njit(function, error_model='numpy', nogil=True, **options)
+    # numba reads its cache folder when a function is decorated; other users of numba in this process keep their own.
+    theirs = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        return numba.njit(function, error_model='numpy', nogil=True, cache=True, **options)
+    finally:
+        config.CACHE_DIR = theirs
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile with numba at the first call, keep the machine code on disk, and release the GIL while running.
 
     Division by zero follows IEEE 754, as in numpy. `fastmath` stays off: a kernel that decides must round as written.
     """
-    folder = cache_folder()
-    if folder is None:
-        return numba.njit(function, error_model='numpy', nogil=True)
-    # numba reads its cache folder when a function is decorated; other users of numba in this process keep their own.
-    theirs = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        return numba.njit(function, error_model='numpy', nogil=True, cache=True)
-    finally:
-        config.CACHE_DIR = theirs
+    return _compiled(function, _nrt=True)
+
+
+def lean_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel that makes no arrays, and so need not count references.
+
+    Counting is two atomic operations for every array passed to a function: ten arrays a ray cost more than the ray.
+    """
+    return _compiled(function, _nrt=False)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """A lean kernel that becomes part of its callers."""
+    return _compiled(function, _nrt=False, forceinline=True)

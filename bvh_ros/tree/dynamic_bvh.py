@@ -304,7 +304,7 @@ class DynamicBVH(Queries):
     def cost(self) -> float:
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of inner nodes if that is zero."""
         root = int(self._state[ROOT])
-        return 0.0 if root == NONE else float(tree_cost(self._nodes, self._heights, root))
+        return 0.0 if root == NONE else float(tree_cost(self._nodes, root))
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""

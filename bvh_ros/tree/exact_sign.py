@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 
-from .compiling import kernel
+from .compiling import inlined, lean_kernel
+from .machine import stack_array
 
 LOWEST_BIT = 2148
 LIMBS = 136
@@ -21,7 +22,7 @@ HALF_BITS = 27  # a 53-bit significand in two halves, so that a product of halve
 HALF_MASK = (1 << HALF_BITS) - 1
 
 
-@kernel
+@inlined
 def _deposit(limbs, value, bit, sign):
     """Add sign * value * 2**bit, for 0 <= value < 2**32."""
     limb = bit >> 5
@@ -30,7 +31,7 @@ def _deposit(limbs, value, bit, sign):
     limbs[limb + 1] += sign * (spread >> LIMB_BITS)
 
 
-@kernel
+@inlined
 def _significand(x):
     """abs(x) as (bits, exponent), an integer below 2**53 times a power of two; exponent >= -1074, subnormals too."""
     fraction, exponent = math.frexp(abs(x))
@@ -39,7 +40,7 @@ def _significand(x):
     return bits >> surplus, place + surplus
 
 
-@kernel
+@lean_kernel
 def add_product(limbs, x, y):
     """Add x * y to the accumulator, exactly."""
     if x == 0.0 or y == 0.0:
@@ -56,7 +57,7 @@ def add_product(limbs, x, y):
             _deposit(limbs, product >> LIMB_BITS, place + LIMB_BITS, sign)
 
 
-@kernel
+@lean_kernel
 def accumulator_sign(limbs):
     """-1, 0 or 1. Carries are passed upwards; the top limb then has the sign of the whole."""
     carry = np.int64(0)
@@ -70,10 +71,12 @@ def accumulator_sign(limbs):
     return 1 if any_bit | carry != 0 else 0
 
 
-@kernel
+@lean_kernel
 def sign_of_four_products(a, b, c, d, e, f, g, h):
     """Sign of a*b + c*d + e*f + g*h for finite doubles."""
-    limbs = np.zeros(LIMBS, np.int64)
+    limbs = stack_array(LIMBS, np.int64)
+    for limb in range(LIMBS):
+        limbs[limb] = 0
     add_product(limbs, a, b)
     add_product(limbs, c, d)
     add_product(limbs, e, f)

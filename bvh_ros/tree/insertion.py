@@ -10,12 +10,12 @@ et al. 2015, "Incremental BVH Construction for Ray Tracing", section 3, for the 
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .compiling import kernel
+from .compiling import kernel, lean_kernel
 from .nodes import NONE, ROOT, adopt, free_inner, is_leaf, replace_child, take_inner
 from .rotation import rotate
 
 
-@kernel
+@lean_kernel
 def greedy_sibling(nodes, heights, root, leaf):
     """Descend towards the child with the smaller lower bound; stop when neither can beat the best sibling seen."""
     scale = area_scale(nodes, root, leaf)
@@ -48,7 +48,7 @@ def greedy_sibling(nodes, heights, root, leaf):
     return best
 
 
-@kernel
+@lean_kernel
 def _sift_up(bounds, entries, place):
     while place > 0 and bounds[(place - 1) >> 1] > bounds[place]:
         above = (place - 1) >> 1
@@ -57,7 +57,7 @@ def _sift_up(bounds, entries, place):
         place = above
 
 
-@kernel
+@lean_kernel
 def _sift_down(bounds, entries, size):
     place = 0
     while True:
@@ -102,7 +102,7 @@ def branch_and_bound_sibling(nodes, heights, root, leaf):
     return best
 
 
-@kernel
+@lean_kernel
 def refit_ancestors(nodes, heights, state, node):
     """Make the boxes from `node` up to the root tight again, rotating each; stop early where nothing changes any more."""
     quiet = 0
@@ -114,7 +114,7 @@ def refit_ancestors(nodes, heights, state, node):
         node = np.int64(nodes[node].parent)
 
 
-@kernel
+@lean_kernel
 def link_leaf(nodes, heights, state, leaf, branch_and_bound):
     """Insert a leaf whose box and mask are written: find its sibling, give both a new parent, refit and rotate above."""
     heights[leaf] = 0
@@ -135,7 +135,7 @@ def link_leaf(nodes, heights, state, leaf, branch_and_bound):
     refit_ancestors(nodes, heights, state, parent)
 
 
-@kernel
+@lean_kernel
 def unlink_leaf(nodes, heights, state, leaf):
     """Take a leaf out of the tree: its sibling takes their parent's place; refit and rotate above. The leaf is not freed."""
     parent = np.int64(nodes[leaf].parent)

@@ -10,23 +10,24 @@ that a box that was large or fast for one tick does not stay large.
 
 import numpy as np
 
-from .building import rebalance
-from .compiling import kernel
+from .building import keep_height
+from .compiling import inlined, lean_kernel
 from .insertion import link_leaf, unlink_leaf
-from .nodes import COUNT, NONE, ROOT, SLOT_BITS, free_leaf, take_leaf
+from .machine import stack_array
+from .nodes import NONE, ROOT, SLOT_BITS, free_leaf, take_leaf
 
 LARGEST = 1.7976931348623157e308
 SLACK = 5.0
 
 
-@kernel
+@inlined
 def _fat_bounds(lo, hi, margin, displacement):
     low = lo - margin + min(displacement, 0.0)
     high = hi + margin + max(displacement, 0.0)
     return max(low, -LARGEST), min(high, LARGEST)
 
 
-@kernel
+@inlined
 def write_leaf(nodes, tight, leaf, lo, hi, margin, displacement):
     """Write the boxes of a leaf: the fat one into its node, the exact one beside it where boxes are fat."""
     here = nodes[leaf]
@@ -35,7 +36,7 @@ def write_leaf(nodes, tight, leaf, lo, hi, margin, displacement):
     write_tight(tight, leaf, lo, hi)
 
 
-@kernel
+@inlined
 def write_tight(tight, leaf, lo, hi):
     if tight.shape[0] > 0:
         box = tight[leaf >> 1]
@@ -43,7 +44,7 @@ def write_tight(tight, leaf, lo, hi):
             box.lo[axis], box.hi[axis] = lo[axis], hi[axis]
 
 
-@kernel
+@inlined
 def fits(nodes, tight, leaf, lo, hi, margin, displacement):
     """Whether the leaf's node may stay as it is: it contains the box and is not far larger than it need be."""
     here = nodes[leaf]
@@ -58,10 +59,11 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
     return True
 
 
-@kernel
+@lean_kernel
 def insert_rows(nodes, heights, tight, handles, state, lo, hi, masks, margin, serial, branch_and_bound, link, new):
     """Insert rows of boxes with ascending serial numbers; their handles go to `new`. link False: the caller builds the tree."""
-    still = np.zeros(lo.shape[1])
+    still = stack_array(3, np.float64)
+    still[0] = still[1] = still[2] = 0.0
     for i in range(lo.shape[0]):
         leaf = take_leaf(nodes, state)
         write_leaf(nodes, tight, leaf, lo[i], hi[i], margin, still)
@@ -71,10 +73,10 @@ def insert_rows(nodes, heights, tight, handles, state, lo, hi, masks, margin, se
         handles[slot] = new[i] = ((serial + i) << SLOT_BITS) | slot
         if link:
             link_leaf(nodes, heights, state, leaf, branch_and_bound)
-            rebalance(nodes, heights, state, state[COUNT])
+            keep_height(nodes, heights, state)
 
 
-@kernel
+@lean_kernel
 def remove_rows(nodes, heights, handles, state, slots):
     for i in range(slots.shape[0]):
         leaf = 2 * slots[i]
@@ -82,19 +84,19 @@ def remove_rows(nodes, heights, handles, state, slots):
         free_leaf(nodes, state, leaf)
         handles[slots[i]] = NONE
         if state[ROOT] != NONE:
-            rebalance(nodes, heights, state, state[COUNT])
+            keep_height(nodes, heights, state)
 
 
-@kernel
+@lean_kernel
 def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
     """Take the leaf out and insert it at its new place."""
     unlink_leaf(nodes, heights, state, leaf)
     write_leaf(nodes, tight, leaf, lo, hi, margin, displacement)
     link_leaf(nodes, heights, state, leaf, branch_and_bound)
-    rebalance(nodes, heights, state, state[COUNT])
+    keep_height(nodes, heights, state)
 
 
-@kernel
+@lean_kernel
 def rows_that_leave(nodes, tight, slots, lo, hi, margin, displacements, leaving):
     """Number the rows whose box has left its fat box; for the others only the exact box is written."""
     count = 0
@@ -108,7 +110,7 @@ def rows_that_leave(nodes, tight, slots, lo, hi, margin, displacements, leaving)
     return count
 
 
-@kernel
+@lean_kernel
 def reinsert_rows(nodes, heights, tight, state, rows, slots, lo, hi, margin, displacements, branch_and_bound):
     for i in rows:
         move_leaf(
@@ -116,13 +118,13 @@ def reinsert_rows(nodes, heights, tight, state, rows, slots, lo, hi, margin, dis
         )
 
 
-@kernel
+@lean_kernel
 def write_rows(nodes, tight, rows, slots, lo, hi, margin, displacements):
     for i in rows:
         write_leaf(nodes, tight, 2 * slots[i], lo[i], hi[i], margin, displacements[i])
 
 
-@kernel
+@lean_kernel
 def move_one(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
     """Move one box; true if the tree changed."""
     if fits(nodes, tight, leaf, lo, hi, margin, displacement):
@@ -132,7 +134,7 @@ def move_one(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, b
     return True
 
 
-@kernel
+@lean_kernel
 def set_masks(nodes, slots, masks):
     """Write the masks of leaves, and widen or narrow those of their ancestors."""
     for i in range(slots.shape[0]):

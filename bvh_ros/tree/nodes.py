@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiling import kernel
+from .compiling import inlined, lean_kernel
 
 NONE = -1
 ALL = 0xFFFFFFFF  # the query mask that sees every box
@@ -25,6 +25,9 @@ ALL = 0xFFFFFFFF  # the query mask that sees every box
 SLOT_BITS = 26  # 67 million boxes at once, and 2**37 insertions over a tree's life
 SLOT_MASK = (1 << SLOT_BITS) - 1
 LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
+
+# No tree is higher than 4 * SLOT_BITS + 4, so a stack of nodes fits an array of this size.
+DEEPEST = 128
 
 # Places in the small state array that kernels read and write.
 ROOT, COUNT, FREE_LEAF, FREE_INNER = range(4)
@@ -56,12 +59,12 @@ def aligned_empty(count: int, dtype: np.dtype[Any], alignment: int = 64) -> NDAr
     return buffer[start : start + count * dtype.itemsize].view(dtype)
 
 
-@kernel
+@inlined
 def is_leaf(node):
     return node & 1 == 0
 
 
-@kernel
+@inlined
 def leaf_box(nodes, tight, leaf):
     """The exact box of a leaf: beside the nodes where they are fat, else the node's own."""
     if tight.shape[0] > 0:
@@ -71,7 +74,7 @@ def leaf_box(nodes, tight, leaf):
     return node.lo, node.hi
 
 
-@kernel
+@lean_kernel
 def link_free(nodes, state, start, stop):
     """Put the slots [start, stop) on the free lists, lowest slot first out."""
     for slot in range(stop - 1, start - 1, -1):
@@ -81,7 +84,7 @@ def link_free(nodes, state, start, stop):
         state[FREE_INNER] = 2 * slot + 1
 
 
-@kernel
+@inlined
 def take_leaf(nodes, state):
     leaf = state[FREE_LEAF]
     state[FREE_LEAF] = nodes[leaf].parent
@@ -89,27 +92,27 @@ def take_leaf(nodes, state):
     return leaf
 
 
-@kernel
+@inlined
 def take_inner(nodes, state):
     inner = state[FREE_INNER]
     state[FREE_INNER] = nodes[inner].parent
     return inner
 
 
-@kernel
+@inlined
 def free_leaf(nodes, state, leaf):
     nodes[leaf].parent = state[FREE_LEAF]
     state[FREE_LEAF] = leaf
     state[COUNT] -= 1
 
 
-@kernel
+@inlined
 def free_inner(nodes, state, inner):
     nodes[inner].parent = state[FREE_INNER]
     state[FREE_INNER] = inner
 
 
-@kernel
+@inlined
 def replace_child(nodes, state, parent, old, new):
     """Hang `new` where `old` hung; `parent` NONE means that `old` was the root."""
     if parent == NONE:
@@ -121,7 +124,7 @@ def replace_child(nodes, state, parent, old, new):
     nodes[new].parent = parent
 
 
-@kernel
+@inlined
 def adopt(nodes, heights, node):
     """Make box, mask and height of an inner node those of its children; true if any of them changed."""
     here = nodes[node]

@@ -4,18 +4,22 @@
 
 import numpy as np
 
-from .compiling import kernel
-from .nodes import NONE, is_leaf, leaf_box
+from .compiling import inlined, kernel, lean_kernel
+from .machine import stack_array
+from .nodes import DEEPEST, NONE, is_leaf, leaf_box
+
+PAIR_STACK = 8 * DEEPEST  # two nodes a pair, and at most two pairs a level of either tree
 
 
 @kernel
-def grown(array):
-    bigger = np.empty(2 * array.shape[0], array.dtype)
+def grown(array, need):
+    """A copy with room for `need` items at least, and twice as many as before."""
+    bigger = np.empty(max(2 * array.shape[0], need), array.dtype)
     bigger[: array.shape[0]] = array
     return bigger
 
 
-@kernel
+@inlined
 def touch(lo, hi, other_lo, other_hi):
     for axis in range(lo.shape[0]):
         if lo[axis] > other_hi[axis] or other_lo[axis] > hi[axis]:
@@ -23,12 +27,15 @@ def touch(lo, hi, other_lo, other_hi):
     return True
 
 
-@kernel
-def overlap(nodes, heights, tight, root, query, mask, found, count):
-    """Append the slots whose box touches the query record's; return (found, grown if need be, and the new count)."""
+@lean_kernel
+def overlap(nodes, tight, root, query, mask, found, count):
+    """Write the slots whose box touches the query record's from found[count] on; return where the next would go.
+
+    A return beyond the array's end says how large it should have been: what did not fit is counted, not written.
+    """
     if root == NONE:
-        return found, count
-    stack = np.empty(np.int64(heights[root]) + 2, np.int64)
+        return count
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top = root, 1
     while top > 0:
         top -= 1
@@ -42,31 +49,36 @@ def overlap(nodes, heights, tight, root, query, mask, found, count):
             continue
         lo, hi = leaf_box(nodes, tight, node)
         if touch(lo, hi, query.lo, query.hi):
-            if count == found.shape[0]:
-                found = grown(found)
-            found[count] = node >> 1
+            if count < found.shape[0]:
+                found[count] = node >> 1
             count += 1
-    return found, count
+    return count
 
 
 @kernel
-def overlap_many(nodes, heights, tight, root, queries, masks, start, stop, sizes):
+def overlap_many(nodes, tight, root, queries, masks, start, stop, sizes):
     """Slots that the queries [start, stop) touch, one query after the other; sizes[i] is how many query i does."""
     found, count = np.empty(64, np.int64), 0
     for i in range(start, stop):
-        before = count
-        found, count = overlap(nodes, heights, tight, root, queries[i], masks[i], found, count)
-        sizes[i] = count - before
+        end = overlap(nodes, tight, root, queries[i], masks[i], found, count)
+        if end > found.shape[0]:  # there are more than fit: make room and ask again
+            found = grown(found, end)
+            overlap(nodes, tight, root, queries[i], masks[i], found, count)
+        sizes[i] = end - count
+        count = end
     return found[:count]
 
 
-@kernel
-def overlap_pairs(nodes, heights, tight, root, mask):
-    """All pairs of touching boxes, as slots in a flat array: the tree against itself, two nodes at a time."""
-    found, count = np.empty(64, np.int64), 0
+@lean_kernel
+def overlap_pairs(nodes, heights, tight, root, mask, found):
+    """Write all pairs of touching boxes as slots, flat: the tree against itself, two nodes at a time; return how many numbers.
+
+    As `overlap`, a return beyond the array's end says how large it should have been.
+    """
+    count = 0
     if root == NONE:
-        return found[:0]
-    stack = np.empty(8 * (np.int64(heights[root]) + 2), np.int64)
+        return count
+    stack = stack_array(PAIR_STACK, np.int64)
     stack[0], stack[1], top = root, root, 2
     while top > 0:
         top -= 2
@@ -74,12 +86,11 @@ def overlap_pairs(nodes, heights, tight, root, mask):
         if nodes[a].mask & mask == 0 or nodes[b].mask & mask == 0:
             continue
         if a == b:
-            if is_leaf(a):
-                continue
-            left, right = np.int64(nodes[a].left), np.int64(nodes[a].right)
-            stack[top], stack[top + 1], stack[top + 2] = left, right, left
-            stack[top + 3], stack[top + 4], stack[top + 5] = left, right, right
-            top += 6
+            if not is_leaf(a):
+                left, right = np.int64(nodes[a].left), np.int64(nodes[a].right)
+                stack[top], stack[top + 1], stack[top + 2] = left, right, left
+                stack[top + 3], stack[top + 4], stack[top + 5] = left, right, right
+                top += 6
             continue
         if not touch(nodes[a].lo, nodes[a].hi, nodes[b].lo, nodes[b].hi):
             continue
@@ -92,8 +103,7 @@ def overlap_pairs(nodes, heights, tight, root, mask):
         a_lo, a_hi = leaf_box(nodes, tight, a)
         b_lo, b_hi = leaf_box(nodes, tight, b)
         if touch(a_lo, a_hi, b_lo, b_hi):
-            if count == found.shape[0]:
-                found = grown(found)
-            found[count], found[count + 1] = a >> 1, b >> 1
+            if count + 2 <= found.shape[0]:
+                found[count], found[count + 1] = a >> 1, b >> 1
             count += 2
-    return found[:count]
+    return count

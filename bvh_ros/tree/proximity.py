@@ -11,12 +11,13 @@ import math
 
 import numpy as np
 
-from .compiling import kernel
-from .nodes import NONE, is_leaf, leaf_box
+from .compiling import inlined, lean_kernel
+from .machine import stack_array
+from .nodes import DEEPEST, NONE, is_leaf, leaf_box
 from .slab import PAD, TINY
 
 
-@kernel
+@inlined
 def distance(lo, hi, point):
     """Distance of a point from a closed box, 0 inside."""
     longest = 0.0
@@ -36,7 +37,7 @@ def distance(lo, hi, point):
     return math.ldexp(math.sqrt(total), exponent)
 
 
-@kernel
+@lean_kernel
 def _keep(slots, distances, handles, count, k, slot, gap):
     """Put (slot, gap) in its place among the k best so far; return how many there are now."""
     if count == k:
@@ -53,12 +54,12 @@ def _keep(slots, distances, handles, count, k, slot, gap):
     return count + 1
 
 
-@kernel
-def nearest(nodes, heights, tight, handles, root, point, k, max_distance, mask, slots, distances):
+@lean_kernel
+def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, distances):
     """Write the k nearest within `max_distance`, nearest first; return how many there are."""
     if root == NONE or k == 0:
         return 0
-    stack, bounds = np.empty(np.int64(heights[root]) + 2, np.int64), np.empty(np.int64(heights[root]) + 2)
+    stack, bounds = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], bounds[0], top = root, 0.0, 1
     count = 0
     while top > 0:
@@ -84,13 +85,13 @@ def nearest(nodes, heights, tight, handles, root, point, k, max_distance, mask, 
     return count
 
 
-@kernel
-def nearest_many(nodes, heights, tight, handles, root, points, k, max_distances, masks, slots, distances):
+@lean_kernel
+def nearest_many(nodes, tight, handles, root, points, k, max_distances, masks, slots, distances):
     """Row by row; rows with fewer than k boxes keep what `slots` and `distances` held there."""
     for i in range(points.shape[0]):
         row_slots, row_distances = slots[i], distances[i]
         count = nearest(
-            nodes, heights, tight, handles, root, points[i], k, max_distances[i], masks[i], row_slots, row_distances
+            nodes, tight, handles, root, points[i], k, max_distances[i], masks[i], row_slots, row_distances
         )
         for j in range(count, k):
             row_slots[j], row_distances[j] = NONE, np.inf

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks, overlapping, proximity, raycasting
-from .nodes import ALL, NONE, ROOT, box_dtype
+from .nodes import ALL, COUNT, NONE, ROOT, box_dtype
 from .results import RayHit, RayHits
 from .slab import INSIDE
 
@@ -39,10 +39,10 @@ class Queries:
     _state: NDArray[np.int64]
 
     def _tree(self) -> tuple[Any, ...]:
-        return self._nodes, self._heights, self._tight, self._handles, int(self._state[ROOT])
+        return self._nodes, self._tight, self._handles, int(self._state[ROOT])
 
     def _boxes_only(self) -> tuple[Any, ...]:
-        return self._nodes, self._heights, self._tight, int(self._state[ROOT])
+        return self._nodes, self._tight, int(self._state[ROOT])
 
     def _to_handles(self, slots: Ids) -> Ids:
         return np.where(slots >= 0, self._handles[slots], NONE)
@@ -89,7 +89,7 @@ class Queries:
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         found = raycasting.raycast(
             *self._tree(), ray, reach, seen, bool(skip_inside), raycasting.CLOSEST, slots, ts, axes, 0
-        )[3]
+        )
         return self._hit(ray, int(slots[0]), float(ts[0]), int(axes[0])) if found else None
 
     def raycast_all(
@@ -110,7 +110,7 @@ class Queries:
         return bool(
             raycasting.raycast(
                 *self._tree(), ray, reach, seen, bool(skip_inside), raycasting.ANY, slots, ts, axes, 0
-            )[3]
+            )
         )
 
     def raycast_many(
@@ -205,7 +205,7 @@ class Queries:
 
         def work(start: int, stop: int) -> None:
             raycasting.raycast_rows(
-                *self._tree(), starts, ways, reaches, seen, bool(skip_inside), mode, start, stop, slots, ts, axes
+                *self._tree(), np.empty((3, self.ndim)), starts, ways, reaches, seen, bool(skip_inside), mode, np.arange(start, stop), slots, ts, axes
             )
 
         in_threads(work, count, threads)
@@ -223,7 +223,8 @@ class Queries:
         rays = np.repeat(np.arange(count), np.diff(offsets))
         order = np.lexsort((self._handles[slots], ts, rays))
         slots, ts, axes = slots[order], ts[order], axes[order]
-        raycasting.settle_order(self._nodes, self._tight, self._handles, starts, ways, offsets, slots, ts, axes)
+        scratch = np.empty((3, self.ndim))
+        raycasting.settle_order(self._nodes, self._tight, self._handles, scratch, starts, ways, offsets, slots, ts, axes)
         return offsets, slots, ts, axes
 
     # ---- boxes and points
@@ -259,7 +260,13 @@ class Queries:
 
     def overlap_pairs(self, mask: int = ALL) -> Ids:
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first, sorted."""
-        slots = overlapping.overlap_pairs(*self._boxes_only(), checks.mask(mask))
+        slots = np.empty(max(4 * int(self._state[COUNT]), 64), np.int64)
+        tree = self._nodes, self._heights, self._tight, int(self._state[ROOT]), checks.mask(mask)
+        count = overlapping.overlap_pairs(*tree, slots)
+        if count > len(slots):
+            slots = np.empty(count, np.int64)
+            overlapping.overlap_pairs(*tree, slots)
+        slots = slots[:count]
         pairs = np.sort(self._handles[slots].reshape(-1, 2), axis=1)
         return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 

@@ -15,11 +15,11 @@ B <-> G, C <-> D and C <-> E. They keep sorted input from making a list.
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .compiling import kernel
+from .compiling import inlined, lean_kernel
 from .nodes import NONE, adopt, is_leaf
 
 
-@kernel
+@inlined
 def _exchange(nodes, heights, node, child, uncle_of, niece):
     """Swap `child` of `node` with `niece`, a child of `uncle_of`, the other child of `node`."""
     if nodes[node].left == child:
@@ -36,7 +36,7 @@ def _exchange(nodes, heights, node, child, uncle_of, niece):
     adopt(nodes, heights, node)
 
 
-@kernel
+@lean_kernel
 def rotate(nodes, heights, node):
     """Do the exchange below `node` that lowers the cost most, or at equal cost the height; true if one was done."""
     left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from .compiling import kernel
+from .compiling import inlined, lean_kernel
 from .exact_sign import sign_of_four_products
 
 PAD = 1.0 + 16 * 2.0**-53
@@ -36,7 +36,7 @@ INSIDE = -1  # the axis of a hit whose ray starts inside
 ORIGIN, DIRECTION, INVERSE = range(3)
 
 
-@kernel
+@inlined
 def prepare_ray(ray, bounds_lo, bounds_hi):
     """Fill the row of inverses; return (scale, wide).
 
@@ -65,12 +65,12 @@ def prepare_ray(ray, bounds_lo, bounds_hi):
     return scale, math.isinf(reach)
 
 
-@kernel
+@inlined
 def traversal_distance(t, scale):
     return t if scale == 0 else math.ldexp(t, -scale)
 
 
-@kernel
+@inlined
 def enters(lo, hi, ray, limit, wide):
     """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters after `limit`.
 
@@ -91,7 +91,7 @@ def enters(lo, hi, ray, limit, wide):
     return entry if entry <= leave * PAD + TINY else np.inf
 
 
-@kernel
+@inlined
 def plane_distance(plane, origin, direction):
     """(plane - origin) / direction within 2 ulp; inf only where the exact value is as large."""
     difference = plane - origin
@@ -100,7 +100,7 @@ def plane_distance(plane, origin, direction):
     return difference / direction
 
 
-@kernel
+@lean_kernel
 def compare_distances(t, plane, origin, direction, other_t, other_plane, other_origin, other_direction):
     """Sign of (plane - origin) / direction - the same of the other, exactly; t and other_t are the computed values, not negative."""
     if t * CLEAR + TINY < other_t:
@@ -113,12 +113,12 @@ def compare_distances(t, plane, origin, direction, other_t, other_plane, other_o
     return sign if (direction > 0.0) == (other_direction > 0.0) else -sign
 
 
-@kernel
+@inlined
 def near_plane(lo, hi, ray, axis):
     return lo[axis] if ray[DIRECTION, axis] > 0.0 else hi[axis]
 
 
-@kernel
+@lean_kernel
 def within(t, plane, origin, direction, t_max):
     """Whether (plane - origin) / direction <= t_max, exactly."""
     if math.isinf(t_max):
@@ -126,7 +126,7 @@ def within(t, plane, origin, direction, t_max):
     return compare_distances(t, plane, origin, direction, t_max, t_max, 0.0, 1.0) <= 0
 
 
-@kernel
+@lean_kernel
 def meets(lo, hi, ray, t_max):
     """Exact decision of a ray and a closed box: (hit, t, axis).
 
@@ -164,7 +164,7 @@ def meets(lo, hi, ray, t_max):
     return within(t, plane, origin, direction, t_max), t, entered
 
 
-@kernel
+@lean_kernel
 def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
     """Sign of the exact difference of two hits' distances along one ray."""
     if axis == INSIDE or other_axis == INSIDE:

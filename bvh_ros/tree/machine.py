@@ -1,0 +1,89 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What numba's own language lacks: small arrays on the stack, and operations on eight boxes at a time (LLVM vectors)."""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
+
+LANES = 8
+
+_FLOAT, _BIT, _BYTE, _INT = ir.FloatType(), ir.IntType(1), ir.IntType(8), ir.IntType(32)
+_VECTOR = ir.VectorType(_FLOAT, LANES)
+
+
+@intrinsic(prefer_literal=True)
+def stack_array(typingctx, size, dtype):  # type: ignore[no-untyped-def]
+    """Uninitialised array of a constant `size` that lives until the calling kernel returns; it must not be returned."""
+    kind = types.Array(dtype.dtype, 1, 'C')
+    length = size.literal_value
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        item = context.get_data_type(kind.dtype)
+        room = cgutils.alloca_once(builder, ir.ArrayType(item, length))
+        array = make_array(kind)(context, builder)
+        extent = context.get_constant(types.intp, length)
+        step = context.get_constant(types.intp, context.get_abi_sizeof(item))
+        data = builder.bitcast(room, item.as_pointer())
+        populate_array(array, data=data, shape=[extent], strides=[step], itemsize=step, meminfo=None)
+        return array._getvalue()
+
+    return kind(size, dtype), codegen
+
+
+def _splat(builder: Any, scalar: Any) -> Any:
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(_INT, 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INT, LANES), [0] * LANES)
+    )
+
+
+def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(order, a, b), a, b)
+
+
+@intrinsic
+def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):  # type: ignore[no-untyped-def]
+    """Test one ray against the eight boxes that begin at planes[base]; entries get their distances; returns a bit mask of hits.
+
+    near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints each; inverse, near_shift, far_shift:
+    tuples of ndim float32. The distance of a plane is fma(plane, inverse, shift).
+    """
+    sig = types.uint32(planes, base, near, far, inverse, near_shift, far_shift, limit, entries)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        out = context.make_array(signature.args[-1])(context, builder, args[-1]).data
+        base, near, far, inverse, near_shift, far_shift, limit = args[1:8]
+        fma = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_VECTOR, [_VECTOR] * 3), 'llvm.fma.v8f32'
+        )
+
+        def distance(offsets: Any, shifts: Any, axis: int) -> Any:
+            place = builder.gep(data, [builder.add(base, builder.extract_value(offsets, axis))])
+            plane = builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=4)
+            slope = _splat(builder, builder.extract_value(inverse, axis))
+            return builder.call(fma, [plane, slope, _splat(builder, builder.extract_value(shifts, axis))])
+
+        entry, leave = ir.Constant(_VECTOR, [0.0] * LANES), _splat(builder, limit)
+        for axis in range(signature.args[2].count):
+            entry = _pick(builder, '>', distance(near, near_shift, axis), entry)
+            leave = _pick(builder, '<', distance(far, far_shift, axis), leave)
+        builder.store(entry, builder.bitcast(out, _VECTOR.as_pointer()), align=4)
+        return builder.zext(builder.bitcast(builder.fcmp_ordered('<=', entry, leave), _BYTE), _INT)
+
+    return sig, codegen
+
+
+@intrinsic
+def trailing_zeros(typingctx, bits):  # type: ignore[no-untyped-def]
+    """Number of zero bits below the lowest one; `bits` is not zero."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(_BIT, 1))
+
+    return types.uint32(bits), codegen
