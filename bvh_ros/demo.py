@@ -143,7 +143,10 @@ def _questions_of(car: Thing) -> list[Question]:
             lambda c: c.raycast(ahead(-bumper - 0.6), ahead(-bumper - 50.6), 0.6),
         ),
         Question(
-            f'{name}: who is within 8 m', lambda c: c.overlap(car.centre, car.centre, tolerance=8)
+            f'{name}: who else is within 8 m',
+            lambda c: [
+                hit for hit in c.overlap(car.centre, car.centre, tolerance=8.0) if hit.name != name
+            ],
         ),
     ]
 
@@ -190,7 +193,7 @@ def _in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
         return 'free', ''
     names = ', '.join(hit.name for hit in hits[:2])
     if len(hits) > 2:
-        names += f' and {len(hits) - 2} more'
+        names += f', +{len(hits) - 2}'
     return names, '({:.2f}, {:.2f}, {:.2f})'.format(*hits[0].point)
 
 
@@ -219,18 +222,16 @@ def play(frames: Iterable[Frame], speed: float, node: Node, client: BvhClient) -
     table = Table()
     table.head()
     known: set[tuple[str, int]] = set()
-    began, printed, updates = time.monotonic(), -math.inf, 0
+    began, printed, updates = time.monotonic(), -1, 0
     for frame in frames:
         time.sleep(max(0.0, began + frame.t / speed - time.monotonic()))
         present = {(thing.namespace, thing.number) for thing in frame.things}
         publisher.publish(markers(frame.things, known - present))
         known, updates = present, updates + len(frame.things)
-        elapsed = time.monotonic() - began
-        show = elapsed >= printed + PRINT_EVERY
-        if show:
-            printed = elapsed
+        second = int(frame.t / speed / PRINT_EVERY + 1e-6)
         for question in frame.questions:
-            table.ask(client, question, frame.t, show=show)
+            table.ask(client, question, frame.t, show=second > printed)
+        printed = second
     print(f'\n{updates} obstacle updates in {time.monotonic() - began:.1f} s; {table.summary()}')
     return table
 

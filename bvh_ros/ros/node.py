@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException, ParameterException
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from bvh_ros.ros.diagnostics import Diagnostics
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
 QOS_PERIOD = 1.0  # seconds
 WRONG_CONFIGURATION = 2  # exit code
+RCLError = rclpy_implementation.RCLError  # what rcl says about arguments that it cannot read
 
 
 class BvhNode(Node):
@@ -105,7 +108,9 @@ class BvhNode(Node):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until Ctrl-C or SIGTERM."""
+    """Run the node until Ctrl-C or SIGTERM; return the exit code."""
+    # As Ctrl-C does, so that compiling ends at once. rclpy calls this handler after its own.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         rclpy.init(args=args)
         node = BvhNode()
@@ -113,7 +118,7 @@ def main(args: list[str] | None = None) -> int:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         return 0
-    except ConfigurationError as error:
+    except (ConfigurationError, RCLError) as error:
         print(f'bvh_node: {error}', file=sys.stderr)
         return WRONG_CONFIGURATION
     finally:

@@ -35,8 +35,7 @@ def marker(number=0, ns='a', shape=CUBE, action=0, **given):
         type=shape,
         action=action,
         pose=SimpleNamespace(
-            position=vector(*given.get('at', (0, 0, 0))),
-            orientation=vector(*turn[:3], w=turn[3]),
+            position=vector(*given.get('at', (0, 0, 0))), orientation=vector(*turn[:3], w=turn[3])
         ),
         scale=vector(*given.get('scale', (1, 1, 1))),
         lifetime=SimpleNamespace(sec=lifetime // 10**9, nanosec=lifetime % 10**9),
@@ -163,7 +162,11 @@ def test_a_marker_that_cannot_be_used_does_not_harm_the_others(bad, reason):
 
 def test_prefix_begins_every_name():
     found, _ = steps(
-        marker(1), marker(2, action=2), marker(3, shape=CUBE_LIST), marker(action=3), prefix='left.'
+        marker(1),
+        marker(2, action=2),
+        marker(3, shape=CUBE_LIST),
+        marker(action=3),
+        prefix='left.',
     )
     assert found[0].names == ['left.a/1']
     assert found[1].names == ['left.a/2']

@@ -9,11 +9,12 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+
 from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.frames import FrameError, Frames, Transform
 from bvh_ros.scene import SceneHit
-from nav_msgs.msg import Path
-from nav_msgs.srv import GetPlan
 
 
 def known(target, source, stamp):

@@ -58,7 +58,9 @@ def test_rotate_and_multiply_agree_with_matrices():
 
 
 def test_normalised():
-    q = rotations.normalised([[0, 0, 0, 0], [0, 0, 2, 0], [1e-200, 0, 0, 1e-200], [3e200, 0, 0, 0]])
+    q = rotations.normalised(
+        [[0, 0, 0, 0], [0, 0, 2, 0], [1e-200, 0, 0, 1e-200], [3e200, 0, 0, 0]]
+    )
     root = math.sqrt(0.5)
     assert np.allclose(q, [[0, 0, 0, 1], [0, 0, 1, 0], [root, 0, 0, root], [1, 0, 0, 0]])
     assert np.isnan(rotations.normalised([math.nan, 0, 0, 1])).any()

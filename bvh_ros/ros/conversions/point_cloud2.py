@@ -153,9 +153,7 @@ def _all_or_none(names: Sequence[str], wanted: Sequence[str]) -> bool:
     return not missing
 
 
-def _ids(
-    values: NDArray[Any],
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[Refusal]]:
+def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[Refusal]]:
     """Return the ids as integers, which rows to use, and the rows refused."""
     refusals: list[Refusal] = []
     good = np.ones(len(values), dtype=bool)

@@ -28,10 +28,7 @@ class MarkerArraySource(Source):
     def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
         """Follow the markers in order."""
         steps, refusals, namespaces = markers.steps(
-            message.markers,
-            now=now,
-            into_node=self.frames.into_node,
-            prefix=self.settings.prefix,
+            message.markers, now=now, into_node=self.frames.into_node, prefix=self.settings.prefix
         )
         items = len(message.markers)
         self._namespaces |= namespaces
