@@ -1,0 +1,181 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a tree must answer: brute force over all boxes, in exact arithmetic.
+
+Doubles are whole numbers of one small power of two, so in that unit every difference and product of coordinates is a
+Python integer: nothing rounds, overflows or vanishes. A distance along a ray is a `Fraction` of two of them.
+"""
+
+import math
+import os
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros import DynamicBVH, RayHit
+
+Floats = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+LARGEST = 1.7976931348623157e308
+SMALLEST = 5e-324
+INSIDE = -1
+
+
+def effort(short: int, long: int) -> int:
+    """How much to try: `long` where the environment sets BVH_ROS_LONG_TESTS."""
+    return long if os.environ.get('BVH_ROS_LONG_TESTS') else short
+
+
+class ExactHit(NamedTuple):
+    """One box that a ray meets."""
+
+    t: Fraction
+    row: int
+    axis: int
+    """The axis entered last, ties to the lowest; INSIDE where the ray starts in the box."""
+
+
+# ---- rays
+
+
+def exact_hits(lo: Floats, hi: Floats, origins: Floats, directions: Floats) -> list[list[ExactHit]]:
+    """For every ray all boxes that it meets, by exact t, then row."""
+    values = np.concatenate([np.ravel(array) for array in (lo, hi, origins, directions)]).tolist()
+    bits = max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
+    boxes = list(zip(_integers(lo, bits), _integers(hi, bits), strict=True))
+    rays = zip(_integers(origins, bits), _integers(directions, bits), strict=True)
+    return [_hits_of_ray(boxes, origin, direction) for origin, direction in rays]
+
+
+def _integers(rows: Floats, bits: int) -> list[list[int]]:
+    """The coordinates in units of 2**-bits."""
+    ratios = [[x.as_integer_ratio() for x in row] for row in rows.tolist()]
+    return [[n << (bits + 1 - d.bit_length()) for n, d in row] for row in ratios]
+
+
+def _hits_of_ray(
+    boxes: list[tuple[list[int], list[int]]], origin: list[int], direction: list[int]
+) -> list[ExactHit]:
+    hits = []
+    for row, (lo, hi) in enumerate(boxes):
+        entry = _entry(lo, hi, origin, direction)
+        if entry is not None:
+            hits.append(ExactHit(entry[0], row, entry[1]))
+    return sorted(hits)
+
+
+def _entry(
+    lo: list[int], hi: list[int], origin: list[int], direction: list[int]
+) -> tuple[Fraction, int] | None:
+    """Where the ray enters the closed box, as (t, axis entered last)."""
+    entry, entry_over, entered = 0, 1, INSIDE
+    leave, leave_over = 1, 0  # infinity
+    for axis, way in enumerate(direction):
+        near, far = lo[axis] - origin[axis], hi[axis] - origin[axis]
+        if way == 0:
+            if near > 0 or far < 0:
+                return None
+            continue
+        if way < 0:
+            near, far, way = -far, -near, -way
+        if near * entry_over > entry * way:
+            entry, entry_over, entered = near, way, axis
+        if far * leave_over < leave * way:
+            leave, leave_over = far, way
+    if entry * leave_over > leave * entry_over:
+        return None
+    return Fraction(entry, entry_over), entered
+
+
+def seen(
+    hits: Sequence[ExactHit],
+    handles: Ids,
+    t_max: float = math.inf,
+    skip_inside: bool = False,
+    visible: NDArray[np.bool_] | None = None,
+) -> list[ExactHit]:
+    """The hits that a query with these limits returns, by exact t, then handle. `visible` says which rows the mask sees."""
+    kept = [
+        hit
+        for hit in hits
+        if (math.isinf(t_max) or hit.t <= Fraction(t_max))
+        and not (skip_inside and hit.axis == INSIDE)
+        and (visible is None or visible[hit.row])
+    ]
+    return sorted(kept, key=lambda hit: (hit.t, handles[hit.row]))
+
+
+def is_within_2_ulp(t: float, exact: Fraction) -> bool:
+    """Whether t is as near to the exact distance as promised; infinite where that exceeds the largest double."""
+    ulp = Fraction(math.ulp(min(float(min(exact, Fraction(LARGEST))), LARGEST)))
+    if math.isinf(t):
+        return exact > Fraction(LARGEST) - 2 * ulp
+    return abs(Fraction(t) - exact) <= 2 * ulp
+
+
+def check_hit(hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, ray: tuple[Floats, Floats]) -> None:
+    """Check everything that is promised of one hit but its handle; lo and hi are of its box."""
+    origin, direction = ray
+    normal = np.zeros(len(lo))
+    if exact.axis != INSIDE:
+        normal[exact.axis] = -np.sign(direction[exact.axis])
+    assert hit.normal.tolist() == normal.tolist()
+    assert is_within_2_ulp(hit.t, exact.t), (hit.t, float(exact.t))
+    assert (lo <= hit.point).all()
+    assert (hit.point <= hi).all()
+    if exact.axis == INSIDE:
+        assert hit.t == 0.0
+        assert hit.point.tolist() == origin.tolist()
+    else:
+        assert hit.point[exact.axis] == (lo if direction[exact.axis] > 0 else hi)[exact.axis]
+    if math.isfinite(hit.t):
+        _check_point(hit.point, exact.t, origin, direction)
+
+
+def _check_point(point: Floats, t: Fraction, origin: Floats, direction: Floats) -> None:
+    """The point is the exact one within a few roundings of the numbers that make it."""
+    for got, start, way in zip(point.tolist(), origin.tolist(), direction.tolist(), strict=True):
+        move = t * Fraction(way)
+        slack = (abs(move) + abs(Fraction(start))) * Fraction(2, 10**15)
+        slack += Fraction(SMALLEST) * (4 + 4 * abs(Fraction(way)))
+        assert abs(Fraction(got) - Fraction(start) - move) <= slack, (got, float(start + move))
+
+
+# ---- boxes and points: comparisons of doubles are exact by themselves
+
+
+def overlapping_rows(lo: Floats, hi: Floats, low: Floats, high: Floats) -> Ids:
+    """Rows of the boxes that touch the closed box from low to high."""
+    return np.flatnonzero(((lo <= high) & (low <= hi)).all(axis=1))
+
+
+def overlapping_pairs(lo: Floats, hi: Floats) -> list[tuple[int, int]]:
+    """Pairs of rows of touching boxes, the smaller row first, sorted."""
+    return [
+        (row, int(other) + row + 1)
+        for row in range(len(lo))
+        for other in overlapping_rows(lo[row + 1 :], hi[row + 1 :], lo[row], hi[row])
+    ]
+
+
+def squared_distance(lo: Floats, hi: Floats, point: Floats) -> Fraction:
+    """Exact square of the distance of a point from a closed box."""
+    total = Fraction(0)
+    for low, high, x in zip(lo.tolist(), hi.tolist(), point.tolist(), strict=True):
+        low, high, x = Fraction(low), Fraction(high), Fraction(x)
+        total += max(low - x, 0, x - high) ** 2
+    return total
+
+
+# ---- trees
+
+
+def snapshot(tree: DynamicBVH) -> tuple[object, ...]:
+    """All that a caller can see of a tree without asking it where boxes are met."""
+    lo, hi = tree.boxes(tree.ids())
+    masks = tree.masks(tree.ids())
+    return tree.ids().tolist(), lo.tolist(), hi.tolist(), masks.tolist(), tree.cost(), tree.height

@@ -1,0 +1,312 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Decisions equal real arithmetic: rays made to be decided wrongly, at every scale of doubles, against exact brute force.
+
+BVH_ROS_LONG_TESTS=1 makes it a million rays instead of some ten thousand.
+"""
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bvh_ros import ALL, DynamicBVH
+from tree.adversary import MIXED, SCALES, coordinates, rays_at, reaches, some_boxes
+from tree.reference import (
+    INSIDE,
+    LARGEST,
+    SMALLEST,
+    ExactHit,
+    Floats,
+    Ids,
+    check_hit,
+    effort,
+    exact_hits,
+    is_within_2_ulp,
+    seen,
+    squared_distance,
+)
+
+BOXES = 20
+RAYS = 500  # a scene: enough for the batch path
+SCENES = effort(1, 130)  # a scale and number of dimensions
+
+each_scale = pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
+
+
+class World(NamedTuple):
+    lo: Floats
+    hi: Floats
+    masks: NDArray[np.uint32]
+    origins: Floats
+    directions: Floats
+    t_max: Floats
+    query_masks: NDArray[np.uint32]
+    hits: list[list[ExactHit]]
+
+    def expected(self, ray: int, handles: Ids, limited: bool, skip_inside: bool = False) -> list[ExactHit]:
+        if not limited:
+            return seen(self.hits[ray], handles, skip_inside=skip_inside)
+        visible = self.masks & self.query_masks[ray] != 0
+        return seen(self.hits[ray], handles, float(self.t_max[ray]), skip_inside, visible)
+
+    def limits(self, limited: bool) -> dict[str, object]:
+        return {'t_max': self.t_max, 'mask': self.query_masks} if limited else {}
+
+
+def make_world(seed: int, ndim: int, scale: float, boxes: int = BOXES, rays: int = RAYS) -> World:
+    rng = np.random.default_rng([seed, ndim, SCALES.index(scale)])
+    lo, hi = some_boxes(rng, boxes, ndim, scale)
+    origins, directions = rays_at(rng, lo, hi, rays, scale)
+    hits = exact_hits(lo, hi, origins, directions)
+    masks = rng.choice([1, 2, 3, 0x80000000, 0], boxes).astype(np.uint32)
+    query_masks = rng.choice([ALL, 1, 2, 0x80000001], rays).astype(np.uint32)
+    return World(lo, hi, masks, origins, directions, reaches(rng, hits), query_masks, hits)
+
+
+def check_every_hit(tree: DynamicBVH, handles: Ids, world: World, limited: bool, skip_inside: bool) -> None:
+    offsets, ids, ts = tree.raycast_all_many(
+        world.origins, world.directions, skip_inside=skip_inside, **world.limits(limited)
+    )
+    for ray in range(len(world.origins)):
+        expected = world.expected(ray, handles, limited, skip_inside)
+        part = slice(offsets[ray], offsets[ray + 1])
+        assert ids[part].tolist() == [handles[hit.row] for hit in expected], ray
+        assert ts[part].tolist() == sorted(ts[part].tolist())
+        for t, hit in zip(ts[part].tolist(), expected, strict=True):
+            assert is_within_2_ulp(t, hit.t), (ray, t, hit)
+
+
+def check_first_hit(
+    tree: DynamicBVH, handles: Ids, world: World, limited: bool, skip_inside: bool = False, threads: int = 1
+) -> None:
+    limits = world.limits(limited)
+    ids, ts, normals = tree.raycast_many(
+        world.origins, world.directions, skip_inside=skip_inside, threads=threads, **limits
+    )
+    occluded = tree.occluded_many(
+        world.origins, world.directions, skip_inside=skip_inside, threads=threads, **limits
+    )
+    for ray in range(len(world.origins)):
+        expected = world.expected(ray, handles, limited, skip_inside)
+        assert occluded[ray] == bool(expected), ray
+        if not expected:
+            assert (ids[ray], ts[ray], *normals[ray]) == (-1, math.inf, *np.zeros(tree.ndim)), ray
+            continue
+        first = expected[0]
+        assert ids[ray] == handles[first.row], ray
+        assert is_within_2_ulp(ts[ray], first.t), (ray, ts[ray], first)
+        normal = np.zeros(tree.ndim)
+        if first.axis != INSIDE:
+            normal[first.axis] = -np.sign(world.directions[ray, first.axis])
+        assert normals[ray].tolist() == normal.tolist(), ray
+
+
+@each_scale
+@each_ndim
+def test_batches_decide_exactly(ndim: int, scale: float) -> None:
+    for seed in range(SCENES):
+        world = make_world(seed, ndim, scale)
+        tree = DynamicBVH.from_boxes(world.lo, world.hi, mask=world.masks)
+        handles = tree.ids()
+        tree.set_masks(handles, 1)
+        for skip_inside in (False, True):
+            check_every_hit(tree, handles, world, False, skip_inside)
+            check_first_hit(tree, handles, world, False, skip_inside)
+        tree.set_masks(handles, world.masks)
+        for skip_inside in (False, True):
+            check_every_hit(tree, handles, world, True, skip_inside)
+            check_first_hit(tree, handles, world, True, skip_inside)
+        check_first_hit(tree, handles, world, True, threads=2)
+
+
+@each_scale
+@each_ndim
+def test_scalar_calls_decide_exactly(ndim: int, scale: float) -> None:
+    world = make_world(1000, ndim, scale, rays=150)
+    tree = DynamicBVH.from_boxes(world.lo, world.hi, mask=world.masks)
+    handles = tree.ids()
+    for ray, (origin, direction) in enumerate(zip(world.origins, world.directions, strict=True)):
+        limits = {'t_max': float(world.t_max[ray]), 'mask': int(world.query_masks[ray])}
+        expected = world.expected(ray, handles, True)
+        hits = tree.raycast_all(origin, direction, **limits)
+        assert [hit.id for hit in hits] == [handles[hit.row] for hit in expected]
+        assert [hit.t for hit in hits] == sorted(hit.t for hit in hits)
+        for hit, exact in zip(hits, expected, strict=True):
+            check_hit(hit, exact, world.lo[exact.row], world.hi[exact.row], (origin, direction))
+        first = tree.raycast(origin, direction, **limits)
+        assert (first is not None) == bool(expected) == tree.occluded(origin, direction, **limits)
+        if first is not None:
+            assert first.id == handles[expected[0].row]
+            row = expected[0].row
+            check_hit(first, expected[0], world.lo[row], world.hi[row], (origin, direction))
+
+
+VARIANTS = {
+    'margin': {'margin': 0.25},
+    'margin far beyond the scene': {'margin': 1e300},
+    'branch and bound': {'sibling_search': 'branch_and_bound'},
+    'both': {'margin': 1e-3, 'sibling_search': 'branch_and_bound'},
+}
+
+
+@each_scale
+@each_ndim
+def test_answers_do_not_depend_on_the_tree(ndim: int, scale: float) -> None:
+    """Margins, searches, order of insertion, rebuilding: the same hits in the same order."""
+    world = make_world(2000, ndim, scale, rays=120)
+    orders = [np.arange(BOXES), np.arange(BOXES)[::-1], np.random.default_rng(1).permutation(BOXES)]
+    for options in VARIANTS.values():
+        for order in orders:
+            tree = DynamicBVH(ndim, **options)
+            handles = np.empty(BOXES, np.int64)
+            for row in order:
+                handles[row] = tree.insert(world.lo[row], world.hi[row], int(world.masks[row]))
+            check_every_hit(tree, handles, world, True, False)
+            check_first_hit(tree, handles, world, True)
+        tree.rebuild()
+        check_every_hit(tree, handles, world, True, False)
+        check_first_hit(tree, handles, world, True)
+
+
+@each_scale
+@each_ndim
+def test_a_larger_tree_decides_exactly(ndim: int, scale: float) -> None:
+    """Deep enough that inner nodes have to prune, and must not prune a hit."""
+    world = make_world(3000, ndim, scale, boxes=200, rays=100)
+    tree = DynamicBVH.from_boxes(world.lo, world.hi, mask=world.masks)
+    check_every_hit(tree, tree.ids(), world, True, False)
+    check_first_hit(tree, tree.ids(), world, True)
+
+
+def test_the_rays_are_adversarial() -> None:
+    """Plain float64 decides many of these rays wrongly; else the tests above would show nothing."""
+    world = make_world(0, 3, 1.0)
+    wrong = 0
+    with np.errstate(all='ignore'):
+        for ray, (origin, direction) in enumerate(zip(world.origins, world.directions, strict=True)):
+            at_lo, at_hi = (world.lo - origin) / direction, (world.hi - origin) / direction
+            entry = np.maximum(np.minimum(at_lo, at_hi).max(axis=1), 0.0)
+            plain = np.flatnonzero(entry <= np.maximum(at_lo, at_hi).min(axis=1))
+            wrong += set(plain.tolist()) != {hit.row for hit in world.hits[ray]}
+    assert wrong > RAYS / 10
+
+
+# ---- single cases, each with its exact answer in words
+
+CASES = [
+    # lo, hi, origin, direction, t (None: a miss)
+    ('grazes an edge', [1, 1, 0], [2, 2, 1], [0, 2, 0.5], [1, -1, 0], 1),
+    ('through a corner', [1, 1, 1], [2, 2, 2], [0, 0, 0], [1, 1, 1], 1),
+    ('in the plane of a face', [1, 0, 0], [2, 1, 1], [0, 1, 0.5], [1, 0, 0], 1),
+    ('in the plane of a face, -0', [1, 0, 0], [2, 1, 1], [0, 1, 0.5], [1, -0.0, -0.0], 1),
+    ('one ulp above the face', [1, 0, 0], [2, 1, 1], [0, math.nextafter(1, 2), 0.5], [1, 0, 0], None),
+    ('thirds', [1 / 3] * 3, [2 / 3] * 3, [0, 0, 0], [1 / 3, 1 / 3, 1 / 3], 1),
+    ('beside the corner of thirds', [1 / 3] * 3, [2 / 3] * 3, [0, 0, 0], [1 / 3, 1 / 3, 0.2], Fraction(1 / 3) / Fraction(0.2)),
+    ('a point box', [1, 2, 3], [1, 2, 3], [0, 0, 0], [1, 2, 3], 1),
+    ('beside a point box', [1, 2, 3], [1, 2, 3], [0, 0, 0], [1, 2, math.nextafter(3, 4)], None),
+    ('a flat box in its plane', [1, 0, 0], [2, 0, 1], [0, 0, 0.5], [1, 0, 0], 1),
+    ('away', [1, 0, 0], [2, 1, 1], [0, 0.5, 0.5], [-1, 0, 0], None),
+    ('starts on the far face and leaves', [0, 0, 0], [1, 1, 1], [1, 0.5, 0.5], [1, 0, 0], 0),
+    ('the smallest double', [SMALLEST] * 3, [2 * SMALLEST] * 3, [0, 0, 0], [SMALLEST] * 3, 1),
+    ('t vanishes', [SMALLEST, 0, 0], [1, 1, 1], [0, 0.5, 0.5], [LARGEST, 0, 0], Fraction(SMALLEST) / Fraction(LARGEST)),
+    ('t exceeds the doubles', [1, 0, 0], [2, 1, 1], [0, 0.5, 0.5], [SMALLEST, 0, 0], 1 / Fraction(SMALLEST)),
+    ('the difference exceeds the doubles', [LARGEST, 0, 0], [LARGEST, 1, 1], [-LARGEST, 0.5, 0.5], [LARGEST, 0, 0], 2),
+    ('a box of all doubles', [-LARGEST] * 3, [LARGEST] * 3, [0, 0, 0], [1, 1, 1], 0),
+    ('a component that does not count', [1e150, -1, -1], [2e150, 1, 1], [0, 0, 0], [1e150, 1e-160, 0], 1),
+    ('leaves before it enters', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, math.nextafter(0.5, 0), 0], None),
+    ('enters before it leaves', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, math.nextafter(0.5, 1), 0], 1 / Fraction(math.nextafter(0.5, 1))),
+    ('enters as it leaves', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, 0.5, 0], 2),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(('lo', 'hi', 'origin', 'direction', 't'), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
+@pytest.mark.parametrize('turned', [0, 1, 2])
+def test_single_decisions(
+    lo: list[float], hi: list[float], origin: list[float], direction: list[float], t: Fraction | None, turned: int
+) -> None:
+    """Each also with the axes turned, alone in the tree and among boxes beside the way."""
+    low, high, start, way = (np.roll(np.array(x, float), turned) for x in (lo, hi, origin, direction))
+    tree = DynamicBVH()
+    handle = tree.insert(low, high)
+    for _ in range(2):
+        hit = tree.raycast(start, way)
+        assert (hit is not None) == (t is not None)
+        batch = tree.raycast_many([start] * 40, [way] * 40)
+        assert batch.ids.tolist() == [-1 if t is None else handle] * 40
+        if hit is not None and t is not None:
+            assert hit.id == handle
+            assert is_within_2_ulp(hit.t, Fraction(t))
+            assert batch.t.tolist() == [hit.t] * 40
+        tree.insert_many(coordinates(np.random.default_rng(0), (9, 3), 1.0) - 50, np.full((9, 3), -40.0), 0)
+
+
+@pytest.mark.parametrize('t', [1.0, 1 / 3, 3.0, 7.5, 1e-300, 1e300, SMALLEST])
+def test_t_max_at_the_entry_counts(t: float) -> None:
+    tree = DynamicBVH()
+    tree.insert([t, -1, -1], [LARGEST, 1, 1])
+    below = math.nextafter(t, 0.0)
+    assert tree.raycast([0, 0, 0], [1, 0, 0], t_max=t).t == t
+    assert tree.raycast([0, 0, 0], [1, 0, 0], t_max=below) is None
+    assert tree.occluded([0, 0, 0], [1, 0, 0], t_max=t)
+    assert not tree.occluded([0, 0, 0], [1, 0, 0], t_max=below)
+    many = tree.raycast_many(np.zeros((2, 3)), [[1, 0, 0]] * 2, t_max=[t, below])
+    assert many.ids.tolist() == [tree.ids()[0], -1]
+
+
+def test_t_max_between_two_doubles() -> None:
+    """The entry 1/3 is no double: the next double below 1/3 does not reach it, the next above does."""
+    tree = DynamicBVH(2)
+    tree.insert([1, -1], [2, 1])
+    below = 1 / 3  # as a double, this is less than the rational
+    assert Fraction(below) < Fraction(1, 3)
+    assert not tree.occluded([0, 0], [3, 0], t_max=below)
+    assert tree.occluded([0, 0], [3, 0], t_max=math.nextafter(below, 1))
+
+
+def test_ties_of_exact_distances_only() -> None:
+    """Two entries that round to one double are still in their exact order, whichever was inserted first."""
+    ray = [0.0, 0.0], [3.0, math.nextafter(3.0, 4.0)]  # entered at x = 1 at 1/3, at y = 1 a hair earlier
+    assert 1.0 / ray[1][0] == pytest.approx(1.0 / ray[1][1], rel=1e-15)
+    for x_first in (True, False):
+        tree = DynamicBVH(2)
+        boxes = [([1.0, 0.0], [2.0, 2.0]), ([0.0, 1.0], [2.0, 2.0])]
+        x_box, y_box = (
+            [tree.insert(*box) for box in boxes] if x_first else [tree.insert(*box) for box in boxes[::-1]][::-1]
+        )
+        assert [hit.id for hit in tree.raycast_all(*ray)] == [y_box, x_box]
+        assert tree.raycast(*ray).id == y_box
+
+
+@each_scale
+@each_ndim
+def test_nearest_at_every_scale(ndim: int, scale: float) -> None:
+    """Each distance within 4 roundings of the exact one of its box, and of the exact one of its rank."""
+    rng = np.random.default_rng([77, ndim, SCALES.index(scale)])
+    lo, hi = some_boxes(rng, BOXES, ndim, scale)
+    tree = DynamicBVH.from_boxes(lo, hi)
+    rows = {handle: row for row, handle in enumerate(tree.ids().tolist())}
+    points = np.concatenate([coordinates(rng, (60, ndim), scale), lo[:5], hi[:5]])
+    ids, distances = tree.nearest_many(points, k=BOXES)
+    for point, found, gaps in zip(points, ids.tolist(), distances.tolist(), strict=True):
+        squares = [squared_distance(lo[row], hi[row], point) for row in range(BOXES)]
+        assert sorted(found) == tree.ids().tolist()
+        assert list(zip(gaps, found, strict=True)) == sorted(zip(gaps, found, strict=True))
+        for rank, (handle, gap) in enumerate(zip(found, gaps, strict=True)):
+            assert is_distance(gap, squares[rows[handle]])
+            assert is_distance(gap, sorted(squares)[rank])
+
+
+def is_distance(got: float, square: Fraction) -> bool:
+    """Whether `got` is the root of `square` within 4 roundings, or 1e-322; infinite only beyond the largest double."""
+    if math.isinf(got):
+        return square > (Fraction(LARGEST) * (1 - Fraction(4, 2**53))) ** 2
+    slack = max(Fraction(got) * Fraction(4, 2**53), Fraction(1e-322))
+    low, high = max(Fraction(got) - slack, Fraction(0)), Fraction(got) + slack
+    if square == 0:
+        return got == 0.0
+    return low**2 <= square <= high**2
