@@ -2,15 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept balls through the tree to the true shapes.
 
-Only scenes with other shapes than axis-aligned boxes, and balls, come here: thin rays among boxes are the tree's own.
-A ball of radius r can touch an obstacle only where its centre is in the obstacle's box grown by r, so the nodes are grown by r.
+Only scenes with other shapes than axis-aligned boxes, and balls, come here: thin rays among boxes
+are the tree's own. A ball of radius r can touch an obstacle only where its centre is in the
+obstacle's box grown by r, so every node is grown by r on the way.
+
+`tree` is the tuple of arrays that the tree's own kernels take. `shapes` holds a record a slot:
+`columns.GEOMETRY`, or in a planar scene `footprint.FOOTPRINT`. `planar` is None or True: numba drops
+the branch that is not taken, so that a planar scene compiles none of the solid shapes.
 """
 
 import numpy as np
 
 from ..tree.compiling import kernel
-from ..tree.nodes import NONE, is_leaf, leaf_box
-from ..tree.overlapping import grown
+from ..tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
 from ..tree.slab import (
     DIRECTION,
     INSIDE,
@@ -23,6 +27,7 @@ from ..tree.slab import (
     traversal_distance,
 )
 from .contact import contact, enter_shape
+from .ray_footprint import enter_footprint, touch_footprint
 
 
 @kernel
@@ -38,10 +43,26 @@ def grow(node, radius, box):
 
 
 @kernel
-def precedes(
-    nodes, tight, handles, shapes, slot, t, feature, other, other_t, other_feature, radius, ray
-):
-    """Whether a hit comes before another: exactly between thin hits of axis-aligned boxes, else by t; ties by handle."""
+def push_children(nodes, node, mask, radius, ray, limit, wide, box, stack, entries, top):
+    """Put the children that the ray may enter on the stack, the nearer on top."""
+    bottom = top
+    for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
+        if nodes[child].mask & mask != 0:
+            grow(nodes[child], radius, box)
+            entry = enters(box[0], box[1], ray, limit, wide)
+            if entry < np.inf:
+                stack[top], entries[top] = child, entry
+                top += 1
+    if top == bottom + 2 and entries[bottom] < entries[bottom + 1]:
+        stack[bottom], stack[bottom + 1] = stack[bottom + 1], stack[bottom]
+        entries[bottom], entries[bottom + 1] = entries[bottom + 1], entries[bottom]
+    return top
+
+
+@kernel
+def precedes(tree, shapes, ray, radius, slot, t, feature, other, other_t, other_feature):
+    """Whether a hit comes before another; ties by handle. Between thin hits of boxes exactly."""
+    nodes, tight, handles, _ = tree
     order = -1 if t < other_t else (1 if t > other_t else 0)
     if radius == 0.0 and not shapes[slot].shaped and not shapes[other].shaped:
         lo, hi = leaf_box(nodes, tight, 2 * slot)
@@ -51,41 +72,26 @@ def precedes(
 
 
 @kernel
-def cast(
-    nodes,
-    heights,
-    tight,
-    handles,
-    root,
-    shapes,
-    ray,
-    radius,
-    t_max,
-    mask,
-    skip_inside,
-    every,
-    hits,
-    ts,
-    features,
-    filled,
-):
-    """Append the first hit, or every hit in no order, to (hits, ts, features) from `filled` on; return the arrays and the count."""
+def cast(tree, shapes, planar, ray, radius, t_max, mask, skip_inside, every, hits, filled, work):
+    """Append the first hit, or every hit in no order, to hits = (slots, ts, features) from `filled`.
+
+    Return hits, grown if need be, and the new count.
+    """
+    nodes, tight, _, root = tree
+    slots, ts, features = hits
     if root == NONE or nodes[root].mask & mask == 0:
-        return hits, ts, features, filled
+        return slots, ts, features, filled
     begin = filled
-    box, local, corners = np.empty((2, ray.shape[1])), np.empty((2, 3)), np.empty((2, 3))
+    box = np.empty((2, ray.shape[1]))
     grow(nodes[root], radius, box)
     scale, wide = prepare_ray(ray, box[0], box[1])
     limit = traversal_distance(t_max, scale)
-    stack, entries = (
-        np.empty(np.int64(heights[root]) + 2, np.int64),
-        np.empty(np.int64(heights[root]) + 2),
-    )
+    stack, entries = np.empty(DEEPEST, np.int64), np.empty(DEEPEST)
     stack[0], entries[0], top = root, enters(box[0], box[1], ray, limit, wide), 1
     while top > 0:
         top -= 1
-        node = stack[top]
-        if entries[top] > limit * PAD + TINY or entries[top] == np.inf:
+        node, entry = stack[top], entries[top]
+        if entry > limit * PAD + TINY or entry == np.inf:
             continue
         if not is_leaf(node):
             top = push_children(
@@ -94,162 +100,67 @@ def cast(
             continue
         slot = node >> 1
         lo, hi = leaf_box(nodes, tight, node)
-        t, feature = enter_shape(shapes[slot], lo, hi, ray, radius, t_max, local, corners)
+        if planar is None:
+            t, feature = enter_shape(shapes[slot], lo, hi, ray, radius, t_max, work)
+        else:
+            t, feature = enter_footprint(shapes[slot], lo, hi, ray, radius, t_max, work)
         if t == np.inf or (skip_inside and feature == INSIDE):
             continue
         if not every and filled > begin:
-            if not precedes(
-                nodes,
-                tight,
-                handles,
-                shapes,
-                slot,
-                t,
-                feature,
-                hits[begin],
-                ts[begin],
-                features[begin],
-                radius,
-                ray,
-            ):
+            best = slots[begin], ts[begin], features[begin]
+            if not precedes(tree, shapes, ray, radius, slot, t, feature, *best):
                 continue
             filled = begin
-        if filled == hits.shape[0]:
-            hits, ts, features = grown(hits), grown(ts), grown(features)
-        hits[filled], ts[filled], features[filled] = slot, t, feature
+        if filled == slots.shape[0]:
+            slots, ts, features = grown(slots), grown(ts), grown(features)
+        slots[filled], ts[filled], features[filled] = slot, t, feature
         filled += 1
         if not every:
             limit = traversal_distance(t, scale)
-    return hits, ts, features, filled
+    return slots, ts, features, filled
 
 
 @kernel
-def push_children(nodes, node, mask, radius, ray, limit, wide, box, stack, entries, top):
-    """Put the children that the ray may enter on the stack, the nearer on top."""
-    for child in (np.int64(nodes[node].right), np.int64(nodes[node].left)):
-        if nodes[child].mask & mask == 0:
-            continue
-        grow(nodes[child], radius, box)
-        entry = enters(box[0], box[1], ray, limit, wide)
-        if entry < np.inf:
-            stack[top], entries[top] = child, entry
-            top += 1
-    if top > 1 and entries[top - 2] < entries[top - 1] and nodes[stack[top - 2]].parent == node:
-        stack[top - 2], stack[top - 1] = stack[top - 1], stack[top - 2]
-        entries[top - 2], entries[top - 1] = entries[top - 1], entries[top - 2]
-    return top
+def cast_rays(tree, shapes, planar, origins, directions, radius, t_max, masks, skip_inside, every):
+    """First hits, or every hit in no order, of many rays: (offsets, slots, ts, points, normals).
+
+    Those of ray i stand at [offsets[i], offsets[i + 1]).
+    """
+    count, ndim = origins.shape
+    ray, work = np.empty((3, ndim)), np.empty((5, 3))
+    offsets = np.zeros(count + 1, np.int64)
+    room = max(count, 16)
+    slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+    points, normals = np.zeros((room, 3)), np.zeros((room, 3))
+    for i in range(count):
+        ray[ORIGIN], ray[DIRECTION] = origins[i], directions[i]
+        slots, ts, features, filled = cast(
+            tree, shapes, planar, ray, radius, t_max[i], masks[i], skip_inside, every,
+            (slots, ts, features), offsets[i], work,
+        )  # fmt: skip
+        if slots.shape[0] > points.shape[0]:
+            points, normals = widened(points, slots.shape[0]), widened(normals, slots.shape[0])
+        for j in range(offsets[i], filled):
+            shape, point, normal = shapes[slots[j]], points[j], normals[j]
+            lo, hi = leaf_box(tree[0], tree[1], 2 * slots[j])
+            if planar is None:
+                contact(shape, lo, hi, ray, ts[j], features[j], radius, work, point, normal)
+            else:
+                touch_footprint(shape, lo, hi, ray, ts[j], features[j], work, point, normal)
+        offsets[i + 1] = filled
+    filled = offsets[count]
+    return offsets, slots[:filled], ts[:filled], points[:filled], normals[:filled]
 
 
 @kernel
-def cast_rows(
-    nodes,
-    heights,
-    tight,
-    handles,
-    root,
-    shapes,
-    origins,
-    directions,
-    radius,
-    t_max,
-    masks,
-    skip_inside,
-    found,
-):
-    """First hits of many rays: fill (slots, ts, points, normals); slot NONE and t inf where nothing is hit."""
-    slots, ts, points, normals = found
-    features = np.empty(slots.shape[0], np.int64)
-    ray, local, corners = np.empty((3, origins.shape[1])), np.empty((2, 3)), np.empty((2, 3))
-    for i in range(slots.shape[0]):
-        for axis in range(origins.shape[1]):
-            ray[ORIGIN, axis], ray[DIRECTION, axis] = origins[i, axis], directions[i, axis]
-        filled = cast(
-            nodes,
-            heights,
-            tight,
-            handles,
-            root,
-            shapes,
-            ray,
-            radius,
-            t_max[i],
-            masks[i],
-            skip_inside,
-            False,
-            slots,
-            ts,
-            features,
-            i,
-        )[3]
-        if filled == i:
-            slots[i], ts[i] = NONE, np.inf
-            continue
-        lo, hi = leaf_box(nodes, tight, 2 * slots[i])
-        contact(
-            shapes[slots[i]],
-            lo,
-            hi,
-            ray,
-            ts[i],
-            features[i],
-            radius,
-            local,
-            corners,
-            points[i],
-            normals[i],
-        )
+def widened(rows, count):
+    more = np.zeros((count, 3))
+    more[: rows.shape[0]] = rows
+    return more
 
 
 @kernel
-def cast_every(
-    nodes,
-    heights,
-    tight,
-    handles,
-    root,
-    shapes,
-    origin,
-    direction,
-    radius,
-    t_max,
-    mask,
-    skip_inside,
-):
-    """All hits of one ray, in no order: (slots, ts, points, normals)."""
-    ray, local, corners = np.empty((3, origin.shape[0])), np.empty((2, 3)), np.empty((2, 3))
-    ray[ORIGIN], ray[DIRECTION] = origin, direction
-    slots, ts, features, filled = cast(
-        nodes,
-        heights,
-        tight,
-        handles,
-        root,
-        shapes,
-        ray,
-        radius,
-        t_max,
-        mask,
-        skip_inside,
-        True,
-        np.empty(16, np.int64),
-        np.empty(16),
-        np.empty(16, np.int64),
-        0,
-    )
-    points, normals = np.empty((filled, 3)), np.empty((filled, 3))
-    for i in range(filled):
-        lo, hi = leaf_box(nodes, tight, 2 * slots[i])
-        contact(
-            shapes[slots[i]],
-            lo,
-            hi,
-            ray,
-            ts[i],
-            features[i],
-            radius,
-            local,
-            corners,
-            points[i],
-            normals[i],
-        )
-    return slots[:filled], ts[:filled], points, normals
+def grown(array):
+    bigger = np.empty(2 * array.shape[0], array.dtype)
+    bigger[: array.shape[0]] = array
+    return bigger

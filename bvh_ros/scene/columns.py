@@ -5,30 +5,32 @@
 import numpy as np
 from numpy.typing import NDArray
 
-NO_HANDLE = -1
+from .footprint import FOOTPRINT
+from .registry import Slots
 
-Slots = NDArray[np.int64]
+FREE = -1
 
-# One record for the kernels; fields in the order that needs no padding between them.
+# One record for the kernels. `shaped` is anything but an axis-aligned box: it needs a narrow phase.
 GEOMETRY = np.dtype(
     [
         ('position', np.float64, (3,)),
         ('orientation', np.float64, (4,)),
         ('half', np.float64, (3,)),
         ('kind', np.uint8),
-        ('shaped', np.bool_),  # anything but an axis-aligned box: needs a narrow phase
+        ('shaped', np.bool_),
     ],
     align=True,
 )
 
 
 class Columns:
-    """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not NO_HANDLE."""
+    """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not FREE."""
 
-    def __init__(self) -> None:
+    def __init__(self, planar: bool) -> None:
         self.tree_handle = np.empty(0, np.int64)
         self.node_handle = np.empty(0, np.int64)
         self.geometry = np.empty(0, GEOMETRY)
+        self.footprint = np.empty(0, FOOTPRINT) if planar else None
         self.categories = np.empty(0, np.uint32)
         self.stamp = np.empty(0, np.int64)
         self.expires = np.empty(0, np.int64)
@@ -42,28 +44,34 @@ class Columns:
             return
         capacity = max(count, 2 * old)
         for name, array in vars(self).items():
-            bigger = np.zeros(capacity, array.dtype)
-            bigger[:old] = array
-            setattr(self, name, bigger)
-        self.tree_handle[old:] = NO_HANDLE
+            if array is not None:
+                bigger = np.zeros(capacity, array.dtype)
+                bigger[:old] = array
+                setattr(self, name, bigger)
+        self.tree_handle[old:] = FREE
 
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""
-        slots = np.flatnonzero(self.tree_handle != NO_HANDLE)
+        slots = np.flatnonzero(self.tree_handle != FREE)
         return slots[np.argsort(self.node_handle[slots])]
 
     def forget(self, slots: Slots) -> None:
         """Mark slots as free. What scans whole columns must not find them."""
-        self.tree_handle[slots] = NO_HANDLE
+        self.tree_handle[slots] = FREE
         self.node_handle[slots] = 0
         self.geometry['shaped'][slots] = False
         self.expires[slots] = 0
         self.group[slots] = 0
         self.source[slots] = 0
 
+    @property
+    def any_shaped(self) -> bool:
+        """Whether anything in the scene needs a narrow phase."""
+        return bool(self.geometry['shaped'].any())
 
-def as_index(slots: Slots) -> Slots | slice:
-    """The same places as a slice where they are consecutive: reading and writing whole columns is several times faster."""
+
+def as_index(slots: Slots) -> NDArray[np.int64] | slice:
+    """The same places as a slice where they are consecutive: whole columns move several times faster."""
     if len(slots) > 1 and slots[-1] - slots[0] == len(slots) - 1 and (np.diff(slots) == 1).all():
         return slice(int(slots[0]), int(slots[-1]) + 1)
     return slots

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ..tree.compiling import kernel
+from ..tree.compiling import lean_kernel
 from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
 from .ray_shapes import (
     ROUND,
@@ -25,7 +25,7 @@ from .ray_shapes import (
 BOX, SPHERE, CYLINDER = range(3)  # ShapeKind, as a kernel can read it
 
 
-@kernel
+@lean_kernel
 def rotate(quaternion, vector, sign):
     """Turn a vector in place by a unit quaternion, or back by it with sign -1."""
     x, y, z, w = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], quaternion[3]
@@ -36,7 +36,7 @@ def rotate(quaternion, vector, sign):
     vector[2] = c + w * n + x * v - y * u
 
 
-@kernel
+@lean_kernel
 def to_frame(shape, ray, local):
     """Fill `local` with origin and unit direction in the shape's frame; return the direction's length."""
     total = length(ray[DIRECTION])
@@ -51,38 +51,35 @@ def to_frame(shape, ray, local):
     return total
 
 
-@kernel
-def enter_shape(shape, lo, hi, ray, radius, t_max, local, corners):
+@lean_kernel
+def enter_shape(shape, lo, hi, ray, radius, t_max, work):
     """(t, feature) of a ray, or of a ball swept along it, in units of the ray's direction; t inf: not met up to t_max."""
     if not shape.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
-    total = to_frame(shape, ray, local)
+    total = to_frame(shape, ray, work)
+    origin, way, low, high = work[0], work[1], work[2], work[3]
     reach = t_max * total
     half = shape.half
     if shape.kind == SPHERE:
-        s, feature = enter_sphere(local[0], local[1], half[0] + radius, reach)
+        s, feature = enter_sphere(origin, way, half[0] + radius, reach)
     elif shape.kind == CYLINDER:
         if radius == 0.0:
-            s, feature = enter_cylinder(local[0], local[1], half[0], half[2], reach)
+            s, feature = enter_cylinder(origin, way, half[0], half[2], reach)
         else:
-            s, feature = enter_rounded_cylinder(
-                local[0], local[1], half[0], half[2], radius, reach
-            )
+            s, feature = enter_rounded_cylinder(origin, way, half[0], half[2], radius, reach)
     else:
         for axis in range(3):
-            corners[0, axis] = -half[axis] if shape.shaped else lo[axis]
-            corners[1, axis] = half[axis] if shape.shaped else hi[axis]
+            low[axis] = -half[axis] if shape.shaped else lo[axis]
+            high[axis] = half[axis] if shape.shaped else hi[axis]
         if radius == 0.0:
-            s, feature = enter_box(local[0], local[1], corners[0], corners[1], reach)
+            s, feature = enter_box(origin, way, low, high, reach)
         else:
-            s, feature = enter_rounded_box(
-                local[0], local[1], corners[0], corners[1], radius, reach
-            )
+            s, feature = enter_rounded_box(origin, way, low, high, radius, reach)
     return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
 
 
-@kernel
+@lean_kernel
 def closest_point(shape, point, out):
     """The point of a shape at the origin of its frame that is closest to `point`; `point` itself inside."""
     half = shape.half
@@ -98,11 +95,11 @@ def closest_point(shape, point, out):
         out[2] = min(max(point[2], -half[2]), half[2])
 
 
-@kernel
-def contact(shape, lo, hi, ray, t, feature, radius, local, corners, point, normal):
+@lean_kernel
+def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
     """Fill in the obstacle's point that is met at t, and the outward normal; zero if the start lies in the obstacle."""
-    s = t * to_frame(shape, ray, local)
-    centre, way, closest, outward = local[0], local[1], corners[0], corners[1]
+    s = t * to_frame(shape, ray, work)
+    centre, way, closest, outward = work[0], work[1], work[2], work[3]
     for axis in range(3):
         centre[axis] += s * way[axis]
         closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
@@ -132,7 +129,7 @@ def contact(shape, lo, hi, ray, t, feature, radius, local, corners, point, norma
             point[axis] = ray[ORIGIN, axis]
 
 
-@kernel
+@lean_kernel
 def to_world(shape, closest, outward, point, normal):
     """Bring a point and a direction of any length back from the shape's frame; the direction becomes a unit vector or zero."""
     total = length(outward)

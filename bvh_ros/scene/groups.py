@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-NOBODY = 0  # source and group of a free slot
+NOBODY = 0  # number of the source and group of a free slot, and of what was never heard of
 
 
 @dataclass
 class Group:
-    """The obstacles of one source that one message replaces; the group '' of a source is for all that has no group of its own."""
+    """Obstacles of one source that one message replaces; '' is for all that has no other group."""
 
-    serial: int
+    number: int
     source: str
     name: str
     members: int = 0
@@ -26,54 +26,54 @@ class Groups:
     def __init__(self) -> None:
         self._sources: dict[str, int] = {}
         self._groups: dict[tuple[str, str], Group] = {}
-        self._by_serial: dict[int, Group] = {}
-        self._next_serial = NOBODY + 1
+        self._by_number: dict[int, Group] = {}
+        self._last = NOBODY
 
     def source(self, name: str) -> int:
-        """Number of a source, the same for ever."""
-        return self._sources.setdefault(name, len(self._sources) + NOBODY + 1)
+        """Number of a source."""
+        return self._sources.get(name, NOBODY)
 
-    def source_name(self, source: int) -> str:
-        return next(name for name, number in self._sources.items() if number == source)
+    def source_name(self, number: int) -> str:
+        """The source with this number."""
+        return next(name for name, known in self._sources.items() if known == number)
 
-    def group(self, source: str, name: str) -> Group:
-        """The group, opened if need be."""
+    def number(self, source: str, name: str) -> int:
+        """Number of a group."""
+        group = self._groups.get((source, name))
+        return group.number if group else NOBODY
+
+    def group(self, number: int) -> Group:
+        """The group with this number."""
+        return self._by_number[number]
+
+    def join(self, source: str, name: str, count: int) -> tuple[int, int]:
+        """So many obstacles enter a group, opened if need be; the numbers of source and group."""
+        self._sources.setdefault(source, len(self._sources) + NOBODY + 1)
         group = self._groups.get((source, name))
         if group is None:
-            group = self._groups[source, name] = Group(self._next_serial, source, name)
-            self._by_serial[group.serial] = group
-            self._next_serial += 1
-        return group
+            self._last += 1
+            group = self._groups[source, name] = Group(self._last, source, name)
+            self._by_number[group.number] = group
+        group.members += count
+        return self._sources[source], group.number
 
-    def of(self, serial: int) -> Group:
-        return self._by_serial[serial]
-
-    def leave(self, serials: NDArray[np.int64]) -> None:
-        """Obstacles of these groups were removed or went to another group; an empty group is forgotten."""
-        if not len(serials):
+    def leave(self, numbers: NDArray[np.int64]) -> None:
+        """One obstacle left each of these groups; a group that is empty then is forgotten."""
+        if not len(numbers):
             return
-        if (serials == serials[0]).all():
-            pairs = [(int(serials[0]), len(serials))]
+        if (numbers == numbers[0]).all():
+            counts = {int(numbers[0]): len(numbers)}
         else:
-            pairs = [
-                (int(serial), int(count))
-                for serial, count in zip(*np.unique(serials, return_counts=True), strict=True)
-            ]
-        for serial, count in pairs:
-            self._by_serial[serial].members -= count
-            self.close_if_empty(self._by_serial[serial])
-
-    def close_if_empty(self, group: Group) -> None:
-        if group.members == 0:
-            self._by_serial.pop(group.serial, None)
-            self._groups.pop((group.source, group.name), None)
-
-    def members(self, source: str, name: str) -> int:
-        group = self._groups.get((source, name))
-        return group.members if group else 0
+            different, times = np.unique(numbers, return_counts=True)
+            counts = dict(zip(different.tolist(), times.tolist(), strict=True))
+        for number, count in counts.items():
+            group = self._by_number[number]
+            group.members -= count
+            if group.members == 0:
+                del self._by_number[number], self._groups[group.source, group.name]
 
     def by_source(self) -> dict[str, int]:
-        """Number of obstacles of each source that has been heard of."""
+        """Number of obstacles of each source that ever had one."""
         counts = dict.fromkeys(self._sources, 0)
         for group in self._groups.values():
             counts[group.source] += group.members

@@ -1,13 +1,15 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Box against shape by python-fcl, which is imported when the first such pair comes."""
+"""Turned boxes against boxes by python-fcl, which is imported when the first such pair comes."""
 
 import sys
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .shapes import Floats, ShapeKind
+from .box_query import BoxQuery
+from .shapes import Floats
 
 
 def loaded() -> bool:
@@ -15,29 +17,26 @@ def loaded() -> bool:
     return 'fcl' in sys.modules
 
 
-def _geometry(kind: int, half: Floats) -> Any:
+def boxes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
+    """Whether boxes (records of `columns.GEOMETRY`) are within the query's tolerance of its box; touching counts."""
+    near = np.zeros(len(records), np.bool_)
+    if not len(records):
+        return near
     import fcl
 
-    size = (2.0 * half).tolist()
-    if kind == ShapeKind.SPHERE:
-        return fcl.Sphere(half[0])
-    return fcl.Cylinder(half[0], size[2]) if kind == ShapeKind.CYLINDER else fcl.Box(*size)
+    other = _solid(query.centre, query.orientation, query.half)
+    for i, record in enumerate(records):
+        one = _solid(record['position'], record['orientation'], record['half'])
+        near[i] = fcl.collide(one, other) > 0
+        if not near[i] and query.tolerance > 0.0:
+            near[i] = fcl.distance(one, other) <= query.tolerance
+    return near
 
 
-def solid(kind: int, position: Floats, orientation: Floats, half: Floats) -> Any:
-    """A collision object of python-fcl."""
+def _solid(position: Floats, orientation: Floats, half: Floats) -> Any:
+    """A box of python-fcl."""
     import fcl
 
     x, y, z, w = orientation.tolist()
-    return fcl.CollisionObject(
-        _geometry(kind, half), fcl.Transform(np.array([w, x, y, z]), position)
-    )
-
-
-def within(one: Any, other: Any, distance: float) -> bool:
-    """Whether two solids are at most `distance` apart; touching counts."""
-    import fcl
-
-    if fcl.collide(one, other) > 0:
-        return True
-    return distance > 0.0 and fcl.distance(one, other) <= distance
+    placed = fcl.Transform(np.array([w, x, y, z]), position)
+    return fcl.CollisionObject(fcl.Box(*(2.0 * half).tolist()), placed)

@@ -6,61 +6,17 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
-from . import narrow_phase, shapes
+from . import narrow_phase, overlap_footprint, shapes
+from .box_query import BoxQuery
 from .columns import Columns
+from .footprint import footprints
 from .registry import Slots
 from .shapes import Floats, ShapeKind, Shapes
-
-
-class BoxQuery(NamedTuple):
-    """A box, grown by `tolerance` with rounded corners; `lo` and `hi` bound the box itself, exactly if it is aligned."""
-
-    centre: Floats
-    orientation: Floats
-    half: Floats
-    tolerance: float
-    aligned: bool
-    lo: Floats
-    hi: Floats
-
-    @property
-    def is_point(self) -> bool:
-        return not self.half.any()
-
-
-def box_query(
-    start: ArrayLike, goal: ArrayLike, orientation: ArrayLike, tolerance: float, planar: bool
-) -> BoxQuery:
-    """Check the arguments of `Scene.overlap`."""
-    first, second = checks.point('start', start, 3), checks.point('goal', goal, 3)
-    turn = checks.point('orientation', orientation, 4)
-    reach = checks.limit('tolerance', tolerance)
-    with np.errstate(over='ignore'):
-        diagonal = second - first
-    if not np.isfinite(diagonal).all() or np.isinf(reach):
-        raise ValueError('the query box is larger than the largest double')
-    turn = shapes.unit_quaternions(turn[None])[0]
-    centre = first * 0.5 + second * 0.5
-    if shapes.maps_axes_to_axes(turn[None])[0] or not diagonal.any():
-        identity = np.array([0.0, 0.0, 0.0, 1.0])
-        return BoxQuery(
-            centre,
-            identity,
-            np.abs(diagonal) * 0.5,
-            reach,
-            True,
-            np.minimum(first, second),
-            np.maximum(first, second),
-        )
-    half = np.abs(shapes.rotations(turn[None])[0].T @ diagonal) * 0.5
-    box = Shapes.boxes(centre, half * 2.0, turn[None])
-    lo, hi = shapes.bounds(box, np.zeros(1, np.bool_))
-    return BoxQuery(centre, turn, half, reach, False, lo[0], hi[0])
+from .solid_gap import box_cylinder_gap
 
 
 class Touching(NamedTuple):
@@ -74,27 +30,25 @@ class Touching(NamedTuple):
 
 def find(tree: DynamicBVH, columns: Columns, query: BoxQuery, mask: int) -> Touching:
     """The obstacles whose distance from the query's box is at most its tolerance."""
-    ndim, largest = tree.ndim, np.finfo(np.float64).max
-    lo, hi = query.lo, query.hi
-    if query.tolerance > 0.0:
-        with np.errstate(over='ignore'):
-            lo = np.clip(np.nextafter(lo - query.tolerance, -np.inf), -largest, largest)
-            hi = np.clip(np.nextafter(hi + query.tolerance, np.inf), -largest, largest)
+    ndim = tree.ndim
+    lo, hi = query.reach()
     slots = tree.overlap(lo[:ndim], hi[:ndim], mask) & SLOT_MASK
     records = columns.geometry[slots]
     touches = np.ones(len(slots), np.bool_)
-    plain = ~records['shaped'] if query.aligned else np.zeros(len(slots), np.bool_)
+    narrow = records['shaped'] if query.aligned else touches.copy()
     if query.tolerance > 0.0:
-        box_lo, box_hi = corners(records[plain])
-        touches[plain] = boxes_within(box_lo, box_hi, query, ndim)
-    if not plain.all():
-        touches[~plain] = shapes_within(records[~plain], query)
+        touches[~narrow] = boxes_within(*corners(records[~narrow]), query, ndim)
+    if narrow.any():
+        within = shapes_within if columns.footprint is None else footprints_within
+        touches[narrow] = within(records[narrow], query)
     slots, records = slots[touches], records[touches]
-    points = closest_points(records, query.centre)
+    closest = closest_points if columns.footprint is None else closest_footprint_points
+    points = closest(records, query.centre)
     offsets = query.centre - points
     distances = lengths(offsets)
-    with np.errstate(invalid='ignore'):
-        normals = np.where(distances[:, None] > 0.0, offsets / distances[:, None], 0.0)
+    normals = offsets / np.where(distances > 0.0, distances, 1.0)[:, None]
+    if columns.footprint is not None:
+        points[:, 2] = query.height
     return Touching(slots, distances, points, normals)
 
 
@@ -133,27 +87,31 @@ def boxes_within(lo: Floats, hi: Floats, query: BoxQuery, ndim: int) -> NDArray[
 
 def shapes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
     """Whether shapes are within the tolerance of the query."""
+    near = np.empty(len(records), np.bool_)
     if query.is_point:
-        near: NDArray[np.bool_] = (
-            lengths(query.centre - closest_points(records, query.centre)) <= query.tolerance
-        )
+        near[:] = lengths(query.centre - closest_points(records, query.centre)) <= query.tolerance
         return near
-    near = np.zeros(len(records), np.bool_)
-    sphere = records['kind'] == ShapeKind.SPHERE
-    balls = records[sphere]
-    near[sphere] = (
-        distances_to_query(balls['position'], query) <= balls['half'][:, 0] + query.tolerance
-    )
-    others = np.flatnonzero(~sphere)
-    if len(others):
-        box = narrow_phase.solid(ShapeKind.BOX, query.centre, query.orientation, query.half)
-        for row in others:
-            record = records[row]
-            solid = narrow_phase.solid(
-                int(record['kind']), record['position'], record['orientation'], record['half']
-            )
-            near[row] = narrow_phase.within(solid, box, query.tolerance)
+    box, sphere, cylinder = (np.flatnonzero(records['kind'] == kind) for kind in ShapeKind)
+    radii = records['half'][sphere, 0]
+    gaps = distances_to_query(records['position'][sphere], query)
+    near[sphere] = gaps <= radii + query.tolerance
+    near[cylinder] = cylinder_gaps(records[cylinder], query) <= query.tolerance
+    near[box] = narrow_phase.boxes_within(records[box], query)
     return near
+
+
+def cylinder_gaps(records: NDArray[np.void], query: BoxQuery) -> Floats:
+    """Distances of cylinders from the query's box."""
+    gaps = np.empty(len(records))
+    if not len(records):
+        return gaps
+    frames = shapes.rotations(records['orientation']).transpose(0, 2, 1)
+    turns = frames @ shapes.rotations(query.orientation[None])[0]
+    centres = np.einsum('nij,nj->ni', frames, query.centre - records['position'])
+    for i in range(len(records)):
+        radius, _, half_height = records['half'][i]
+        gaps[i] = box_cylinder_gap(query.half, turns[i], centres[i], radius, half_height)
+    return gaps
 
 
 def distances_to_query(points: Floats, query: BoxQuery) -> Floats:
@@ -182,4 +140,35 @@ def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre
+    return points
+
+
+# ---- seen from above
+
+
+def _footprints(records: NDArray[np.void]) -> NDArray[np.void]:
+    sizes = records['half'] * 2.0
+    solids = Shapes(records['kind'], records['position'], records['orientation'], sizes)
+    return footprints(solids, np.ones(len(records), np.bool_))
+
+
+def footprints_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
+    """`shapes_within` of what shapes and query look like from above."""
+    if query.is_point:
+        offsets = query.centre - closest_footprint_points(records, query.centre)
+        return np.asarray(lengths(offsets) <= query.tolerance)
+    box = Shapes.boxes(query.centre, query.half * 2.0, query.orientation[None])
+    rectangle = footprints(box, np.ones(1, np.bool_))[0]
+    return np.asarray(overlap_footprint.gaps(_footprints(records), rectangle) <= query.tolerance)
+
+
+def closest_footprint_points(records: NDArray[np.void], centre: Floats) -> Floats:
+    """`closest_points` seen from above; z is that of the centre."""
+    points = np.clip(centre, *corners(records))
+    points[:, 2] = centre[2]
+    turned = np.flatnonzero(records['shaped'])
+    if len(turned):
+        places = np.empty((len(turned), 2))
+        overlap_footprint.closest_points(_footprints(records[turned]), centre[:2].copy(), places)
+        points[turned, :2] = places
     return points

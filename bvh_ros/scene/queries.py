@@ -9,12 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
-from ..tree.nodes import ALL, NONE, SLOT_MASK
+from ..tree.nodes import ALL, SLOT_MASK
 from . import casting, overlaps
+from .box_query import box_query
 from .columns import Columns
 from .registry import Registry, Slots
 from .results import NO_NODE, SceneHit
 from .shapes import Floats
+
+Masks = NDArray[np.uint32]
 
 
 class SceneQueries:
@@ -74,14 +77,8 @@ class SceneQueries:
                 self._lift(hit.point, origin),
                 self._lift(hit.normal, None),
             )
-        slots, ts, points, normals = self._cast(
-            origin[None], direction[None], radius, np.ones(1), checks.masks(mask, 1), skip_inside
-        )
-        return (
-            self._hit(int(slots[0]), float(ts[0]), points[0], normals[0])
-            if slots[0] != NONE
-            else None
-        )
+        hits = self._cast_one(origin, direction, radius, mask, skip_inside, False)
+        return hits[0] if hits else None
 
     def raycast_all(
         self,
@@ -105,18 +102,7 @@ class SceneQueries:
                 )
                 for hit in hits
             ]
-        slots, ts, points, normals = casting.cast_every(
-            *self._tree._tree(),
-            self._columns.geometry,
-            origin[:ndim],
-            direction[:ndim],
-            radius,
-            1.0,
-            checks.mask(mask),
-            bool(skip_inside),
-        )
-        order = np.lexsort((self._columns.node_handle[slots], ts))
-        return [self._hit(int(slots[i]), float(ts[i]), points[i], normals[i]) for i in order]
+        return self._cast_one(origin, direction, radius, mask, skip_inside, True)
 
     def raycast_many(
         self,
@@ -148,25 +134,39 @@ class SceneQueries:
             checks.limits('t_max', t_max, len(starts)),
             checks.masks(mask, len(starts)),
         )
-        if self._any_shaped:
-            slots, ts, points, normals = self._cast(starts, ways, 0.0, reaches, masks, skip_inside)
-        else:
-            ndim = self._tree.ndim
-            hits = self._tree.raycast_many(
-                starts[:, :ndim], ways[:, :ndim], reaches, masks, skip_inside
-            )
-            slots = np.where(hits.ids >= 0, hits.ids & SLOT_MASK, NONE)
-            ts, points, normals = (
-                hits.t,
-                np.full((len(starts), 3), np.nan),
-                np.zeros((len(starts), 3)),
-            )
-            met = np.flatnonzero(slots != NONE)
-            normals[:, :ndim] = hits.normals
-            points[met] = starts[met] + ts[met, None] * ways[met]
-        handles = np.full(len(starts), NO_NODE, np.uint32)
-        handles[slots != NONE] = self._columns.node_handle[slots[slots != NONE]]
-        return handles, ts, points, normals
+        met = self._first if self._any_shaped else self._first_box
+        rows, slots, ts, points, normals = met(starts, ways, reaches, masks, skip_inside)
+        count = len(starts)
+        handles, distances = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
+        places, outwards = np.full((count, 3), np.nan), np.zeros((count, 3))
+        handles[rows], distances[rows] = self._columns.node_handle[slots], ts
+        places[rows], outwards[rows] = points, normals
+        if self.planar:
+            places[rows, 2] = starts[rows, 2]
+        return handles, distances, places, outwards
+
+    def _first_box(
+        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
+    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
+        """Rows, slots, t, points and normals of the rays that meet a box: the tree's own answer."""
+        ndim = self._tree.ndim
+        hits = self._tree.raycast_many(starts[:, :ndim], ways[:, :ndim], t_max, masks, skip_inside)
+        rows = np.flatnonzero(hits.ids >= 0)
+        slots, ts = hits.ids[rows] & SLOT_MASK, hits.t[rows]
+        points, normals = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+        lo, hi = overlaps.corners(self._columns.geometry[slots])
+        points[:] = np.clip(starts[rows] + ts[:, None] * ways[rows], lo, hi)
+        normals[:, :ndim] = hits.normals[rows]
+        # On the face that is entered; inside, the origin itself.
+        points = np.where(normals < 0, lo, np.where(normals > 0, hi, points))
+        return rows, slots, ts, points, normals
+
+    def _first(
+        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
+    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
+        """The same against the true shapes."""
+        offsets, *found = self._cast(starts, ways, 0.0, t_max, masks, skip_inside, False)
+        return np.flatnonzero(np.diff(offsets)), found[0], found[1], found[2], found[3]
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float
@@ -183,32 +183,36 @@ class SceneQueries:
 
     def _cast(
         self,
-        origins: Floats,
-        directions: Floats,
+        starts: Floats,
+        ways: Floats,
         radius: float,
         t_max: Floats,
-        masks: NDArray[np.uint32],
+        masks: Masks,
         skip_inside: bool,
-    ) -> tuple[Slots, Floats, Floats, Floats]:
-        count, ndim = len(origins), self._tree.ndim
-        found = (
-            np.empty(count, np.int64),
-            np.empty(count),
-            np.full((count, 3), np.nan),
-            np.zeros((count, 3)),
-        )
-        casting.cast_rows(
-            *self._tree._tree(),
-            self._columns.geometry,
-            origins[:, :ndim],
-            directions[:, :ndim],
-            radius,
-            t_max,
-            masks,
-            bool(skip_inside),
-            found,
+        every: bool,
+    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
+        """Offsets, slots, t, points and normals of swept balls against the true shapes."""
+        shapes, ndim = self._columns.geometry, self._tree.ndim
+        if self._columns.footprint is not None:
+            shapes = self._columns.footprint
+        planar = True if self.planar else None
+        starts, ways = starts[:, :ndim].copy(), ways[:, :ndim].copy()
+        skip = bool(skip_inside)
+        found: tuple[Slots, Slots, Floats, Floats, Floats] = casting.cast_rays(
+            self._tree._tree(), shapes, planar, starts, ways, radius, t_max, masks, skip, every
         )
         return found
+
+    def _cast_one(
+        self, origin: Floats, way: Floats, radius: float, mask: int, skip_inside: bool, every: bool
+    ) -> list[SceneHit]:
+        masks = checks.masks(mask, 1)
+        found = self._cast(origin[None], way[None], radius, np.ones(1), masks, skip_inside, every)
+        _, slots, ts, points, normals = found
+        if self.planar:
+            points[:, 2] = origin[2]
+        order = np.lexsort((self._columns.node_handle[slots], ts))
+        return [self._hit(int(slots[i]), float(ts[i]), points[i], normals[i]) for i in order]
 
     def _lift(self, vector: Floats, origin: Floats | None) -> Floats:
         """A planar vector in space: at the height of `origin`, or flat."""
@@ -250,7 +254,7 @@ class SceneQueries:
         ValueError
             If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape.
         """
-        query = overlaps.box_query(start, goal, orientation, tolerance, self.planar)
+        query = box_query(start, goal, orientation, tolerance, self.planar)
         found = overlaps.find(self._tree, self._columns, query, mask)
         slots, distances, points, normals = found
         order = np.lexsort((self._columns.node_handle[slots], distances))

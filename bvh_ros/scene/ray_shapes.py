@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from ..tree.compiling import kernel
+from ..tree.compiling import lean_kernel
 from ..tree.slab import INSIDE
 
 ROUND = 3
@@ -21,7 +21,7 @@ ROUNDING = 2.0**-50
 NEWTON_STEPS = 64
 
 
-@kernel
+@lean_kernel
 def length(vector):
     """Euclidean length; neither overflows nor vanishes where the result does not."""
     total = abs(vector[0])
@@ -30,7 +30,7 @@ def length(vector):
     return total
 
 
-@kernel
+@lean_kernel
 def disc_interval(along, square, across, radius):
     """Where across^2 + square * (s - along)^2 <= radius^2: an interval of s, (inf, -inf) if empty.
 
@@ -45,7 +45,7 @@ def disc_interval(along, square, across, radius):
     return along - half, along + half
 
 
-@kernel
+@lean_kernel
 def enter_sphere(origin, way, radius, reach):
     if length(origin) <= radius:
         return 0.0, INSIDE
@@ -61,7 +61,7 @@ def enter_sphere(origin, way, radius, reach):
     return max(entry, 0.0), ROUND
 
 
-@kernel
+@lean_kernel
 def enter_box(origin, way, lo, hi, reach):
     """Slabs (Kay and Kajiya 1986)."""
     entry, leave, entered = 0.0, reach, INSIDE
@@ -78,7 +78,7 @@ def enter_box(origin, way, lo, hi, reach):
     return (entry if entry <= leave else np.inf), entered
 
 
-@kernel
+@lean_kernel
 def slab_offset(origin, way, lo, hi, s):
     """How a coordinate lies to its slab just after s: (offset, outside, until).
 
@@ -95,7 +95,7 @@ def slab_offset(origin, way, lo, hi, s):
     return second, True, np.inf
 
 
-@kernel
+@lean_kernel
 def enter_rounded_box(origin, way, lo, hi, radius, reach):
     """The squared distance to a box is a sum, over the axes, of squared distances to slabs.
 
@@ -128,7 +128,7 @@ def enter_rounded_box(origin, way, lo, hi, radius, reach):
     return np.inf, ROUND
 
 
-@kernel
+@lean_kernel
 def enter_cylinder(origin, way, radius, half_height, reach):
     """A cylinder about the z axis: the overlap of an endless one and a slab."""
     if math.hypot(origin[0], origin[1]) <= radius and abs(origin[2]) <= half_height:
@@ -149,7 +149,7 @@ def enter_cylinder(origin, way, radius, half_height, reach):
     return (entry if entry <= min(leave, reach) else np.inf), feature
 
 
-@kernel
+@lean_kernel
 def enter_rounded_cylinder(origin, way, radius, half_height, ball, reach):
     """The grown cylinder is the union of a wider one, a longer one and two tori along the rims.
 
@@ -168,7 +168,7 @@ def enter_rounded_cylinder(origin, way, radius, half_height, ball, reach):
     return rim, ROUND
 
 
-@kernel
+@lean_kernel
 def approach_rim(origin, way, radius, half_height, ball, limit):
     """Newton's iteration for distance(s) = ball; (s, slope), or infinities.
 
@@ -199,7 +199,7 @@ def approach_rim(origin, way, radius, half_height, ball, limit):
     return s, -slope
 
 
-@kernel
+@lean_kernel
 def box_distance(point, lo, hi):
     total = 0.0
     for axis in range(lo.shape[0]):
@@ -207,6 +207,6 @@ def box_distance(point, lo, hi):
     return total
 
 
-@kernel
+@lean_kernel
 def cylinder_distance(x, y, z, radius, half_height):
     return math.hypot(max(math.hypot(x, y) - radius, 0.0), max(abs(z) - half_height, 0.0))

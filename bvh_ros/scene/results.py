@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .shapes import ShapeKind
 
 NO_NODE = 0xFFFFFFFF  # instead of a node handle: nothing is hit
+LAST_NODE_HANDLE = 2**31 - 1
 
 
 class SceneHit(NamedTuple):

@@ -2,27 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
-from . import narrow_phase, updating
+from . import updating
 from .columns import Columns, as_index
-from .groups import Groups
+from .footprint import footprints
+from .groups import NOBODY, Groups
+from .inspection import SceneInspection
 from .queries import SceneQueries
-from .registry import UNKNOWN, Names, Registry, Slots, as_names, name_at, take
-from .results import Obstacle
-from .shapes import Shapes, ShapeKind, as_shapes
+from .registry import UNKNOWN, Names, Numbered, Registry, Slots, as_names, name_at, take
+from .results import LAST_NODE_HANDLE
+from .shapes import Shapes, as_shapes
 from .updating import Refusal, Rows
 
-LAST_NODE_HANDLE = 2**31 - 1
 NEVER = np.iinfo(np.int64).max
 
 
-class Scene(SceneQueries):
+class Scene(SceneQueries, SceneInspection):
     """Obstacles that come and go, and the questions about them.
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no clock. Positions are in metres, all
@@ -60,7 +59,7 @@ class Scene(SceneQueries):
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
         self._tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
-        self._columns = Columns()
+        self._columns = Columns(planar)
         self._registry = Registry()
         self._groups = Groups()
         self._next_node_handle = 1
@@ -139,59 +138,57 @@ class Scene(SceneQueries):
         whole: bool,
     ) -> list[Refusal]:
         names, shapes = as_names(names), as_shapes(shapes)
-        count = len(names.numbers if hasattr(names, 'numbers') else names)
-        if count != len(shapes.kind):
+        if (count := len(names.numbers if isinstance(names, Numbered) else names)) != len(
+            shapes.kind
+        ):
             raise ValueError(f'there are {count} names for {len(shapes.kind)} shapes')
         slots = self._registry.find(names)
         owner = self._groups.source(source)
         rows, reasons = updating.examine(
             names, shapes, slots, self._columns.source, owner, expires, categories
         )
-        stale = (
-            self._unnamed(source, group, slots[slots != UNKNOWN])
-            if whole
-            else np.empty(0, np.int64)
-        )
+        named = slots[slots != UNKNOWN]
+        stale = self._members(source, group, named) if whole else named[:0]
         new = rows.slot == UNKNOWN
         room = self.max_obstacles - len(self) + len(stale)
         for row in rows.row[new][room:].tolist():
             reasons[row] = f'the scene is full (max_obstacles is {self.max_obstacles})'
-        added = rows.take(np.flatnonzero(new)[:room]) if new.any() else None
-        if added and self._next_node_handle + len(added.row) - 1 > LAST_NODE_HANDLE:
+        added, known = rows.take(np.flatnonzero(new)[:room]), rows.take(~new)
+        if self._next_node_handle + len(added.row) - 1 > LAST_NODE_HANDLE:
             raise OverflowError(
                 f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
             )
         self._remove(stale)
-        known = rows.take(~new)
-        if len(known.row):
-            self._move(known, source, group, stamp)
-        if added:
-            self._insert(added, take(names, added.row), source, group, stamp)
+        self._move(known, source, group, stamp)
+        self._insert(added, take(names, added.row), source, group, stamp)
         if whole or len(rows.row):
             self.newest = max(self.newest, stamp)
-        self._any_shaped = bool(self._columns.geometry['shaped'].any())
-        sentences = {
-            row: reason
-            if isinstance(reason, str)
-            else f"its name belongs to the source '{self._groups.source_name(reason)}'"
-            for row, reason in sorted(reasons.items())
-        }
-        return [Refusal(row, name_at(names, row), reason) for row, reason in sentences.items()]
+        self._any_shaped = self._columns.any_shaped
+        return [
+            Refusal(row, name_at(names, row), self._sentence(reasons[row]))
+            for row in sorted(reasons)
+        ]
 
-    def _unnamed(self, source: str, group: str, named: Slots) -> Slots:
-        """Members of a group other than the named slots."""
+    def _sentence(self, reason: str | int) -> str:
+        """A reason in words; a number is that of the source that owns the name."""
+        if isinstance(reason, str):
+            return reason
+        return f"its name belongs to the source '{self._groups.source_name(reason)}'"
+
+    def _members(self, source: str, group: str, besides: Slots) -> Slots:
+        """Members of a group ('': all of the source), besides some."""
         columns = self._columns
-        if group:
-            if self._groups.members(source, group) == 0:
-                return np.empty(0, np.int64)
-            member = columns.group == self._groups.group(source, group).serial
-        else:
-            member = columns.source == self._groups.source(source)
-        member[named] = False
+        number = self._groups.number(source, group) if group else self._groups.source(source)
+        if number == NOBODY:
+            return np.empty(0, np.int64)
+        member = (columns.group if group else columns.source) == number
+        member[besides] = False
         return np.flatnonzero(member)
 
     def _move(self, rows: Rows, source: str, group: str, stamp: int) -> None:
         """Give obstacles that exist their new shape and pose."""
+        if not len(rows.row):
+            return
         columns = self._columns
         handles = columns.tree_handle[rows.slot]
         self._tree.move_many(handles, rows.lo[:, : self._tree.ndim], rows.hi[:, : self._tree.ndim])
@@ -203,6 +200,8 @@ class Scene(SceneQueries):
 
     def _insert(self, rows: Rows, names: Names, source: str, group: str, stamp: int) -> None:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
+        if not len(rows.row):
+            return
         ndim = self._tree.ndim
         handles = self._tree.insert_many(rows.lo[:, :ndim], rows.hi[:, :ndim], rows.categories)
         slots = handles & SLOT_MASK
@@ -221,16 +220,16 @@ class Scene(SceneQueries):
         geometry['half'][place] = rows.shapes.size * 0.5
         geometry['kind'][place] = rows.shapes.kind
         geometry['shaped'][place] = rows.shaped
+        if columns.footprint is not None:
+            columns.footprint[place] = footprints(rows.shapes, rows.shaped)
         columns.categories[place] = rows.categories
         columns.stamp[place] = stamp
         columns.expires[place] = rows.expires
         mortal = rows.expires[rows.expires > 0]
         if len(mortal):
             self._next_expiry = min(self._next_expiry, int(mortal.min()))
-        joined = self._groups.group(source, group)
-        joined.members += len(slots)
-        columns.group[place] = joined.serial
-        columns.source[place] = self._groups.source(source)
+        numbers = self._groups.join(source, group, len(slots))
+        columns.source[place], columns.group[place] = numbers
 
     def _remove(self, slots: Slots) -> int:
         if len(slots):
@@ -238,7 +237,7 @@ class Scene(SceneQueries):
             self._registry.discard(slots)
             self._groups.leave(self._columns.group[slots])
             self._columns.forget(slots)
-            self._any_shaped = bool(self._columns.geometry['shaped'].any())
+            self._any_shaped = self._columns.any_shaped
         return len(slots)
 
     def remove(self, source: str, names: Names) -> int:
@@ -249,7 +248,7 @@ class Scene(SceneQueries):
 
     def remove_group(self, source: str, group: str) -> int:
         """Remove the obstacles of a group ('': all that the source owns); return how many there were."""
-        return self._remove(self._unnamed(source, group, np.empty(0, np.int64)))
+        return self._remove(self._members(source, group, np.empty(0, np.int64)))
 
     def remove_namespace(self, source: str, namespace: str | None = None) -> int:
         """Remove the source's obstacles whose names begin with `namespace` + '/', or all; return how many there were."""
@@ -276,83 +275,3 @@ class Scene(SceneQueries):
     def rebuild(self) -> None:
         """Build the tree anew."""
         self._tree.rebuild()
-
-    # ---- introspection
-
-    def __len__(self) -> int:
-        return len(self._tree)
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and self._registry.slot(name) != UNKNOWN
-
-    def get(self, name: str) -> Obstacle:
-        """What is known of one obstacle. KeyError if there is none of this name."""
-        slot = self._registry.slot(name)
-        if slot == UNKNOWN:
-            raise KeyError(name)
-        columns = self._columns
-        geometry = columns.geometry[slot]
-        group = self._groups.of(int(columns.group[slot]))
-        return Obstacle(
-            name,
-            int(columns.node_handle[slot]),
-            ShapeKind(int(geometry['kind'])),
-            geometry['position'].copy(),
-            geometry['orientation'].copy(),
-            geometry['half'] * 2.0,
-            int(columns.stamp[slot]),
-            int(columns.expires[slot]),
-            group.source,
-            group.name,
-        )
-
-    def names(self) -> list[tuple[int, str]]:
-        """(node handle, name) of all obstacles, by handle."""
-        slots = self._columns.used()
-        return [
-            (handle, self._registry.name(slot))
-            for handle, slot in zip(
-                self._columns.node_handle[slots].tolist(), slots.tolist(), strict=True
-            )
-        ]
-
-    def name_of(self, handle: int) -> str:
-        """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
-        slots = np.flatnonzero(self._columns.node_handle == handle) if handle > 0 else []
-        if not len(slots):
-            raise KeyError(f'no obstacle has the node handle {handle}')
-        return self._registry.name(int(slots[0]))
-
-    def stats(self) -> dict[str, Any]:
-        """Sizes, the tree's shape, and which parts this scene uses."""
-        tree = self._tree.stats()
-        return {
-            'boxes': len(self),
-            'planar': self.planar,
-            'margin': tree['margin'],
-            'height': tree['height'],
-            'cost': tree['cost'],
-            'sources': self._groups.by_source(),
-            'shaped': int(np.count_nonzero(self._columns.geometry['shaped'])),
-            'mortal': int(np.count_nonzero(self._columns.expires)),
-            'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
-            'narrow_phase': narrow_phase.loaded(),
-            'tree': tree,
-        }
-
-    def validate(self) -> None:
-        """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""
-        self._tree.validate()
-        slots = self._columns.used()
-        handles: NDArray[np.int64] = self._columns.tree_handle[slots]
-        if not np.array_equal(handles, self._tree.ids()):
-            raise RuntimeError('the tree and the columns hold different obstacles')
-        if len(self._registry) != len(slots):
-            raise RuntimeError(f'{len(self._registry)} names for {len(slots)} obstacles')
-        for slot in slots.tolist():
-            if self._registry.slot(self._registry.name(slot)) != slot:
-                raise RuntimeError(
-                    f'the name {self._registry.name(slot)!r} leads to another obstacle'
-                )
-        if sum(self._groups.by_source().values()) != len(slots):
-            raise RuntimeError('the groups count other than the obstacles there are')

@@ -1,0 +1,101 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene tells about itself."""
+
+from typing import Any
+
+import numpy as np
+
+from ..tree.dynamic_bvh import DynamicBVH
+from . import narrow_phase
+from .columns import Columns
+from .groups import Groups
+from .registry import UNKNOWN, Registry
+from .results import LAST_NODE_HANDLE, Obstacle
+from .shapes import ShapeKind
+
+
+class SceneInspection:
+    """Names, sizes and soundness of a scene."""
+
+    planar: bool
+    _tree: DynamicBVH
+    _columns: Columns
+    _registry: Registry
+    _groups: Groups
+    _next_node_handle: int
+
+    def __len__(self) -> int:
+        return len(self._tree)
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and self._registry.slot(name) != UNKNOWN
+
+    def get(self, name: str) -> Obstacle:
+        """What is known of one obstacle. KeyError if there is none of this name."""
+        slot = self._registry.slot(name)
+        if slot == UNKNOWN:
+            raise KeyError(name)
+        columns = self._columns
+        geometry = columns.geometry[slot]
+        group = self._groups.group(int(columns.group[slot]))
+        return Obstacle(
+            name,
+            int(columns.node_handle[slot]),
+            ShapeKind(int(geometry['kind'])),
+            geometry['position'].copy(),
+            geometry['orientation'].copy(),
+            geometry['half'] * 2.0,
+            int(columns.stamp[slot]),
+            int(columns.expires[slot]),
+            group.source,
+            group.name,
+        )
+
+    def names(self) -> list[tuple[int, str]]:
+        """(node handle, name) of all obstacles, by handle."""
+        slots = self._columns.used()
+        handles = self._columns.node_handle[slots].tolist()
+        return [
+            (handle, self._registry.name(slot))
+            for handle, slot in zip(handles, slots.tolist(), strict=True)
+        ]
+
+    def name_of(self, handle: int) -> str:
+        """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
+        slots = np.flatnonzero(self._columns.node_handle == handle)
+        if handle <= 0 or not len(slots):
+            raise KeyError(f'no obstacle has the node handle {handle}')
+        return self._registry.name(int(slots[0]))
+
+    def stats(self) -> dict[str, Any]:
+        """Sizes, the tree's shape, and which parts this scene uses."""
+        tree = self._tree.stats()
+        return {
+            'boxes': len(self),
+            'planar': self.planar,
+            'margin': tree['margin'],
+            'height': tree['height'],
+            'cost': tree['cost'],
+            'sources': self._groups.by_source(),
+            'shaped': int(np.count_nonzero(self._columns.geometry['shaped'])),
+            'mortal': int(np.count_nonzero(self._columns.expires)),
+            'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
+            'narrow_phase': narrow_phase.loaded(),
+            'tree': tree,
+        }
+
+    def validate(self) -> None:
+        """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""
+        self._tree.validate()
+        slots = self._columns.used()
+        if not np.array_equal(self._columns.tree_handle[slots], self._tree.ids()):
+            raise RuntimeError('the tree and the columns hold different obstacles')
+        if len(self._registry) != len(slots):
+            raise RuntimeError(f'{len(self._registry)} names for {len(slots)} obstacles')
+        for slot in slots.tolist():
+            name = self._registry.name(slot)
+            if self._registry.slot(name) != slot:
+                raise RuntimeError(f'the name {name!r} leads to another obstacle')
+        if sum(self._groups.by_source().values()) != len(slots):
+            raise RuntimeError('the groups count other than the obstacles there are')

@@ -1,0 +1,245 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thin ray, or a disc swept along it, against one footprint; the planar sister of `contact`.
+
+Everything is relative to the footprint's centre. An axis-aligned rectangle is met by its corners
+in the tree, which are exact.
+"""
+
+import math
+
+import numpy as np
+
+from ..tree.compiling import lean_kernel
+from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
+from .ray_shapes import (
+    NEWTON_STEPS,
+    ROUND,
+    ROUNDING,
+    enter_box,
+    enter_rounded_box,
+    enter_sphere,
+    length,
+)
+
+
+@lean_kernel
+def to_centre(footprint, ray, local):
+    """Origin relative to the centre and unit direction into `local`; return the direction's length."""
+    total = length(ray[DIRECTION])
+    for axis in range(2):
+        local[0, axis] = ray[ORIGIN, axis] - (footprint.centre[axis] if footprint.shaped else 0.0)
+        local[1, axis] = ray[DIRECTION, axis] / total if total > 0.0 else 0.0
+    return total
+
+
+@lean_kernel
+def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
+    """(t, feature) as `contact.enter_shape`; the feature of a thin ray is the strip that is entered."""
+    if not footprint.shaped and radius == 0.0:
+        hit, t, axis = meets(lo, hi, ray, t_max)
+        return (t if hit else np.inf), axis
+    total = to_centre(footprint, ray, work)
+    origin, way, reach = work[0, :2], work[1, :2], t_max * total
+    if not footprint.shaped:
+        s, feature = enter_rounded_box(origin, way, lo, hi, radius, reach)
+    elif footprint.oval:
+        s, feature = approach_oval(footprint, origin, way, radius, reach, work[2, :2], work[3, :2])
+    elif radius + footprint.radius == 0.0:
+        across, rate, low = work[2], work[3], work[4]
+        for k in range(3):
+            normal = footprint.normals[k]
+            across[k] = normal[0] * origin[0] + normal[1] * origin[1]
+            rate[k] = normal[0] * way[0] + normal[1] * way[1]
+            low[k] = -footprint.widths[k]
+        s, feature = enter_box(across, rate, low, footprint.widths, reach)
+    else:
+        s, feature = enter_rounded_zonogon(
+            footprint, origin, way, radius + footprint.radius, reach
+        )
+    return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
+
+
+@lean_kernel
+def enter_rounded_zonogon(footprint, origin, way, radius, reach, closest):
+    """Discs about the corners and edges moved outwards: the ray enters where it first meets one."""
+    if closest_on_zonogon(footprint, origin, closest) <= radius:
+        return 0.0, INSIDE
+    best = np.inf
+    for i in range(6):
+        corner, following = footprint.corners[i], footprint.corners[(i + 1) % 6]
+        closest[0], closest[1] = origin[0] - corner[0], origin[1] - corner[1]
+        best = min(best, enter_sphere(closest, way, radius, reach)[0])
+        x, y = following[0] - corner[0], following[1] - corner[1]
+        edge = math.hypot(x, y)
+        if edge == 0.0:
+            continue
+        x, y = x / edge, y / edge
+        facing = way[0] * y - way[1] * x  # the outward normal is (y, -x)
+        height = closest[0] * y - closest[1] * x - radius
+        if facing < 0.0 <= height:
+            s = height / -facing
+            place = (closest[0] + s * way[0]) * x + (closest[1] + s * way[1]) * y
+            if 0.0 <= place <= edge and s <= reach:
+                best = min(best, s)
+    return best, ROUND
+
+
+@lean_kernel
+def approach_oval(footprint, origin, way, radius, reach, point, closest):
+    """Newton's iteration for distance(s) = radius, see `ray_shapes.approach_rim`."""
+    point[0], point[1] = origin[0], origin[1]
+    distance = closest_on_oval(footprint, point, closest)
+    if distance <= radius:
+        return 0.0, INSIDE
+    s = 0.0
+    for _ in range(NEWTON_STEPS):
+        slope = 0.0
+        for axis in range(2):
+            slope += (point[axis] - closest[axis]) / distance * way[axis]
+        if slope >= 0.0:
+            return np.inf, ROUND
+        step = (radius - distance) / slope
+        s += step
+        if s > reach:
+            return np.inf, ROUND
+        for axis in range(2):
+            point[axis] = origin[axis] + s * way[axis]
+        distance = closest_on_oval(footprint, point, closest)
+        if distance <= radius or step <= ROUNDING * s:
+            break
+    return s, ROUND
+
+
+@lean_kernel
+def closest_on_footprint(footprint, point, out):
+    """Closest point of a footprint into `out`, `point` itself inside; return the distance."""
+    if footprint.oval:
+        return closest_on_oval(footprint, point, out)
+    distance = closest_on_zonogon(footprint, point, out)
+    if distance <= footprint.radius:
+        out[0], out[1] = point[0], point[1]
+        return 0.0
+    for axis in range(2):
+        out[axis] += (point[axis] - out[axis]) * (footprint.radius / distance)
+    return distance - footprint.radius
+
+
+@lean_kernel
+def closest_on_zonogon(footprint, point, out):
+    """As `closest_on_footprint`, without the radius."""
+    inside = True
+    for k in range(3):
+        normal = footprint.normals[k]
+        inside = inside and abs(normal[0] * point[0] + normal[1] * point[1]) <= footprint.widths[k]
+    if inside:
+        out[0], out[1] = point[0], point[1]
+        return 0.0
+    best = np.inf
+    for i in range(6):
+        corner, following = footprint.corners[i], footprint.corners[(i + 1) % 6]
+        x, y = following[0] - corner[0], following[1] - corner[1]
+        square = x * x + y * y
+        along = 0.0
+        if square > 0.0:
+            along = ((point[0] - corner[0]) * x + (point[1] - corner[1]) * y) / square
+        along = min(max(along, 0.0), 1.0)
+        near_x, near_y = corner[0] + along * x, corner[1] + along * y
+        distance = math.hypot(point[0] - near_x, point[1] - near_y)
+        if distance < best:
+            best, out[0], out[1] = distance, near_x, near_y
+    return best
+
+
+@lean_kernel
+def closest_on_oval(footprint, point, out):
+    """As `closest_on_footprint`, for a leaning cylinder: in its first quadrant, by symmetry."""
+    along = footprint.along
+    u, v = point[0] * along[0] + point[1] * along[1], point[1] * along[0] - point[0] * along[1]
+    x, y = abs(u) - footprint.straight, abs(v)
+    long, across = footprint.half_axes[0], footprint.half_axes[1]
+    if x <= 0.0:
+        near_x, near_y = x, min(y, across)
+    else:
+        near_x, near_y = closest_on_ellipse(long, across, x, y)
+    distance = math.hypot(x - near_x, y - near_y)
+    near_u, near_v = math.copysign(near_x + footprint.straight, u), math.copysign(near_y, v)
+    out[0] = near_u * along[0] - near_v * along[1]
+    out[1] = near_u * along[1] + near_v * along[0]
+    if distance == 0.0:
+        out[0], out[1] = point[0], point[1]
+    return distance
+
+
+@lean_kernel
+def closest_on_ellipse(a, b, x, y):
+    """Point of a solid ellipse (half axes a <= b along x and y) closest to (x, y) in the first quadrant.
+
+    Outside, (a^2 x / (t + a^2), b^2 y / (t + b^2)) with the t > 0 that puts it on the ellipse
+    (Eberly, Distance from a Point to an Ellipse, 2013); by bisection, which is never misled.
+    """
+    if (x / a) ** 2 + (y / b) ** 2 <= 1.0:
+        return x, y
+    low, high = 0.0, b * math.hypot(x, y)
+    while True:
+        t = 0.5 * (low + high)
+        if not low < t < high:
+            break
+        if (a * x / (t + a * a)) ** 2 + (b * y / (t + b * b)) ** 2 > 1.0:
+            low = t
+        else:
+            high = t
+    return a * a * x / (high + a * a), b * b * y / (high + b * b)
+
+
+@lean_kernel
+def oval_normal(footprint, point, normal):
+    """Direction outwards at the oval's rim next to `point`: the gradient of the ellipse, or straight across."""
+    along = footprint.along
+    u, v = point[0] * along[0] + point[1] * along[1], point[1] * along[0] - point[0] * along[1]
+    x, y = abs(u) - footprint.straight, abs(v)
+    a, b = footprint.half_axes[0], footprint.half_axes[1]
+    x, y = closest_on_ellipse(a, b, max(x, 0.0), y) if x > 0.0 else (0.0, 1.0)
+    x, y = math.copysign(x * (b / a), u), math.copysign(y * (a / b), v)
+    normal[0], normal[1] = x * along[0] - y * along[1], x * along[1] + y * along[0]
+
+
+@lean_kernel
+def touch_footprint(footprint, lo, hi, ray, t, feature, work, point, normal):
+    """Fill in the footprint's point that is met at t and the outward normal, as `contact.contact`."""
+    s = t * to_centre(footprint, ray, work)
+    centre, way, closest = work[0, :2], work[1, :2], work[2, :2]
+    for axis in range(2):
+        centre[axis] += s * way[axis]
+        closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+        normal[axis] = centre[axis] - closest[axis]
+    gap = length(normal[:2])
+    if footprint.shaped and footprint.oval:
+        gap = closest_on_oval(footprint, centre, closest)
+        oval_normal(footprint, centre, normal)
+    elif footprint.shaped:
+        closest_on_zonogon(footprint, centre, closest)
+        normal[0], normal[1] = centre[0] - closest[0], centre[1] - closest[1]
+        gap = closest_on_footprint(footprint, centre, closest)
+    if feature == INSIDE and gap == 0.0:
+        point[0], point[1], normal[0], normal[1] = ray[ORIGIN, 0], ray[ORIGIN, 1], 0.0, 0.0
+        return
+    if feature >= 0 and feature != ROUND:
+        flat_normal(footprint, lo, hi, way, feature, closest, normal)
+    total = length(normal[:2])
+    for axis in range(2):
+        normal[axis] = normal[axis] / total if total > 0.0 else -way[axis]
+        point[axis] = closest[axis] + (footprint.centre[axis] if footprint.shaped else 0.0)
+
+
+@lean_kernel
+def flat_normal(footprint, lo, hi, way, feature, closest, normal):
+    """The normal of the strip that a thin ray enters; a rectangle's point is on its edge exactly."""
+    if footprint.shaped:
+        across = footprint.normals[feature]
+        sign = -math.copysign(1.0, across[0] * way[0] + across[1] * way[1])
+        normal[0], normal[1] = sign * across[0], sign * across[1]
+        return
+    normal[0] = normal[1] = 0.0
+    normal[feature] = -math.copysign(1.0, way[feature])
+    closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
