@@ -6,9 +6,9 @@ Only scenes with other shapes than axis-aligned boxes, and balls, come here: thi
 are the tree's own. A ball of radius r can touch an obstacle only where its centre is in the
 obstacle's box grown by r, so every node is grown by r on the way.
 
-`tree` is the tuple of arrays that the tree's own kernels take. `shapes` holds a record a slot:
-`columns.GEOMETRY`, or in a planar scene `footprint.FOOTPRINT`. `planar` is None or True: numba drops
-the branch that is not taken, so that a planar scene compiles none of the solid shapes.
+`tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (records of
+`columns.GEOMETRY`, one a slot) and `prints` (of `footprint.FOOTPRINT`) one is None: numba drops a
+branch that asks for what is None, so that a planar scene compiles none of the solid shapes.
 """
 
 import numpy as np
@@ -60,11 +60,21 @@ def push_children(nodes, node, mask, radius, ray, limit, wide, box, stack, entri
 
 
 @kernel
-def precedes(tree, shapes, ray, radius, slot, t, feature, other, other_t, other_feature):
+def plain(solids, prints, slot):
+    """Whether an obstacle is an axis-aligned box."""
+    if solids is not None:
+        return not solids[slot].shaped
+    if prints is not None:
+        return not prints[slot].shaped
+    return True
+
+
+@kernel
+def precedes(tree, solids, prints, ray, radius, slot, t, feature, other, other_t, other_feature):
     """Whether a hit comes before another; ties by handle. Between thin hits of boxes exactly."""
     nodes, tight, handles, _ = tree
     order = -1 if t < other_t else (1 if t > other_t else 0)
-    if radius == 0.0 and not shapes[slot].shaped and not shapes[other].shaped:
+    if radius == 0.0 and plain(solids, prints, slot) and plain(solids, prints, other):
         lo, hi = leaf_box(nodes, tight, 2 * slot)
         other_lo, other_hi = leaf_box(nodes, tight, 2 * other)
         order = compare_hits(lo, hi, t, feature, other_lo, other_hi, other_t, other_feature, ray)
@@ -72,7 +82,7 @@ def precedes(tree, shapes, ray, radius, slot, t, feature, other, other_t, other_
 
 
 @kernel
-def cast(tree, shapes, planar, ray, radius, t_max, mask, skip_inside, every, hits, filled, work):
+def cast(tree, solids, prints, ray, radius, t_max, mask, skip_inside, every, hits, filled, work):
     """Append the first hit, or every hit in no order, to hits = (slots, ts, features) from `filled`.
 
     Return hits, grown if need be, and the new count.
@@ -100,15 +110,16 @@ def cast(tree, shapes, planar, ray, radius, t_max, mask, skip_inside, every, hit
             continue
         slot = node >> 1
         lo, hi = leaf_box(nodes, tight, node)
-        if planar is None:
-            t, feature = enter_shape(shapes[slot], lo, hi, ray, radius, t_max, work)
-        else:
-            t, feature = enter_footprint(shapes[slot], lo, hi, ray, radius, t_max, work)
+        t, feature = np.inf, np.int64(INSIDE)
+        if solids is not None:
+            t, feature = enter_shape(solids[slot], lo, hi, ray, radius, t_max, work)
+        if prints is not None:
+            t, feature = enter_footprint(prints[slot], lo, hi, ray, radius, t_max, work)
         if t == np.inf or (skip_inside and feature == INSIDE):
             continue
         if not every and filled > begin:
             best = slots[begin], ts[begin], features[begin]
-            if not precedes(tree, shapes, ray, radius, slot, t, feature, *best):
+            if not precedes(tree, solids, prints, ray, radius, slot, t, feature, *best):
                 continue
             filled = begin
         if filled == slots.shape[0]:
@@ -121,7 +132,7 @@ def cast(tree, shapes, planar, ray, radius, t_max, mask, skip_inside, every, hit
 
 
 @kernel
-def cast_rays(tree, shapes, planar, origins, directions, radius, t_max, masks, skip_inside, every):
+def cast_rays(tree, solids, prints, origins, directions, radius, t_max, masks, skip_inside, every):
     """First hits, or every hit in no order, of many rays: (offsets, slots, ts, points, normals).
 
     Those of ray i stand at [offsets[i], offsets[i + 1]).
@@ -135,18 +146,18 @@ def cast_rays(tree, shapes, planar, origins, directions, radius, t_max, masks, s
     for i in range(count):
         ray[ORIGIN], ray[DIRECTION] = origins[i], directions[i]
         slots, ts, features, filled = cast(
-            tree, shapes, planar, ray, radius, t_max[i], masks[i], skip_inside, every,
+            tree, solids, prints, ray, radius, t_max[i], masks[i], skip_inside, every,
             (slots, ts, features), offsets[i], work,
         )  # fmt: skip
         if slots.shape[0] > points.shape[0]:
             points, normals = widened(points, slots.shape[0]), widened(normals, slots.shape[0])
         for j in range(offsets[i], filled):
-            shape, point, normal = shapes[slots[j]], points[j], normals[j]
-            lo, hi = leaf_box(tree[0], tree[1], 2 * slots[j])
-            if planar is None:
-                contact(shape, lo, hi, ray, ts[j], features[j], radius, work, point, normal)
-            else:
-                touch_footprint(shape, lo, hi, ray, ts[j], features[j], work, point, normal)
+            slot, t, feature, point, normal = slots[j], ts[j], features[j], points[j], normals[j]
+            lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
+            if solids is not None:
+                contact(solids[slot], lo, hi, ray, t, feature, radius, work, point, normal)
+            if prints is not None:
+                touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
         offsets[i + 1] = filled
     filled = offsets[count]
     return offsets, slots[:filled], ts[:filled], points[:filled], normals[:filled]

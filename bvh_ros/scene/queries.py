@@ -192,14 +192,12 @@ class SceneQueries:
         every: bool,
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """Offsets, slots, t, points and normals of swept balls against the true shapes."""
-        shapes, ndim = self._columns.geometry, self._tree.ndim
-        if self._columns.footprint is not None:
-            shapes = self._columns.footprint
-        planar = True if self.planar else None
+        ndim, prints = self._tree.ndim, self._columns.footprint
+        solids = self._columns.geometry if prints is None else None
         starts, ways = starts[:, :ndim].copy(), ways[:, :ndim].copy()
         skip = bool(skip_inside)
         found: tuple[Slots, Slots, Floats, Floats, Floats] = casting.cast_rays(
-            self._tree._tree(), shapes, planar, starts, ways, radius, t_max, masks, skip, every
+            self._tree._tree(), solids, prints, starts, ways, radius, t_max, masks, skip, every
         )
         return found
 
