@@ -54,9 +54,8 @@ def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
             low[k] = -footprint.widths[k]
         s, feature = enter_box(across, rate, low, footprint.widths, reach)
     else:
-        s, feature = enter_rounded_zonogon(
-            footprint, origin, way, radius + footprint.radius, reach
-        )
+        grown = radius + footprint.radius
+        s, feature = enter_rounded_zonogon(footprint, origin, way, grown, reach, work[2, :2])
     return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
 
 
