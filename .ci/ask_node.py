@@ -14,7 +14,7 @@ import rclpy
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.client import BvhClient
+from bvh_ros.client import BvhClient, BvhTimeoutError, Hit
 
 COMPILING = 300.0  # seconds: the first start ever compiles the kernels
 
@@ -28,18 +28,27 @@ def box() -> Marker:
     return marker
 
 
-def first_hit(node: Node, deadline: float):
+def wait_until_ready(client: BvhClient, process: subprocess.Popen[bytes]) -> None:
+    """Wait for the services, but not for a node that has ended."""
+    deadline = time.monotonic() + COMPILING
+    while process.poll() is None and time.monotonic() < deadline:
+        try:
+            return client.wait_until_ready(1.0)
+        except BvhTimeoutError:
+            continue
+    raise RuntimeError(f'no services; the node ended with {process.poll()}')
+
+
+def first_hit(node: Node, client: BvhClient) -> Hit:
     """What the segment from (0, 0, 0) to (4, 0, 0) meets, as soon as the box has arrived."""
     publisher = node.create_publisher(MarkerArray, '/bvh/obstacles', 10)
-    client = BvhClient(node)
-    while time.monotonic() < deadline:
+    for _ in range(100):
         publisher.publish(MarkerArray(markers=[box()]))
-        if client.wait_for_service(1.0):
-            hit = client.raycast((0.0, 0.0, 0.0), (4.0, 0.0, 0.0))
-            if hit is not None:
-                return hit
+        hit = client.raycast((0.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+        if hit is not None:
+            return hit
         time.sleep(0.1)
-    raise TimeoutError('the node has not answered in time')
+    raise TimeoutError('the box has not arrived')
 
 
 def main() -> None:
@@ -48,7 +57,9 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node('ask_node')
     try:
-        hit = first_hit(node, time.monotonic() + COMPILING)
+        client = BvhClient(node)
+        wait_until_ready(client, process)
+        hit = first_hit(node, client)
         print('the installed node answers:', hit)
         assert hit.name == 'crate/7', hit
         assert abs(hit.point[0] - 1.5) < 1e-12, hit
