@@ -110,7 +110,7 @@ def test_a_grid_that_contradicts_itself_is_refused(message, reason):
 
 
 def test_willow_garage(shared_data):
-    """Half a real building: 3,486 occupied cells become a third as many boxes, exactly over them."""
+    """Half a real building: 3,486 occupied cells, less than half as many boxes."""
     cells = np.loadtxt(
         shared_data / 'willow_garage_map' / 'occupied_cells.csv', delimiter=',', skiprows=1
     )

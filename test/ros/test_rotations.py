@@ -51,9 +51,8 @@ def test_from_normal_special_cases():
 def test_rotate_and_multiply_agree_with_matrices():
     first, second = rotations.normalised(RNG.normal(size=(2, 20, 4)))
     points = RNG.normal(size=(20, 3))
-    for f, s, p, turned in zip(
-        first, second, points, rotations.rotate(rotations.multiply(first, second), points)
-    ):
+    turned_points = rotations.rotate(rotations.multiply(first, second), points)
+    for f, s, p, turned in zip(first, second, points, turned_points, strict=True):
         assert np.allclose(matrix(f) @ matrix(s) @ p, turned, atol=1e-14)
 
 

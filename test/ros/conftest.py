@@ -1,0 +1,248 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A bvh node in a process of its own, and this process as everybody else on the network."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+# Nobody else's robots: this machine only, and a domain of our own.
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
+START_TIMEOUT = 240.0  # seconds: the very first start compiles
+TIMEOUT = 10.0
+
+CUBE = 1
+
+
+class World:
+    """One running node, and the means to talk to it."""
+
+    def __init__(self, ros: Any, process: subprocess.Popen, namespace: str, log: Path) -> None:
+        self.node, self.executor = ros
+        self.process = process
+        self.name = f'{namespace}/bvh'
+        self.namespace = namespace
+        self.log = log
+        self._clients: dict[str, Any] = {}
+        self._publishers: dict[str, Any] = {}
+
+    # ---- services
+
+    def call(self, name: str, request: Any) -> Any:
+        """Call a service of the node and return its reply."""
+        from nav_msgs.srv import GetPlan
+        from std_srvs.srv import Trigger
+
+        if name not in self._clients:
+            kind = GetPlan if isinstance(request, GetPlan.Request) else Trigger
+            self._clients[name] = self.node.create_client(kind, f'{self.name}/{name}')
+            self.until(self._clients[name].service_is_ready)
+        future = self._clients[name].call_async(request)
+        deadline = time.monotonic() + TIMEOUT
+        while not future.done():
+            assert time.monotonic() < deadline, f'{name} does not answer'
+            self.executor.spin_once(TIMEOUT)
+        return future.result()
+
+    def plan(self, name: str, start: Any, goal: Any, **given: Any) -> Any:
+        """Ask one of the GetPlan services and return the path."""
+        return self.call(name, get_plan(start, goal, **given)).plan
+
+    def names(self, name: str, start: Any, goal: Any, **given: Any) -> list[str]:
+        """Ask, and return only who was hit."""
+        return [pose.header.frame_id for pose in self.plan(name, start, goal, **given).poses]
+
+    def everything(self) -> set[str]:
+        """Return the names of all obstacles."""
+        return set(self.names('overlap', (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6)))
+
+    def trigger(self, name: str) -> Any:
+        """Call ~/clear, ~/rebuild or ~/validate."""
+        from std_srvs.srv import Trigger
+
+        return self.call(name, Trigger.Request())
+
+    # ---- topics
+
+    def publish(self, topic: str, message: Any, *, qos: Any = 10) -> None:
+        """Publish on a topic in the node's namespace, once somebody listens."""
+        if topic not in self._publishers:
+            publisher = self.node.create_publisher(type(message), f'{self.namespace}/{topic}', qos)
+            self._publishers[topic] = publisher
+        publisher = self._publishers[topic]
+        self.until(lambda: publisher.get_subscription_count() > 0)
+        publisher.publish(message)
+
+    def markers(self, *array: Any) -> None:
+        """Publish markers where a node without configuration expects them."""
+        from visualization_msgs.msg import MarkerArray
+
+        self.publish('bvh/obstacles', MarkerArray(markers=list(array)))
+
+    def until(self, condition: Callable[[], Any], timeout: float = TIMEOUT) -> None:
+        """Spin until something is true."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f'still not true; the node says:\n{self.said()}'
+            self.executor.spin_once(0.005)
+
+    # ---- process
+
+    def said(self) -> str:
+        """Return what the node has logged."""
+        return self.log.read_text()
+
+    def end(self, how: signal.Signals = signal.SIGINT) -> int:
+        """Ask the node to end and return its exit code."""
+        self.process.send_signal(how)
+        return self.process.wait(TIMEOUT)
+
+    def destroy(self) -> None:
+        """End the node if it still runs, and what was opened for it."""
+        if self.process.poll() is None:
+            self.end()
+        for client in self._clients.values():
+            self.node.destroy_client(client)
+        for publisher in self._publishers.values():
+            self.node.destroy_publisher(publisher)
+
+
+@pytest.fixture(scope='session')
+def ros() -> Iterator[Any]:
+    """The node and the executor of this process."""
+    rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('test')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    yield node, executor
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture(scope='module')
+def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]]:
+    """Start a node with parameters, each in a namespace of its own."""
+    counter = itertools.count()
+    worlds: list[World] = []
+
+    def start(parameters: dict[str, Any] | None = None, *, wait: bool = True) -> World:
+        folder = tmp_path_factory.mktemp('node')
+        namespace = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
+        file = folder / 'parameters.yaml'
+        # JSON is YAML
+        file.write_text(json.dumps({'/**': {'ros__parameters': parameters or {}}}))
+        command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args']
+        command += ['-r', f'__ns:={namespace}', *(['--params-file', file] if parameters else [])]
+        log = folder / 'log.txt'
+        with log.open('wb') as output:
+            process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+        world = World(ros, process, namespace, log)
+        worlds.append(world)
+        if wait:
+            world.until(
+                lambda: 'ready' in world.said() or process.poll() is not None, START_TIMEOUT
+            )
+            assert process.poll() is None, world.said()
+        return world
+
+    yield start
+    for world in worlds:
+        world.destroy()
+
+
+@pytest.fixture(scope='module')
+def world(start_node: Callable[..., World]) -> World:
+    """A node without configuration, shared by the tests of a module."""
+    return start_node()
+
+
+# ---- messages
+
+
+def marker(
+    number: int, at: Sequence[float] = (0, 0, 0), size: Sequence[float] = (1, 1, 1), **given: Any
+) -> Any:
+    """A visualization_msgs/Marker."""
+    from geometry_msgs.msg import Point
+    from visualization_msgs.msg import Marker
+
+    message = Marker(
+        ns=given.get('ns', 'a'),
+        id=int(number),
+        type=given.get('type', CUBE),
+        action=given.get('action', 0),
+    )
+    pose, scale = message.pose, message.scale
+    pose.position.x, pose.position.y, pose.position.z = map(float, at)
+    turn = pose.orientation
+    turn.x, turn.y, turn.z, turn.w = map(float, given.get('turn', (0, 0, 0, 1)))
+    scale.x, scale.y, scale.z = map(float, size)
+    message.header.frame_id = given.get('frame', 'map')
+    message.header.stamp.sec = given.get('stamp', 0)
+    lifetime = given.get('lifetime', 0.0)
+    message.lifetime.sec, rest = int(lifetime), lifetime % 1
+    message.lifetime.nanosec = int(rest * 1e9)
+    points = ((float(x), float(y), float(z)) for x, y, z in given.get('points', ()))
+    message.points = [Point(x=x, y=y, z=z) for x, y, z in points]
+    return message
+
+
+def get_plan(start: Sequence[float], goal: Sequence[float], **given: Any) -> Any:
+    """A nav_msgs/GetPlan request."""
+    from nav_msgs.srv import GetPlan
+
+    request = GetPlan.Request(tolerance=float(given.get('tolerance', 0.0)))
+    for stamped, place in ((request.start, start), (request.goal, goal)):
+        at = stamped.pose.position
+        at.x, at.y, at.z = map(float, place)
+        stamped.header.frame_id = given.get('frame', '')
+    turn = request.start.pose.orientation
+    turn.x, turn.y, turn.z, turn.w = map(float, given.get('turn', (0, 0, 0, 0)))
+    return request
+
+
+def cloud(columns: dict[str, Any], *, kind: str = '<f8') -> Any:
+    """A sensor_msgs/PointCloud2 with these fields."""
+    from array import array
+
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns.values()])
+    code = {'<f8': PointField.FLOAT64, '<f4': PointField.FLOAT32}[kind]
+    size = np.dtype(kind).itemsize
+    message = PointCloud2(height=1, width=len(table), point_step=size * len(columns))
+    message.fields = [
+        PointField(name=name, offset=size * i, datatype=code, count=1)
+        for i, name in enumerate(columns)
+    ]
+    message.row_step = message.point_step * len(table)
+    data = array('B')
+    data.frombytes(table.astype(kind).tobytes())
+    message.data = data
+    return message
+
+
+@pytest.fixture(scope='session')
+def messages() -> Any:
+    """The makers of messages above, for tests that need them."""
+    from types import SimpleNamespace
+
+    return SimpleNamespace(marker=marker, get_plan=get_plan, cloud=cloud)

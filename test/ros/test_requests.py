@@ -1,0 +1,73 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Requests that cannot be answered never look free."""
+
+import math
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+SERVICES = ['raycast', 'raycast_all', 'overlap']
+BAD = {
+    'NaN start': {'start': (math.nan, 0, 0)},
+    'infinite start': {'start': (0, math.inf, 0)},
+    'NaN goal': {'goal': (0, 0, math.nan)},
+    'segment too long': {'start': (-1.7e308, 0, 0), 'goal': (1.7e308, 0, 0)},
+    'unknown frame': {'frame': 'mars'},
+    'negative tolerance': {'tolerance': -0.1},
+    'NaN tolerance': {'tolerance': math.nan},
+    'infinite tolerance': {'tolerance': math.inf},
+}
+
+
+@pytest.mark.parametrize('service', SERVICES)
+@pytest.mark.parametrize('what', BAD)
+def test_error_reply(world, service, what):
+    given = {'start': (1.0, 2.0, 3.0), 'goal': (4.0, 5.0, 6.0), **BAD[what]}
+    plan = world.plan(service, given.pop('start'), given.pop('goal'), **given)
+    (pose,) = plan.poses
+    assert pose.header.frame_id.startswith('error: ')
+    assert plan.header.frame_id == 'map'
+    at = pose.pose.position
+    start = BAD[what].get('start', (1, 2, 3))
+    assert (at.x, at.y, at.z) == tuple(c if math.isfinite(c) else 0 for c in start)
+    assert pose.pose.orientation.w == 1
+
+
+def test_nan_orientation_of_a_box(world):
+    (pose,) = world.plan('overlap', (0, 0, 0), (1, 1, 1), turn=(math.nan, 0, 0, 1)).poses
+    assert pose.header.frame_id.startswith('error: ')
+
+
+def test_start_and_goal_in_different_frames(world, messages):
+    request = messages.get_plan((0, 0, 0), (1, 0, 0))
+    request.goal.header.frame_id = 'mars'
+    (pose,) = world.call('raycast', request).plan.poses
+    assert 'mars' in pose.header.frame_id
+    request.goal.header.frame_id = 'map'  # the node's own
+    assert world.call('raycast', request).plan.poses == []
+
+
+def test_errors_are_logged_and_do_not_end_the_node(world):
+    assert world.names('raycast', (0, 0, 0), (1, 0, 0)) == []
+    world.until(lambda: 'query refused' in world.said())
+    assert 'Traceback' not in world.said()
+
+
+def test_reply_on_an_empty_world(world):
+    plan = world.plan('raycast', (0, 0, 0), (1, 0, 0))
+    assert plan.poses == []
+    assert plan.header.frame_id == 'map'
+
+
+def test_triggers(world, messages):
+    world.markers(messages.marker(1), messages.marker(2, (5, 0, 0)))
+    world.until(lambda: len(world.everything()) == 2)
+    assert world.trigger('validate').success
+    assert world.trigger('rebuild').success
+    reply = world.trigger('clear')
+    assert reply.success
+    assert '2' in reply.message
+    assert world.everything() == set()
+    assert world.trigger('validate').success
