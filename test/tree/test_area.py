@@ -1,0 +1,127 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tree's cost, against numpy over the tree's own nodes and against rational arithmetic; at every scale of doubles."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bvh_ros import DynamicBVH
+from bvh_ros.tree.area import area_scale, node_area, union_area
+from bvh_ros.tree.nodes import ROOT, is_leaf
+from tree.adversary import SCALES, some_boxes
+from tree.reference import LARGEST, SMALLEST, Floats
+
+
+def inner_boxes(tree: DynamicBVH) -> tuple[Floats, Floats]:
+    """The boxes of the inner nodes, the root's first."""
+    inner, stack = [], [int(tree._state[ROOT])]
+    while stack:
+        node = stack.pop()
+        if not is_leaf(node):
+            inner.append(node)
+            stack += [int(tree._nodes[node]['left']), int(tree._nodes[node]['right'])]
+    return tree._nodes['lo'][inner].copy(), tree._nodes['hi'][inner].copy()
+
+
+def areas(lo: Floats, hi: Floats) -> list[Fraction]:
+    """Surface areas in 3D, perimeters in 2D, exactly."""
+    result = []
+    for low, high in zip(lo.tolist(), hi.tolist(), strict=True):
+        edges = [Fraction(h) - Fraction(l) for l, h in zip(low, high, strict=True)]  # noqa: E741
+        if len(edges) == 2:
+            result.append(2 * sum(edges))
+        else:
+            x, y, z = edges
+            result.append(2 * (x * y + y * z + z * x))
+    return result
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('scale', SCALES)
+def test_cost_is_the_sum_of_areas_over_that_of_the_root(ndim: int, scale: float) -> None:
+    lo, hi = some_boxes(np.random.default_rng(3), 60, ndim, scale)
+    for tree in (DynamicBVH.from_boxes(lo, hi), DynamicBVH(ndim)):
+        if not len(tree):
+            for row in range(60):
+                tree.insert(lo[row], hi[row])
+        every = areas(*inner_boxes(tree))
+        assert len(every) == 59
+        assert tree.cost() == pytest.approx(float(sum(every) / every[0]), rel=1e-12)
+
+
+# boxes -> cost, worked out by hand
+COSTS = {
+    'none': ([], 0.0),
+    'one': ([([0, 0, 0], [1, 1, 1])], 0.0),
+    'two': ([([0, 0, 0], [1, 1, 1]), ([3, 0, 0], [4, 1, 1])], 1.0),
+    'two coincident points: a root of area zero': ([([1, 1, 1], [1, 1, 1])] * 2, 1.0),
+    'five coincident points': ([([1, 1, 1], [1, 1, 1])] * 5, 4.0),
+    'a line of points has no area': ([([k, 0, 0], [k, 0, 0]) for k in range(7)], 6.0),
+    # two unit cubes side by side (area 10), and one 3 away (root 6 x 1 x 1: 26)
+    'three': ([([0, 0, 0], [1, 1, 1]), ([1, 0, 0], [2, 1, 1]), ([5, 0, 0], [6, 1, 1])], 1 + 10 / 26),
+    'two in 2D': ([([0, 0], [1, 1]), ([3, 0], [4, 1])], 1.0),
+    # perimeters: 6 of the near two, 14 of all
+    'three in 2D': ([([0, 0], [1, 1]), ([1, 0], [2, 1]), ([5, 0], [6, 1])], 1 + 6 / 14),
+    'a line of points in 2D has a perimeter': ([([0, 0], [0, 0]), ([1, 0], [1, 0]), ([4, 0], [4, 0])], 1.25),
+    'all of the doubles': ([([-LARGEST] * 3, [LARGEST] * 3)] * 3, 2.0),
+    'the smallest': ([([0, 0, 0], [SMALLEST] * 3)] * 3, 2.0),
+    'the smallest in the largest': (
+        [([0, 0, 0], [SMALLEST] * 3), ([SMALLEST] * 3, [2 * SMALLEST] * 3), ([-LARGEST] * 3, [LARGEST] * 3)],
+        1.0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(('boxes', 'cost'), COSTS.values(), ids=COSTS.keys())
+@pytest.mark.parametrize('one_by_one', [True, False])
+def test_costs_by_hand(boxes: list[tuple[list[float], list[float]]], cost: float, one_by_one: bool) -> None:
+    tree = DynamicBVH(len(boxes[0][0]) if boxes else 3)
+    if one_by_one:
+        for lo, hi in boxes:
+            tree.insert(lo, hi)
+    elif boxes:
+        tree.insert_many([lo for lo, _ in boxes], [hi for _, hi in boxes])
+    assert tree.cost() == pytest.approx(cost, rel=1e-14)
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('exponent', [-1000, -700, -531, 0, 500, 700, 1000])
+def test_the_unit_of_length_does_not_matter(ndim: int, exponent: int) -> None:
+    """A scene times a power of two gives the same tree, with the same cost to the last bit, however it was made."""
+    rng = np.random.default_rng(4)
+    lo = rng.integers(0, 1000, (200, ndim)) / 64.0
+    hi = lo + rng.integers(1, 100, lo.shape) / 64.0
+    unit = 2.0**exponent
+    costs = []
+    for length in (1.0, unit):
+        built = DynamicBVH.from_boxes(lo * length, hi * length)
+        grown = DynamicBVH(ndim)
+        for row in range(200):
+            grown.insert(lo[row] * length, hi[row] * length)
+        before = grown.cost()
+        grown.move_many(grown.ids()[:9], lo[50:59] * length, hi[50:59] * length)
+        grown.remove_many(grown.ids()[100:120])
+        costs.append((built.cost(), before, grown.cost(), built.height, grown.height))
+    assert costs[0] == costs[1]
+    assert np.isfinite(costs[1]).all()
+    assert min(costs[1]) > 1.0
+
+
+@pytest.mark.parametrize('factor', [1e-200, 1e200])
+def test_extreme_scenes_make_as_good_trees(factor: float) -> None:
+    rng = np.random.default_rng(5)
+    lo = rng.uniform(0, 100, (500, 3))
+    plain, extreme = (DynamicBVH.from_boxes(lo * f, (lo + 3) * f) for f in (1.0, factor))
+    assert extreme.cost() == pytest.approx(plain.cost(), rel=0.02)
+
+
+def test_areas_of_nodes() -> None:
+    for ndim, one, both in ((2, 1 + 2, 5 + 3), (3, 1 * 2 + 2 * 3 + 3 * 1, 5 * 3 + 3 * 4 + 4 * 5)):
+        tree = DynamicBVH(ndim)
+        a = 2 * (tree.insert([0, 0, 0][:ndim], [1, 2, 3][:ndim]) & 0xFFFF)
+        b = 2 * (tree.insert([4, 1, 3][:ndim], [5, 3, 4][:ndim]) & 0xFFFF)
+        assert node_area(tree._nodes, a, 1.0) == one  # half of it
+        assert union_area(tree._nodes, a, b, 1.0) == both
+        assert area_scale(tree._nodes, a, b) == 1.0

@@ -1,0 +1,105 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Boxes against boxes: touching counts, flat and point boxes too; comparisons of doubles, so all of it is exact."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bvh_ros import ALL, DynamicBVH
+from tree.adversary import MIXED, SCALES, coordinates, some_boxes
+from tree.reference import LARGEST, SMALLEST, overlapping_pairs, overlapping_rows
+
+UP = math.nextafter(1.0, 2.0)
+
+TOUCHING = {
+    # two boxes in 2D, and whether they touch
+    'inside': ([0, 0], [4, 4], [1, 1], [2, 2], True),
+    'the same': ([0, 0], [1, 1], [0, 0], [1, 1], True),
+    'a common face': ([0, 0], [1, 1], [1, 0], [2, 1], True),
+    'a common corner': ([0, 0], [1, 1], [1, 1], [2, 2], True),
+    'one ulp apart': ([0, 0], [1, 1], [UP, 0], [2, 1], False),
+    'apart in y': ([0, 0], [1, 1], [0, 1.5], [1, 2], False),
+    'a flat one on a face': ([0, 0], [1, 1], [1, 0], [1, 1], True),
+    'two crossing lines': ([0, 1], [2, 1], [1, 0], [1, 2], True),
+    'a point on a corner': ([0, 0], [1, 1], [1, 1], [1, 1], True),
+    'two equal points': ([3, 3], [3, 3], [3, 3], [3, 3], True),
+    'signed zeros': ([-1, -1], [-0.0, -0.0], [0.0, 0.0], [1, 1], True),
+    'subnormals apart': ([0, 0], [SMALLEST, 1], [2 * SMALLEST, 0], [1, 1], False),
+    'all doubles': ([-LARGEST, -LARGEST], [LARGEST, LARGEST], [LARGEST, 0], [LARGEST, 0], True),
+}
+
+
+@pytest.mark.parametrize(('lo', 'hi', 'low', 'high', 'touch'), TOUCHING.values(), ids=TOUCHING.keys())
+@pytest.mark.parametrize('margin', [0.0, 1.0])
+def test_two_boxes(
+    lo: list[float], hi: list[float], low: list[float], high: list[float], touch: bool, margin: float
+) -> None:
+    for (a_lo, a_hi), (b_lo, b_hi) in (((lo, hi), (low, high)), ((low, high), (lo, hi))):
+        tree = DynamicBVH(2, margin=margin)
+        a = tree.insert(a_lo, a_hi)
+        assert tree.overlap(b_lo, b_hi).tolist() == ([a] if touch else [])
+        b = tree.insert(b_lo, b_hi)
+        assert tree.overlap_pairs().tolist() == ([[a, b]] if touch else [])
+
+
+@pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('margin', [0.0, 0.3])
+def test_as_brute_force(ndim: int, scale: float, margin: float) -> None:
+    rng = np.random.default_rng([ndim, SCALES.index(scale)])
+    lo, hi = some_boxes(rng, 80, ndim, scale)
+    low, high = some_boxes(rng, 40, ndim, scale)
+    masks = rng.choice([0, 1, 2, 3], 80).astype(np.uint32)
+    seen = rng.choice([1, 2, ALL], 40).astype(np.uint32)
+    tree = DynamicBVH.from_boxes(lo, hi, mask=masks, margin=margin)
+    handles = tree.ids()
+    offsets, ids = tree.overlap_many(low, high, seen)
+    for query in range(40):
+        rows = overlapping_rows(lo, hi, low[query], high[query])
+        expected = handles[rows[masks[rows] & seen[query] != 0]].tolist()
+        assert ids[offsets[query] : offsets[query + 1]].tolist() == expected
+        assert tree.overlap(low[query], high[query], int(seen[query])).tolist() == expected
+    for mask in (ALL, 2):
+        rows = np.flatnonzero(masks & mask)
+        pairs = [[handles[rows[a]], handles[rows[b]]] for a, b in overlapping_pairs(lo[rows], hi[rows])]
+        assert tree.overlap_pairs(mask).tolist() == pairs
+
+
+def test_pairs_name_the_smaller_handle_first_and_ascend_after_slots_are_reused() -> None:
+    rng = np.random.default_rng(2)
+    lo = coordinates(rng, (60, 2), 1.0)
+    tree = DynamicBVH.from_boxes(lo, lo + 0.5)
+    handles = tree.ids()
+    gone = rng.choice(60, 30, replace=False)
+    tree.remove_many(handles[gone])
+    handles[gone] = tree.insert_many(lo[gone], lo[gone] + 0.5)
+    pairs = tree.overlap_pairs().tolist()
+    expected = [sorted([handles[a], handles[b]]) for a, b in overlapping_pairs(lo, lo + 0.5)]
+    assert pairs == sorted(expected)
+    low, high = np.full(2, -9.0), np.full(2, 9.0)
+    assert tree.overlap(low, high).tolist() == sorted(handles.tolist())
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_shapes_and_types_where_there_is_nothing(ndim: int) -> None:
+    empty, none, one = DynamicBVH(ndim), np.empty((0, ndim)), np.ones((1, ndim))
+    assert (empty.overlap(one[0], one[0]).shape, empty.overlap(one[0], one[0]).dtype) == ((0,), np.int64)
+    assert (empty.overlap_pairs().shape, empty.overlap_pairs().dtype) == ((0, 2), np.int64)
+    assert [a.tolist() for a in empty.overlap_many(one, one)] == [[0, 0], []]
+    tree = DynamicBVH.from_boxes(one, one)
+    assert [a.tolist() for a in tree.overlap_many(none, none, threads=2)] == [[0], []]
+    assert tree.overlap_pairs().shape == (0, 2)
+
+
+def test_all_pairs_of_many_coincident_boxes() -> None:
+    """150 boxes at one place make 11,175 pairs: more than any first buffer."""
+    tree = DynamicBVH.from_boxes(np.zeros((150, 3)), np.ones((150, 3)))
+    handles = tree.ids()
+    first, second = np.triu_indices(150, 1)
+    assert np.array_equal(tree.overlap_pairs(), np.stack([handles[first], handles[second]], axis=1))
+    assert np.array_equal(tree.overlap([1, 1, 1], [5, 5, 5]), handles)
+    offsets, ids = tree.overlap_many(np.zeros((20, 3)), np.zeros((20, 3)))
+    assert np.diff(offsets).tolist() == [150] * 20
+    assert np.array_equal(ids, np.tile(handles, 20))

@@ -1,0 +1,95 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The nearest boxes: distances, order, ties, limits. Accuracy at every scale is in test_numerics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bvh_ros import ALL, DynamicBVH
+from tree.adversary import coordinates
+from tree.reference import LARGEST
+
+DISTANCES = {
+    # of a point from the cube from (1, 1, 1) to (2, 2, 2)
+    'inside': ([1.5, 1.5, 1.5], 0.0),
+    'on a face': ([1, 1.5, 1.5], 0.0),
+    'on a corner': ([2, 2, 2], 0.0),
+    'beside a face': ([4, 1.5, 1.5], 2.0),
+    'off an edge': ([-2, 6, 1.5], 5.0),
+    'off a corner': ([0, 4, -1], 3.0),
+    'one ulp off': ([math.nextafter(2, 3), 2, 2], 2.0**-51),
+    'far': ([1e300, 1.5, 1.5], 1e300),
+    'as far as doubles go': ([-LARGEST, 1.5, 1.5], LARGEST),
+    'beyond': ([-LARGEST, -LARGEST, 1.5], math.inf),
+}
+
+
+@pytest.mark.parametrize(('point', 'distance'), DISTANCES.values(), ids=DISTANCES.keys())
+@pytest.mark.parametrize('margin', [0.0, 1.0])
+def test_one_box(point: list[float], distance: float, margin: float) -> None:
+    tree = DynamicBVH(margin=margin)
+    handle = tree.insert([1, 1, 1], [2, 2, 2])
+    for ids, distances in (tree.nearest(point), *[[a[0] for a in tree.nearest_many([point])]]):
+        assert (ids.tolist(), distances.tolist()) == ([handle], [distance])
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('margin', [0.0, 0.4])
+@pytest.mark.parametrize('k', [1, 2, 7, 300])
+def test_as_brute_force(ndim: int, margin: float, k: int) -> None:
+    """Lattice boxes, so that many are equally far: those of smaller handles come first."""
+    rng = np.random.default_rng(k)
+    lo = rng.integers(-5, 6, (200, ndim)).astype(float)
+    hi = lo + rng.integers(0, 3, lo.shape)
+    masks = rng.integers(0, 4, 200).astype(np.uint32)
+    tree = DynamicBVH.from_boxes(lo, hi, mask=masks, margin=margin)
+    handles = tree.ids()
+    points = rng.integers(-8, 9, (50, ndim)).astype(float)
+    reaches = rng.choice([0.0, 1.0, 2.0, 5.0, math.inf], 50)
+    seen = rng.choice([0, 1, 2, ALL], 50).astype(np.uint32)
+    ids, distances = tree.nearest_many(points, k, reaches, seen)
+    assert ids.shape == distances.shape == (50, k)
+    for row in range(50):
+        # Squares of whole numbers are exact, and so are their comparisons.
+        squares = (np.maximum(np.maximum(lo - points[row], points[row] - hi), 0.0) ** 2).sum(axis=1)
+        kept = np.flatnonzero((squares <= reaches[row] ** 2) & (masks & seen[row] != 0))
+        order = kept[np.lexsort((handles[kept], squares[kept]))][:k]
+        padding = k - len(order)
+        assert ids[row].tolist() == handles[order].tolist() + [-1] * padding
+        assert distances[row].tolist() == np.sqrt(squares[order]).tolist() + [math.inf] * padding
+        alone = tree.nearest(points[row], k, float(reaches[row]), int(seen[row]))
+        assert [a.tolist() for a in alone] == [handles[order].tolist(), np.sqrt(squares[order]).tolist()]
+
+
+@pytest.mark.parametrize('options', [{'margin': 5.0}, {'sibling_search': 'branch_and_bound'}])
+def test_the_answer_does_not_depend_on_the_tree(options: dict[str, object]) -> None:
+    rng = np.random.default_rng(8)
+    lo = coordinates(rng, (150, 3), 1.0)
+    plain, other = DynamicBVH.from_boxes(lo, lo + 0.1), DynamicBVH(3, **options)
+    handles = np.empty(150, np.int64)
+    for row in range(150):
+        handles[row] = other.insert(lo[row], lo[row] + 0.1)
+    points = coordinates(rng, (100, 3), 1.5)
+    ids, distances = plain.nearest_many(points, 10)
+    other_ids, other_distances = other.nearest_many(points, 10)
+    assert np.array_equal(distances, other_distances)
+    assert np.array_equal(np.searchsorted(plain.ids(), ids), np.searchsorted(handles, other_ids))
+
+
+def test_max_distance_at_the_box_counts() -> None:
+    tree = DynamicBVH(2)
+    handle = tree.insert([3, 4], [9, 9])
+    assert tree.nearest([0, 0], max_distance=5.0)[0].tolist() == [handle]
+    assert tree.nearest([0, 0], max_distance=math.nextafter(5.0, 0.0))[0].tolist() == []
+    assert tree.nearest([3, 4], max_distance=0.0)[0].tolist() == [handle]
+    assert tree.nearest([3, math.nextafter(4, 0)], max_distance=0.0)[0].tolist() == []
+
+
+def test_nothing_near() -> None:
+    empty = DynamicBVH()
+    assert [a.tolist() for a in empty.nearest([0, 0, 0], 3)] == [[], []]
+    assert [a.tolist() for a in empty.nearest_many([[0, 0, 0]], 2)] == [[[-1, -1]], [[math.inf] * 2]]
+    ids, distances = empty.nearest_many(np.empty((0, 3)), 4)
+    assert (ids.shape, distances.shape, ids.dtype, distances.dtype) == ((0, 4), (0, 4), np.int64, np.float64)
