@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from os import PathLike
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -43,8 +44,8 @@ class DynamicBVH(Queries):
         A planar scene pays for no z.
     margin : float
         Boxes in the tree are grown by this on every side (m), so that small moves cost nothing. Answers do not depend on it.
-    sibling_search : {'greedy', 'branch_and_bound'}
-        How an insertion looks for the best sibling: one descent, or the best of all.
+    sibling_search : {'branch_and_bound', 'greedy'}
+        How an insertion looks for the best sibling: the best of all, or what one descent meets (faster, for a worse tree).
     capacity : int
         Boxes to make room for at first; the storage grows by itself.
 
@@ -66,7 +67,7 @@ class DynamicBVH(Queries):
     """
 
     def __init__(
-        self, ndim: int = 3, *, margin: float = 0.0, sibling_search: str = 'greedy', capacity: int = 16
+        self, ndim: int = 3, *, margin: float = 0.0, sibling_search: str = 'branch_and_bound', capacity: int = 16
     ) -> None:
         if isinstance(ndim, bool) or ndim not in (2, 3):
             raise ValueError(f'ndim must be 2 or 3, not {ndim!r}')
@@ -78,6 +79,7 @@ class DynamicBVH(Queries):
             raise ValueError('margin must be finite')
         self.sibling_search = sibling_search
         self._serial = 1
+        self._start_snapshots()
         self._counters = dict.fromkeys(('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds'), 0)
         self._allocate(checks.whole('capacity', capacity, 1))
 
@@ -92,6 +94,11 @@ class DynamicBVH(Queries):
         tree = cls(ndim, margin=margin, capacity=max(len(np.asarray(lo)), 1))
         tree.insert_many(lo, hi, mask)
         return tree
+
+    def _start_snapshots(self) -> None:
+        self._lock = Lock()
+        self._changes = 0
+        self._snapshot, self._snapshot_of, self._rays_since = None, 0, 0
 
     # ---- storage
 
@@ -165,6 +172,7 @@ class DynamicBVH(Queries):
             low, high, masks, self.margin, self._serial, self._thorough, not build, new,
         )
         self._serial += count
+        self._changes += 1
         self._counters['inserted'] += count
         if build:
             self.rebuild()
@@ -181,11 +189,13 @@ class DynamicBVH(Queries):
     def _remove(self, slots: Ids) -> None:
         moving.remove_rows(self._nodes, self._heights, self._handles, self._state, slots)
         self._counters['removed'] += len(slots)
+        self._changes += 1
 
     def clear(self) -> None:
         """Remove all boxes. Their handles stay stale for ever."""
         self._counters['removed'] += len(self)
         self._allocate(len(self._handles))
+        self._changes += 1
 
     def move(self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None) -> bool:
         """Give a box its new bounds; true if the tree changed, false if the box stayed within its fat box.
@@ -201,6 +211,7 @@ class DynamicBVH(Queries):
             2 * slot, low, high, self.margin, ahead[0], self._thorough,
         )
         self._counters['reinserted' if changed else 'kept'] += 1
+        self._changes += int(changed)
         return bool(changed)
 
     def move_many(
@@ -218,6 +229,7 @@ class DynamicBVH(Queries):
         count = moving.rows_that_leave(self._nodes, self._tight, slots, low, high, self.margin, ahead, rows)
         rows, share = rows[:count], count / max(len(self), 1)
         self._counters['kept'] += len(slots) - count
+        self._changes += int(count > 0)
         if share < REFIT_SHARE:
             moving.reinsert_rows(
                 self._nodes, self._heights, self._tight, self._state,
@@ -246,15 +258,18 @@ class DynamicBVH(Queries):
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
         slots = checks.slots_of(self._handles, handles)
         moving.set_masks(self._nodes, slots, checks.masks(mask, len(slots)))
+        self._changes += 1
 
     def rebuild(self) -> None:
         """Build the tree anew by binned SAH over all axes. Handles stay."""
-        building.build_all(self._nodes, self._heights, self._handles, self._state, True)
+        building.build_all(self._nodes, self._heights, self._handles, self._state)
         self._counters['rebuilds'] += 1
+        self._changes += 1
 
     def optimize(self) -> None:
         """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the subtrees in turn."""
         building.optimize(self._nodes, self._heights, self._state)
+        self._changes += 1
 
     # ---- introspection
 
@@ -324,9 +339,11 @@ class DynamicBVH(Queries):
             'height': self.height,
             'cost': self.cost(),
             'bytes': sum(array.nbytes for array in arrays),
+            'snapshot_bytes': self._snapshot.nbytes if self._snapshot else 0,
             'margin': self.margin,
             'sibling_search': self.sibling_search,
             'exact_boxes_beside_nodes': bool(len(self._tight)),
+            'wide_snapshot': self._snapshot is not None and self._snapshot_of == self._changes,
             'kernel_cache': str(cache_folder()),
             **self._counters,
         }

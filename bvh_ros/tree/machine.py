@@ -87,3 +87,65 @@ def trailing_zeros(typingctx, bits):  # type: ignore[no-untyped-def]
         return builder.cttz(args[0], ir.Constant(_BIT, 1))
 
     return types.uint32(bits), codegen
+
+
+def _vector_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [place]), _VECTOR.as_pointer())
+
+
+@intrinsic
+def largest8(typingctx, into, at, values, start):  # type: ignore[no-untyped-def]
+    """into[at:at + 8] = the larger of it and values[start:start + 8], float by float (float32 arrays)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        here = _vector_at(context, builder, signature.args[0], args[0], args[1])
+        there = _vector_at(context, builder, signature.args[2], args[2], args[3])
+        a, b = builder.load(here, align=4), builder.load(there, align=4)
+        builder.store(_pick(builder, '>', a, b), here, align=4)
+        return context.get_dummy_value()
+
+    return types.void(into, at, values, start), codegen
+
+
+@intrinsic
+def swap8(typingctx, values, i, j):  # type: ignore[no-untyped-def]
+    """Exchange values[i:i + 8] and values[j:j + 8] (a float32 array)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        here = _vector_at(context, builder, signature.args[0], args[0], args[1])
+        there = _vector_at(context, builder, signature.args[0], args[0], args[2])
+        a, b = builder.load(here, align=4), builder.load(there, align=4)
+        builder.store(b, here, align=4)
+        builder.store(a, there, align=4)
+        return context.get_dummy_value()
+
+    return types.void(values, i, j), codegen
+
+
+@intrinsic
+def largest_difference8(typingctx, into, at, values, start):  # type: ignore[no-untyped-def]
+    """As `largest8`, with each float less the one of the other half: of [-lo, hi] that is [-(lo + hi), lo + hi]."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        here = _vector_at(context, builder, signature.args[0], args[0], args[1])
+        there = _vector_at(context, builder, signature.args[2], args[2], args[3])
+        a, b = builder.load(here, align=4), builder.load(there, align=4)
+        halves = ir.Constant(ir.VectorType(_INT, LANES), [4, 5, 6, 7, 0, 1, 2, 3])
+        difference = builder.fsub(b, builder.shuffle_vector(b, b, halves))
+        builder.store(_pick(builder, '>', a, difference), here, align=4)
+        return context.get_dummy_value()
+
+    return types.void(into, at, values, start), codegen
+
+
+@intrinsic
+def clear8(typingctx, into, at):  # type: ignore[no-untyped-def]
+    """into[at:at + 8] = -inf (float32), from where any maximum can start."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        here = _vector_at(context, builder, signature.args[0], args[0], args[1])
+        builder.store(ir.Constant(_VECTOR, [float('-inf')] * LANES), here, align=4)
+        return context.get_dummy_value()
+
+    return types.void(into, at), codegen

@@ -4,18 +4,21 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, overlapping, proximity, raycasting
+from . import checks, overlapping, proximity, raycasting, wide, wide_raycasting
 from .nodes import ALL, COUNT, NONE, ROOT, box_dtype
 from .results import RayHit, RayHits
 from .slab import INSIDE
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
+
+SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
 
 
 def in_threads(work: Callable[[int, int], Any], count: int, threads: int) -> list[Any]:
@@ -37,6 +40,11 @@ class Queries:
     _tight: NDArray[Any]
     _handles: Ids
     _state: NDArray[np.int64]
+    _changes: int
+    _lock: Lock
+    _snapshot: wide.Snapshot | None
+    _snapshot_of: int
+    _rays_since: int
 
     def _tree(self) -> tuple[Any, ...]:
         return self._nodes, self._tight, self._handles, int(self._state[ROOT])
@@ -202,14 +210,51 @@ class Queries:
         count = len(starts)
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
         slots, ts, axes = np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
+        rays = starts, ways, reaches, seen, bool(skip_inside)
+        snapshot = self._snapshot_for(count)
+        if snapshot is None:
+            left = np.arange(count)
+        else:
+            order = self._coherent(snapshot, starts, ways)
+            marks = np.empty(count, np.bool_)
+
+            def cast(start: int, stop: int) -> None:
+                wide_raycasting.cast_rows(
+                    *snapshot, *self._boxes_only()[:2], self._handles, np.empty((3, self.ndim)),
+                    *rays, mode == raycasting.ANY, order[start:stop], slots, ts, axes, marks,
+                )
+
+            in_threads(cast, count, threads)
+            left = np.flatnonzero(marks)
 
         def work(start: int, stop: int) -> None:
             raycasting.raycast_rows(
-                *self._tree(), np.empty((3, self.ndim)), starts, ways, reaches, seen, bool(skip_inside), mode, np.arange(start, stop), slots, ts, axes
+                *self._tree(), np.empty((3, self.ndim)), *rays, mode, left[start:stop], slots, ts, axes
             )
 
-        in_threads(work, count, threads)
+        in_threads(work, len(left), threads)
         return slots, ts, axes
+
+    def _snapshot_for(self, count: int) -> wide.Snapshot | None:
+        """The wide snapshot of the tree as it is, if the rays since the last change, `count` more now, are worth building it."""
+        with self._lock:
+            if self._snapshot_of != self._changes:
+                self._snapshot, self._snapshot_of, self._rays_since = None, self._changes, 0
+            self._rays_since += count
+            if self._snapshot is None and self._rays_since >= max(wide.RAYS_PER_BOX * len(self), wide.LEAST_RAYS):
+                root = int(self._state[ROOT])
+                if len(self) > 1:
+                    self._snapshot = wide.take_snapshot(self._nodes, root)
+            return self._snapshot
+
+    def _coherent(self, snapshot: wide.Snapshot, starts: Floats, ways: Floats) -> Ids:
+        """The order to cast rays in: sorted where a tree larger than the near caches makes neighbours share what they load."""
+        count = len(starts)
+        order = np.arange(count)
+        if len(self) >= SORT_FROM_BOXES and count >= SORT_FROM_RAYS:
+            keys, spare = np.empty(count, np.int64), np.empty(count, np.int64)
+            wide_raycasting.coherent_order(starts, ways, snapshot.center, snapshot.per_length, keys, order, spare)
+        return order
 
     def _every(
         self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool

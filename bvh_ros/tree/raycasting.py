@@ -44,7 +44,7 @@ def raycast(nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, sl
         slot = np.int64(node >> 1)
         place = filled
         if mode == CLOSEST:
-            if best != NONE and not _is_before(nodes, tight, handles, ray, slot, t, axis, best, ts[begin], axes[begin]):
+            if best != NONE and not is_before(nodes, tight, handles, ray, slot, t, axis, best, ts[begin], axes[begin]):
                 continue
             best, place = slot, begin
             limit = traversal_distance(t, scale)
@@ -79,7 +79,7 @@ def _descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
 
 
 @lean_kernel
-def _is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_axis):
+def is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_axis):
     """Whether the first of two hits of a ray is the nearer, or as near with the smaller handle."""
     lo, hi = leaf_box(nodes, tight, 2 * slot)
     other_lo, other_hi = leaf_box(nodes, tight, 2 * other)
@@ -137,7 +137,7 @@ def settle_order(nodes, tight, handles, ray, origins, directions, offsets, slots
         for j in range(offsets[i] + 1, offsets[i + 1]):
             slot, t, axis = slots[j], ts[j], axes[j]
             place = j
-            while place > offsets[i] and _is_before(
+            while place > offsets[i] and is_before(
                 nodes, tight, handles, ray, slot, t, axis, slots[place - 1], ts[place - 1], axes[place - 1]
             ):
                 slots[place], ts[place], axes[place] = slots[place - 1], ts[place - 1], axes[place - 1]

@@ -67,7 +67,8 @@ def prepare_ray(ray, bounds_lo, bounds_hi):
 
 @inlined
 def traversal_distance(t, scale):
-    return t if scale == 0 else math.ldexp(t, -scale)
+    """A computed distance in the traversal's units, raised by its absolute error: that of a t which underflowed may matter there."""
+    return t if scale == 0 else math.ldexp(t + TINY, -scale)
 
 
 @inlined

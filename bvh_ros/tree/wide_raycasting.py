@@ -1,0 +1,222 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of rays through the wide snapshot: eight boxes a vector operation in float32, decided in float64.
+
+The distance of a plane is fma(plane, 1 / d, -o / d) in the snapshot's units. With e = 2**-24, the rounding of 1 / d, of o / d and of
+the result make an error of at most |1 / d| (1 + |o|) 2 e (1 + 4 e), so every entry is lowered and every exit raised by
+PAD32 |1 / d| (1 + |o|), twice that. (Ize 2013 bounds (plane - o) * (1 / d); the fused form needs the term with |o|.) Directions are
+scaled to a largest component of 1, and components below 2**-40 are taken for 2**-40: such an axis' exit then is beyond 2**17 at
+least, further than anything that a ray from within 2**10 scene sizes can meet. Other rays take the binary tree.
+
+What passes is decided in float64 by `quick_decision`, and where that cannot tell, by `slab.meets`, as everywhere.
+"""
+
+import math
+
+import numpy as np
+
+from .compiling import inlined, lean_kernel
+from .machine import LANES, slab8, stack_array, trailing_zeros
+from .nodes import ALL, NONE, leaf_box
+from .raycasting import is_before, load_ray
+from .slab import DIRECTION, INSIDE, INVERSE, ORIGIN, PAD, TINY, meets, near_plane, plane_distance
+from .wide import DEEPEST_WIDE
+
+PAD32 = 2.0**-22
+FARTHEST_ORIGIN = 2.0**10
+STEEPEST = 2.0**40
+ALL32 = np.uint32(ALL)
+MISSES, MEETS, ASK = range(3)
+
+
+@inlined
+def quick_decision(lo, hi, ray, best_t):
+    """Decide where rounding cannot matter: (verdict, t, axis).
+
+    MISSES: surely not met, or surely after best_t. MEETS: surely met, before best_t, and entered last through `axis`. ASK: `meets`
+    must tell. t has an error of three roundings. Distances from the ray neither overflow nor have an infinite inverse here.
+    """
+    entry, second, leave = 0.0, 0.0, best_t
+    entered = INSIDE
+    for axis in range(lo.shape[0]):
+        inverse = ray[INVERSE, axis]
+        at_lo = (lo[axis] - ray[ORIGIN, axis]) * inverse
+        at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
+        near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
+        if near > entry:
+            entry, second, entered = near, entry, axis
+        elif near > second:
+            second = near
+        leave = far if far < leave else leave
+    if entry > leave * PAD + TINY:
+        return MISSES, entry, entered
+    if entry * PAD + TINY < leave and second * PAD + TINY < entry:
+        return MEETS, entry, entered
+    return ASK, entry, entered
+
+
+@inlined
+def fill_ray(ray, center, per_length, ndim):
+    """Write inverses; return (suited, largest component of the direction)."""
+    largest, farthest, smallest = 0.0, 0.0, np.inf
+    for axis in range(ndim):
+        direction = abs(ray[DIRECTION, axis])
+        largest = max(largest, direction)
+        smallest = min(smallest, direction if direction > 0.0 else np.inf)
+        farthest = max(farthest, abs(ray[ORIGIN, axis] - center[axis]) * per_length)
+        ray[INVERSE, axis] = 1.0 / ray[DIRECTION, axis]
+    suited = 1e-200 < largest < 1e200 and smallest > 1e-290 and farthest < FARTHEST_ORIGIN
+    return suited, largest
+
+
+@inlined
+def axis_constants(ray, axis, center, per_length, largest, ndim):
+    """For `slab8`: near and far plane offsets, inverse, near shift, far shift of one axis, with the largest direction made 1."""
+    inverse = ray[INVERSE, axis] * largest
+    slope = min(abs(inverse), STEEPEST)
+    origin = (ray[ORIGIN, axis] - center[axis]) * per_length
+    pad = PAD32 * slope * (1.0 + abs(origin))
+    slope = math.copysign(slope, inverse)
+    near = axis * LANES if slope > 0.0 else (axis + ndim) * LANES
+    far = (2 * axis + ndim) * LANES - near
+    shift = -origin * slope
+    return near, far, np.float32(slope), np.float32(shift - pad), np.float32(shift + pad)
+
+
+@inlined
+def limit32(t, unit):
+    """A distance in the snapshot's units, surely not less than t."""
+    return np.float32(t * unit) * np.float32(1.0 + PAD32) + np.float32(1e-30)
+
+
+@inlined
+def cast(
+    planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, largest, t_max, mask, skip_inside, any_hit, stack, stack_entry, entries
+):
+    """First hit of one ray (or any): (slot, axis); slot NONE where there is none."""
+    ndim = ray.shape[1]
+    stride = 2 * ndim * LANES
+    near_x, far_x, inverse_x, in_x, out_x = axis_constants(ray, 0, center, per_length, largest, ndim)
+    near_y, far_y, inverse_y, in_y, out_y = axis_constants(ray, 1, center, per_length, largest, ndim)
+    near_z, far_z, inverse_z, in_z, out_z = axis_constants(ray, ndim - 1, center, per_length, largest, ndim)
+    unit = largest * per_length  # t times this is the distance in the snapshot's units
+    best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
+    limit = limit32(t_max, unit)
+    stack[0], stack_entry[0], top = 0, 0.0, 1
+    while top > 0:
+        top -= 1
+        if stack_entry[top] > limit:
+            continue
+        child = stack[top]
+        if child < 0:
+            slot = np.int64(~child)
+            lo, hi = leaf_box(nodes, tight, 2 * slot)
+            verdict, t, axis = quick_decision(lo, hi, ray, best_t)
+            if verdict == MISSES:
+                continue
+            if verdict == ASK:
+                met, t, axis = meets(lo, hi, ray, t_max)
+                if not met or (skip_inside and axis == INSIDE):
+                    continue
+                if best != NONE and not is_before(nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis):
+                    continue
+            best, best_t, best_axis = slot, t, axis
+            limit = limit32(t, unit)
+            if any_hit:
+                break
+            continue
+        base = np.int64(child)
+        if ndim == 2:
+            hits = slab8(
+                planes, base * stride, (near_x, near_y), (far_x, far_y), (inverse_x, inverse_y), (in_x, in_y), (out_x, out_y),
+                limit, entries,
+            )
+        else:
+            hits = slab8(
+                planes, base * stride, (near_x, near_y, near_z), (far_x, far_y, far_z), (inverse_x, inverse_y, inverse_z),
+                (in_x, in_y, in_z), (out_x, out_y, out_z), limit, entries,
+            )
+        floor = top
+        while hits != np.uint32(0):
+            lane = np.int64(trailing_zeros(hits))
+            hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
+            if mask != ALL32 and wide_masks[base * LANES + lane] & mask == 0:
+                continue
+            entry = entries[lane]
+            place = top
+            while place > floor and stack_entry[place - 1] < entry:
+                stack_entry[place], stack[place] = stack_entry[place - 1], stack[place - 1]
+                place -= 1
+            stack_entry[place], stack[place] = entry, kids[base * LANES + lane]
+            top += 1
+    return best, best_axis
+
+
+@lean_kernel
+def cast_rows(
+    planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, origins, directions, t_max, masks, skip_inside,
+    any_hit, order, slots, ts, axes, left_over,
+):
+    """Cast the rays of `order`; those not suited are marked in `left_over`. `ray` is scratch."""
+    ndim = origins.shape[1]
+    stack, stack_entry = stack_array(DEEPEST_WIDE, np.int32), stack_array(DEEPEST_WIDE, np.float32)
+    entries = stack_array(LANES, np.float32)
+    for i in order:
+        load_ray(ray, origins, directions, i)
+        suited, largest = fill_ray(ray, center, per_length, ndim)
+        left_over[i] = not suited
+        if not suited:
+            continue
+        slot, axis = cast(
+            planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, largest, t_max[i], masks[i],
+            skip_inside, any_hit, stack, stack_entry, entries,
+        )
+        slots[i], axes[i], ts[i] = slot, axis, np.inf
+        if slot != NONE:
+            lo, hi = leaf_box(nodes, tight, 2 * slot)
+            ts[i] = 0.0
+            if axis != INSIDE:
+                ts[i] = plane_distance(near_plane(lo, hi, ray, axis), ray[ORIGIN, axis], ray[DIRECTION, axis])
+
+
+CELL_BITS = 5  # of the origin on each axis
+KEY_BITS = 3 * (CELL_BITS + 1)
+DIGIT_BITS = KEY_BITS // 2
+DIGITS = 1 << DIGIT_BITS
+
+
+@inlined
+def _ray_key(origins, directions, i, center, per_length):
+    """Octant of the direction, then the cell of the origin with the bits of the axes interleaved (Morton 1966)."""
+    key = 0
+    for axis in range(origins.shape[1]):
+        place = (origins[i, axis] - center[axis]) * per_length * 0.5 + 0.5
+        cell = np.int64(min(max(place, 0.0), 0.999) * (1 << CELL_BITS))
+        for bit in range(CELL_BITS):
+            key |= ((cell >> bit) & 1) << (3 * bit + axis)
+        if directions[i, axis] > 0.0:
+            key |= 1 << (3 * CELL_BITS + axis)
+    return key
+
+
+@lean_kernel
+def coherent_order(origins, directions, center, per_length, keys, order, spare):
+    """Fill `order` so that neighbours visit the same nodes: a stable radix sort by `_ray_key`. keys, spare: scratch, n int64."""
+    starts = stack_array(DIGITS, np.int64)
+    count = origins.shape[0]
+    for i in range(count):
+        keys[i] = _ray_key(origins, directions, i, center, per_length)
+        order[i] = i
+    for shift in (0, DIGIT_BITS):
+        before, after = (order, spare) if shift == 0 else (spare, order)
+        for digit in range(DIGITS):
+            starts[digit] = 0
+        for i in range(count):
+            starts[(keys[i] >> shift) & (DIGITS - 1)] += 1
+        total = 0
+        for digit in range(DIGITS):
+            starts[digit], total = total, total + starts[digit]
+        for i in before:
+            digit = (keys[i] >> shift) & (DIGITS - 1)
+            after[starts[digit]] = i
+            starts[digit] += 1
