@@ -63,7 +63,7 @@ class Coal(Library):
                 item = objects[row]
                 item.setTranslation(center)
                 item.computeAABB()
-                manager.update(item)
+            manager.update()  # all at once: update(item) takes 40 us and more, each
 
         return Job(run, len(work.jumps[0].rows))
 
