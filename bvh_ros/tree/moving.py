@@ -53,7 +53,8 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
             if here.lo[axis] != lo[axis] or here.hi[axis] != hi[axis]:
                 return False
             continue
-        low, high = _fat_bounds(lo[axis], hi[axis], SLACK * margin, SLACK * displacement[axis])
+        slack = SLACK * (margin + abs(displacement[axis]))
+        low, high = _fat_bounds(lo[axis], hi[axis], slack, 0.0)
         if not (low <= here.lo[axis] <= lo[axis] and hi[axis] <= here.hi[axis] <= high):
             return False
     return True
