@@ -5,7 +5,7 @@
 from .registry import Numbered
 from .results import NO_NODE, Obstacle, SceneHit
 from .scene import Scene
-from .shapes import Shapes, ShapeKind
+from .shapes import ShapeKind, Shapes
 from .updating import Refusal
 
 __all__ = [

@@ -12,8 +12,10 @@ branch that asks for what is None, so that a planar scene compiles none of the s
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..tree.compiling import kernel
+from ..tree.compiling import lean_kernel
+from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
 from ..tree.slab import (
     DIRECTION,
@@ -26,11 +28,14 @@ from ..tree.slab import (
     prepare_ray,
     traversal_distance,
 )
+from .columns import Columns
 from .contact import contact, enter_shape
 from .ray_footprint import enter_footprint, touch_footprint
+from .registry import Slots
+from .shapes import Floats
 
 
-@kernel
+@lean_kernel
 def grow(node, radius, box):
     """A node's box grown by the radius on all sides, rounded outwards."""
     for axis in range(node.lo.shape[0]):
@@ -42,9 +47,10 @@ def grow(node, radius, box):
             box[1, axis] += abs(box[1, axis]) * 2.0**-52
 
 
-@kernel
-def push_children(nodes, node, mask, radius, ray, limit, wide, box, stack, entries, top):
+@lean_kernel
+def push_children(nodes, node, mask, radius, limit, wide, scratch, top):
     """Put the children that the ray may enter on the stack, the nearer on top."""
+    ray, box, _, stack, entries = scratch
     bottom = top
     for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
         if nodes[child].mask & mask != 0:
@@ -59,7 +65,7 @@ def push_children(nodes, node, mask, radius, ray, limit, wide, box, stack, entri
     return top
 
 
-@kernel
+@lean_kernel
 def plain(solids, prints, slot):
     """Whether an obstacle is an axis-aligned box."""
     if solids is not None:
@@ -69,10 +75,15 @@ def plain(solids, prints, slot):
     return True
 
 
-@kernel
-def precedes(tree, solids, prints, ray, radius, slot, t, feature, other, other_t, other_feature):
-    """Whether a hit comes before another; ties by handle. Between thin hits of boxes exactly."""
+@lean_kernel
+def precedes(tree, solids, prints, ray, radius, one, another):
+    """Whether a hit (slot, t, feature) comes before another; ties by handle.
+
+    Between thin hits of axis-aligned boxes as real arithmetic says.
+    """
     nodes, tight, handles, _ = tree
+    slot, t, feature = one
+    other, other_t, other_feature = another
     order = -1 if t < other_t else (1 if t > other_t else 0)
     if radius == 0.0 and plain(solids, prints, slot) and plain(solids, prints, other):
         lo, hi = leaf_box(nodes, tight, 2 * slot)
@@ -81,22 +92,21 @@ def precedes(tree, solids, prints, ray, radius, slot, t, feature, other, other_t
     return order < 0 or (order == 0 and handles[slot] < handles[other])
 
 
-@kernel
-def cast(tree, solids, prints, ray, radius, t_max, mask, skip_inside, every, hits, filled, work):
-    """Append the first hit, or every hit in no order, to hits = (slots, ts, features) from `filled`.
+@lean_kernel
+def cast(tree, solids, prints, radius, t_max, mask, skip_inside, every, scratch, hits, filled):
+    """Write the first hit, or every hit in no order, into hits from `filled` on.
 
-    Return hits, grown if need be, and the new count.
+    hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are counted, not written.
     """
     nodes, tight, _, root = tree
+    ray, box, work, stack, entries = scratch
     slots, ts, features = hits
     if root == NONE or nodes[root].mask & mask == 0:
-        return slots, ts, features, filled
+        return filled
     begin = filled
-    box = np.empty((2, ray.shape[1]))
     grow(nodes[root], radius, box)
     scale, wide = prepare_ray(ray, box[0], box[1])
     limit = traversal_distance(t_max, scale)
-    stack, entries = np.empty(DEEPEST, np.int64), np.empty(DEEPEST)
     stack[0], entries[0], top = root, enters(box[0], box[1], ray, limit, wide), 1
     while top > 0:
         top -= 1
@@ -104,9 +114,7 @@ def cast(tree, solids, prints, ray, radius, t_max, mask, skip_inside, every, hit
         if entry > limit * PAD + TINY or entry == np.inf:
             continue
         if not is_leaf(node):
-            top = push_children(
-                nodes, node, mask, radius, ray, limit, wide, box, stack, entries, top
-            )
+            top = push_children(nodes, node, mask, radius, limit, wide, scratch, top)
             continue
         slot = node >> 1
         lo, hi = leaf_box(nodes, tight, node)
@@ -119,39 +127,36 @@ def cast(tree, solids, prints, ray, radius, t_max, mask, skip_inside, every, hit
             continue
         if not every and filled > begin:
             best = slots[begin], ts[begin], features[begin]
-            if not precedes(tree, solids, prints, ray, radius, slot, t, feature, *best):
+            if not precedes(tree, solids, prints, ray, radius, (slot, t, feature), best):
                 continue
             filled = begin
-        if filled == slots.shape[0]:
-            slots, ts, features = grown(slots), grown(ts), grown(features)
-        slots[filled], ts[filled], features[filled] = slot, t, feature
+        if filled < slots.shape[0]:
+            slots[filled], ts[filled], features[filled] = slot, t, feature
         filled += 1
         if not every:
             limit = traversal_distance(t, scale)
-    return slots, ts, features, filled
+    return filled
 
 
-@kernel
-def cast_rays(tree, solids, prints, origins, directions, radius, t_max, masks, skip_inside, every):
-    """First hits, or every hit in no order, of many rays: (offsets, slots, ts, points, normals).
+@lean_kernel
+def cast_rays(tree, solids, prints, rays, radius, skip_inside, every, scratch, found):
+    """First hits, or every hit in no order, of many rays; return how many there are.
 
-    Those of ray i stand at [offsets[i], offsets[i + 1]).
+    rays = (origins, directions, t_max, masks); found = (offsets, slots, ts, features, points,
+    normals): what ray i hits goes to [offsets[i], offsets[i + 1]), as far as there is room.
     """
-    count, ndim = origins.shape
-    ray, work = np.empty((3, ndim)), np.empty((5, 3))
-    offsets = np.zeros(count + 1, np.int64)
-    room = max(count, 16)
-    slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-    points, normals = np.zeros((room, 3)), np.zeros((room, 3))
-    for i in range(count):
-        ray[ORIGIN], ray[DIRECTION] = origins[i], directions[i]
-        slots, ts, features, filled = cast(
-            tree, solids, prints, ray, radius, t_max[i], masks[i], skip_inside, every,
-            (slots, ts, features), offsets[i], work,
+    origins, directions, t_max, masks = rays
+    offsets, slots, ts, features, points, normals = found
+    ray, work, hits = scratch[0], scratch[2], (slots, ts, features)
+    offsets[0] = 0
+    for i in range(origins.shape[0]):
+        for axis in range(origins.shape[1]):
+            ray[ORIGIN, axis], ray[DIRECTION, axis] = origins[i, axis], directions[i, axis]
+        filled = cast(
+            tree, solids, prints, radius, t_max[i], masks[i], skip_inside, every, scratch, hits,
+            offsets[i],
         )  # fmt: skip
-        if slots.shape[0] > points.shape[0]:
-            points, normals = widened(points, slots.shape[0]), widened(normals, slots.shape[0])
-        for j in range(offsets[i], filled):
+        for j in range(offsets[i], min(filled, slots.shape[0])):
             slot, t, feature, point, normal = slots[j], ts[j], features[j], points[j], normals[j]
             lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
             if solids is not None:
@@ -159,19 +164,32 @@ def cast_rays(tree, solids, prints, origins, directions, radius, t_max, masks, s
             if prints is not None:
                 touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
         offsets[i + 1] = filled
-    filled = offsets[count]
-    return offsets, slots[:filled], ts[:filled], points[:filled], normals[:filled]
+    return offsets[-1]
 
 
-@kernel
-def widened(rows, count):
-    more = np.zeros((count, 3))
-    more[: rows.shape[0]] = rows
-    return more
-
-
-@kernel
-def grown(array):
-    bigger = np.empty(2 * array.shape[0], array.dtype)
-    bigger[: array.shape[0]] = array
-    return bigger
+def cast_all(
+    tree: DynamicBVH,
+    columns: Columns,
+    rays: tuple[Floats, Floats, Floats, NDArray[np.uint32]],
+    radius: float,
+    skip_inside: bool,
+    every: bool,
+) -> tuple[Slots, Slots, Floats, Floats, Floats]:
+    """`cast_rays` with room for what it finds: offsets, slots, t, points and normals."""
+    prints = columns.footprint
+    solids = columns.geometry if prints is None else None
+    count, ndim = rays[0].shape
+    scratch = (
+        np.empty((3, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
+    )  # fmt: skip
+    offsets, total, room = np.empty(count + 1, np.int64), max(count, 16), 0
+    while total > room:
+        room = total
+        slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+        points, normals = np.zeros((room, 3)), np.zeros((room, 3))
+        found = (offsets, slots, ts, features, points, normals)
+        total = cast_rays(
+            tree._tree(), solids, prints, rays, radius, skip_inside, every, scratch, found
+        )
+    return offsets, slots[:total], ts[:total], points[:total], normals[:total]

@@ -10,7 +10,8 @@ from .registry import Slots
 
 FREE = -1
 
-# One record for the kernels. `shaped` is anything but an axis-aligned box: it needs a narrow phase.
+# One record for the kernels. `shaped` is anything but an axis-aligned box: it needs a narrow
+# phase.
 GEOMETRY = np.dtype(
     [
         ('position', np.float64, (3,)),
@@ -71,7 +72,10 @@ class Columns:
 
 
 def as_index(slots: Slots) -> NDArray[np.int64] | slice:
-    """The same places as a slice where they are consecutive: whole columns move several times faster."""
+    """The same places as a slice where they are consecutive.
+
+    Whole columns move several times faster.
+    """
     if len(slots) > 1 and slots[-1] - slots[0] == len(slots) - 1 and (np.diff(slots) == 1).all():
         return slice(int(slots[0]), int(slots[-1]) + 1)
     return slots

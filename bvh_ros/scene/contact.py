@@ -1,9 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One obstacle of any shape: into its own frame, where a ray enters it, which point of it is closest.
+"""One obstacle of any shape: into its own frame, where a ray enters it, which point of it is
+closest.
 
 `shape` is a record of `columns.GEOMETRY`. An axis-aligned box is met in the world's frame by its
-corners lo and hi, which are exact; every other shape in its own frame, where it lies at the origin.
+corners lo and hi, which are exact; every other shape in its own frame, where it lies at the
+origin.
 """
 
 import math
@@ -38,7 +40,10 @@ def rotate(quaternion, vector, sign):
 
 @lean_kernel
 def to_frame(shape, ray, local):
-    """Fill `local` with origin and unit direction in the shape's frame; return the direction's length."""
+    """Fill `local` with origin and unit direction in the shape's frame.
+
+    Return the direction's length.
+    """
     total = length(ray[DIRECTION])
     for axis in range(3):
         local[0, axis] = ray[ORIGIN, axis]
@@ -53,7 +58,10 @@ def to_frame(shape, ray, local):
 
 @lean_kernel
 def enter_shape(shape, lo, hi, ray, radius, t_max, work):
-    """(t, feature) of a ray, or of a ball swept along it, in units of the ray's direction; t inf: not met up to t_max."""
+    """(t, feature) of a ray, or of a ball swept along it, in units of the ray's direction.
+
+    T inf: not met up to t_max.
+    """
     if not shape.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -81,7 +89,10 @@ def enter_shape(shape, lo, hi, ray, radius, t_max, work):
 
 @lean_kernel
 def closest_point(shape, point, out):
-    """The point of a shape at the origin of its frame that is closest to `point`; `point` itself inside."""
+    """The point of a shape at the origin of its frame that is closest to `point`.
+
+    `point` itself inside.
+    """
     half = shape.half
     if shape.kind == BOX:
         for axis in range(3):
@@ -97,11 +108,17 @@ def closest_point(shape, point, out):
 
 @lean_kernel
 def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
-    """Fill in the obstacle's point that is met at t, and the outward normal; zero if the start lies in the obstacle."""
+    """Fill in the obstacle's point that is met at t, and the outward normal.
+
+    Zero if the start lies in the obstacle.
+    """
     s = t * to_frame(shape, ray, work)
     centre, way, closest, outward = work[0], work[1], work[2], work[3]
     for axis in range(3):
-        centre[axis] += s * way[axis]
+        if shape.shaped:
+            centre[axis] += s * way[axis]
+        else:
+            centre[axis] += t * ray[DIRECTION, axis]
         closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
         outward[axis] = 0.0
     if shape.shaped:
@@ -131,7 +148,10 @@ def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
 
 @lean_kernel
 def to_world(shape, closest, outward, point, normal):
-    """Bring a point and a direction of any length back from the shape's frame; the direction becomes a unit vector or zero."""
+    """Bring a point and a direction of any length back from the shape's frame.
+
+    The direction becomes a unit vector or zero.
+    """
     total = length(outward)
     for axis in range(3):
         point[axis] = closest[axis]

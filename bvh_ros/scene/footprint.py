@@ -3,9 +3,9 @@
 """Footprints: shapes seen from above, for planar scenes.
 
 A box casts a zonogon, the sum of three segments (its half axes seen from above): a rectangle if it
-stands upright, else up to six corners. A ball casts a disc; a cylinder that stands a disc, one that
-lies a rectangle, and one that leans an oval: an ellipse (its disc seen from above) drawn along a
-segment (its axis seen from above).
+stands upright, else up to six corners. A ball casts a disc; a cylinder that stands a disc, one
+that lies a rectangle, and one that leans an oval: an ellipse (its disc seen from above) drawn
+along a segment (its axis seen from above).
 
            ____                 ________
           /    \\              (        )
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from .shapes import Floats, ShapeKind, Shapes, rotations
 
 # A zonogon is kept by its corners, counter-clockwise (some may coincide), and as the overlap of
-# three strips |normal . p| <= width. A disc is a point grown by `radius`. All relative to `centre`.
+# three strips |normal . p| <= width. A disc is a point grown by `radius`. All relative to
+# `centre`.
 FOOTPRINT = np.dtype(
     [
         ('centre', np.float64, (2,)),
@@ -38,7 +39,10 @@ FOOTPRINT = np.dtype(
 
 
 def footprints(shapes: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
-    """Footprints of canonical shapes, shape (n,). Axis-aligned boxes are left to the tree's own box."""
+    """Footprints of canonical shapes, shape (n,).
+
+    Axis-aligned boxes are left to the tree's own box.
+    """
     prints = np.zeros(len(shapes.kind), FOOTPRINT)
     prints['shaped'] = shaped
     rows = np.flatnonzero(shaped)
@@ -72,7 +76,7 @@ def footprints(shapes: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
 
 
 def zonogon(generators: Floats) -> Floats:
-    """Corners (n, 6, 2), counter-clockwise, of the sums of three segments from -g to g, (n, 3, 2)."""
+    """Corners (n, 6, 2), counter-clockwise, of sums of three segments from -g to g, (n, 3, 2)."""
     # All into the upper half plane and by angle: walking along twice each is one half of the rim.
     down = (generators[:, :, 1] < 0) | ((generators[:, :, 1] == 0) & (generators[:, :, 0] < 0))
     upper = np.where(down[:, :, None], -generators, generators)
@@ -88,7 +92,8 @@ def strips(generators: Floats) -> tuple[Floats, Floats]:
     size = np.hypot(generators[:, :, 0], generators[:, :, 1])
     longest = np.take_along_axis(generators, np.argmax(size, axis=1)[:, None, None], axis=1)
     normals = np.stack([-generators[:, :, 1], generators[:, :, 0]], axis=2)
-    # A missing generator leaves room for the strip that ends a flat zonogon; a point takes x and y.
+    # A missing generator leaves room for the strip that ends a flat zonogon; a point takes x and
+    # y.
     normals = np.where(size[:, :, None] > 0, normals, longest)
     normals[(size == 0).all(axis=1)] = ((1.0, 0.0), (0.0, 1.0), (1.0, 0.0))
     normals /= np.hypot(normals[:, :, 0], normals[:, :, 1])[:, :, None]

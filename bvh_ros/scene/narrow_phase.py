@@ -18,7 +18,9 @@ def loaded() -> bool:
 
 
 def boxes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
-    """Whether boxes (records of `columns.GEOMETRY`) are within the query's tolerance of its box; touching counts."""
+    """Whether boxes (records of `columns.GEOMETRY`) are within the query's tolerance of its box;
+    touching counts.
+    """
     near = np.zeros(len(records), np.bool_)
     if not len(records):
         return near

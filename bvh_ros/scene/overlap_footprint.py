@@ -1,6 +1,9 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Distances of footprints from a query's footprint, for planar scenes; a query is a rectangle or a point."""
+"""Distances of footprints from a query's footprint, for planar scenes.
+
+A query is a rectangle or a point.
+"""
 
 import numpy as np
 
@@ -12,7 +15,10 @@ BISECTIONS = 60
 
 @kernel
 def closest_points(prints, centre, points):
-    """Fill `points` with the point of each footprint closest to `centre`, shape (2,); the centre itself inside."""
+    """Fill `points` with the point of each footprint closest to `centre`, shape (2,).
+
+    The centre itself inside.
+    """
     local, closest = np.empty(2), np.empty(2)
     for i in range(prints.shape[0]):
         for axis in range(2):
@@ -54,7 +60,9 @@ def separated(one, other, offset):
 
 @kernel
 def zonogon_gap(one, other, offset, point, closest):
-    """0 if no edge of either separates the two, else the least distance from a corner of one to the other."""
+    """0 if no edge of either separates the two, else the least distance from a corner of one to
+    the other.
+    """
     if not separated(one, other, offset) and not separated(other, one, offset):
         return 0.0
     best = np.inf
@@ -70,7 +78,10 @@ def zonogon_gap(one, other, offset, point, closest):
 
 @kernel
 def oval_gap(oval, other, offset, point, closest):
-    """Along each edge of the other the squared distance from the oval is convex: bisect its slope."""
+    """Along each edge of the other the squared distance from the oval is convex.
+
+    Bisect its slope.
+    """
     for axis in range(2):
         point[axis] = -offset[axis]
     if closest_on_zonogon(other, point, closest) == 0.0:

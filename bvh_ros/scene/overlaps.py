@@ -1,6 +1,9 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which obstacles touch a query box: broad phase, exact decision between axis-aligned boxes, narrow phase for the others."""
+"""Which obstacles touch a query box.
+
+Broad phase, exact decision between axis-aligned boxes, narrow phase for the others.
+"""
 
 from fractions import Fraction
 from typing import NamedTuple
@@ -20,7 +23,10 @@ from .solid_gap import box_cylinder_gap
 
 
 class Touching(NamedTuple):
-    """Obstacles that touch a query, and how each lies to its centre; one row an obstacle, in no order."""
+    """Obstacles that touch a query, and how each lies to its centre.
+
+    One row an obstacle, in no order.
+    """
 
     slots: Slots
     distances: Floats
@@ -58,7 +64,10 @@ def corners(records: NDArray[np.void]) -> tuple[Floats, Floats]:
 
 
 def lengths(vectors: Floats) -> Floats:
-    """Euclidean lengths of rows; scaled by a power of two, so that squares neither overflow nor vanish."""
+    """Euclidean lengths of rows.
+
+    Scaled by a power of two, so that squares neither overflow nor vanish.
+    """
     exponent = np.frexp(np.abs(vectors).max(axis=1, initial=0.0))[1]
     scaled = np.ldexp(vectors, -exponent[:, None])
     result: Floats = np.ldexp(np.sqrt((scaled * scaled).sum(axis=1)), exponent)
@@ -66,7 +75,9 @@ def lengths(vectors: Floats) -> Floats:
 
 
 def boxes_within(lo: Floats, hi: Floats, query: BoxQuery, ndim: int) -> NDArray[np.bool_]:
-    """Whether axis-aligned boxes are within the tolerance of an aligned query, as real arithmetic decides."""
+    """Whether axis-aligned boxes are within the tolerance of an aligned query, as real arithmetic
+    decides.
+    """
     gaps = np.maximum(np.maximum(lo - query.hi, query.lo - hi), 0.0)[:, :ndim]
     distances = lengths(gaps)
     near: NDArray[np.bool_] = distances <= query.tolerance
@@ -121,7 +132,10 @@ def distances_to_query(points: Floats, query: BoxQuery) -> Floats:
 
 
 def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
-    """The point of each shape closest to `centre`, in closed form; the centre itself where it lies inside."""
+    """The point of each shape closest to `centre`, in closed form.
+
+    The centre itself where it lies inside.
+    """
     lo, hi = corners(records)
     points = np.clip(centre, lo, hi)
     turned = np.flatnonzero(records['shaped'])

@@ -1,8 +1,9 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The questions a scene answers: each checks its input, asks the tree or a kernel, and names what was found."""
+"""The questions a scene answers.
 
-from typing import Any
+Each checks its input, asks the tree or a kernel, and names what was found.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,7 +45,8 @@ class SceneQueries:
         Parameters
         ----------
         start, goal : array_like, shape (3,)
-            Ends of the segment, m. If they are equal, the point (the ball) at `start` is asked for.
+            Ends of the segment, m. If they are equal, the point (the ball) at `start` is asked
+            for.
         radius : float
             Of a ball swept along the segment, m; 0 is a thin ray.
         mask : int
@@ -55,9 +57,10 @@ class SceneQueries:
         Returns
         -------
         SceneHit or None
-            `t` is where the ray's point or the ball's centre is between start (0) and goal (1). `point` lies on the obstacle,
-            `normal` leads from there to the ball's centre. An obstacle that contains the start is met at ``t = 0`` with a zero
-            normal. Among axis-aligned boxes a thin ray is decided exactly; ties by the smaller handle.
+            `t` is where the ray's point or the ball's centre is between start (0) and goal (1).
+            `point` lies on the obstacle, `normal` leads from there to the ball's centre. An
+            obstacle that contains the start is met at ``t = 0`` with a zero normal. Among
+            axis-aligned boxes a thin ray is decided exactly. Ties go to the smaller handle.
 
         Raises
         ------
@@ -88,7 +91,10 @@ class SceneQueries:
         mask: int = ALL,
         skip_inside: bool = False,
     ) -> list[SceneHit]:
-        """Return all obstacles on the way, nearest first, ties by handle. Arguments as `raycast`."""
+        """Return all obstacles on the way, nearest first, ties by handle.
+
+        Arguments as `raycast`.
+        """
         origin, direction, radius = self._segment(start, goal, radius)
         ndim = self._tree.ndim
         if radius == 0.0 and not self._any_shaped:
@@ -148,7 +154,10 @@ class SceneQueries:
     def _first_box(
         self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """Rows, slots, t, points and normals of the rays that meet a box: the tree's own answer."""
+        """Rows, slots, t, points and normals of the rays that meet a box.
+
+        The tree's own answer.
+        """
         ndim = self._tree.ndim
         hits = self._tree.raycast_many(starts[:, :ndim], ways[:, :ndim], t_max, masks, skip_inside)
         rows = np.flatnonzero(hits.ids >= 0)
@@ -166,7 +175,8 @@ class SceneQueries:
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """The same against the true shapes."""
         offsets, *found = self._cast(starts, ways, 0.0, t_max, masks, skip_inside, False)
-        return np.flatnonzero(np.diff(offsets)), found[0], found[1], found[2], found[3]
+        rows = np.asarray(np.flatnonzero(np.diff(offsets)), np.int64)
+        return rows, found[0], found[1], found[2], found[3]
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float
@@ -192,14 +202,9 @@ class SceneQueries:
         every: bool,
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """Offsets, slots, t, points and normals of swept balls against the true shapes."""
-        ndim, prints = self._tree.ndim, self._columns.footprint
-        solids = self._columns.geometry if prints is None else None
-        starts, ways = starts[:, :ndim].copy(), ways[:, :ndim].copy()
-        skip = bool(skip_inside)
-        found: tuple[Slots, Slots, Floats, Floats, Floats] = casting.cast_rays(
-            self._tree._tree(), solids, prints, starts, ways, radius, t_max, masks, skip, every
-        )
-        return found
+        ndim = self._tree.ndim
+        rays = starts[:, :ndim].copy(), ways[:, :ndim].copy(), t_max, masks
+        return casting.cast_all(self._tree, self._columns, rays, radius, bool(skip_inside), every)
 
     def _cast_one(
         self, origin: Floats, way: Floats, radius: float, mask: int, skip_inside: bool, every: bool
@@ -233,19 +238,22 @@ class SceneQueries:
         Parameters
         ----------
         start, goal : array_like, shape (3,)
-            Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a ball.
+            Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a
+            ball.
         orientation : array_like, shape (4,)
             Quaternion x, y, z, w of the box's axes; zero is the identity.
         tolerance : float
-            The box is grown by this all round, with rounded corners: obstacles at most so far from it count, m.
+            The box is grown by this all round, with rounded corners: obstacles at most so far from
+            it count, m.
         mask : int
             Only obstacles with ``categories & mask != 0`` are seen.
 
         Returns
         -------
         list of SceneHit
-            `point` is the obstacle's point closest to the box's centre, `t` the distance between the two (m), `normal` leads from
-            the point to the centre; zero if the centre lies in the obstacle.
+            `point` is the obstacle's point closest to the box's centre, `t` the distance between
+            the two (m), `normal` leads from the point to the centre; zero if the centre lies in
+            the obstacle.
 
         Raises
         ------

@@ -25,7 +25,10 @@ from .ray_shapes import (
 
 @lean_kernel
 def to_centre(footprint, ray, local):
-    """Origin relative to the centre and unit direction into `local`; return the direction's length."""
+    """Origin relative to the centre and unit direction into `local`.
+
+    Return the direction's length.
+    """
     total = length(ray[DIRECTION])
     for axis in range(2):
         local[0, axis] = ray[ORIGIN, axis] - (footprint.centre[axis] if footprint.shaped else 0.0)
@@ -35,7 +38,10 @@ def to_centre(footprint, ray, local):
 
 @lean_kernel
 def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
-    """(t, feature) as `contact.enter_shape`; the feature of a thin ray is the strip that is entered."""
+    """(t, feature) as `contact.enter_shape`.
+
+    The feature of a thin ray is the strip that is entered.
+    """
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -61,7 +67,10 @@ def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
 
 @lean_kernel
 def enter_rounded_zonogon(footprint, origin, way, radius, reach, closest):
-    """Discs about the corners and edges moved outwards: the ray enters where it first meets one."""
+    """Discs about the corners and edges moved outwards.
+
+    The ray enters where it first meets one.
+    """
     if closest_on_zonogon(footprint, origin, closest) <= radius:
         return 0.0, INSIDE
     best = np.inf
@@ -172,7 +181,7 @@ def closest_on_oval(footprint, point, out):
 
 @lean_kernel
 def closest_on_ellipse(a, b, x, y):
-    """Point of a solid ellipse (half axes a <= b along x and y) closest to (x, y) in the first quadrant.
+    """Point of a solid ellipse closest to (x, y) in the first quadrant; half axes a <= b.
 
     Outside, (a^2 x / (t + a^2), b^2 y / (t + b^2)) with the t > 0 that puts it on the ellipse
     (Eberly, Distance from a Point to an Ellipse, 2013); by bisection, which is never misled.
@@ -193,7 +202,10 @@ def closest_on_ellipse(a, b, x, y):
 
 @lean_kernel
 def oval_normal(footprint, point, normal):
-    """Direction outwards at the oval's rim next to `point`: the gradient of the ellipse, or straight across."""
+    """Direction outwards at the oval's rim next to `point`.
+
+    The gradient of the ellipse, or straight across.
+    """
     along = footprint.along
     u, v = point[0] * along[0] + point[1] * along[1], point[1] * along[0] - point[0] * along[1]
     x, y = abs(u) - footprint.straight, abs(v)
@@ -205,11 +217,14 @@ def oval_normal(footprint, point, normal):
 
 @lean_kernel
 def touch_footprint(footprint, lo, hi, ray, t, feature, work, point, normal):
-    """Fill in the footprint's point that is met at t and the outward normal, as `contact.contact`."""
+    """Fill in the footprint's point that is met at t and the outward normal there."""
     s = t * to_centre(footprint, ray, work)
     centre, way, closest = work[0, :2], work[1, :2], work[2, :2]
     for axis in range(2):
-        centre[axis] += s * way[axis]
+        if footprint.shaped:
+            centre[axis] += s * way[axis]
+        else:
+            centre[axis] += t * ray[DIRECTION, axis]
         closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
         normal[axis] = centre[axis] - closest[axis]
     gap = length(normal[:2])
@@ -233,7 +248,10 @@ def touch_footprint(footprint, lo, hi, ray, t, feature, work, point, normal):
 
 @lean_kernel
 def flat_normal(footprint, lo, hi, way, feature, closest, normal):
-    """The normal of the strip that a thin ray enters; a rectangle's point is on its edge exactly."""
+    """The normal of the strip that a thin ray enters.
+
+    A rectangle's point is on its edge exactly.
+    """
     if footprint.shaped:
         across = footprint.normals[feature]
         sign = -math.copysign(1.0, across[0] * way[0] + across[1] * way[1])

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names of obstacles and the slots they own.
 
-A name lives in one of two places. Names given as `Numbered` (100,000 points of a cloud) live in the table of their prefix, as
-sorted arrays of numbers and slots, and become strings only when somebody asks. All others live in a dictionary. So that 'p5' is
-one obstacle however it was given: when a prefix has a table, every name made of this prefix and a number lives there.
+A name lives in one of two places. Names given as `Numbered` (100,000 points of a cloud) live in
+the table of their prefix, as sorted arrays of numbers and slots, and become strings only when
+somebody asks. All others live in a dictionary. So that 'p5' is one obstacle however it was given:
+when a prefix has a table, every name made of this prefix and a number lives there.
 """
 
 import re
@@ -32,7 +33,10 @@ Names: TypeAlias = Sequence[str] | Numbered
 
 
 def as_names(names: Names) -> Names:
-    """Names as the registry stores them: a `Numbered` whose names could be split otherwise ('a1' and 5, 'a' and 15) as strings."""
+    """Names as the registry stores them.
+
+    A `Numbered` whose names could be split otherwise ('a1' and 5, 'a' and 15) as strings.
+    """
     if not isinstance(names, Numbered):
         if isinstance(names, str):
             raise ValueError('names is one string, not a sequence of strings')

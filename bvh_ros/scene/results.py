@@ -20,17 +20,29 @@ class SceneHit(NamedTuple):
     handle: int
     """Node handle, 1 to 2^31 - 1, not reused while the scene lives."""
     t: float
-    """Rays: 0 at the start, 1 at the goal. Overlaps: distance of `point` from the query's centre, m."""
+    """Rays: 0 at the start, 1 at the goal. Overlaps.
+
+    Distance of `point` from the query's centre, m.
+    """
     point: NDArray[np.float64]
-    """Shape (3,), m: where a ray meets the obstacle or a swept ball touches it; for overlaps its point closest to the centre."""
+    """Shape (3,), m: where a ray meets the obstacle or a swept ball touches it.
+
+    For overlaps its point closest to the centre.
+    """
     normal: NDArray[np.float64]
-    """Shape (3,), outward; zero where the query starts (for overlaps: has its centre) in the obstacle."""
+    """Shape (3,), outward; zero where the query starts (for overlaps.
+
+    Has its centre) in the obstacle.
+    """
     stamp: int
     """Last update of the obstacle, ns."""
 
 
 class Obstacle(NamedTuple):
-    """What the scene knows of one obstacle. A box turned by right angles is kept as the same box unturned."""
+    """What the scene knows of one obstacle.
+
+    A box turned by right angles is kept as the same box unturned.
+    """
 
     name: str
     handle: int

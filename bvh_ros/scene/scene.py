@@ -24,13 +24,14 @@ NEVER = np.iinfo(np.int64).max
 class Scene(SceneQueries, SceneInspection):
     """Obstacles that come and go, and the questions about them.
 
-    Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no clock. Positions are in metres, all
-    in one frame.
+    Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
+    clock. Positions are in metres, all in one frame.
 
     Parameters
     ----------
     planar : bool
-        The world seen from above: a 2D tree of footprints. z is ignored in obstacles and queries; points get the start's z.
+        The world seen from above: a 2D tree of footprints. z is ignored in obstacles and queries;
+        points get the start's z.
     margin : float
         Fat boxes in the tree, m: small moves cost nothing. Answers do not depend on it.
     max_obstacles : int
@@ -120,7 +121,8 @@ class Scene(SceneQueries, SceneInspection):
         expires: ArrayLike = 0,
         categories: ArrayLike = 1,
     ) -> list[Refusal]:
-        """`update`, and remove the obstacles of this group that are not named. The group '' is all that the source owns.
+        """`update`, and remove the obstacles of this group that are not named. The group '' is all
+        that the source owns.
 
         A refused row counts as named: its obstacle stays.
         """
@@ -241,17 +243,26 @@ class Scene(SceneQueries, SceneInspection):
         return len(slots)
 
     def remove(self, source: str, names: Names) -> int:
-        """Remove obstacles of this source by name; return how many there were. Names it does not own are left alone."""
+        """Remove obstacles of this source by name; return how many there were.
+
+        Names it does not own are left alone.
+        """
         slots = np.unique(self._registry.find(as_names(names)))
         slots = slots[slots != UNKNOWN]
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
 
     def remove_group(self, source: str, group: str) -> int:
-        """Remove the obstacles of a group ('': all that the source owns); return how many there were."""
+        """Remove the obstacles of a group ('': all that the source owns).
+
+        Return how many there were.
+        """
         return self._remove(self._members(source, group, np.empty(0, np.int64)))
 
     def remove_namespace(self, source: str, namespace: str | None = None) -> int:
-        """Remove the source's obstacles whose names begin with `namespace` + '/', or all; return how many there were."""
+        """Remove the source's obstacles whose names begin with `namespace` + '/', or all.
+
+        Return how many there were.
+        """
         if namespace is None:
             return self.remove_group(source, '')
         slots = np.concatenate(list(self._registry.starting_with(f'{namespace}/')))
@@ -263,7 +274,10 @@ class Scene(SceneQueries, SceneInspection):
         return self._remove(self._columns.used())
 
     def expire(self, now: int) -> int:
-        """Remove the obstacles with 0 < expires <= now (ns); return how many there were. Costs nothing while none can be due."""
+        """Remove the obstacles with 0 < expires <= now (ns); return how many there were.
+
+        Costs nothing while none can be due.
+        """
         if now < self._next_expiry:
             return 0
         expires = self._columns.expires

@@ -1,21 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes of obstacles as arrays: what is legal, one canonical form, and the boxes that bound them."""
+"""Shapes of obstacles as arrays.
+
+What is legal, one canonical form, and the boxes that bound them.
+"""
 
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-# A unit quaternion is known to about one ulp a component. One this close to a rotation that maps axes to axes is taken as that
-# rotation: the box would differ by less than the rounding of its own corners.
+# A unit quaternion is known to about one ulp a component. One this close to a rotation that maps
+# axes to axes is taken as that rotation: the box would differ by less than the rounding of its own
+# corners.
 SNAP = 2.0**-50
 
-# Relative growth of the bounds of what is not an axis-aligned box: above the rounding of the rotation and of the sum of three
-# products, so that the broad phase never loses what the true shape touches.
+# Relative growth of the bounds of what is not an axis-aligned box: above the rounding of the
+# rotation and of the sum of three products, so that the broad phase never loses what the true
+# shape touches.
 OUTWARD = 2.0**-48
 
 
@@ -30,8 +35,8 @@ class ShapeKind(IntEnum):
 class Shapes(NamedTuple):
     """Poses and sizes of n obstacles, one a row.
 
-    Every shape is given by the box around it in its own frame: a sphere by its diameter three times, a cylinder (axis: local z)
-    by diameter, diameter, height.
+    Every shape is given by the box around it in its own frame: a sphere by its diameter three
+    times, a cylinder (axis: local z) by diameter, diameter, height.
     """
 
     kind: NDArray[np.uint8]
@@ -43,11 +48,20 @@ class Shapes(NamedTuple):
     size: Floats
     """(n, 3) full edge lengths along the shape's own axes, m."""
 
+    def take(self, rows: Any) -> 'Shapes':
+        """Some of the rows."""
+        return Shapes(
+            self.kind[rows], self.position[rows], self.orientation[rows], self.size[rows]
+        )
+
     @classmethod
     def boxes(
         cls, position: ArrayLike, size: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
-        """Boxes; without `orientation` (n, 4) axis-aligned. A `size` of shape (3,) holds for all."""
+        """Boxes; without `orientation` (n, 4) axis-aligned.
+
+        A `size` of shape (3,) holds for all.
+        """
         centres = np.asarray(position, np.float64).reshape(-1, 3)
         turns = (
             np.zeros((len(centres), 4))
@@ -68,7 +82,7 @@ REASONS = (
     'its size is not finite',
     'its size is negative',
     'the three sizes of a sphere must be equal (they are its diameter)',
-    'only circular cylinders are supported: the sizes along x and y must be equal (they are the diameter)',
+    'the sizes of a cylinder along x and y must be equal (they are its diameter)',
     'a sphere or cylinder needs sizes above zero',
     'its bounds exceed the largest double',
 )
@@ -88,25 +102,20 @@ REASONS = (
 
 def as_shapes(shapes: Shapes) -> Shapes:
     """The same with arrays of the right types; ValueError where their lengths disagree."""
+    kind, count = np.asarray(shapes.kind), len(shapes.kind)
     position = np.asarray(shapes.position, np.float64)
-    count = len(position)
-    kind = np.asarray(shapes.kind)
-    arrays = [
-        position,
-        np.asarray(shapes.orientation, np.float64),
-        np.asarray(shapes.size, np.float64),
-    ]
-    for name, array, wanted in zip(
-        Shapes._fields,
-        [kind, *arrays],
-        [(count,), (count, 3), (count, 4), (count, 3)],
-        strict=True,
-    ):
-        if array.shape != wanted:
-            raise ValueError(f'shapes.{name} has shape {array.shape}, not {wanted}')
+    orientation = np.asarray(shapes.orientation, np.float64)
+    size = np.asarray(shapes.size, np.float64)
+    wanted: dict[str, tuple[NDArray[Any], tuple[int, ...]]]
+    wanted = {'kind': (kind, (count,)), 'position': (position, (count, 3))}
+    wanted |= {'orientation': (orientation, (count, 4)), 'size': (size, (count, 3))}
+    for name, (array, shape) in wanted.items():
+        if array.shape != shape:
+            raise ValueError(f'shapes.{name} has shape {array.shape}, not {shape}')
     if kind.dtype.kind not in 'iu' and count:
         raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
-    return Shapes(np.where((kind >= 0) & (kind < 255), kind, 255).astype(np.uint8), *arrays)
+    known = np.isin(kind, list(ShapeKind))
+    return Shapes(np.where(known, kind, 255).astype(np.uint8), position, orientation, size)
 
 
 def faults(shapes: Shapes) -> NDArray[np.uint8]:
@@ -115,11 +124,13 @@ def faults(shapes: Shapes) -> NDArray[np.uint8]:
     code = np.zeros(len(kind), np.uint8)
     box, sphere, cylinder = (kind == value for value in ShapeKind)
 
-    def refuse(bad: NDArray[np.bool_], reason: int) -> None:
+    def refuse(bad: Any, reason: int) -> None:
         code[bad & (code == FINE)] = reason
 
     # A sum of finite numbers may overflow, but then it goes the slow way and is found fine.
-    if not np.isfinite(position.sum() + orientation.sum() + size.sum()):
+    with np.errstate(over='ignore', invalid='ignore'):
+        total = position.sum() + orientation.sum() + size.sum()
+    if not np.isfinite(total):
         refuse(~np.isfinite(position).all(axis=1), BAD_POSITION)
         refuse(~np.isfinite(orientation).all(axis=1), BAD_ORIENTATION)
         refuse(~np.isfinite(size).all(axis=1), BAD_SIZE)
@@ -136,7 +147,8 @@ def faults(shapes: Shapes) -> NDArray[np.uint8]:
 def canonical(shapes: Shapes) -> tuple[Shapes, NDArray[np.bool_]]:
     """Unit quaternions, and the mask of axis-aligned boxes.
 
-    A box whose rotation maps axes to axes becomes the same box unturned, its sizes exchanged. A sphere loses its rotation.
+    A box whose rotation maps axes to axes becomes the same box unturned, its sizes exchanged. A
+    sphere loses its rotation.
     """
     kind, position, orientation, size = shapes
     if not orientation[:, :3].any():  # clouds and plain markers: nothing is turned
@@ -165,7 +177,10 @@ def unit_quaternions(orientation: Floats) -> Floats:
 
 
 def maps_axes_to_axes(orientation: Floats) -> NDArray[np.bool_]:
-    """Whether unit quaternions are among the 24 rotations of a cube: 1, 2 or 4 components of equal magnitude, the others zero."""
+    """Whether unit quaternions are among the 24 rotations of a cube.
+
+    1, 2 or 4 components of equal magnitude, the others zero.
+    """
     magnitude = np.abs(orientation)
     present = magnitude > SNAP
     count = present.sum(axis=1)
@@ -186,7 +201,10 @@ def rotations(orientation: Floats) -> Floats:
 
 
 def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Boxes (n, 3) around canonical shapes: exact (position -+ size / 2) where aligned, else a few ulp outwards."""
+    """Boxes (n, 3) around canonical shapes.
+
+    Exact (position -+ size / 2) where aligned, else a few ulp outwards.
+    """
     half = shapes.size * 0.5
     if aligned.all():
         return shapes.position - half, shapes.position + half

@@ -23,7 +23,9 @@ BISECTIONS = 60
 
 @lean_kernel
 def box_cylinder_gap(half, turn, centre, radius, half_height):
-    """Distance of a box with half sizes `half`, axes the columns of `turn` and this centre, in the cylinder's frame; 0 if they touch."""
+    """Distance of a box with half sizes `half`, axes the columns of `turn` and this centre, in the
+    cylinder's frame; 0 if they touch.
+    """
     if box_holds(half, turn, centre, 0.0, 0.0, 0.0):
         return 0.0
     best = np.inf
@@ -54,7 +56,10 @@ def box_holds(half, turn, centre, x, y, z):
 
 @lean_kernel
 def face_gap(half, turn, centre, axis, side, radius, half_height):
-    """Distance from a face to the cylinder's extreme points over it; 0 if the cylinder crosses the face's inside; else inf."""
+    """Distance from a face to the cylinder's extreme points over it.
+
+    0 if the cylinder crosses the face's inside; else inf.
+    """
     nx, ny, nz = side * turn[0, axis], side * turn[1, axis], side * turn[2, axis]
     level = nx * centre[0] + ny * centre[1] + nz * centre[2] + half[axis]
     across = math.hypot(nx, ny)

@@ -1,6 +1,9 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a message's rows to what can be applied: which rows are good, in canonical form, and why the others are refused."""
+"""From a message's rows to what can be applied.
+
+Which rows are good, in canonical form, and why the others are refused.
+"""
 
 from typing import Any, NamedTuple
 
@@ -39,9 +42,15 @@ class Rows(NamedTuple):
         """Some of the rows; the arrays themselves where that is all of them."""
         if which.dtype == np.bool_ and which.all():
             return self
-        picked = [column[which] for column in self if not isinstance(column, Shapes)]
         return Rows(
-            picked[0], picked[1], Shapes(*(part[which] for part in self.shapes)), *picked[2:]
+            self.row[which],
+            self.slot[which],
+            self.shapes.take(which),
+            self.shaped[which],
+            self.lo[which],
+            self.hi[which],
+            self.categories[which],
+            self.expires[which],
         )
 
 
@@ -64,10 +73,11 @@ def examine(
     expires: ArrayLike,
     categories: ArrayLike,
 ) -> tuple[Rows, dict[int, str | int]]:
-    """The rows to apply, and the reason of each refused row: a sentence, or the number of the source that owns its name.
+    """The rows to apply, and the reason of each refused row: a sentence, or the number of the
+    source that owns its name.
 
-    Of several good rows with one name the last is applied: a message is read in order, and a later row modifies an earlier one's
-    obstacle.
+    Of several good rows with one name the last is applied: a message is read in order, and a later
+    row modifies an earlier one's obstacle.
     """
     count = len(given.kind)
     lives = column('expires', expires, count, np.iinfo(np.int64).max)
@@ -84,12 +94,14 @@ def examine(
     good[list(reasons)] = False
     row = np.flatnonzero(good)
     rows = row if len(row) < count else slice(None)
-    form, aligned = shapes.canonical(Shapes(*(part[rows] for part in given)))
-    with np.errstate(over='ignore'):
+    form, aligned = shapes.canonical(given.take(rows))
+    with np.errstate(over='ignore', invalid='ignore'):
         lo, hi = shapes.bounds(form, aligned)
-    large = ~(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
-    reasons.update((int(number), shapes.REASONS[shapes.TOO_LARGE]) for number in row[large])
-    found = Rows(row, slots[rows], form, ~aligned, lo, hi, masks[rows], lives[rows]).take(~large)
+    finite = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    reasons.update((int(number), shapes.REASONS[shapes.TOO_LARGE]) for number in row[~finite])
+    found = Rows(row, slots[rows], form, ~aligned, lo, hi, masks[rows], lives[rows]).take(
+        np.asarray(finite)
+    )
     last = registry.last_of_each(names, found.row)
     return found if len(last) == len(found.row) else found.take(np.isin(found.row, last)), reasons
 
@@ -97,11 +109,8 @@ def examine(
 def _name_faults(names: Names) -> dict[int, str]:
     reserved = f"names that begin with '{ERROR_PREFIX}' are reserved for error replies"
     if isinstance(names, Numbered):
-        return (
-            dict.fromkeys(range(len(names.numbers)), reserved)
-            if names.prefix.startswith(ERROR_PREFIX)
-            else {}
-        )
+        count = len(names.numbers) if names.prefix.startswith(ERROR_PREFIX) else 0
+        return dict.fromkeys(range(count), reserved)
     faults = {}
     for row, name in enumerate(names):
         if not isinstance(name, str):

@@ -1,0 +1,123 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene must answer, computed another way: signed distances, dense sampling, brute force.
+
+A solid is (kind, position, matrix, half). Nothing here uses the package's formulas: the distance
+of a point from a solid is found in the solid's frame, the first contact of a ball by sampling the
+distance along the segment.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from bvh_ros.scene import ShapeKind, Shapes
+
+Floats = NDArray[np.float64]
+
+
+class Solid(NamedTuple):
+    kind: ShapeKind
+    position: Floats
+    matrix: Floats
+    half: Floats
+
+    def distances(self, points: Floats) -> Floats:
+        """Distances of points (n, 3) from the closed solid, 0 inside."""
+        local = (points - self.position) @ self.matrix
+        if self.kind == ShapeKind.BOX:
+            return np.linalg.norm(local - np.clip(local, -self.half, self.half), axis=1)
+        if self.kind == ShapeKind.SPHERE:
+            return np.maximum(np.linalg.norm(local, axis=1) - self.half[0], 0.0)
+        across = np.maximum(np.linalg.norm(local[:, :2], axis=1) - self.half[0], 0.0)
+        return np.hypot(across, np.maximum(np.abs(local[:, 2]) - self.half[2], 0.0))
+
+    def distances_from_above(self, points: Floats) -> Floats:
+        """Distances of (x, y) of points (n, 3) from the solid's shadow on the ground.
+
+        The distance from a convex set is the largest n . p - support(n) over unit normals n.
+        """
+        return widest_gap(points[:, :2] - self.position[:2], self.support_from_above)
+
+    def support_from_above(self, normals: Floats) -> Floats:
+        """How far the shadow reaches from its centre along unit vectors (..., 2)."""
+        local = normals @ self.matrix[:2]
+        if self.kind == ShapeKind.BOX:
+            return np.abs(local) @ self.half
+        if self.kind == ShapeKind.SPHERE:
+            return np.full(local.shape[:-1], self.half[0])
+        radial = np.hypot(local[..., 0], local[..., 1]) * self.half[0]
+        return radial + np.abs(local[..., 2]) * self.half[2]
+
+
+def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
+    """max over unit n of n . offset - support(n), not below 0; by ever closer samples of n."""
+    angles = np.broadcast_to(np.linspace(-math.pi, math.pi, 721), (len(offsets), 721))
+    for _ in range(9):
+        normals = np.stack([np.cos(angles), np.sin(angles)], axis=2)
+        gaps = np.einsum('nka,na->nk', normals, offsets) - support(normals)
+        best = np.take_along_axis(angles, np.argmax(gaps, axis=1)[:, None], axis=1)
+        step = angles[:, 1:2] - angles[:, :1]
+        angles = best + np.linspace(-1, 1, 17) * step
+    return np.maximum(gaps.max(axis=1), 0.0)
+
+
+def solids(shapes: Shapes) -> list[Solid]:
+    turns = np.where(np.any(shapes.orientation, axis=1)[:, None], shapes.orientation, [0, 0, 0, 1])
+    matrices = Rotation.from_quat(turns).as_matrix()
+    return [
+        Solid(ShapeKind(kind), position, matrix, size / 2)
+        for kind, position, matrix, size in zip(
+            shapes.kind, shapes.position, matrices, shapes.size, strict=True
+        )
+    ]
+
+
+def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:
+    """Boxes (also flat ones), spheres and cylinders: unturned, by right angles, about z, any way."""
+    kind = rng.integers(0, 3, count).astype(np.uint8)
+    size = rng.uniform(0.05, 2.0, (count, 3))
+    size[rng.random(count) < 0.1, 2] = 0.01
+    size[kind != ShapeKind.BOX, 1] = size[kind != ShapeKind.BOX, 0]
+    size[kind == ShapeKind.SPHERE, 2] = size[kind == ShapeKind.SPHERE, 0]
+    turns = rng.normal(size=(count, 4)) * rng.uniform(0.1, 9.0, (count, 1))
+    manner = rng.integers(0, 4, count)
+    turns[manner == 0] = 0.0
+    turns[manner == 1] = rng.integers(-1, 2, (int((manner == 1).sum()), 4))
+    turns[manner == 2, :2] = 0.0
+    return Shapes(kind, rng.uniform(-reach, reach, (count, 3)), turns, size)
+
+
+def first_contact(
+    solid: Solid, start: Floats, goal: Floats, radius: float, planar: bool = False
+) -> tuple[float, float]:
+    """(t, depth): where the distance along the segment first falls to the radius, else inf.
+
+    `depth` is how far beyond touching the ball gets. The distance is convex in t, so ever closer
+    samples about the least one find its minimum, and then the contact before that.
+    """
+    measure = solid.distances_from_above if planar else solid.distances
+
+    def gaps(t: Floats) -> Floats:
+        return measure(start + t[:, None] * (goal - start)) - radius
+
+    low, high, least, closest = 0.0, 1.0, math.inf, 0.0
+    for _ in range(16):
+        t = np.linspace(low, high, 17)
+        values = gaps(t)
+        i = int(np.argmin(values))
+        if values[i] < least:
+            least, closest = values[i], t[i]
+        low, high = t[max(i - 1, 0)], t[min(i + 1, 16)]
+    if least > 0.0:
+        return math.inf, -least
+    low, high = 0.0, closest
+    for _ in range(14):
+        t = np.linspace(low, high, 17)
+        i = int(np.argmax(gaps(t) <= 0.0))
+        low, high = t[max(i - 1, 0)], t[i]
+    return high, -least
