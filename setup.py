@@ -19,7 +19,7 @@ ROS = [
 ]
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
 PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *SHAPES]
-TEST = ['pytest>=7', 'pytest-timeout>=2', 'hypothesis>=6.80', *ROS, *REPORT]
+TEST = ['pytest>=7', 'pytest-timeout>=2', 'hypothesis>=6.80', 'scipy>=1.10', *ROS, *REPORT]
 
 setup(
     name=NAME,
