@@ -1,11 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes and rays that float64 arithmetic decides wrongly: corners, edges, faces, lattices, thirds, one ulp off, extreme scales."""
+"""Boxes and rays that float64 arithmetic decides wrongly: corners, edges, faces, lattices, thirds,
+one ulp off, extreme scales.
+"""
 
 import math
 
 import numpy as np
-
 from tree.reference import LARGEST, SMALLEST, ExactHit, Floats
 
 MIXED = 0.0  # the scale that means all of them at once
@@ -29,7 +30,9 @@ def nudge(rng: Rng, values: Floats, share: float) -> Floats:
     """Move that share of the values by one ulp."""
     away = np.where(rng.random(values.shape) < 0.5, -np.inf, np.inf)
     with np.errstate(over='ignore'):
-        return finite(np.where(rng.random(values.shape) < share, np.nextafter(values, away), values))
+        return finite(
+            np.where(rng.random(values.shape) < share, np.nextafter(values, away), values)
+        )
 
 
 def finite(values: Floats) -> Floats:
@@ -37,7 +40,7 @@ def finite(values: Floats) -> Floats:
 
 
 def some_boxes(rng: Rng, count: int, ndim: int, scale: float) -> tuple[Floats, Floats]:
-    """Boxes with many common faces; some flat, some points, some coincident, some one ulp apart."""
+    """Boxes with many common faces; some flat, points, coincident, one ulp apart."""
     a, b = coordinates(rng, (count, ndim), scale), coordinates(rng, (count, ndim), scale)
     b = np.where(rng.random((count, ndim)) < 0.15, a, b)
     b = np.where(rng.random((count, 1)) < 0.05, a, b)
@@ -60,13 +63,17 @@ def rays_at(rng: Rng, lo: Floats, hi: Floats, count: int, scale: float) -> tuple
     with np.errstate(over='ignore', under='ignore', invalid='ignore'):
         directions = finite(targets - origins)
         # As often a simple direction, and the origin some steps before the target.
-        size = np.where(rng.random((count, 1)) < 0.5, 1.0, np.abs(coordinates(rng, (count, 1), scale)))
+        size = np.where(
+            rng.random((count, 1)) < 0.5, 1.0, np.abs(coordinates(rng, (count, 1), scale))
+        )
         steps = whole * size
         simple = rng.random((count, 1)) < 0.4
         before = finite(targets - steps * rng.integers(0, 5, (count, 1)))
         origins = np.where(simple, before, origins)
         directions = np.where(simple, steps, directions)
-        directions = finite(directions * rng.choice([1.0, 1.0, 0.5, 1 / 3, 3.0, 1e-3, 1e100], (count, 1)))
+        directions = finite(
+            directions * rng.choice([1.0, 1.0, 0.5, 1 / 3, 3.0, 1e-3, 1e100], (count, 1))
+        )
     tiny = SMALLEST * rng.integers(-3, 4, shape)
     directions = np.where(rng.random(shape) < 0.02, tiny, directions)
     directions[rng.random(count) < 0.02] = 0.0
@@ -80,7 +87,9 @@ def signed_zeros(rng: Rng, values: Floats) -> Floats:
 
 def reaches(rng: Rng, hits: list[list[ExactHit]]) -> Floats:
     """A t_max for every ray: at a hit, one ulp beside it, or anything."""
-    reach = rng.choice([np.inf, 0.0, SMALLEST, 1.0, LARGEST], len(hits), p=[0.4, 0.1, 0.1, 0.3, 0.1])
+    reach = rng.choice(
+        [np.inf, 0.0, SMALLEST, 1.0, LARGEST], len(hits), p=[0.4, 0.1, 0.1, 0.3, 0.1]
+    )
     for row, of_ray in enumerate(hits):
         if of_ray and rng.random() < 0.7:
             t = of_ray[rng.integers(len(of_ray))].t

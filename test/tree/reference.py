@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a tree must answer: brute force over all boxes, in exact arithmetic.
 
-Doubles are whole numbers of one small power of two, so in that unit every difference and product of coordinates is a
-Python integer: nothing rounds, overflows or vanishes. A distance along a ray is a `Fraction` of two of them.
+Doubles are whole numbers of one small power of two, so in that unit every difference and product
+of coordinates is a Python integer: nothing rounds, overflows or vanishes. A distance along a ray is
+a `Fraction` of two of them.
 """
 
 import math
@@ -42,7 +43,9 @@ class ExactHit(NamedTuple):
 # ---- rays
 
 
-def exact_hits(lo: Floats, hi: Floats, origins: Floats, directions: Floats) -> list[list[ExactHit]]:
+def exact_hits(
+    lo: Floats, hi: Floats, origins: Floats, directions: Floats
+) -> list[list[ExactHit]]:
     """For every ray all boxes that it meets, by exact t, then row."""
     values = np.concatenate([np.ravel(array) for array in (lo, hi, origins, directions)]).tolist()
     bits = max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
@@ -98,7 +101,9 @@ def seen(
     skip_inside: bool = False,
     visible: NDArray[np.bool_] | None = None,
 ) -> list[ExactHit]:
-    """The hits that a query with these limits returns, by exact t, then handle. `visible` says which rows the mask sees."""
+    """The hits that a query with these limits returns, by exact t, then handle. `visible` says
+    which rows the mask sees.
+    """
     kept = [
         hit
         for hit in hits
@@ -110,14 +115,18 @@ def seen(
 
 
 def is_within_2_ulp(t: float, exact: Fraction) -> bool:
-    """Whether t is as near to the exact distance as promised; infinite where that exceeds the largest double."""
+    """Whether t is as near to the exact distance as promised; infinite where that exceeds the
+    largest double.
+    """
     ulp = Fraction(math.ulp(min(float(min(exact, Fraction(LARGEST))), LARGEST)))
     if math.isinf(t):
         return exact > Fraction(LARGEST) - 2 * ulp
     return abs(Fraction(t) - exact) <= 2 * ulp
 
 
-def check_hit(hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, ray: tuple[Floats, Floats]) -> None:
+def check_hit(
+    hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, ray: tuple[Floats, Floats]
+) -> None:
     """Check everything that is promised of one hit but its handle; lo and hi are of its box."""
     origin, direction = ray
     normal = np.zeros(len(lo))

@@ -1,15 +1,17 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sign of a sum of products, against rational arithmetic; above all where all but the last bit cancels."""
+"""The sign of a sum of products, against rational arithmetic; above all where all but the last bit
+cancels.
+"""
 
 from fractions import Fraction
 
 import numpy as np
 import pytest
-
-from bvh_ros.tree.exact_sign import sign_of_four_products
 from tree.adversary import MIXED, coordinates
 from tree.reference import LARGEST, SMALLEST
+
+from bvh_ros.tree.exact_sign import sign_of_four_products
 
 UP = np.nextafter(1.0, 2.0)
 
@@ -20,8 +22,14 @@ SUMS = {
     'minus one': ([1, -1, 0, 0, 0, 0, 0, 0], -1),
     'cancels': ([3, 7, -3, 7, 0.1, 0.1, 0.1, -0.1], 0),
     'one ulp squared is left': ([UP, UP, -1, UP + (UP - 1), 0, 0, 0, 0], 1),
-    'the least product is left': ([LARGEST, LARGEST, -LARGEST, LARGEST, SMALLEST, SMALLEST, 0, 0], 1),
-    'minus the least product': ([LARGEST, LARGEST, -LARGEST, LARGEST, SMALLEST, -SMALLEST, 0, 0], -1),
+    'the least product is left': (
+        [LARGEST, LARGEST, -LARGEST, LARGEST, SMALLEST, SMALLEST, 0, 0],
+        1,
+    ),
+    'minus the least product': (
+        [LARGEST, LARGEST, -LARGEST, LARGEST, SMALLEST, -SMALLEST, 0, 0],
+        -1,
+    ),
     'carries through all limbs': ([LARGEST, LARGEST] * 4, 1),
     'borrows through all limbs': ([-LARGEST, LARGEST] * 4, -1),
     'subnormals': ([SMALLEST, SMALLEST, SMALLEST, SMALLEST, -2 * SMALLEST, SMALLEST, 0, 0], 0),

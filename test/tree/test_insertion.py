@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Insertion: the sibling found, the handle given, the height kept, whatever the order and the boxes."""
+"""Insertion: the sibling found, the handle given, the height kept, whatever the order and the
+boxes.
+"""
 
 import math
 from collections.abc import Callable
@@ -8,11 +10,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.insertion import branch_and_bound_sibling, greedy_sibling
 from bvh_ros.tree.nodes import NONE, ROOT, SLOT_MASK, is_leaf
-from tree.reference import Floats
 
 SEARCHES = ['greedy', 'branch_and_bound']
 
@@ -29,11 +31,13 @@ def exact_half_area(lo: Floats, hi: Floats) -> Fraction:
 
 
 def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fraction]:
-    """For every node as the sibling: the area of the new parent and the growth of all ancestors."""
+    """For each node as sibling: the area of the new parent and the growth of all ancestors."""
     nodes = tree._nodes
 
     def grown(node: int) -> Fraction:
-        return exact_half_area(np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi))
+        return exact_half_area(
+            np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi)
+        )
 
     costs, stack = {}, [(int(tree._state[ROOT]), Fraction(0))]
     while stack:
@@ -45,8 +49,12 @@ def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fract
     return costs
 
 
-def search_costs(search: Callable[..., int], ndim: int, seed: int) -> list[tuple[Fraction, Fraction]]:
-    """The cost of the sibling found and the least of all, for new boxes one by one; dyadic boxes, so that areas are exact."""
+def search_costs(
+    search: Callable[..., int], ndim: int, seed: int
+) -> list[tuple[Fraction, Fraction]]:
+    """The cost of the sibling found and the least of all, for new boxes one by one; dyadic boxes,
+    so that areas are exact.
+    """
     rng = np.random.default_rng(seed)
     tree = DynamicBVH(ndim, capacity=128)
     pairs = []
@@ -72,7 +80,7 @@ def test_branch_and_bound_finds_the_best_sibling(ndim: int, seed: int) -> None:
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_greedy_is_often_but_not_always_the_best(ndim: int) -> None:
-    """One descent finds the best sibling mostly; that it always does, as one may read, is not so."""
+    """One descent mostly finds the best sibling; that it always does, as one may read, is wrong."""
     pairs = [pair for seed in range(3) for pair in search_costs(greedy_sibling, ndim, seed)]
     best = sum(found == least for found, least in pairs)
     assert 0.5 * len(pairs) < best < len(pairs)
@@ -120,7 +128,11 @@ def test_stale_handles_stay_stale(reuse: str) -> None:
     assert sorted(handle & SLOT_MASK for handle in new) == sorted((old & SLOT_MASK).tolist())
     for handle in old.tolist():
         assert handle not in tree
-        for act in (tree.remove, lambda h: tree.move(h, [0, 0], [1, 1]), lambda h: tree.boxes([h])):
+        for act in (
+            tree.remove,
+            lambda h: tree.move(h, [0, 0], [1, 1]),
+            lambda h: tree.boxes([h]),
+        ):
             with pytest.raises(KeyError, match=str(handle)):
                 act(handle)
     assert tree.ids().tolist() == new
@@ -186,7 +198,12 @@ SHAPES = {
 @pytest.mark.parametrize('ndim', [2, 3])
 @pytest.mark.parametrize('backwards', [False, True], ids=['forwards', 'backwards'])
 def test_height(
-    boxes: Callable[..., tuple[Floats, Floats]], count: int, bound: float, search: str, ndim: int, backwards: bool
+    boxes: Callable[..., tuple[Floats, Floats]],
+    count: int,
+    bound: float,
+    search: str,
+    ndim: int,
+    backwards: bool,
 ) -> None:
     """By one insertion after the other; then by removals; then by moves."""
     if search == 'branch_and_bound' and boxes in (coincident_boxes, nested_boxes):
@@ -217,7 +234,9 @@ def test_height(
 @pytest.mark.parametrize('count', [*range(1, 40), 63, 64, 65, 127, 128, 129, 255, 256, 257])
 @pytest.mark.parametrize('boxes', [coincident_boxes, powers_of_two])
 @pytest.mark.parametrize('bulk', [False, True])
-def test_height_of_few(count: int, boxes: Callable[..., tuple[Floats, Floats]], bulk: bool) -> None:
+def test_height_of_few(
+    count: int, boxes: Callable[..., tuple[Floats, Floats]], bulk: bool
+) -> None:
     lo, hi = boxes(count, 2)
     tree = DynamicBVH.from_boxes(lo, hi) if bulk else DynamicBVH(2)
     if not bulk:

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decisions equal real arithmetic: rays made to be decided wrongly, at every scale of doubles, against exact brute force.
+"""Decisions equal real arithmetic: rays made to be decided wrongly, against exact brute force.
 
 BVH_ROS_LONG_TESTS=1 makes it a million rays instead of some ten thousand.
 """
@@ -12,8 +12,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-from bvh_ros import ALL, DynamicBVH
 from tree.adversary import MIXED, SCALES, coordinates, rays_at, reaches, some_boxes
 from tree.reference import (
     INSIDE,
@@ -30,11 +28,15 @@ from tree.reference import (
     squared_distance,
 )
 
+from bvh_ros import ALL, DynamicBVH
+
 BOXES = 20
 RAYS = 500  # a scene: enough for the batch path
 SCENES = effort(1, 130)  # a scale and number of dimensions
 
-each_scale = pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+each_scale = pytest.mark.parametrize(
+    'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
+)
 each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
@@ -48,7 +50,9 @@ class World(NamedTuple):
     query_masks: NDArray[np.uint32]
     hits: list[list[ExactHit]]
 
-    def expected(self, ray: int, handles: Ids, limited: bool, skip_inside: bool = False) -> list[ExactHit]:
+    def expected(
+        self, ray: int, handles: Ids, limited: bool, skip_inside: bool = False
+    ) -> list[ExactHit]:
         if not limited:
             return seen(self.hits[ray], handles, skip_inside=skip_inside)
         visible = self.masks & self.query_masks[ray] != 0
@@ -68,7 +72,9 @@ def make_world(seed: int, ndim: int, scale: float, boxes: int = BOXES, rays: int
     return World(lo, hi, masks, origins, directions, reaches(rng, hits), query_masks, hits)
 
 
-def check_every_hit(tree: DynamicBVH, handles: Ids, world: World, limited: bool, skip_inside: bool) -> None:
+def check_every_hit(
+    tree: DynamicBVH, handles: Ids, world: World, limited: bool, skip_inside: bool
+) -> None:
     offsets, ids, ts = tree.raycast_all_many(
         world.origins, world.directions, skip_inside=skip_inside, **world.limits(limited)
     )
@@ -82,7 +88,12 @@ def check_every_hit(tree: DynamicBVH, handles: Ids, world: World, limited: bool,
 
 
 def check_first_hit(
-    tree: DynamicBVH, handles: Ids, world: World, limited: bool, skip_inside: bool = False, threads: int = 1
+    tree: DynamicBVH,
+    handles: Ids,
+    world: World,
+    limited: bool,
+    skip_inside: bool = False,
+    threads: int = 1,
 ) -> None:
     limits = world.limits(limited)
     ids, ts, normals = tree.raycast_many(
@@ -159,7 +170,11 @@ VARIANTS = {
 def test_answers_do_not_depend_on_the_tree(ndim: int, scale: float) -> None:
     """Margins, searches, order of insertion, rebuilding: the same hits in the same order."""
     world = make_world(2000, ndim, scale, rays=120)
-    orders = [np.arange(BOXES), np.arange(BOXES)[::-1], np.random.default_rng(1).permutation(BOXES)]
+    orders = [
+        np.arange(BOXES),
+        np.arange(BOXES)[::-1],
+        np.random.default_rng(1).permutation(BOXES),
+    ]
     for options in VARIANTS.values():
         for order in orders:
             tree = DynamicBVH(ndim, **options)
@@ -184,11 +199,13 @@ def test_a_larger_tree_decides_exactly(ndim: int, scale: float) -> None:
 
 
 def test_the_rays_are_adversarial() -> None:
-    """Plain float64 decides many of these rays wrongly; else the tests above would show nothing."""
+    """Plain float64 decides many of these rays wrongly; else the tests above show nothing."""
     world = make_world(0, 3, 1.0)
     wrong = 0
     with np.errstate(all='ignore'):
-        for ray, (origin, direction) in enumerate(zip(world.origins, world.directions, strict=True)):
+        for ray, (origin, direction) in enumerate(
+            zip(world.origins, world.directions, strict=True)
+        ):
             at_lo, at_hi = (world.lo - origin) / direction, (world.hi - origin) / direction
             entry = np.maximum(np.minimum(at_lo, at_hi).max(axis=1), 0.0)
             plain = np.flatnonzero(entry <= np.maximum(at_lo, at_hi).min(axis=1))
@@ -204,33 +221,98 @@ CASES = [
     ('through a corner', [1, 1, 1], [2, 2, 2], [0, 0, 0], [1, 1, 1], 1),
     ('in the plane of a face', [1, 0, 0], [2, 1, 1], [0, 1, 0.5], [1, 0, 0], 1),
     ('in the plane of a face, -0', [1, 0, 0], [2, 1, 1], [0, 1, 0.5], [1, -0.0, -0.0], 1),
-    ('one ulp above the face', [1, 0, 0], [2, 1, 1], [0, math.nextafter(1, 2), 0.5], [1, 0, 0], None),
+    (
+        'one ulp above the face',
+        [1, 0, 0],
+        [2, 1, 1],
+        [0, math.nextafter(1, 2), 0.5],
+        [1, 0, 0],
+        None,
+    ),
     ('thirds', [1 / 3] * 3, [2 / 3] * 3, [0, 0, 0], [1 / 3, 1 / 3, 1 / 3], 1),
-    ('beside the corner of thirds', [1 / 3] * 3, [2 / 3] * 3, [0, 0, 0], [1 / 3, 1 / 3, 0.2], Fraction(1 / 3) / Fraction(0.2)),
+    (
+        'beside the corner of thirds',
+        [1 / 3] * 3,
+        [2 / 3] * 3,
+        [0, 0, 0],
+        [1 / 3, 1 / 3, 0.2],
+        Fraction(1 / 3) / Fraction(0.2),
+    ),
     ('a point box', [1, 2, 3], [1, 2, 3], [0, 0, 0], [1, 2, 3], 1),
     ('beside a point box', [1, 2, 3], [1, 2, 3], [0, 0, 0], [1, 2, math.nextafter(3, 4)], None),
     ('a flat box in its plane', [1, 0, 0], [2, 0, 1], [0, 0, 0.5], [1, 0, 0], 1),
     ('away', [1, 0, 0], [2, 1, 1], [0, 0.5, 0.5], [-1, 0, 0], None),
     ('starts on the far face and leaves', [0, 0, 0], [1, 1, 1], [1, 0.5, 0.5], [1, 0, 0], 0),
     ('the smallest double', [SMALLEST] * 3, [2 * SMALLEST] * 3, [0, 0, 0], [SMALLEST] * 3, 1),
-    ('t vanishes', [SMALLEST, 0, 0], [1, 1, 1], [0, 0.5, 0.5], [LARGEST, 0, 0], Fraction(SMALLEST) / Fraction(LARGEST)),
-    ('t exceeds the doubles', [1, 0, 0], [2, 1, 1], [0, 0.5, 0.5], [SMALLEST, 0, 0], 1 / Fraction(SMALLEST)),
-    ('the difference exceeds the doubles', [LARGEST, 0, 0], [LARGEST, 1, 1], [-LARGEST, 0.5, 0.5], [LARGEST, 0, 0], 2),
+    (
+        't vanishes',
+        [SMALLEST, 0, 0],
+        [1, 1, 1],
+        [0, 0.5, 0.5],
+        [LARGEST, 0, 0],
+        Fraction(SMALLEST) / Fraction(LARGEST),
+    ),
+    (
+        't exceeds the doubles',
+        [1, 0, 0],
+        [2, 1, 1],
+        [0, 0.5, 0.5],
+        [SMALLEST, 0, 0],
+        1 / Fraction(SMALLEST),
+    ),
+    (
+        'the difference exceeds the doubles',
+        [LARGEST, 0, 0],
+        [LARGEST, 1, 1],
+        [-LARGEST, 0.5, 0.5],
+        [LARGEST, 0, 0],
+        2,
+    ),
     ('a box of all doubles', [-LARGEST] * 3, [LARGEST] * 3, [0, 0, 0], [1, 1, 1], 0),
-    ('a component that does not count', [1e150, -1, -1], [2e150, 1, 1], [0, 0, 0], [1e150, 1e-160, 0], 1),
-    ('leaves before it enters', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, math.nextafter(0.5, 0), 0], None),
-    ('enters before it leaves', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, math.nextafter(0.5, 1), 0], 1 / Fraction(math.nextafter(0.5, 1))),
+    (
+        'a component that does not count',
+        [1e150, -1, -1],
+        [2e150, 1, 1],
+        [0, 0, 0],
+        [1e150, 1e-160, 0],
+        1,
+    ),
+    (
+        'leaves before it enters',
+        [1, 1, -1],
+        [2, 2, 1],
+        [0, 0, 0],
+        [1, math.nextafter(0.5, 0), 0],
+        None,
+    ),
+    (
+        'enters before it leaves',
+        [1, 1, -1],
+        [2, 2, 1],
+        [0, 0, 0],
+        [1, math.nextafter(0.5, 1), 0],
+        1 / Fraction(math.nextafter(0.5, 1)),
+    ),
     ('enters as it leaves', [1, 1, -1], [2, 2, 1], [0, 0, 0], [1, 0.5, 0], 2),
-]  # fmt: skip
+]
 
 
-@pytest.mark.parametrize(('lo', 'hi', 'origin', 'direction', 't'), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
+@pytest.mark.parametrize(
+    ('lo', 'hi', 'origin', 'direction', 't'), [c[1:] for c in CASES], ids=[c[0] for c in CASES]
+)
 @pytest.mark.parametrize('turned', [0, 1, 2])
 def test_single_decisions(
-    lo: list[float], hi: list[float], origin: list[float], direction: list[float], t: Fraction | None, turned: int
+    lo: list[float],
+    hi: list[float],
+    origin: list[float],
+    direction: list[float],
+    t: Fraction | None,
+    turned: int,
 ) -> None:
     """Each also with the axes turned, alone in the tree and among boxes beside the way."""
-    low, high, start, way = (np.roll(np.array(x, float), turned) for x in (lo, hi, origin, direction))
+    low, high, start, way = (
+        np.roll(np.array(x, float), turned) for x in (lo, hi, origin, direction)
+    )
     tree = DynamicBVH()
     handle = tree.insert(low, high)
     for _ in range(2):
@@ -242,7 +324,9 @@ def test_single_decisions(
             assert hit.id == handle
             assert is_within_2_ulp(hit.t, Fraction(t))
             assert batch.t.tolist() == [hit.t] * 40
-        tree.insert_many(coordinates(np.random.default_rng(0), (9, 3), 1.0) - 50, np.full((9, 3), -40.0), 0)
+        tree.insert_many(
+            coordinates(np.random.default_rng(0), (9, 3), 1.0) - 50, np.full((9, 3), -40.0), 0
+        )
 
 
 @pytest.mark.parametrize('t', [1.0, 1 / 3, 3.0, 7.5, 1e-300, 1e300, SMALLEST])
@@ -259,7 +343,9 @@ def test_t_max_at_the_entry_counts(t: float) -> None:
 
 
 def test_t_max_between_two_doubles() -> None:
-    """The entry 1/3 is no double: the next double below 1/3 does not reach it, the next above does."""
+    """The entry 1/3 is no double: the next double below 1/3 does not reach it, the next above
+    does.
+    """
     tree = DynamicBVH(2)
     tree.insert([1, -1], [2, 1])
     below = 1 / 3  # as a double, this is less than the rational
@@ -269,14 +355,21 @@ def test_t_max_between_two_doubles() -> None:
 
 
 def test_ties_of_exact_distances_only() -> None:
-    """Two entries that round to one double are still in their exact order, whichever was inserted first."""
-    ray = [0.0, 0.0], [3.0, math.nextafter(3.0, 4.0)]  # entered at x = 1 at 1/3, at y = 1 a hair earlier
+    """Two entries that round to one double are still in their exact order, whichever was inserted
+    first.
+    """
+    ray = (
+        [0.0, 0.0],
+        [3.0, math.nextafter(3.0, 4.0)],
+    )  # entered at x = 1 at 1/3, at y = 1 a hair earlier
     assert 1.0 / ray[1][0] == pytest.approx(1.0 / ray[1][1], rel=1e-15)
     for x_first in (True, False):
         tree = DynamicBVH(2)
         boxes = [([1.0, 0.0], [2.0, 2.0]), ([0.0, 1.0], [2.0, 2.0])]
         x_box, y_box = (
-            [tree.insert(*box) for box in boxes] if x_first else [tree.insert(*box) for box in boxes[::-1]][::-1]
+            [tree.insert(*box) for box in boxes]
+            if x_first
+            else [tree.insert(*box) for box in boxes[::-1]][::-1]
         )
         assert [hit.id for hit in tree.raycast_all(*ray)] == [y_box, x_box]
         assert tree.raycast(*ray).id == y_box
@@ -285,7 +378,9 @@ def test_ties_of_exact_distances_only() -> None:
 @each_scale
 @each_ndim
 def test_nearest_at_every_scale(ndim: int, scale: float) -> None:
-    """Each distance within 4 roundings of the exact one of its box, and of the exact one of its rank."""
+    """Each distance within 4 roundings of the exact one of its box, and of the exact one of its
+    rank.
+    """
     rng = np.random.default_rng([77, ndim, SCALES.index(scale)])
     lo, hi = some_boxes(rng, BOXES, ndim, scale)
     tree = DynamicBVH.from_boxes(lo, hi)
@@ -302,7 +397,9 @@ def test_nearest_at_every_scale(ndim: int, scale: float) -> None:
 
 
 def is_distance(got: float, square: Fraction) -> bool:
-    """Whether `got` is the root of `square` within 4 roundings, or 1e-322; infinite only beyond the largest double."""
+    """Whether `got` is the root of `square` within 4 roundings, or 1e-322; infinite only beyond
+    the largest double.
+    """
     if math.isinf(got):
         return square > (Fraction(LARGEST) * (1 - Fraction(4, 2**53))) ** 2
     slack = max(Fraction(got) * Fraction(4, 2**53), Fraction(1e-322))

@@ -1,15 +1,17 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes against boxes: touching counts, flat and point boxes too; comparisons of doubles, so all of it is exact."""
+"""Boxes against boxes: touching counts, flat and point boxes too; comparisons of doubles, so all
+of it is exact.
+"""
 
 import math
 
 import numpy as np
 import pytest
-
-from bvh_ros import ALL, DynamicBVH
 from tree.adversary import MIXED, SCALES, coordinates, some_boxes
 from tree.reference import LARGEST, SMALLEST, overlapping_pairs, overlapping_rows
+
+from bvh_ros import ALL, DynamicBVH
 
 UP = math.nextafter(1.0, 2.0)
 
@@ -31,10 +33,17 @@ TOUCHING = {
 }
 
 
-@pytest.mark.parametrize(('lo', 'hi', 'low', 'high', 'touch'), TOUCHING.values(), ids=TOUCHING.keys())
+@pytest.mark.parametrize(
+    ('lo', 'hi', 'low', 'high', 'touch'), TOUCHING.values(), ids=TOUCHING.keys()
+)
 @pytest.mark.parametrize('margin', [0.0, 1.0])
 def test_two_boxes(
-    lo: list[float], hi: list[float], low: list[float], high: list[float], touch: bool, margin: float
+    lo: list[float],
+    hi: list[float],
+    low: list[float],
+    high: list[float],
+    touch: bool,
+    margin: float,
 ) -> None:
     for (a_lo, a_hi), (b_lo, b_hi) in (((lo, hi), (low, high)), ((low, high), (lo, hi))):
         tree = DynamicBVH(2, margin=margin)
@@ -63,7 +72,9 @@ def test_as_brute_force(ndim: int, scale: float, margin: float) -> None:
         assert tree.overlap(low[query], high[query], int(seen[query])).tolist() == expected
     for mask in (ALL, 2):
         rows = np.flatnonzero(masks & mask)
-        pairs = [[handles[rows[a]], handles[rows[b]]] for a, b in overlapping_pairs(lo[rows], hi[rows])]
+        pairs = [
+            [handles[rows[a]], handles[rows[b]]] for a, b in overlapping_pairs(lo[rows], hi[rows])
+        ]
         assert tree.overlap_pairs(mask).tolist() == pairs
 
 
@@ -85,7 +96,10 @@ def test_pairs_name_the_smaller_handle_first_and_ascend_after_slots_are_reused()
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_shapes_and_types_where_there_is_nothing(ndim: int) -> None:
     empty, none, one = DynamicBVH(ndim), np.empty((0, ndim)), np.ones((1, ndim))
-    assert (empty.overlap(one[0], one[0]).shape, empty.overlap(one[0], one[0]).dtype) == ((0,), np.int64)
+    assert (empty.overlap(one[0], one[0]).shape, empty.overlap(one[0], one[0]).dtype) == (
+        (0,),
+        np.int64,
+    )
     assert (empty.overlap_pairs().shape, empty.overlap_pairs().dtype) == ((0, 2), np.int64)
     assert [a.tolist() for a in empty.overlap_many(one, one)] == [[0, 0], []]
     tree = DynamicBVH.from_boxes(one, one)
@@ -98,7 +112,9 @@ def test_all_pairs_of_many_coincident_boxes() -> None:
     tree = DynamicBVH.from_boxes(np.zeros((150, 3)), np.ones((150, 3)))
     handles = tree.ids()
     first, second = np.triu_indices(150, 1)
-    assert np.array_equal(tree.overlap_pairs(), np.stack([handles[first], handles[second]], axis=1))
+    assert np.array_equal(
+        tree.overlap_pairs(), np.stack([handles[first], handles[second]], axis=1)
+    )
     assert np.array_equal(tree.overlap([1, 1, 1], [5, 5, 5]), handles)
     offsets, ids = tree.overlap_many(np.zeros((20, 3)), np.zeros((20, 3)))
     assert np.diff(offsets).tolist() == [150] * 20

@@ -1,15 +1,15 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The nearest boxes: distances, order, ties, limits. Accuracy at every scale is in test_numerics."""
+"""The nearest boxes: distances, order, ties, limits. For accuracy see test_numerics."""
 
 import math
 
 import numpy as np
 import pytest
-
-from bvh_ros import ALL, DynamicBVH
 from tree.adversary import coordinates
 from tree.reference import LARGEST
+
+from bvh_ros import ALL, DynamicBVH
 
 DISTANCES = {
     # of a point from the cube from (1, 1, 1) to (2, 2, 2)
@@ -53,14 +53,19 @@ def test_as_brute_force(ndim: int, margin: float, k: int) -> None:
     assert ids.shape == distances.shape == (50, k)
     for row in range(50):
         # Squares of whole numbers are exact, and so are their comparisons.
-        squares = (np.maximum(np.maximum(lo - points[row], points[row] - hi), 0.0) ** 2).sum(axis=1)
+        squares = (np.maximum(np.maximum(lo - points[row], points[row] - hi), 0.0) ** 2).sum(
+            axis=1
+        )
         kept = np.flatnonzero((squares <= reaches[row] ** 2) & (masks & seen[row] != 0))
         order = kept[np.lexsort((handles[kept], squares[kept]))][:k]
         padding = k - len(order)
         assert ids[row].tolist() == handles[order].tolist() + [-1] * padding
         assert distances[row].tolist() == np.sqrt(squares[order]).tolist() + [math.inf] * padding
         alone = tree.nearest(points[row], k, float(reaches[row]), int(seen[row]))
-        assert [a.tolist() for a in alone] == [handles[order].tolist(), np.sqrt(squares[order]).tolist()]
+        assert [a.tolist() for a in alone] == [
+            handles[order].tolist(),
+            np.sqrt(squares[order]).tolist(),
+        ]
 
 
 @pytest.mark.parametrize('options', [{'margin': 5.0}, {'sibling_search': 'branch_and_bound'}])
@@ -90,6 +95,14 @@ def test_max_distance_at_the_box_counts() -> None:
 def test_nothing_near() -> None:
     empty = DynamicBVH()
     assert [a.tolist() for a in empty.nearest([0, 0, 0], 3)] == [[], []]
-    assert [a.tolist() for a in empty.nearest_many([[0, 0, 0]], 2)] == [[[-1, -1]], [[math.inf] * 2]]
+    assert [a.tolist() for a in empty.nearest_many([[0, 0, 0]], 2)] == [
+        [[-1, -1]],
+        [[math.inf] * 2],
+    ]
     ids, distances = empty.nearest_many(np.empty((0, 3)), 4)
-    assert (ids.shape, distances.shape, ids.dtype, distances.dtype) == ((0, 4), (0, 4), np.int64, np.float64)
+    assert (ids.shape, distances.shape, ids.dtype, distances.dtype) == (
+        (0, 4),
+        (0, 4),
+        np.int64,
+        np.float64,
+    )

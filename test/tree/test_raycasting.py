@@ -1,16 +1,18 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a ray query means: closed boxes, inside, parallel, ties, masks, limits, and the same answer in every form."""
+"""What a ray query means: closed boxes, inside, parallel, ties, masks, limits, and the same answer
+in every form.
+"""
 
 import itertools
 import math
 
 import numpy as np
 import pytest
-
-from bvh_ros import ALL, DynamicBVH, RayHit, RayHits
 from tree.adversary import coordinates
 from tree.reference import exact_hits, seen
+
+from bvh_ros import ALL, DynamicBVH, RayHit, RayHits
 
 INF = math.inf
 
@@ -78,7 +80,11 @@ def test_one_ray_and_one_box(
     if t is None:
         assert hit is None
         assert every == []
-        assert (many.ids.tolist(), many.t.tolist(), many.normals.tolist()) == ([-1], [INF], [[0.0] * 3])
+        assert (many.ids.tolist(), many.t.tolist(), many.normals.tolist()) == (
+            [-1],
+            [INF],
+            [[0.0] * 3],
+        )
         assert (offsets.tolist(), ids.tolist(), ts.tolist()) == ([0, 0], [], [])
         return
     assert (hit.id, hit.t, hit.normal.tolist()) == (cube, t, normal)
@@ -129,7 +135,7 @@ def test_no_rays_and_no_boxes(ndim: int) -> None:
 
 @pytest.mark.parametrize('order', list(itertools.permutations(range(3))))
 def test_ties_go_to_the_smaller_handle(order: tuple[int, ...]) -> None:
-    """Three boxes with one front face between a nearer and a farther one, inserted in any order."""
+    """Three boxes with one front face between a nearer and a farther one, in any order."""
     fronts = {0: ([1, 0], [2, 1]), 1: ([1, 0.25], [5, 0.75]), 2: ([1, -3], [1, 3])}
     tree = DynamicBVH(2)
     far = tree.insert([3, 0], [4, 1])
@@ -137,7 +143,9 @@ def test_ties_go_to_the_smaller_handle(order: tuple[int, ...]) -> None:
     assert tree.raycast([0, 0.5], [1, 0]).id == tied[0]
     near = tree.insert([0.5, 0], [0.75, 1])
     assert [hit.id for hit in tree.raycast_all([0, 0.5], [1, 0])] == [near, *tied, far]
-    assert tree.raycast_many([[0, 0.5]], [[1, 0]], t_max=1.0, skip_inside=True).ids.tolist() == [near]
+    assert tree.raycast_many([[0, 0.5]], [[1, 0]], t_max=1.0, skip_inside=True).ids.tolist() == [
+        near
+    ]
     tree.remove(near)
     assert tree.raycast_many([[0, 0.5]] * 99, [[1, 0]] * 99).ids.tolist() == [tied[0]] * 99
     tree.rebuild()
@@ -181,13 +189,18 @@ def test_masks(box_mask: int, query_mask: int, is_seen: bool, others: int) -> No
     expected = [cube] if is_seen else []
     assert [hit.id for hit in tree.raycast_all(*ray, mask=query_mask)] == expected
     assert tree.occluded(*ray, mask=query_mask) == is_seen
-    assert tree.raycast_many([ray[0]] * 9, [ray[1]] * 9, mask=query_mask).ids.tolist() == (expected or [-1]) * 9
+    assert (
+        tree.raycast_many([ray[0]] * 9, [ray[1]] * 9, mask=query_mask).ids.tolist()
+        == (expected or [-1]) * 9
+    )
     assert tree.overlap([0] * 3, [9] * 3, query_mask).tolist() == expected
     assert tree.nearest([0] * 3, 50, mask=query_mask)[0].tolist() == expected
     tree.set_masks([cube], 0)
     assert tree.raycast_all(*ray, mask=query_mask) == []
     tree.set_masks([cube], query_mask)
-    assert [hit.id for hit in tree.raycast_all(*ray, mask=query_mask)] == ([cube] if query_mask else [])
+    assert [hit.id for hit in tree.raycast_all(*ray, mask=query_mask)] == (
+        [cube] if query_mask else []
+    )
 
 
 def test_limits_row_by_row() -> None:
@@ -197,7 +210,9 @@ def test_limits_row_by_row() -> None:
     t_max, masks = [0.5, 1.0, INF, INF], [ALL, 2, 3, 1]
     expected = [-1, cube, cube, -1]
     assert tree.raycast_many(origins, directions, t_max, masks).ids.tolist() == expected
-    assert tree.occluded_many(origins, directions, t_max, masks).tolist() == [id_ >= 0 for id_ in expected]
+    assert tree.occluded_many(origins, directions, t_max, masks).tolist() == [
+        id_ >= 0 for id_ in expected
+    ]
     assert tree.raycast_all_many(origins, directions, t_max, masks)[0].tolist() == [0, 0, 1, 2, 2]
     assert tree.raycast_many(origins, directions, t_max=0.5).ids.tolist() == [-1] * 4
 
@@ -205,7 +220,9 @@ def test_limits_row_by_row() -> None:
 @pytest.mark.parametrize('ndim', [2, 3])
 @pytest.mark.parametrize('margin', [0.0, 0.5])
 def test_scenes_that_change(ndim: int, margin: float) -> None:
-    """2,000 boxes that move, come and go; after each change scalar calls and batches are as brute force says."""
+    """2,000 boxes that move, come and go; after each change scalar calls and batches are as brute
+    force says.
+    """
     rng = np.random.default_rng(ndim)
     lo = rng.uniform(-50, 50, (2000, ndim))
     hi = lo + rng.uniform(0, 3, lo.shape)
@@ -253,7 +270,9 @@ def test_threads_answer_alike(threads: int, count: int) -> None:
 
 
 def test_a_batch_is_each_of_its_rays() -> None:
-    """20,000 rays, many through shared faces, are answered as each is alone, whatever the batch's way through memory."""
+    """20,000 rays, many through shared faces, are answered as each is alone, whatever the batch's
+    way through memory.
+    """
     rng = np.random.default_rng(6)
     lo = coordinates(rng, (2000, 3), 10.0)
     tree = DynamicBVH.from_boxes(lo, lo + rng.choice([0.0, 1.0, 10 / 3], lo.shape))

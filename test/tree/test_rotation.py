@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The four exchanges of a child with a niece: the best one is done, and no rotation raises the cost."""
+"""The four exchanges of a child with a niece: the best one is done, and no rotation raises the
+cost.
+"""
 
 import numpy as np
 import pytest
@@ -13,11 +15,17 @@ Shape = int | tuple['Shape', 'Shape']  # a row of boxes, or two subtrees
 
 
 def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
-    """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return its root."""
+    """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return
+    its root.
+    """
     nodes, heights, state = tree._nodes, tree._heights, tree._state
     if isinstance(shape, int):
         leaf = int(take_leaf(nodes, state))
-        nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (at[shape], 0), (at[shape] + 1, 1), 1
+        nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (
+            (at[shape], 0),
+            (at[shape] + 1, 1),
+            1,
+        )
         heights[leaf] = 0
         tree._handles[leaf >> 1] = leaf >> 1
         return leaf
@@ -59,7 +67,9 @@ ROTATIONS = {
 }
 
 
-@pytest.mark.parametrize(('at', 'before', 'after', 'cost', 'less'), ROTATIONS.values(), ids=ROTATIONS.keys())
+@pytest.mark.parametrize(
+    ('at', 'before', 'after', 'cost', 'less'), ROTATIONS.values(), ids=ROTATIONS.keys()
+)
 def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, less: float) -> None:
     at = [float(x) for x in at]
     tree = DynamicBVH(2, capacity=len(at))

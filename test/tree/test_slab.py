@@ -7,6 +7,17 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from tree.adversary import MIXED, SCALES, coordinates, nudge, rays_at, reaches, some_boxes
+from tree.reference import (
+    INSIDE,
+    LARGEST,
+    SMALLEST,
+    Floats,
+    effort,
+    exact_hits,
+    is_within_2_ulp,
+    seen,
+)
 
 from bvh_ros.tree.slab import (
     compare_distances,
@@ -17,10 +28,10 @@ from bvh_ros.tree.slab import (
     prepare_ray,
     traversal_distance,
 )
-from tree.adversary import MIXED, SCALES, coordinates, nudge, rays_at, reaches, some_boxes
-from tree.reference import INSIDE, LARGEST, SMALLEST, Floats, effort, exact_hits, is_within_2_ulp, seen
 
-each_scale = pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+each_scale = pytest.mark.parametrize(
+    'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
+)
 each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
@@ -68,7 +79,9 @@ def test_two_hits_are_in_their_exact_order(ndim: int, scale: float) -> None:
 @each_scale
 @each_ndim
 def test_inner_nodes_never_lose_a_hit(ndim: int, scale: float) -> None:
-    """What the ray meets within t_max, it enters, at a distance that a hit below is not before by more than the padding."""
+    """What the ray meets within t_max, it enters, at a distance that a hit below is not before by
+    more than the padding.
+    """
     rng = np.random.default_rng([3, ndim, SCALES.index(scale)])
     lo, hi = some_boxes(rng, 12, ndim, scale)
     origins, directions = rays_at(rng, lo, hi, effort(400, 20000), scale)
@@ -80,7 +93,9 @@ def test_inner_nodes_never_lose_a_hit(ndim: int, scale: float) -> None:
             if hit.t > LARGEST:
                 continue
             t = float(hit.t)
-            t = t if Fraction(t) >= hit.t else math.nextafter(t, math.inf)  # the least t_max that counts
+            t = (
+                t if Fraction(t) >= hit.t else math.nextafter(t, math.inf)
+            )  # the least t_max that counts
             entry = enters(lo[hit.row], hi[hit.row], rows, traversal_distance(t, power), wide)
             assert entry < math.inf, (ray, hit)
 
@@ -94,12 +109,15 @@ def test_comparing_distances(scale: float) -> None:
         plane, origin, direction = coordinates(rng, (3,), scale)
         with np.errstate(over='ignore'):
             factor = rng.choice([1.0, -1.0, 2.0, 0.5, 3.0])
-            other = nudge(rng, np.clip(np.array([plane, origin, direction]) * factor, -LARGEST, LARGEST), 0.2)
+            other = nudge(
+                rng, np.clip(np.array([plane, origin, direction]) * factor, -LARGEST, LARGEST), 0.2
+            )
         ways = np.array([direction, other[2]])
         if not ways.all():
             continue
         exact = [
-            (Fraction(p) - Fraction(o)) / Fraction(d) for p, o, d in ((plane, origin, direction), other.tolist())
+            (Fraction(p) - Fraction(o)) / Fraction(d)
+            for p, o, d in ((plane, origin, direction), other.tolist())
         ]
         if min(exact) < 0:
             continue
@@ -125,7 +143,9 @@ DISTANCES = {
 }
 
 
-@pytest.mark.parametrize(('plane', 'origin', 'direction'), DISTANCES.values(), ids=DISTANCES.keys())
+@pytest.mark.parametrize(
+    ('plane', 'origin', 'direction'), DISTANCES.values(), ids=DISTANCES.keys()
+)
 def test_plane_distance(plane: float, origin: float, direction: float) -> None:
     exact = (Fraction(plane) - Fraction(origin)) / Fraction(direction)
     assert is_within_2_ulp(plane_distance(plane, origin, direction), exact)

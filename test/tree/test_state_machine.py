@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Any sequence of changes leaves a sound tree that answers as brute force over a plain dictionary of boxes does."""
+"""Any sequence of changes leaves a sound tree that answers as brute force over a plain dictionary
+of boxes does.
+"""
 
 import math
 import pickle
@@ -13,12 +15,23 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from tree.reference import (
+    Floats,
+    Ids,
+    effort,
+    exact_hits,
+    overlapping_pairs,
+    overlapping_rows,
+    seen,
+)
 
 from bvh_ros import ALL, DynamicBVH
-from tree.reference import Floats, Ids, effort, exact_hits, overlapping_pairs, overlapping_rows, seen
 
-# Few values, so that boxes touch, coincide and are flat; thirds and tenths, so that arithmetic rounds; a few far out.
-SIDES = st.sampled_from([0.0, 0.1, 1 / 3, 0.5, 1.0, 2.0, 1e9, -0.0, -0.3, -1.0, -2.5, 5e-324, 1e300])
+# Few values, so that boxes touch, coincide and are flat; thirds and tenths, so that arithmetic
+# rounds; a few far out.
+SIDES = st.sampled_from(
+    [0.0, 0.1, 1 / 3, 0.5, 1.0, 2.0, 1e9, -0.0, -0.3, -1.0, -2.5, 5e-324, 1e300]
+)
 MASKS = st.sampled_from([0, 1, 2, 3, 0x80000000, ALL])
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -173,13 +186,23 @@ class TreeMachine(RuleBasedStateMachine):
 
     # ---- questions
 
-    @rule(data=st.data(), mask=MASKS, t_max=st.sampled_from([math.inf, 0.0, 1.0, 2.5]), skip=st.booleans())
+    @rule(
+        data=st.data(),
+        mask=MASKS,
+        t_max=st.sampled_from([math.inf, 0.0, 1.0, 2.5]),
+        skip=st.booleans(),
+    )
     def cast_a_ray(self, data: st.DataObject, mask: int, t_max: float, skip: bool) -> None:
         axes = [SIDES] * self.tree.ndim
-        origin, direction = np.array(data.draw(st.tuples(*axes))), np.array(data.draw(st.tuples(*axes)))
+        origin, direction = (
+            np.array(data.draw(st.tuples(*axes))),
+            np.array(data.draw(st.tuples(*axes))),
+        )
         handles, lo, hi, masks = self.arrays()
         hits = exact_hits(lo, hi, origin[None], direction[None])[0]
-        expected = [handles[hit.row] for hit in seen(hits, handles, t_max, skip, masks & mask != 0)]
+        expected = [
+            handles[hit.row] for hit in seen(hits, handles, t_max, skip, masks & mask != 0)
+        ]
         got = self.tree.raycast_all(origin, direction, t_max, mask, skip)
         assert [hit.id for hit in got] == expected
         first = self.tree.raycast(origin, direction, t_max, mask, skip)
@@ -232,7 +255,10 @@ class TreeMachine(RuleBasedStateMachine):
         assert (low.tolist(), high.tolist()) == (lo.tolist(), hi.tolist())
         assert self.tree.masks(handles).tolist() == masks.tolist()
         if len(handles):
-            assert [side.tolist() for side in self.tree.bounds] == [lo.min(0).tolist(), hi.max(0).tolist()]
+            assert [side.tolist() for side in self.tree.bounds] == [
+                lo.min(0).tolist(),
+                hi.max(0).tolist(),
+            ]
             assert self.tree.height <= 4 * math.log2(len(handles)) + 4
         else:
             assert self.tree.bounds is None

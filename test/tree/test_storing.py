@@ -1,0 +1,219 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files and pickles: the same tree comes back and goes on living; what is no tree is refused."""
+
+import copy
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tree.reference import snapshot
+
+from bvh_ros import DynamicBVH
+
+
+def lived_in(ndim: int, margin: float, search: str) -> DynamicBVH:
+    """A tree with removed, moved and masked boxes."""
+    rng = np.random.default_rng(ndim)
+    lo = rng.uniform(0, 50, (200, ndim))
+    tree = DynamicBVH(ndim, margin=margin, sibling_search=search)
+    handles = tree.insert_many(lo, lo + 1, rng.integers(0, 2**32, 200, dtype=np.uint32))
+    tree.remove_many(handles[::5])
+    for handle in handles[1::5]:
+        tree.move(handle, np.zeros(ndim), np.ones(ndim), np.ones(ndim))
+    return tree
+
+
+def through_file(tree: DynamicBVH, folder: Path) -> DynamicBVH:
+    tree.save(folder / 'tree.npz')
+    return DynamicBVH.load(folder / 'tree.npz')
+
+
+WAYS: dict[str, Callable[[DynamicBVH, Path], DynamicBVH]] = {
+    'file': through_file,
+    'file, name as text': lambda tree, folder: (
+        tree.save(f'{folder}/t'),
+        DynamicBVH.load(f'{folder}/t'),
+    )[1],
+    'pickle': lambda tree, folder: pickle.loads(pickle.dumps(tree)),
+    'pickle, protocol 2': lambda tree, folder: pickle.loads(pickle.dumps(tree, 2)),
+    'deep copy': lambda tree, folder: copy.deepcopy(tree),
+    'copy': lambda tree, folder: copy.copy(tree),
+    'twice': lambda tree, folder: through_file(through_file(tree, folder), folder),
+}
+
+
+@pytest.mark.parametrize('way', WAYS.values(), ids=WAYS.keys())
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize(('margin', 'search'), [(0.0, 'greedy'), (0.25, 'branch_and_bound')])
+def test_the_same_tree_comes_back(
+    way: Callable[[DynamicBVH, Path], DynamicBVH],
+    ndim: int,
+    margin: float,
+    search: str,
+    tmp_path: Path,
+) -> None:
+    tree = lived_in(ndim, margin, search)
+    tree.raycast_many(np.zeros((200, ndim)), np.ones((200, ndim)))
+    back = way(tree, tmp_path)
+    back.validate()
+    assert snapshot(back) == snapshot(tree)
+    kept = (
+        'boxes',
+        'ndim',
+        'height',
+        'cost',
+        'margin',
+        'sibling_search',
+        'inserted',
+        'removed',
+        'reinserted',
+    )
+    assert [back.stats()[name] for name in kept] == [tree.stats()[name] for name in kept]
+    # Both live on alike, and apart.
+    zero, one = np.zeros(ndim), np.ones(ndim)
+    assert back.insert(zero, one) == tree.insert(zero, one)
+    back.remove(back.ids()[3])
+    tree.validate()
+    assert len(tree) == len(back) + 1
+    back.insert_many(np.zeros((500, ndim)), np.ones((500, ndim)))
+    back.validate()
+    tree.validate()
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_an_empty_tree_comes_back(ndim: int, tmp_path: Path) -> None:
+    for tree in (DynamicBVH(ndim), DynamicBVH(ndim, margin=1.0)):
+        back = through_file(tree, tmp_path)
+        assert (len(back), back.ndim, back.margin) == (0, ndim, tree.margin)
+        assert back.insert(np.zeros(ndim), np.zeros(ndim)) == tree.insert(
+            np.zeros(ndim), np.zeros(ndim)
+        )
+
+
+def test_a_stale_handle_stays_stale_in_the_file(tmp_path: Path) -> None:
+    tree = DynamicBVH(2)
+    old = tree.insert([0, 0], [1, 1])
+    tree.remove(old)
+    back = through_file(tree, tmp_path)
+    assert back.insert([0, 0], [1, 1]) > old
+    assert old not in back
+
+
+def test_the_file_has_exactly_the_given_name(tmp_path: Path) -> None:
+    DynamicBVH(2).save(tmp_path / 'world.tree')
+    assert [path.name for path in tmp_path.iterdir()] == ['world.tree']
+    DynamicBVH.load(tmp_path / 'world.tree')
+    with np.load(tmp_path / 'world.tree', allow_pickle=False) as file:
+        assert int(file['version']) >= 1
+
+
+# ---- what is refused
+
+
+def without(name: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda fields: {key: value for key, value in fields.items() if key != name}
+
+
+def with_value(
+    name: str, value: Callable[[Any], Any]
+) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    return lambda fields: {**fields, name: value(fields[name])}
+
+
+def broken(array: Any, place: Any, value: Any) -> Any:
+    array = array.copy()
+    array[place] = value
+    return array
+
+
+FIELDS = {
+    'of a later version': with_value('version', lambda v: v + 1),
+    'without a version': without('version'),
+    'without nodes': without('nodes'),
+    'without handles': without('handles'),
+    'without a margin': without('margin'),
+    'with fewer nodes': with_value('nodes', lambda a: a[:-10]),
+    'with fewer heights': with_value('heights', lambda a: a[:-10]),
+    'with fewer handles': with_value('handles', lambda a: a[:-10]),
+    'with other handles': with_value('handles', lambda a: a[::-1]),
+    'with a short state': with_value('state', lambda a: a[:2]),
+    'with a negative root': with_value('state', lambda a: broken(a, 0, -9)),
+    'with nodes of plain numbers': with_value('nodes', lambda a: np.zeros((len(a), 8))),
+    'with another ndim': with_value('ndim', lambda v: 2),
+    'with ndim 7': with_value('ndim', lambda v: 7),
+    'with a NaN margin': with_value('margin', lambda v: np.nan),
+    'with an unknown search': with_value('sibling_search', lambda v: 'best'),
+    'with a serial number that was given': with_value('serial', lambda v: 1),
+}
+
+
+@pytest.mark.parametrize('change', FIELDS.values(), ids=FIELDS.keys())
+@pytest.mark.parametrize('margin', [0.0, 0.5])
+def test_a_file_that_makes_no_tree(
+    change: Callable[[dict[str, Any]], dict[str, Any]], margin: float, tmp_path: Path
+) -> None:
+    path = tmp_path / 'tree.npz'
+    lived_in(3, margin, 'greedy').save(path)
+    with np.load(path) as file:
+        fields = {name: file[name] for name in file.files}
+    np.savez(path, **change(fields))
+    with pytest.raises((ValueError, RuntimeError)):
+        DynamicBVH.load(path)
+
+
+NOT_FILES: dict[str, Callable[[bytes], bytes]] = {
+    'empty': lambda data: b'',
+    'text': lambda data: b'this is no tree\n' * 10,
+    'a pickle': lambda data: pickle.dumps({'version': 1}),
+    'cut short': lambda data: data[: len(data) // 2],
+    'cut by one byte': lambda data: data[:-1],
+    'without its beginning': lambda data: data[100:],
+    'twice its middle': lambda data: data[: len(data) // 2] + data[len(data) // 3 :],
+}
+
+
+@pytest.mark.parametrize('change', NOT_FILES.values(), ids=NOT_FILES.keys())
+def test_no_such_file(change: Callable[[bytes], bytes], tmp_path: Path) -> None:
+    path = tmp_path / 'tree.npz'
+    lived_in(3, 0.0, 'greedy').save(path)
+    path.write_bytes(change(path.read_bytes()))
+    with pytest.raises(ValueError, match=r'tree\.npz'):
+        DynamicBVH.load(path)
+
+
+def test_one_byte_changed_anywhere(tmp_path: Path) -> None:
+    """Either it is refused, or it was a byte without meaning."""
+    path = tmp_path / 'tree.npz'
+    tree = lived_in(2, 0.0, 'greedy')
+    tree.save(path)
+    data = path.read_bytes()
+    refused = 0
+    for place in np.linspace(0, len(data) - 1, 300).astype(int):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
+        try:
+            back = DynamicBVH.load(path)
+        except (ValueError, RuntimeError):
+            refused += 1
+        else:
+            assert snapshot(back) == snapshot(tree)
+    assert refused > 200
+
+
+def test_other_arrays_and_no_file_at_all(tmp_path: Path) -> None:
+    np.savez(tmp_path / 'other.npz', a=np.zeros(3))
+    with pytest.raises(ValueError, match='no saved tree'):
+        DynamicBVH.load(tmp_path / 'other.npz')
+    np.save(tmp_path / 'array.npy', np.zeros(3))
+    with pytest.raises(ValueError, match=r'array\.npy'):
+        DynamicBVH.load(tmp_path / 'array.npy')
+    np.savez(tmp_path / 'objects.npz', version=np.array([{}], object))
+    with pytest.raises(ValueError, match=r'objects\.npz'):
+        DynamicBVH.load(tmp_path / 'objects.npz')
+    with pytest.raises(FileNotFoundError):
+        DynamicBVH.load(tmp_path / 'none.npz')
+    with pytest.raises(OSError, match='none'):
+        DynamicBVH(2).save(tmp_path / 'none' / 'tree.npz')

@@ -1,0 +1,96 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many threads may ask one tree while none changes it, also when the first question builds
+something lazily.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bvh_ros import DynamicBVH
+
+THREADS = 8
+RNG = np.random.default_rng(11)
+ORIGINS = RNG.uniform(0, 50, (300, 3))
+WAYS = np.round(RNG.normal(size=(300, 3)) * 2)
+
+QUESTIONS: list[Callable[[DynamicBVH], Any]] = [
+    lambda tree: [column.tolist() for column in tree.raycast_many(ORIGINS, WAYS)],
+    lambda tree: [column.tolist() for column in tree.raycast_many(ORIGINS, WAYS, threads=3)],
+    lambda tree: tree.occluded_many(ORIGINS, WAYS).tolist(),
+    lambda tree: [column.tolist() for column in tree.raycast_all_many(ORIGINS, WAYS)],
+    lambda tree: [
+        tree.raycast(o, w).id if tree.occluded(o, w) else None
+        for o, w in zip(ORIGINS, WAYS, strict=True)
+    ],
+    lambda tree: [column.tolist() for column in tree.overlap_many(ORIGINS, ORIGINS + 3)],
+    lambda tree: tree.overlap_pairs().tolist(),
+    lambda tree: [column.tolist() for column in tree.nearest_many(ORIGINS, 4)],
+    lambda tree: [column.tolist() for column in tree.boxes(tree.ids())],
+    lambda tree: (tree.cost(), tree.height, len(tree), tree.stats()['boxes'], tree.validate()),
+]
+
+
+@pytest.mark.parametrize('margin', [0.0, 0.2])
+def test_all_questions_at_once_after_each_change(margin: float) -> None:
+    lo = np.random.default_rng(1).uniform(0, 50, (600, 3))
+    tree, alone = (DynamicBVH(margin=margin) for _ in range(2))
+    for each in (tree, alone):
+        each.insert_many(lo, lo + 1)
+    changes: list[Callable[[DynamicBVH], Any]] = [
+        lambda t: t.move_many(t.ids(), lo + 5, lo + 6),
+        lambda t: t.remove(int(t.ids()[5])),
+        lambda t: t.move(int(t.ids()[9]), [0, 0, 0], [50, 50, 1]),
+        lambda t: t.set_masks(t.ids()[:300], 2),
+        lambda t: t.insert([20, 20, 20], [30, 30, 30]),
+        lambda t: t.rebuild(),
+        lambda t: t.clear(),
+    ]
+    with ThreadPoolExecutor(THREADS) as pool:
+        for change in changes:
+            change(tree)
+            change(alone)
+            expected = [question(alone) for question in QUESTIONS]
+            for first in range(0, len(QUESTIONS), 3):
+                assert ask(pool, tree, first) == [
+                    expected[(first + k) % len(QUESTIONS)] for k in range(THREADS)
+                ]
+
+
+def ask(pool: ThreadPoolExecutor, tree: DynamicBVH, first: int) -> list[Any]:
+    """Every thread waits for the others, then asks its own question."""
+    barrier = Barrier(THREADS)
+
+    def one(k: int) -> Any:
+        barrier.wait()
+        return QUESTIONS[(first + k) % len(QUESTIONS)](tree)
+
+    return list(pool.map(one, range(THREADS)))
+
+
+def test_the_first_batch_after_a_change_from_many_threads() -> None:
+    """What a batch builds lazily is built for the tree as it is, whoever comes first."""
+    rng = np.random.default_rng(2)
+    lo = rng.uniform(0, 50, (500, 3))
+    tree, alone = (DynamicBVH.from_boxes(lo, lo + 1) for _ in range(2))
+    handles = tree.ids()
+    with ThreadPoolExecutor(THREADS) as pool:
+        for _ in range(30):
+            rows = rng.choice(500, 100, replace=False)
+            lo[rows] = rng.uniform(0, 50, (100, 3))
+            tree.move_many(handles[rows], lo[rows], lo[rows] + 1)
+            alone.move_many(handles[rows], lo[rows], lo[rows] + 1)
+            barrier = Barrier(THREADS)
+
+            def batch(_: int, barrier: Barrier = barrier) -> Any:
+                barrier.wait()
+                return tree.raycast_many(ORIGINS, WAYS).ids.tolist()
+
+            answers = list(pool.map(batch, range(THREADS)))
+            expected = [-1 if hit is None else hit.id for hit in map(alone.raycast, ORIGINS, WAYS)]
+            assert answers == [expected] * THREADS
