@@ -12,6 +12,9 @@ from tree.reference import LARGEST, SMALLEST, ExactHit, Floats
 MIXED = 0.0  # the scale that means all of them at once
 SCALES = (1e-300, 1e-160, 1e-3, 1.0, 1e8, 1e15, 1e150, MIXED)
 
+# What directions are multiplied with, exactly or not.
+LENGTHS = (1.0, 1.0, 1.0, 0.5, 1 / 3, 3.0, 1e-3, 1e-100, 1e100, 1e-190, 1e190, 1e300)
+
 Rng = np.random.Generator
 
 
@@ -71,9 +74,7 @@ def rays_at(rng: Rng, lo: Floats, hi: Floats, count: int, scale: float) -> tuple
         before = finite(targets - steps * rng.integers(0, 5, (count, 1)))
         origins = np.where(simple, before, origins)
         directions = np.where(simple, steps, directions)
-        directions = finite(
-            directions * rng.choice([1.0, 1.0, 0.5, 1 / 3, 3.0, 1e-3, 1e100], (count, 1))
-        )
+        directions = finite(directions * rng.choice(LENGTHS, (count, 1)))
     tiny = SMALLEST * rng.integers(-3, 4, shape)
     directions = np.where(rng.random(shape) < 0.02, tiny, directions)
     directions[rng.random(count) < 0.02] = 0.0

@@ -3,8 +3,8 @@
 """What a tree must answer: brute force over all boxes, in exact arithmetic.
 
 Doubles are whole numbers of one small power of two, so in that unit every difference and product
-of coordinates is a Python integer: nothing rounds, overflows or vanishes. A distance along a ray is
-a `Fraction` of two of them.
+of coordinates is a Python integer: nothing rounds, overflows or vanishes. A distance along a ray
+is a `Fraction` of two of them.
 """
 
 import math

@@ -80,7 +80,7 @@ def test_branch_and_bound_finds_the_best_sibling(ndim: int, seed: int) -> None:
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_greedy_is_often_but_not_always_the_best(ndim: int) -> None:
-    """One descent mostly finds the best sibling; that it always does, as one may read, is wrong."""
+    """One descent mostly finds the best; that it always does, as one may read, is not so."""
     pairs = [pair for seed in range(3) for pair in search_costs(greedy_sibling, ndim, seed)]
     best = sum(found == least for found, least in pairs)
     assert 0.5 * len(pairs) < best < len(pairs)
