@@ -1,9 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The surface area heuristic's measure (Goldsmith and Salmon 1987): surface area in 3D, perimeter in 2D.
+"""The surface area heuristic's measure (Goldsmith and Salmon 1987): surface area in 3D, perimeter
+in 2D.
 
-Only comparisons and ratios of areas matter, so all of one comparison are of boxes times one power of two, chosen so that nothing
-overflows: float64 areas do from edges of 1e154 on, and vanish below 1e-162.
+Only comparisons and ratios of areas matter, so all of one comparison are of boxes times one power
+of two, chosen so that nothing overflows: float64 areas do from edges of 1e154 on, and vanish below
+1e-162.
 """
 
 import math
@@ -49,11 +51,15 @@ def union_area(nodes, a, b, scale):
 
 @inlined
 def area_scale(nodes, a, b):
-    """Power of two that brings the longest edge of the union of two nodes near 1, if its products could leave the doubles."""
+    """Power of two that brings the longest edge of the union of two nodes near 1, if its products
+    could leave the doubles.
+    """
     a_node, b_node = nodes[a], nodes[b]
     longest = 0.0
     for axis in range(a_node.lo.shape[0]):
-        longest = max(longest, max(a_node.hi[axis], b_node.hi[axis]) - min(a_node.lo[axis], b_node.lo[axis]))
+        longest = max(
+            longest, max(a_node.hi[axis], b_node.hi[axis]) - min(a_node.lo[axis], b_node.lo[axis])
+        )
     if SMALLEST_EDGE < longest < LARGEST_EDGE or longest == 0.0:
         return 1.0
     if math.isinf(longest):
@@ -63,10 +69,11 @@ def area_scale(nodes, a, b):
 
 @lean_kernel
 def tree_cost(nodes, root):
-    """Sum over the inner nodes of area / area of the root; the number of inner nodes where the root's area is zero.
+    """Sum over the inner nodes of area / area of the root; the number of inner nodes where the
+    root's area is zero.
 
-    Areas are of boxes times the power of two that brings the root's longest edge near 1: none overflows, and what vanishes is
-    below 1e-300 of the root's.
+    Areas are of boxes times the power of two that brings the root's longest edge near 1: none
+    overflows, and what vanishes is below 1e-300 of the root's.
     """
     if is_leaf(root):
         return 0.0

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bulk build, rebuild and refit, all within a height budget.
 
-Every split uses up one level. Where the cheapest split would leave a side more boxes than the levels that remain can hold, the
-range is halved at its median instead: a bound on height is a bound on the stacks and on the worst query, whatever the scene.
+Every split uses up one level. Where the cheapest split would leave a side more boxes than the
+levels that remain can hold, the range is halved at its median instead: a bound on height is a
+bound on the stacks and on the worst query, whatever the scene.
 """
 
 import math
@@ -34,20 +35,28 @@ def _attach(nodes, parent, node):
 
 @kernel
 def build(nodes, heights, state, items, numbers, count, levels):
-    """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner nodes; return its root.
+    """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
+    nodes; return its root.
 
-    `items` (float32) and `numbers` (int32) are one array of eight places an item, see `binning`; they are reordered.
+    `items` (float32) and `numbers` (int32) are one array of eight places an item, see `binning`;
+    they are reordered.
     """
     if count == 1:
         return np.int64(numbers[NODE])
     renew_units(nodes, items, numbers, 0, count)
     made, made_count = np.empty(count - 1, np.int32), 0
+    spare = np.empty(count * LANES, np.float32)
     ranges = np.empty((levels + 2, 4), np.int64)  # start, stop, levels allowed, parent
     ranges[0, 0], ranges[0, 1], ranges[0, 2], ranges[0, 3] = 0, count, levels, NONE
     top = 1
     while top > 0:
         top -= 1
-        start, stop, allowed, parent = ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3]
+        start, stop, allowed, parent = (
+            ranges[top, 0],
+            ranges[top, 1],
+            ranges[top, 2],
+            ranges[top, 3],
+        )
         if stop - start == 1:
             _attach(nodes, parent, np.int64(numbers[start * LANES + NODE]))
             continue
@@ -56,9 +65,14 @@ def build(nodes, heights, state, items, numbers, count, levels):
         _attach(nodes, parent, node)
         made[made_count] = node
         made_count += 1
-        middle = split_range(nodes, items, numbers, start, stop, allowed)
+        middle = split_range(nodes, items, spare, numbers, start, stop, allowed)
         for first, last in ((middle, stop), (start, middle)):
-            ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3] = first, last, allowed - 1, node
+            ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3] = (
+                first,
+                last,
+                allowed - 1,
+                node,
+            )
             top += 1
     for i in range(made_count - 1, -1, -1):
         adopt(nodes, heights, np.int64(made[i]))
@@ -66,14 +80,16 @@ def build(nodes, heights, state, items, numbers, count, levels):
 
 
 @lean_kernel
-def dissolve(nodes, heights, state, root, numbers, cut):
-    """Free the inner nodes from `root` down to subtrees of height `cut`; return how many of those, named in `numbers`."""
+def dissolve(nodes, state, root, marks, numbers):
+    """Free the inner nodes from `root` down to the leaves, or to marked nodes (`marks` is empty or
+    one a node); return how many of those there are, in `numbers`.
+    """
     stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
         node = stack[top]
-        if heights[node] <= cut:
+        if is_leaf(node) or (marks.shape[0] > 0 and marks[node]):
             numbers[count * LANES + NODE] = node
             count += 1
             continue
@@ -100,17 +116,22 @@ def count_leaves(nodes, root):
 
 @kernel
 def rebuild_subtree(nodes, heights, state, root, count, levels):
-    """Build the subtree below `root` again over its `count` leaves, within `levels` levels; return its new root."""
+    """Build the subtree below `root` again over its `count` leaves, within `levels` levels; return
+    its new root.
+    """
     parent = np.int64(nodes[root].parent)
     items = np.empty(count * LANES, np.float32)
     numbers = items.view(np.int32)
-    # The place in the parent is kept by a mark, since `root` itself may be freed and taken again.
+    # Where it hangs is noted before `root` itself is freed and perhaps taken again.
     on_left = parent != NONE and nodes[parent].left == root
-    dissolve(nodes, heights, state, root, numbers, 0)
+    is_root = state[ROOT] == root
+    dissolve(nodes, state, root, np.empty(0, np.bool_), numbers)
     fresh = build(nodes, heights, state, items, numbers, count, levels)
     nodes[fresh].parent = parent
-    if parent == NONE:
+    if is_root:
         state[ROOT] = fresh
+    elif parent == NONE:
+        return fresh  # a subtree that hangs nowhere yet
     elif on_left:
         nodes[parent].left = fresh
     else:
@@ -126,22 +147,29 @@ def height_limit(count):
 
 @lean_kernel
 def build_levels(count):
-    """Levels that a bulk build may use: enough for SAH to have its way in real scenes, few enough to leave insertions room."""
+    """Levels that a bulk build may use: enough for SAH to have its way in real scenes, few enough
+    to leave insertions room.
+    """
     return 3 * floor_log2(count) + 2
 
 
 @kernel
 def rebalance(nodes, heights, state, count):
-    """Rebuild balanced what makes the tree higher than `height_limit` (a scapegoat, Galperin and Rivest 1993)."""
+    """Rebuild balanced what makes the tree higher than `height_limit` (a scapegoat, Galperin and
+    Rivest 1993).
+    """
     while heights[state[ROOT]] > height_limit(count):
         node = state[ROOT]
         while not is_leaf(node):  # to the deepest leaf
             left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
             node = left if heights[left] > heights[right] else right
         leaves = 1
-        while heights[node] <= 2 * floor_log2(leaves) + 2:  # up to the first subtree that is too high for its leaves
+        # up to the first subtree that is too high for its leaves
+        while heights[node] <= 2 * floor_log2(leaves) + 2:
             parent = np.int64(nodes[node].parent)
-            other = np.int64(nodes[parent].right if nodes[parent].left == node else nodes[parent].left)
+            other = np.int64(
+                nodes[parent].right if nodes[parent].left == node else nodes[parent].left
+            )
             leaves += count_leaves(nodes, other)
             node = parent
         node = rebuild_subtree(nodes, heights, state, node, leaves, levels_needed(leaves) + 1)
@@ -161,7 +189,7 @@ def build_all(nodes, heights, handles, state):
     items = np.empty(count * LANES, np.float32)
     numbers = items.view(np.int32)
     if state[ROOT] != NONE:
-        dissolve(nodes, heights, state, state[ROOT], numbers, 0)
+        dissolve(nodes, state, state[ROOT], np.empty(0, np.bool_), numbers)
     for slot in range(handles.shape[0]):
         if handles[slot] >= 0:
             numbers[placed * LANES + NODE] = 2 * slot
@@ -173,7 +201,9 @@ def build_all(nodes, heights, handles, state):
 
 @kernel
 def refit_all(nodes, heights, root):
-    """Make every inner box tight again, children before parents, without changing the tree's shape."""
+    """Make every inner box tight again, children before parents, without changing the tree's
+    shape.
+    """
     if is_leaf(root):
         return
     order, stack = np.empty(2 * 1024, np.int64), stack_array(DEEPEST, np.int64)
@@ -193,8 +223,6 @@ def refit_all(nodes, heights, root):
         adopt(nodes, heights, order[i])
 
 
-
-
 @inlined
 def keep_height(nodes, heights, state):
     """After a change: nothing to do but compare two numbers, nearly always."""
@@ -202,13 +230,55 @@ def keep_height(nodes, heights, state):
         rebalance(nodes, heights, state, state[COUNT])
 
 
-TREELET = 256  # leaves of a subtree that `optimize` rebuilds at once: small enough for the first-level cache
+TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
+
+
+@kernel
+def _mark_treelets(nodes, root, marks):
+    """Mark and return the largest subtrees of at most TREELET leaves."""
+    roots, count = np.empty(64, np.int64), 0
+    stack, top = stack_array(DEEPEST, np.int64), 1
+    stack[0] = root
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if count_leaves(nodes, node) > TREELET:
+            stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
+            top += 2
+            continue
+        if count == roots.shape[0]:
+            roots = np.append(roots, roots)
+        roots[count] = node
+        marks[node] = True
+        count += 1
+    return roots[:count]
 
 
 @kernel
 def optimize(nodes, heights, state):
-    """Rebuild every treelet by SAH, then the tree's top over them: cheaper than a whole build, and the leaves' neighbours stay."""
-    count = state[COUNT]
-    if count > 2:
-        root = state[ROOT]
-        rebuild_subtree(nodes, heights, state, root, count, build_levels(count))
+    """Rebuild every treelet by SAH, then the tree's top over them.
+
+    Less work than a whole build, and less gain: what the upper levels have divided badly stays
+    divided (Kensler 2008 and Bittner et al. 2013 move subtrees instead; measured, they cost more
+    than the whole build does here).
+    """
+    if state[COUNT] < 3:
+        return
+    marks = np.zeros(nodes.shape[0], np.bool_)
+    roots = _mark_treelets(nodes, state[ROOT], marks)
+    top_items = np.empty(roots.shape[0] * LANES, np.float32)
+    top_numbers = top_items.view(np.int32)
+    dissolve(nodes, state, state[ROOT], marks, top_numbers)
+    state[ROOT] = NONE
+    for i in range(roots.shape[0]):
+        root = np.int64(top_numbers[i * LANES + NODE])
+        nodes[root].parent = NONE
+        leaves = count_leaves(nodes, root)
+        if leaves > 2:
+            root = rebuild_subtree(nodes, heights, state, root, leaves, build_levels(leaves))
+        top_numbers[i * LANES + NODE] = root
+    levels = build_levels(roots.shape[0])
+    root = build(nodes, heights, state, top_items, top_numbers, roots.shape[0], levels)
+    nodes[root].parent = NONE
+    state[ROOT] = root
+    keep_height(nodes, heights, state)

@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Input made sound before it reaches a kernel: float64, C order, finite, lo <= hi; or one plain sentence why not."""
+"""Input made sound before it reaches a kernel: float64, C order, finite, lo <= hi; or one plain
+sentence why not.
+"""
 
 import math
 from typing import Any
@@ -34,7 +36,9 @@ def _first_reversed(lo, hi):
 
 @kernel
 def _first_bad_handle(handles, given, seen, once):
-    """(row, why): why 0 is none, 1 an unknown handle, 2 one given before although each must be given once."""
+    """(row, why): why 0 is none, 1 an unknown handle, 2 one given before although each must be
+    given once.
+    """
     for i in range(given.shape[0]):
         slot = given[i] & SLOT_MASK
         if given[i] < 0 or slot >= handles.shape[0] or handles[slot] != given[i]:
@@ -47,7 +51,9 @@ def _first_bad_handle(handles, given, seen, once):
 
 
 def floats(name: str, value: ArrayLike) -> Floats:
-    """An own, writable, C-ordered float64 copy: kernels then meet one array type only, and never the caller's memory."""
+    """An own, writable, C-ordered float64 copy: kernels then meet one array type only, and never
+    the caller's memory.
+    """
     try:
         return np.array(value, dtype=np.float64, order='C')
     except (TypeError, ValueError) as error:
@@ -79,13 +85,17 @@ def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> 
     return array
 
 
-def boxes(lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None) -> tuple[Floats, Floats]:
+def boxes(
+    lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None
+) -> tuple[Floats, Floats]:
     """Rows of boxes: finite, lo <= hi on every axis."""
     low = points('lo', lo, ndim, count)
     high = points('hi', hi, ndim, len(low))
     row = _first_reversed(low, high)
     if row >= 0:
-        raise ValueError(f'lo must not exceed hi: row {row} has lo {low[row].tolist()} and hi {high[row].tolist()}')
+        raise ValueError(
+            f'lo must not exceed hi: row {row} has lo {low[row].tolist()} and hi {high[row].tolist()}'
+        )
     return low, high
 
 
@@ -114,7 +124,9 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
     if array.ndim == 0:
         return np.full(count, mask(array[()]), np.uint32)
     if array.shape != (count,) or (array.dtype.kind not in 'iu' and array.size):
-        raise ValueError(f'mask must be an integer or have shape ({count},) of integers, not {array.shape} {array.dtype}')
+        raise ValueError(
+            f'mask must be an integer or have shape ({count},) of integers, not {array.shape} {array.dtype}'
+        )
     bad = np.flatnonzero((array < 0) | (array > ALL))
     if bad.size:
         raise ValueError(f'mask must be from 0 to {ALL}: row {bad[0]} is {array[bad[0]]}')
@@ -153,14 +165,20 @@ def whole(name: str, value: Any, least: int) -> int:
 
 
 def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) -> NDArray[np.int64]:
-    """Slots of live handles; KeyError names the first unknown one, ValueError the first double one (with `once`)."""
+    """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
+    (with `once`).
+    """
     array = np.array(given)
     if array.size == 0:
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in 'iu':
-        raise ValueError(f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}')
+        raise ValueError(
+            f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
+        )
     numbers = array.astype(np.int64)
-    row, why = _first_bad_handle(handles, numbers, np.zeros(len(handles) if once else 0, np.bool_), once)
+    row, why = _first_bad_handle(
+        handles, numbers, np.zeros(len(handles) if once else 0, np.bool_), once
+    )
     if why == 1:
         raise KeyError(f'handle {array[row]} in row {row} names no box of this tree')
     if why == 2:

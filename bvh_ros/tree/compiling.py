@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one decorator for compiled functions, and where their machine code is kept.
 
-numba's own disk cache looks only at the file of the function that is called: after an edit in a callee's file it would still run
-the old code. So the cache folder is named by a hash of every source that can hold a kernel.
+numba's own disk cache looks only at the file of the function that is called: after an edit in a
+callee's file it would still run the old code. So the cache folder is named by a hash of every
+source that can hold a kernel.
 """
 
 import functools
@@ -40,9 +41,11 @@ def _writable(folder: Path) -> bool:
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Folder of the compiled kernels of exactly these sources; None where no folder can be written.
+    """Folder of the compiled kernels of exactly these sources; None where no folder can be
+    written.
 
-    `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME/bvh_ros`, else `~/.cache/bvh_ros`, else the machine's temporary folder.
+    `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME/bvh_ros`, else `~/.cache/bvh_ros`, else the machine's
+    temporary folder.
     """
     named = os.environ.get('NUMBA_CACHE_DIR')
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
@@ -65,7 +68,8 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
     folder = cache_folder()
     if folder is None:
         return numba.njit(function, error_model='numpy', nogil=True, **options)
-    # numba reads its cache folder when a function is decorated; other users of numba in this process keep their own.
+    # numba reads its cache folder when a function is decorated; other users of numba in this
+    # process keep their own.
     theirs = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
@@ -75,9 +79,11 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile with numba at the first call, keep the machine code on disk, and release the GIL while running.
+    """Compile with numba at the first call, keep the machine code on disk, and release the GIL
+    while running.
 
-    Division by zero follows IEEE 754, as in numpy. `fastmath` stays off: a kernel that decides must round as written.
+    Division by zero follows IEEE 754, as in numpy. `fastmath` stays off: a kernel that decides
+    must round as written.
     """
     return _compiled(function, _nrt=True)
 
@@ -85,7 +91,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 def lean_kernel(function: Callable[..., Any]) -> Any:
     """A kernel that makes no arrays, and so need not count references.
 
-    Counting is two atomic operations for every array passed to a function: ten arrays a ray cost more than the ray.
+    Counting is two atomic operations for every array passed to a function: ten arrays a ray cost
+    more than the ray.
     """
     return _compiled(function, _nrt=False)
 

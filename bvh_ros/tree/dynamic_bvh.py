@@ -18,7 +18,6 @@ from .nodes import (
     LAST_SERIAL,
     NONE,
     ROOT,
-    SLOT_BITS,
     SLOT_MASK,
     aligned_empty,
     box_dtype,
@@ -29,23 +28,29 @@ from .queries import Floats, Ids, Queries
 
 SEARCHES = ('greedy', 'branch_and_bound')
 
-# Shares of the boxes that leave their fat box in one move_many, from which on writing all in place and refitting, and from
-# which on building anew, is faster than inserting each again. Measured: see `bvh_ros report speed`.
-REFIT_SHARE = 0.125
-REBUILD_SHARE = 0.5
+# move_many, measured (see `bvh_report speed`): from this share of boxes that move near by on,
+# writing them in place and refitting the whole tree is faster than inserting each again, ...
+REFIT_SHARE = 0.05
+# ... from this share that move far away on, so is building the tree anew, ...
+REBUILD_SHARE = 0.3
+# ... which is also done when refits have made the tree so much costlier than it was when built.
+WORSE = 1.2
 
 
 class DynamicBVH(Queries):
-    """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at any time.
+    """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at
+    any time.
 
     Parameters
     ----------
     ndim : {2, 3}
         A planar scene pays for no z.
     margin : float
-        Boxes in the tree are grown by this on every side (m), so that small moves cost nothing. Answers do not depend on it.
+        Boxes in the tree are grown by this on every side (m), so that small moves cost nothing.
+        Answers do not depend on it.
     sibling_search : {'branch_and_bound', 'greedy'}
-        How an insertion looks for the best sibling: the best of all, or what one descent meets (faster, for a worse tree).
+        How an insertion looks for the best sibling: the best of all, or what one descent meets
+        (faster, for a worse tree).
     capacity : int
         Boxes to make room for at first; the storage grows by itself.
 
@@ -67,7 +72,12 @@ class DynamicBVH(Queries):
     """
 
     def __init__(
-        self, ndim: int = 3, *, margin: float = 0.0, sibling_search: str = 'branch_and_bound', capacity: int = 16
+        self,
+        ndim: int = 3,
+        *,
+        margin: float = 0.0,
+        sibling_search: str = 'branch_and_bound',
+        capacity: int = 16,
     ) -> None:
         if isinstance(ndim, bool) or ndim not in (2, 3):
             raise ValueError(f'ndim must be 2 or 3, not {ndim!r}')
@@ -79,15 +89,19 @@ class DynamicBVH(Queries):
             raise ValueError('margin must be finite')
         self.sibling_search = sibling_search
         self._serial = 1
-        self._start_snapshots()
-        self._counters = dict.fromkeys(('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds'), 0)
+        self._start()
+        self._counters = dict.fromkeys(
+            ('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds'), 0
+        )
         self._allocate(checks.whole('capacity', capacity, 1))
 
     @classmethod
     def from_boxes(
         cls, lo: ArrayLike, hi: ArrayLike, *, mask: ArrayLike | None = None, margin: float = 0.0
     ) -> 'DynamicBVH':
-        """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row order."""
+        """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row
+        order.
+        """
         ndim = np.shape(lo)[1] if np.ndim(lo) == 2 else 0
         if ndim not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {np.shape(lo)}')
@@ -95,10 +109,12 @@ class DynamicBVH(Queries):
         tree.insert_many(lo, hi, mask)
         return tree
 
-    def _start_snapshots(self) -> None:
+    def _start(self) -> None:
         self._lock = Lock()
         self._changes = 0
         self._snapshot, self._snapshot_of, self._rays_since = None, 0, 0
+        self._refits = 0  # boxes since the last look at the cost
+        self._built = 0, 0.0  # boxes and cost after the last bulk build
 
     # ---- storage
 
@@ -126,11 +142,15 @@ class DynamicBVH(Queries):
         self._heights = np.concatenate([self._heights, np.zeros(2 * (capacity - old), np.int16)])
         self._handles = np.concatenate([self._handles, np.full(capacity - old, NONE, np.int64)])
         if len(self._tight):
-            self._tight = np.concatenate([self._tight, np.empty(capacity - old, self._tight.dtype)])
+            self._tight = np.concatenate(
+                [self._tight, np.empty(capacity - old, self._tight.dtype)]
+            )
         link_free(self._nodes, self._state, old, capacity)
 
     def _keep_exact_boxes(self) -> None:
-        """From the first predicted displacement on, fat and exact boxes differ even where the margin is zero."""
+        """From the first predicted displacement on, fat and exact boxes differ even where the
+        margin is zero.
+        """
         if not len(self._tight):
             self._tight = np.empty(len(self._handles), box_dtype(self.ndim))
             self._tight['lo'], self._tight['hi'] = self._nodes['lo'][::2], self._nodes['hi'][::2]
@@ -150,14 +170,17 @@ class DynamicBVH(Queries):
     # ---- changes
 
     def insert(self, lo: ArrayLike, hi: ArrayLike, mask: int = 1) -> int:
-        """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend with every insertion."""
+        """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend
+        with every insertion.
+        """
         low, high = checks.box(lo, hi, self.ndim)
         return int(self._insert(low[None], high[None], checks.masks(checks.mask(mask), 1))[0])
 
     def insert_many(self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike | None = None) -> Ids:
         """Insert n boxes, shape (n, ndim) each; return their handles in row order.
 
-        `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds already, or more, and it is built anew.
+        `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds
+        already, or more, and it is built anew.
         """
         low, high = checks.boxes(lo, hi, self.ndim)
         return self._insert(low, high, checks.masks(1 if mask is None else mask, len(low)))
@@ -168,8 +191,19 @@ class DynamicBVH(Queries):
         build = count >= max(2, len(self))
         new = np.empty(count, np.int64)
         moving.insert_rows(
-            self._nodes, self._heights, self._tight, self._handles, self._state,
-            low, high, masks, self.margin, self._serial, self._thorough, not build, new,
+            self._nodes,
+            self._heights,
+            self._tight,
+            self._handles,
+            self._state,
+            low,
+            high,
+            masks,
+            self.margin,
+            self._serial,
+            self._thorough,
+            not build,
+            new,
         )
         self._serial += count
         self._changes += 1
@@ -183,7 +217,9 @@ class DynamicBVH(Queries):
         self._remove(np.array([self._slot(handle)]))
 
     def remove_many(self, handles: ArrayLike) -> None:
-        """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError), none."""
+        """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError),
+        none.
+        """
         self._remove(checks.slots_of(self._handles, handles))
 
     def _remove(self, slots: Ids) -> None:
@@ -197,54 +233,89 @@ class DynamicBVH(Queries):
         self._allocate(len(self._handles))
         self._changes += 1
 
-    def move(self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None) -> bool:
-        """Give a box its new bounds; true if the tree changed, false if the box stayed within its fat box.
+    def move(
+        self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None
+    ) -> bool:
+        """Give a box its new bounds; true if the tree changed, false if the box stayed within its
+        fat box.
 
-        `displacement`, shape (ndim,), is where the box is expected to be next, relative to now: its fat box then reaches there.
-        KeyError if the handle names no box.
+        `displacement`, shape (ndim,), is where the box is expected to be next, relative to now:
+        its fat box then reaches there. KeyError if the handle names no box.
         """
         slot = self._slot(handle)
         low, high = checks.box(lo, hi, self.ndim)
         ahead = self._ahead(None if displacement is None else np.asarray(displacement)[None], 1)
         changed = moving.move_one(
-            self._nodes, self._heights, self._tight, self._state,
-            2 * slot, low, high, self.margin, ahead[0], self._thorough,
+            self._nodes,
+            self._heights,
+            self._tight,
+            self._state,
+            2 * slot,
+            low,
+            high,
+            self.margin,
+            ahead[0],
+            self._thorough,
         )
         self._counters['reinserted' if changed else 'kept'] += 1
         self._changes += int(changed)
         return bool(changed)
 
     def move_many(
-        self, handles: ArrayLike, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None
+        self,
+        handles: ArrayLike,
+        lo: ArrayLike,
+        hi: ArrayLike,
+        displacement: ArrayLike | None = None,
     ) -> int:
         """Give n boxes their new bounds, shape (n, ndim) each; return how many changed the tree.
 
-        Few that leave their fat boxes are inserted again one by one; many are written in place and the tree is refitted and partly
-        optimised; if most leave, it is built anew. All or, if a handle is unknown (KeyError) or given twice (ValueError), none.
+        Few that leave their fat boxes, and those that go far, are inserted again one by one; many
+        that stay near are written in place and the tree is refitted; where many go far, or refits
+        have made the tree costlier, it is built anew. All or, if a handle is unknown (KeyError) or
+        given twice (ValueError), none.
         """
         slots = checks.slots_of(self._handles, handles)
         low, high = checks.boxes(lo, hi, self.ndim, len(slots))
         ahead = self._ahead(displacement, len(slots))
-        rows = np.empty(len(slots), np.int64)
-        count = moving.rows_that_leave(self._nodes, self._tight, slots, low, high, self.margin, ahead, rows)
-        rows, share = rows[:count], count / max(len(self), 1)
+        near, far = np.empty(len(slots), np.int64), np.empty(len(slots), np.int64)
+        near_count, far_count = moving.sort_rows(
+            self._nodes, self._tight, slots, low, high, self.margin, ahead, near, far
+        )
+        near, far = near[:near_count], far[:far_count]
+        count = near_count + far_count
         self._counters['kept'] += len(slots) - count
         self._changes += int(count > 0)
-        if share < REFIT_SHARE:
-            moving.reinsert_rows(
-                self._nodes, self._heights, self._tight, self._state,
-                rows, slots, low, high, self.margin, ahead, self._thorough,
-            )
-            self._counters['reinserted'] += count
-            return count
-        moving.write_rows(self._nodes, self._tight, rows, slots, low, high, self.margin, ahead)
-        if share < REBUILD_SHARE:
-            building.refit_all(self._nodes, self._heights, int(self._state[ROOT]))
-            self._counters['refitted'] += count
-            self.optimize()
-        else:
+        moved = slots, low, high, self.margin, ahead
+        if count and far_count >= REBUILD_SHARE * len(self):
+            moving.write_rows(self._nodes, self._tight, near, *moved)
+            moving.write_rows(self._nodes, self._tight, far, *moved)
             self.rebuild()
+            return count
+        if count < REFIT_SHARE * len(self):
+            self._reinsert(near, *moved)
+        else:
+            moving.write_rows(self._nodes, self._tight, near, *moved)
+            building.refit_all(self._nodes, self._heights, int(self._state[ROOT]))
+            self._counters['refitted'] += near_count
+            self._refits += near_count
+        self._reinsert(far, *moved)
+        if self._refits >= len(self):
+            self._rebuild_if_worse()
         return count
+
+    def _reinsert(self, rows: Ids, *moved: Any) -> None:
+        moving.reinsert_rows(
+            self._nodes, self._heights, self._tight, self._state, rows, *moved, self._thorough
+        )
+        self._counters['reinserted'] += len(rows)
+
+    def _rebuild_if_worse(self) -> None:
+        """After as many refitted boxes as there are: see what they have done to the tree."""
+        self._refits = 0
+        count, cost = self._built
+        if not 0.8 * count < len(self) < 1.25 * count or self.cost() > WORSE * cost:
+            self.rebuild()
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
         if displacement is None:
@@ -263,11 +334,14 @@ class DynamicBVH(Queries):
     def rebuild(self) -> None:
         """Build the tree anew by binned SAH over all axes. Handles stay."""
         building.build_all(self._nodes, self._heights, self._handles, self._state)
+        self._refits, self._built = 0, (len(self), self.cost())
         self._counters['rebuilds'] += 1
         self._changes += 1
 
     def optimize(self) -> None:
-        """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the subtrees in turn."""
+        """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the
+        subtrees in turn.
+        """
         building.optimize(self._nodes, self._heights, self._state)
         self._changes += 1
 
@@ -291,10 +365,14 @@ class DynamicBVH(Queries):
         return np.sort(self._handles[self._handles >= 0])
 
     def boxes(self, handles: ArrayLike) -> tuple[Floats, Floats]:
-        """Exact boxes (without margin) of the handles, shape (n, ndim) each. KeyError if one names no box."""
+        """Exact boxes (without margin) of the handles, shape (n, ndim) each. KeyError if one names
+        no box.
+        """
         slots = checks.slots_of(self._handles, handles, once=False)
         records = self._tight[slots] if len(self._tight) else self._nodes[2 * slots]
-        return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(-1, self.ndim).copy()
+        return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
+            -1, self.ndim
+        ).copy()
 
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
@@ -317,7 +395,9 @@ class DynamicBVH(Queries):
         return 0 if root == NONE else int(self._heights[root])
 
     def cost(self) -> float:
-        """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of inner nodes if that is zero."""
+        """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of
+        inner nodes if that is zero.
+        """
         root = int(self._state[ROOT])
         return 0.0 if root == NONE else float(tree_cost(self._nodes, root))
 
@@ -325,7 +405,9 @@ class DynamicBVH(Queries):
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
         complaint, node = validation.check_structure(self._nodes, self._handles, self._state)
         if complaint == validation.SOUND:
-            complaint, node = validation.check_metrics(self._nodes, self._heights, self._tight, self._state)
+            complaint, node = validation.check_metrics(
+                self._nodes, self._heights, self._tight, self._state
+            )
         if complaint != validation.SOUND:
             raise RuntimeError(f'{validation.COMPLAINTS[complaint]} (node {node})')
 
@@ -356,7 +438,9 @@ class DynamicBVH(Queries):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> 'DynamicBVH':
-        """Read what `save` wrote. ValueError if the file is of another format version or not such a file."""
+        """Read what `save` wrote. ValueError if the file is of another format version or not such
+        a file.
+        """
         tree = cls.__new__(cls)
         tree.__setstate__(storing.load(path))
         return tree

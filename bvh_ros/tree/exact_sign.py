@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sign of a sum of products of doubles, as real arithmetic has it.
 
-A Kulisch accumulator (Kulisch and Miranker 1986): a fixed-point number wide enough for every product of two doubles, so that adding
-is integer arithmetic and nothing can round, overflow or underflow. The smallest bit of a product is 2**-2148 and the largest below
-2**2048: 4,196 bits, kept as limbs of 32 bits in int64, whose upper halves hold the carries until the end.
+A Kulisch accumulator (Kulisch and Miranker 1986): a fixed-point number wide enough for every
+product of two doubles, so that adding is integer arithmetic and nothing can round, overflow or
+underflow. The smallest bit of a product is 2**-2148 and the largest below 2**2048: 4,196 bits,
+kept as limbs of 32 bits in int64, whose upper halves hold the carries until the end.
 """
 
 import math
@@ -33,7 +34,9 @@ def _deposit(limbs, value, bit, sign):
 
 @inlined
 def _significand(x):
-    """abs(x) as (bits, exponent), an integer below 2**53 times a power of two; exponent >= -1074, subnormals too."""
+    """abs(x) as (bits, exponent), an integer below 2**53 times a power of two; exponent >= -1074,
+    subnormals too.
+    """
     fraction, exponent = math.frexp(abs(x))
     bits, place = np.int64(fraction * 2.0**53), np.int64(exponent) - 53
     surplus = max(-1074 - place, 0)
@@ -51,7 +54,9 @@ def add_product(limbs, x, y):
     sign = np.int64(1) if (x < 0.0) == (y < 0.0) else np.int64(-1)
     for x_half in range(2):
         for y_half in range(2):
-            product = ((x_bits >> (HALF_BITS * x_half)) & HALF_MASK) * ((y_bits >> (HALF_BITS * y_half)) & HALF_MASK)
+            product = ((x_bits >> (HALF_BITS * x_half)) & HALF_MASK) * (
+                (y_bits >> (HALF_BITS * y_half)) & HALF_MASK
+            )
             place = bit + HALF_BITS * (x_half + y_half)
             _deposit(limbs, product & LIMB_MASK, place, sign)
             _deposit(limbs, product >> LIMB_BITS, place + LIMB_BITS, sign)

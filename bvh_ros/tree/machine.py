@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What numba's own language lacks: small arrays on the stack, and operations on eight boxes at a time (LLVM vectors)."""
+"""What numba's own language lacks: small arrays on the stack, and operations on eight boxes at a
+time (LLVM vectors).
+"""
 
 from typing import Any
 
@@ -17,8 +19,10 @@ _VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 @intrinsic(prefer_literal=True)
-def stack_array(typingctx, size, dtype):  # type: ignore[no-untyped-def]
-    """Uninitialised array of a constant `size` that lives until the calling kernel returns; it must not be returned."""
+def stack_array(typingctx, size, dtype):
+    """Uninitialised array of a constant `size` that lives until the calling kernel returns; it
+    must not be returned.
+    """
     kind = types.Array(dtype.dtype, 1, 'C')
     length = size.literal_value
 
@@ -29,7 +33,9 @@ def stack_array(typingctx, size, dtype):  # type: ignore[no-untyped-def]
         extent = context.get_constant(types.intp, length)
         step = context.get_constant(types.intp, context.get_abi_sizeof(item))
         data = builder.bitcast(room, item.as_pointer())
-        populate_array(array, data=data, shape=[extent], strides=[step], itemsize=step, meminfo=None)
+        populate_array(
+            array, data=data, shape=[extent], strides=[step], itemsize=step, meminfo=None
+        )
         return array._getvalue()
 
     return kind(size, dtype), codegen
@@ -38,7 +44,9 @@ def stack_array(typingctx, size, dtype):  # type: ignore[no-untyped-def]
 def _splat(builder: Any, scalar: Any) -> Any:
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(_INT, 0))
     return builder.shuffle_vector(
-        one, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INT, LANES), [0] * LANES)
+        one,
+        ir.Constant(_VECTOR, ir.Undefined),
+        ir.Constant(ir.VectorType(_INT, LANES), [0] * LANES),
     )
 
 
@@ -47,11 +55,13 @@ def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):  # type: ignore[no-untyped-def]
-    """Test one ray against the eight boxes that begin at planes[base]; entries get their distances; returns a bit mask of hits.
+def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):
+    """Test one ray against the eight boxes that begin at planes[base]; entries get their
+    distances; returns a bit mask of hits.
 
-    near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints each; inverse, near_shift, far_shift:
-    tuples of ndim float32. The distance of a plane is fma(plane, inverse, shift).
+    near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints
+    each; inverse, near_shift, far_shift: tuples of ndim float32. The distance of a plane is
+    fma(plane, inverse, shift).
     """
     sig = types.uint32(planes, base, near, far, inverse, near_shift, far_shift, limit, entries)
 
@@ -67,7 +77,9 @@ def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, li
             place = builder.gep(data, [builder.add(base, builder.extract_value(offsets, axis))])
             plane = builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=4)
             slope = _splat(builder, builder.extract_value(inverse, axis))
-            return builder.call(fma, [plane, slope, _splat(builder, builder.extract_value(shifts, axis))])
+            return builder.call(
+                fma, [plane, slope, _splat(builder, builder.extract_value(shifts, axis))]
+            )
 
         entry, leave = ir.Constant(_VECTOR, [0.0] * LANES), _splat(builder, limit)
         for axis in range(signature.args[2].count):
@@ -80,7 +92,7 @@ def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, li
 
 
 @intrinsic
-def trailing_zeros(typingctx, bits):  # type: ignore[no-untyped-def]
+def trailing_zeros(typingctx, bits):
     """Number of zero bits below the lowest one; `bits` is not zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -95,8 +107,10 @@ def _vector_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) ->
 
 
 @intrinsic
-def largest8(typingctx, into, at, values, start):  # type: ignore[no-untyped-def]
-    """into[at:at + 8] = the larger of it and values[start:start + 8], float by float (float32 arrays)."""
+def largest8(typingctx, into, at, values, start):
+    """into[at:at + 8] = the larger of it and values[start:start + 8], float by float (float32
+    arrays).
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         here = _vector_at(context, builder, signature.args[0], args[0], args[1])
@@ -109,7 +123,7 @@ def largest8(typingctx, into, at, values, start):  # type: ignore[no-untyped-def
 
 
 @intrinsic
-def swap8(typingctx, values, i, j):  # type: ignore[no-untyped-def]
+def swap8(typingctx, values, i, j):
     """Exchange values[i:i + 8] and values[j:j + 8] (a float32 array)."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -124,8 +138,10 @@ def swap8(typingctx, values, i, j):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def largest_difference8(typingctx, into, at, values, start):  # type: ignore[no-untyped-def]
-    """As `largest8`, with each float less the one of the other half: of [-lo, hi] that is [-(lo + hi), lo + hi]."""
+def largest_difference8(typingctx, into, at, values, start):
+    """As `largest8`, with each float less the one of the other half: of [-lo, hi] that is [-(lo +
+    hi), lo + hi].
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         here = _vector_at(context, builder, signature.args[0], args[0], args[1])
@@ -140,7 +156,7 @@ def largest_difference8(typingctx, into, at, values, start):  # type: ignore[no-
 
 
 @intrinsic
-def clear8(typingctx, into, at):  # type: ignore[no-untyped-def]
+def clear8(typingctx, into, at):
     """into[at:at + 8] = -inf (float32), from where any maximum can start."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -149,3 +165,16 @@ def clear8(typingctx, into, at):  # type: ignore[no-untyped-def]
         return context.get_dummy_value()
 
     return types.void(into, at), codegen
+
+
+@intrinsic
+def copy8(typingctx, into, at, values, start):
+    """into[at:at + 8] = values[start:start + 8] (float32 arrays)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        here = _vector_at(context, builder, signature.args[0], args[0], args[1])
+        there = _vector_at(context, builder, signature.args[2], args[2], args[3])
+        builder.store(builder.load(there, align=4), here, align=4)
+        return context.get_dummy_value()
+
+    return types.void(into, at, values, start), codegen

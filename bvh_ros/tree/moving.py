@@ -1,12 +1,13 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many boxes in, out or elsewhere in one call, with fat boxes (Catto, GDC 2019) and the three ways to move many.
+"""Many boxes in, out or elsewhere in one call, with fat boxes (Catto, GDC 2019) and the three ways
+to move many.
 
-A fat box is the exact one grown by the margin, and on the side of a predicted displacement by that. While the exact box stays in
-it the tree has nothing to do. A fat box far larger than a new one would be (five margins, five displacements) is replaced, so
-that a box that was large or fast for one tick does not stay large.
+A fat box is the exact one grown by the margin, and on the side of a predicted displacement by
+that. While the exact box stays in it the tree has nothing to do. A fat box far larger than a new
+one would be (five margins, five displacements) is replaced, so that a box that was large or fast
+for one tick does not stay large.
 """
-
 
 import numpy as np
 
@@ -29,7 +30,9 @@ def _fat_bounds(lo, hi, margin, displacement):
 
 @inlined
 def write_leaf(nodes, tight, leaf, lo, hi, margin, displacement):
-    """Write the boxes of a leaf: the fat one into its node, the exact one beside it where boxes are fat."""
+    """Write the boxes of a leaf: the fat one into its node, the exact one beside it where boxes
+    are fat.
+    """
     here = nodes[leaf]
     for axis in range(here.lo.shape[0]):
         here.lo[axis], here.hi[axis] = _fat_bounds(lo[axis], hi[axis], margin, displacement[axis])
@@ -46,7 +49,9 @@ def write_tight(tight, leaf, lo, hi):
 
 @inlined
 def fits(nodes, tight, leaf, lo, hi, margin, displacement):
-    """Whether the leaf's node may stay as it is: it contains the box and is not far larger than it need be."""
+    """Whether the leaf's node may stay as it is: it contains the box and is not far larger than it
+    need be.
+    """
     here = nodes[leaf]
     for axis in range(here.lo.shape[0]):
         if tight.shape[0] == 0:
@@ -61,8 +66,24 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
 
 
 @lean_kernel
-def insert_rows(nodes, heights, tight, handles, state, lo, hi, masks, margin, serial, branch_and_bound, link, new):
-    """Insert rows of boxes with ascending serial numbers; their handles go to `new`. link False: the caller builds the tree."""
+def insert_rows(
+    nodes,
+    heights,
+    tight,
+    handles,
+    state,
+    lo,
+    hi,
+    masks,
+    margin,
+    serial,
+    branch_and_bound,
+    link,
+    new,
+):
+    """Insert rows of boxes with ascending serial numbers; their handles go to `new`. link False:
+    the caller builds the tree.
+    """
     still = stack_array(3, np.float64)
     still[0] = still[1] = still[2] = 0.0
     for i in range(lo.shape[0]):
@@ -97,25 +118,56 @@ def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, 
     keep_height(nodes, heights, state)
 
 
+@inlined
+def _is_near(nodes, leaf, lo, hi):
+    """Whether a box is still where its leaf is in the tree: its centre within the grandparent."""
+    parent = np.int64(nodes[leaf].parent)
+    if parent == NONE or nodes[parent].parent == NONE:
+        return True
+    around = nodes[nodes[parent].parent]
+    for axis in range(around.lo.shape[0]):
+        center = lo[axis] * 0.5 + hi[axis] * 0.5
+        if center < around.lo[axis] or center > around.hi[axis]:
+            return False
+    return True
+
+
 @lean_kernel
-def rows_that_leave(nodes, tight, slots, lo, hi, margin, displacements, leaving):
-    """Number the rows whose box has left its fat box; for the others only the exact box is written."""
-    count = 0
+def sort_rows(nodes, tight, slots, lo, hi, margin, displacements, near, far):
+    """Number the rows whose box has left its fat box, near and far; return how many of each.
+
+    For the others only the exact box is written.
+    """
+    near_count, far_count = 0, 0
     for i in range(slots.shape[0]):
         leaf = 2 * slots[i]
         if fits(nodes, tight, leaf, lo[i], hi[i], margin, displacements[i]):
             write_tight(tight, leaf, lo[i], hi[i])
+        elif _is_near(nodes, leaf, lo[i], hi[i]):
+            near[near_count] = i
+            near_count += 1
         else:
-            leaving[count] = i
-            count += 1
-    return count
+            far[far_count] = i
+            far_count += 1
+    return near_count, far_count
 
 
 @lean_kernel
-def reinsert_rows(nodes, heights, tight, state, rows, slots, lo, hi, margin, displacements, branch_and_bound):
+def reinsert_rows(
+    nodes, heights, tight, state, rows, slots, lo, hi, margin, displacements, branch_and_bound
+):
     for i in rows:
         move_leaf(
-            nodes, heights, tight, state, 2 * slots[i], lo[i], hi[i], margin, displacements[i], branch_and_bound
+            nodes,
+            heights,
+            tight,
+            state,
+            2 * slots[i],
+            lo[i],
+            hi[i],
+            margin,
+            displacements[i],
+            branch_and_bound,
         )
 
 

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Storage: the only place that knows how a node lies in memory.
 
-One record array holds the whole tree. Slot k owns two places in it: node 2k is the leaf of slot k, and node 2k + 1 is an inner
-node (any inner node: n leaves have n - 1 of them, wherever one was free). So whether a node is a leaf can be told from its number:
+One record array holds the whole tree. Slot k owns two places in it: node 2k is the leaf of slot k,
+and node 2k + 1 is an inner node (any inner node: n leaves have n - 1 of them, wherever one was
+free). So whether a node is a leaf can be told from its number:
 
     node      0      1      2      3      4      5   ...
             leaf   inner   leaf  inner   leaf  inner
@@ -34,7 +35,9 @@ ROOT, COUNT, FREE_LEAF, FREE_INNER = range(4)
 
 
 def node_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of a node; the number of dimensions is part of the type, so compiled loops over axes are unrolled."""
+    """Record of a node; the number of dimensions is part of the type, so compiled loops over axes
+    are unrolled.
+    """
     return np.dtype(
         [
             ('lo', np.float64, (ndim,)),
@@ -48,12 +51,16 @@ def node_dtype(ndim: int) -> np.dtype[Any]:
 
 
 def box_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of an exact box; kept beside the nodes only where a margin makes the leaves' boxes fat."""
+    """Record of an exact box; kept beside the nodes only where a margin makes the leaves' boxes
+    fat.
+    """
     return np.dtype([('lo', np.float64, (ndim,)), ('hi', np.float64, (ndim,))])
 
 
 def aligned_empty(count: int, dtype: np.dtype[Any], alignment: int = 64) -> NDArray[Any]:
-    """Uninitialised array whose first byte lies on a cache line, so that a 64-byte record never straddles two."""
+    """Uninitialised array whose first byte lies on a cache line, so that a 64-byte record never
+    straddles two.
+    """
     buffer = np.empty(count * dtype.itemsize + alignment, np.uint8)
     start = -buffer.ctypes.data % alignment
     return buffer[start : start + count * dtype.itemsize].view(dtype)
@@ -126,7 +133,9 @@ def replace_child(nodes, state, parent, old, new):
 
 @inlined
 def adopt(nodes, heights, node):
-    """Make box, mask and height of an inner node those of its children; true if any of them changed."""
+    """Make box, mask and height of an inner node those of its children; true if any of them
+    changed.
+    """
     here = nodes[node]
     left, right = nodes[here.left], nodes[here.right]
     mask = left.mask | right.mask

@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes against the tree, and the tree against itself. Closed boxes: touching counts. Comparisons of doubles, so all of it is exact."""
+"""Boxes against the tree, and the tree against itself. Closed boxes: touching counts. Comparisons
+of doubles, so all of it is exact.
+"""
 
 import numpy as np
 
@@ -29,9 +31,11 @@ def touch(lo, hi, other_lo, other_hi):
 
 @lean_kernel
 def overlap(nodes, tight, root, query, mask, found, count):
-    """Write the slots whose box touches the query record's from found[count] on; return where the next would go.
+    """Write the slots whose box touches the query record's from found[count] on; return where the
+    next would go.
 
-    A return beyond the array's end says how large it should have been: what did not fit is counted, not written.
+    A return beyond the array's end says how large it should have been: what did not fit is
+    counted, not written.
     """
     if root == NONE:
         return count
@@ -57,7 +61,9 @@ def overlap(nodes, tight, root, query, mask, found, count):
 
 @kernel
 def overlap_many(nodes, tight, root, queries, masks, start, stop, sizes):
-    """Slots that the queries [start, stop) touch, one query after the other; sizes[i] is how many query i does."""
+    """Slots that the queries [start, stop) touch, one query after the other; sizes[i] is how many
+    query i does.
+    """
     found, count = np.empty(64, np.int64), 0
     for i in range(start, stop):
         end = overlap(nodes, tight, root, queries[i], masks[i], found, count)
@@ -71,7 +77,8 @@ def overlap_many(nodes, tight, root, queries, masks, start, stop, sizes):
 
 @lean_kernel
 def overlap_pairs(nodes, heights, tight, root, mask, found):
-    """Write all pairs of touching boxes as slots, flat: the tree against itself, two nodes at a time; return how many numbers.
+    """Write all pairs of touching boxes as slots, flat: the tree against itself, two nodes at a
+    time; return how many numbers.
 
     As `overlap`, a return beyond the array's end says how large it should have been.
     """
@@ -97,7 +104,12 @@ def overlap_pairs(nodes, heights, tight, root, mask, found):
         if heights[a] < heights[b]:
             a, b = b, a
         if not is_leaf(a):
-            stack[top], stack[top + 1], stack[top + 2], stack[top + 3] = nodes[a].left, b, nodes[a].right, b
+            stack[top], stack[top + 1], stack[top + 2], stack[top + 3] = (
+                nodes[a].left,
+                b,
+                nodes[a].right,
+                b,
+            )
             top += 4
             continue
         a_lo, a_hi = leaf_box(nodes, tight, a)

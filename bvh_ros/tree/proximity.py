@@ -1,10 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The k boxes nearest to a point, depth first with the nearer child first (Roussopoulos et al. 1995).
+"""The k boxes nearest to a point, depth first with the nearer child first (Roussopoulos et al.
+1995).
 
-A distance is computed with a relative error below 4 u (u = 2**-53: one rounding of a difference, one each of square, sum and
-root), or to within 1e-322 where it is subnormal; it is infinite only where the exact one exceeds the largest double. Which box is
-nearer is decided by the computed distances, ties by the smaller handle; so the answer does not depend on the shape of the tree.
+A distance is computed with a relative error below 4 u (u = 2**-53: one rounding of a difference,
+one each of square, sum and root), or to within 1e-322 where it is subnormal; it is infinite only
+where the exact one exceeds the largest double. Which box is nearer is decided by the computed
+distances, ties by the smaller handle; so the answer does not depend on the shape of the tree.
 """
 
 import math
@@ -41,12 +43,15 @@ def distance(lo, hi, point):
 def _keep(slots, distances, handles, count, k, slot, gap):
     """Put (slot, gap) in its place among the k best so far; return how many there are now."""
     if count == k:
-        if gap > distances[k - 1] or (gap == distances[k - 1] and handles[slot] > handles[slots[k - 1]]):
+        if gap > distances[k - 1] or (
+            gap == distances[k - 1] and handles[slot] > handles[slots[k - 1]]
+        ):
             return count
         count -= 1
     place = count
     while place > 0 and (
-        gap < distances[place - 1] or (gap == distances[place - 1] and handles[slot] < handles[slots[place - 1]])
+        gap < distances[place - 1]
+        or (gap == distances[place - 1] and handles[slot] < handles[slots[place - 1]])
     ):
         slots[place], distances[place] = slots[place - 1], distances[place - 1]
         place -= 1
@@ -91,7 +96,16 @@ def nearest_many(nodes, tight, handles, root, points, k, max_distances, masks, s
     for i in range(points.shape[0]):
         row_slots, row_distances = slots[i], distances[i]
         count = nearest(
-            nodes, tight, handles, root, points[i], k, max_distances[i], masks[i], row_slots, row_distances
+            nodes,
+            tight,
+            handles,
+            root,
+            points[i],
+            k,
+            max_distances[i],
+            masks[i],
+            row_slots,
+            row_distances,
         )
         for j in range(count, k):
             row_slots[j], row_distances[j] = NONE, np.inf

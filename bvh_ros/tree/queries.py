@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The questions a tree answers. Each method checks its input, calls one kernel and turns slots into handles."""
+"""The questions a tree answers. Each method checks its input, calls one kernel and turns slots
+into handles.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -22,7 +24,9 @@ SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
 
 
 def in_threads(work: Callable[[int, int], Any], count: int, threads: int) -> list[Any]:
-    """Do work(start, stop) over `count` rows in as many pieces as threads; kernels release the GIL."""
+    """Do work(start, stop) over `count` rows in as many pieces as threads; kernels release the
+    GIL.
+    """
     threads = max(1, min(checks.whole('threads', threads, 1), count))
     if threads == 1:
         return [work(0, count)]
@@ -58,20 +62,27 @@ class Queries:
     # ---- rays
 
     def raycast(
-        self, origin: ArrayLike, direction: ArrayLike, t_max: float = np.inf, mask: int = ALL, skip_inside: bool = False
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
     ) -> RayHit | None:
         """Return the first box that the ray meets.
 
         Parameters
         ----------
         origin, direction : array_like, shape (ndim,)
-            The ray is ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for the point `origin`.
+            The ray is ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for
+            the point `origin`.
         t_max : float
             In units of `direction`: metres if that is a unit vector of metres. May be inf.
         mask : int
             Only boxes with ``box_mask & mask != 0`` are seen.
         skip_inside : bool
-            Ignore boxes that contain the origin; else such a box is hit at ``t = 0`` with a zero normal.
+            Ignore boxes that contain the origin; else such a box is hit at ``t = 0`` with a zero
+            normal.
 
         Returns
         -------
@@ -81,7 +92,8 @@ class Queries:
         Raises
         ------
         ValueError
-            If an argument has the wrong shape or is NaN, infinite (`t_max` may be) or negative (`t_max`).
+            If an argument has the wrong shape or is NaN, infinite (`t_max` may be) or negative
+            (`t_max`).
 
         Examples
         --------
@@ -96,20 +108,46 @@ class Queries:
         slots, ts, axes = np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         found = raycasting.raycast(
-            *self._tree(), ray, reach, seen, bool(skip_inside), raycasting.CLOSEST, slots, ts, axes, 0
+            *self._tree(),
+            ray,
+            reach,
+            seen,
+            bool(skip_inside),
+            raycasting.CLOSEST,
+            slots,
+            ts,
+            axes,
+            0,
         )
         return self._hit(ray, int(slots[0]), float(ts[0]), int(axes[0])) if found else None
 
     def raycast_all(
-        self, origin: ArrayLike, direction: ArrayLike, t_max: float = np.inf, mask: int = ALL, skip_inside: bool = False
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
     ) -> list[RayHit]:
-        """Return every box that the ray meets, nearest first (exactly; ties by handle). Arguments as `raycast`."""
+        """Return every box that the ray meets, nearest first (exactly; ties by handle). Arguments
+        as `raycast`.
+        """
         ray = self._ray(origin, direction)
-        _, slots, ts, axes = self._every(ray[:1].copy(), ray[1:2].copy(), t_max, checks.mask(mask), skip_inside)
-        return [self._hit(ray, *row) for row in zip(slots.tolist(), ts.tolist(), axes.tolist(), strict=True)]
+        _, slots, ts, axes = self._every(
+            ray[:1].copy(), ray[1:2].copy(), t_max, checks.mask(mask), skip_inside
+        )
+        return [
+            self._hit(ray, *row)
+            for row in zip(slots.tolist(), ts.tolist(), axes.tolist(), strict=True)
+        ]
 
     def occluded(
-        self, origin: ArrayLike, direction: ArrayLike, t_max: float = np.inf, mask: int = ALL, skip_inside: bool = False
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
     ) -> bool:
         """Whether the ray meets any box; cheaper than `raycast`. Arguments as there."""
         ray = self._ray(origin, direction)
@@ -117,7 +155,16 @@ class Queries:
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         return bool(
             raycasting.raycast(
-                *self._tree(), ray, reach, seen, bool(skip_inside), raycasting.ANY, slots, ts, axes, 0
+                *self._tree(),
+                ray,
+                reach,
+                seen,
+                bool(skip_inside),
+                raycasting.ANY,
+                slots,
+                ts,
+                axes,
+                0,
             )
         )
 
@@ -145,7 +192,9 @@ class Queries:
             As `raycast`; the message names the first bad row.
         """
         starts, ways = self._rays(origins, directions)
-        slots, ts, axes = self._first(starts, ways, t_max, mask, skip_inside, raycasting.CLOSEST, threads)
+        slots, ts, axes = self._first(
+            starts, ways, t_max, mask, skip_inside, raycasting.CLOSEST, threads
+        )
         normals = np.zeros_like(starts)
         rows = np.flatnonzero(axes != INSIDE)
         normals[rows, axes[rows]] = -np.sign(ways[rows, axes[rows]])
@@ -173,7 +222,9 @@ class Queries:
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
     ) -> tuple[Ids, Ids, Floats]:
-        """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i + 1]]``, nearest first."""
+        """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i +
+        1]]``, nearest first.
+        """
         starts, ways = self._rays(origins, directions)
         offsets, slots, ts, _ = self._every(starts, ways, t_max, mask, skip_inside)
         return offsets, self._handles[slots], ts
@@ -205,7 +256,14 @@ class Queries:
         return record['lo'], record['hi']
 
     def _first(
-        self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool, mode: int, threads: int
+        self,
+        starts: Floats,
+        ways: Floats,
+        t_max: ArrayLike,
+        mask: ArrayLike,
+        skip_inside: bool,
+        mode: int,
+        threads: int,
     ) -> tuple[Ids, Floats, Ids]:
         count = len(starts)
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
@@ -220,8 +278,17 @@ class Queries:
 
             def cast(start: int, stop: int) -> None:
                 wide_raycasting.cast_rows(
-                    *snapshot, *self._boxes_only()[:2], self._handles, np.empty((3, self.ndim)),
-                    *rays, mode == raycasting.ANY, order[start:stop], slots, ts, axes, marks,
+                    *snapshot,
+                    *self._boxes_only()[:2],
+                    self._handles,
+                    np.empty((3, self.ndim)),
+                    *rays,
+                    mode == raycasting.ANY,
+                    order[start:stop],
+                    slots,
+                    ts,
+                    axes,
+                    marks,
                 )
 
             in_threads(cast, count, threads)
@@ -229,31 +296,46 @@ class Queries:
 
         def work(start: int, stop: int) -> None:
             raycasting.raycast_rows(
-                *self._tree(), np.empty((3, self.ndim)), *rays, mode, left[start:stop], slots, ts, axes
+                *self._tree(),
+                np.empty((3, self.ndim)),
+                *rays,
+                mode,
+                left[start:stop],
+                slots,
+                ts,
+                axes,
             )
 
         in_threads(work, len(left), threads)
         return slots, ts, axes
 
     def _snapshot_for(self, count: int) -> wide.Snapshot | None:
-        """The wide snapshot of the tree as it is, if the rays since the last change, `count` more now, are worth building it."""
+        """The wide snapshot of the tree as it is, if the rays since the last change, `count` more
+        now, are worth building it.
+        """
         with self._lock:
             if self._snapshot_of != self._changes:
                 self._snapshot, self._snapshot_of, self._rays_since = None, self._changes, 0
             self._rays_since += count
-            if self._snapshot is None and self._rays_since >= max(wide.RAYS_PER_BOX * len(self), wide.LEAST_RAYS):
+            if self._snapshot is None and self._rays_since >= max(
+                wide.RAYS_PER_BOX * len(self), wide.LEAST_RAYS
+            ):
                 root = int(self._state[ROOT])
                 if len(self) > 1:
                     self._snapshot = wide.take_snapshot(self._nodes, root)
             return self._snapshot
 
     def _coherent(self, snapshot: wide.Snapshot, starts: Floats, ways: Floats) -> Ids:
-        """The order to cast rays in: sorted where a tree larger than the near caches makes neighbours share what they load."""
+        """The order to cast rays in: sorted where a tree larger than the near caches makes
+        neighbours share what they load.
+        """
         count = len(starts)
         order = np.arange(count)
         if len(self) >= SORT_FROM_BOXES and count >= SORT_FROM_RAYS:
             keys, spare = np.empty(count, np.int64), np.empty(count, np.int64)
-            wide_raycasting.coherent_order(starts, ways, snapshot.center, snapshot.per_length, keys, order, spare)
+            wide_raycasting.coherent_order(
+                starts, ways, snapshot.center, snapshot.per_length, keys, order, spare
+            )
         return order
 
     def _every(
@@ -269,13 +351,26 @@ class Queries:
         order = np.lexsort((self._handles[slots], ts, rays))
         slots, ts, axes = slots[order], ts[order], axes[order]
         scratch = np.empty((3, self.ndim))
-        raycasting.settle_order(self._nodes, self._tight, self._handles, scratch, starts, ways, offsets, slots, ts, axes)
+        raycasting.settle_order(
+            self._nodes,
+            self._tight,
+            self._handles,
+            scratch,
+            starts,
+            ways,
+            offsets,
+            slots,
+            ts,
+            axes,
+        )
         return offsets, slots, ts, axes
 
     # ---- boxes and points
 
     def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL) -> Ids:
-        """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each; ascending."""
+        """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
+        ascending.
+        """
         low, high = checks.box(lo, hi, self.ndim)
         return self.overlap_many(low[None], high[None], checks.mask(mask))[1]
 
@@ -294,7 +389,9 @@ class Queries:
         sizes = np.empty(count, np.int64)
 
         def work(start: int, stop: int) -> Ids:
-            found: Ids = overlapping.overlap_many(*self._boxes_only(), queries, seen, start, stop, sizes)
+            found: Ids = overlapping.overlap_many(
+                *self._boxes_only(), queries, seen, start, stop, sizes
+            )
             return found
 
         slots = np.concatenate(in_threads(work, count, threads))
@@ -304,7 +401,9 @@ class Queries:
         return offsets, handles[order]
 
     def overlap_pairs(self, mask: int = ALL) -> Ids:
-        """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first, sorted."""
+        """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
+        sorted.
+        """
         slots = np.empty(max(4 * int(self._state[COUNT]), 64), np.int64)
         tree = self._nodes, self._heights, self._tight, int(self._state[ROOT]), checks.mask(mask)
         count = overlapping.overlap_pairs(*tree, slots)
@@ -318,23 +417,34 @@ class Queries:
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
     ) -> tuple[Ids, Floats]:
-        """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances), nearest first, ties by handle.
+        """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances),
+        nearest first, ties by handle.
 
-        The distance is 0 inside a box, and within 4 roundings of the exact one (see `tree.proximity`).
+        The distance is 0 inside a box, and within 4 roundings of the exact one (see
+        `tree.proximity`).
         """
         where = checks.point('point', point, self.ndim)
-        ids, distances = self.nearest_many(where[None], k, checks.limit('max_distance', max_distance), checks.mask(mask))
+        ids, distances = self.nearest_many(
+            where[None], k, checks.limit('max_distance', max_distance), checks.mask(mask)
+        )
         count = int(np.count_nonzero(ids[0] >= 0))
         return ids[0, :count], distances[0, :count]
 
     def nearest_many(
-        self, points: ArrayLike, k: int = 1, max_distance: ArrayLike = np.inf, mask: ArrayLike = ALL
+        self,
+        points: ArrayLike,
+        k: int = 1,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
         where = checks.points('points', points, self.ndim)
         k = checks.whole('k', k, 1)
         count = len(where)
-        reaches, seen = checks.limits('max_distance', max_distance, count), checks.masks(mask, count)
+        reaches, seen = (
+            checks.limits('max_distance', max_distance, count),
+            checks.masks(mask, count),
+        )
         slots, distances = np.empty((count, k), np.int64), np.empty((count, k))
         proximity.nearest_many(*self._tree(), where, k, reaches, seen, slots, distances)
         return self._to_handles(slots), distances

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays through the binary tree: the first hit, any hit or all of them, with one traversal.
 
-The nearer child first, the other on a stack with its entry distance, and no visit to what is entered after the best hit.
+The nearer child first, the other on a stack with its entry distance, and no visit to what is
+entered after the best hit.
 """
 
 import numpy as np
@@ -11,17 +12,32 @@ from .compiling import inlined, kernel, lean_kernel
 from .machine import stack_array
 from .nodes import DEEPEST, NONE, is_leaf, leaf_box
 from .overlapping import grown
-from .slab import DIRECTION, INSIDE, ORIGIN, PAD, TINY, compare_hits, enters, meets, prepare_ray, traversal_distance
+from .slab import (
+    DIRECTION,
+    INSIDE,
+    ORIGIN,
+    PAD,
+    TINY,
+    compare_hits,
+    enters,
+    meets,
+    prepare_ray,
+    traversal_distance,
+)
 
 CLOSEST, ANY, EVERY = range(3)
 
 
 @lean_kernel
-def raycast(nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, slots, ts, axes, filled):
-    """Cast one ray and write its hits to (slots, ts, axes) from `filled` on; return where the next would go.
+def raycast(
+    nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, slots, ts, axes, filled
+):
+    """Cast one ray and write its hits to (slots, ts, axes) from `filled` on; return where the next
+    would go.
 
-    CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return beyond the arrays' end says how large
-    they should have been: what did not fit is counted, not written.
+    CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return
+    beyond the arrays' end says how large they should have been: what did not fit is counted, not
+    written.
     """
     if root == NONE or nodes[root].mask & mask == 0:
         return filled
@@ -44,7 +60,9 @@ def raycast(nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, sl
         slot = np.int64(node >> 1)
         place = filled
         if mode == CLOSEST:
-            if best != NONE and not is_before(nodes, tight, handles, ray, slot, t, axis, best, ts[begin], axes[begin]):
+            if best != NONE and not is_before(
+                nodes, tight, handles, ray, slot, t, axis, best, ts[begin], axes[begin]
+            ):
                 continue
             best, place = slot, begin
             limit = traversal_distance(t, scale)
@@ -58,7 +76,9 @@ def raycast(nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, sl
 
 @inlined
 def _descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
-    """Follow the nearer child down to a leaf, putting the others on the stack; (leaf or NONE, top of the stack)."""
+    """Follow the nearer child down to a leaf, putting the others on the stack; (leaf or NONE, top
+    of the stack).
+    """
     while not is_leaf(node):
         first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
         first_entry, second_entry = np.inf, np.inf
@@ -96,41 +116,100 @@ def load_ray(ray, origins, directions, i):
 
 @lean_kernel
 def raycast_rows(
-    nodes, tight, handles, root, ray, origins, directions, t_max, masks, skip_inside, mode, rows, slots, ts, axes
+    nodes,
+    tight,
+    handles,
+    root,
+    ray,
+    origins,
+    directions,
+    t_max,
+    masks,
+    skip_inside,
+    mode,
+    rows,
+    slots,
+    ts,
+    axes,
 ):
-    """First (CLOSEST) or any hit (ANY) of the rays of `rows`; slot NONE and t inf where there is none. `ray` is scratch."""
+    """First (CLOSEST) or any hit (ANY) of the rays of `rows`; slot NONE and t inf where there is
+    none. `ray` is scratch.
+    """
     for i in rows:
         load_ray(ray, origins, directions, i)
         filled = raycast(
-            nodes, tight, handles, root, ray, t_max[i], masks[i], skip_inside, mode,
-            slots[i : i + 1], ts[i : i + 1], axes[i : i + 1], 0,
+            nodes,
+            tight,
+            handles,
+            root,
+            ray,
+            t_max[i],
+            masks[i],
+            skip_inside,
+            mode,
+            slots[i : i + 1],
+            ts[i : i + 1],
+            axes[i : i + 1],
+            0,
         )
         if filled == 0:
             slots[i], ts[i], axes[i] = NONE, np.inf, INSIDE
 
 
 @kernel
-def raycast_every_row(nodes, tight, handles, root, origins, directions, t_max, masks, skip_inside, offsets):
-    """All hits of every ray, as (slots, ts, axes); those of ray i stand at [offsets[i], offsets[i + 1]), in no order."""
+def raycast_every_row(
+    nodes, tight, handles, root, origins, directions, t_max, masks, skip_inside, offsets
+):
+    """All hits of every ray, as (slots, ts, axes); those of ray i stand at [offsets[i], offsets[i
+    + 1]), in no order.
+    """
     ray = np.empty((3, origins.shape[1]))
     slots, ts, axes = np.empty(64, np.int64), np.empty(64), np.empty(64, np.int64)
     for i in range(origins.shape[0]):
         load_ray(ray, origins, directions, i)
         end = raycast(
-            nodes, tight, handles, root, ray, t_max[i], masks[i], skip_inside, EVERY, slots, ts, axes, offsets[i]
+            nodes,
+            tight,
+            handles,
+            root,
+            ray,
+            t_max[i],
+            masks[i],
+            skip_inside,
+            EVERY,
+            slots,
+            ts,
+            axes,
+            offsets[i],
         )
         if end > slots.shape[0]:  # there are more than fit: make room and cast it again
             slots, ts, axes = grown(slots, end), grown(ts, end), grown(axes, end)
-            raycast(nodes, tight, handles, root, ray, t_max[i], masks[i], skip_inside, EVERY, slots, ts, axes, offsets[i])
+            raycast(
+                nodes,
+                tight,
+                handles,
+                root,
+                ray,
+                t_max[i],
+                masks[i],
+                skip_inside,
+                EVERY,
+                slots,
+                ts,
+                axes,
+                offsets[i],
+            )
         offsets[i + 1] = end
     return slots[: offsets[-1]], ts[: offsets[-1]], axes[: offsets[-1]]
 
 
 @lean_kernel
 def settle_order(nodes, tight, handles, ray, origins, directions, offsets, slots, ts, axes):
-    """Bring hits that are sorted by computed distance into the order of the exact one, then of handles. `ray` is scratch.
+    """Bring hits that are sorted by computed distance into the order of the exact one, then of
+    handles. `ray` is scratch.
 
-    Few are out of place, so insertion does it. Each t then becomes the largest up to it: within 2 ulp still, and never falling.
+    Few are out of place, so insertion does it. Each t then becomes the largest up to it: within 2
+    ulp still, and never falling.
     """
     for i in range(origins.shape[0]):
         load_ray(ray, origins, directions, i)
@@ -138,9 +217,22 @@ def settle_order(nodes, tight, handles, ray, origins, directions, offsets, slots
             slot, t, axis = slots[j], ts[j], axes[j]
             place = j
             while place > offsets[i] and is_before(
-                nodes, tight, handles, ray, slot, t, axis, slots[place - 1], ts[place - 1], axes[place - 1]
+                nodes,
+                tight,
+                handles,
+                ray,
+                slot,
+                t,
+                axis,
+                slots[place - 1],
+                ts[place - 1],
+                axes[place - 1],
             ):
-                slots[place], ts[place], axes[place] = slots[place - 1], ts[place - 1], axes[place - 1]
+                slots[place], ts[place], axes[place] = (
+                    slots[place - 1],
+                    ts[place - 1],
+                    axes[place - 1],
+                )
                 place -= 1
             slots[place], ts[place], axes[place] = slot, t, axis
         for j in range(offsets[i] + 1, offsets[i + 1]):

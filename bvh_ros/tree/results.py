@@ -14,9 +14,13 @@ class RayHit(NamedTuple):
     id: int
     """Handle of the box."""
     t: float
-    """Distance in units of the direction, within 2 ulp; inf where the exact one exceeds the largest double. 0 inside."""
+    """Distance in units of the direction, within 2 ulp; inf where the exact one exceeds the
+    largest double. 0 inside.
+    """
     point: NDArray[np.float64]
-    """The point of entry, shape (ndim,): in the closed box, on the entered face. The origin where the ray starts inside."""
+    """The point of entry, shape (ndim,): in the closed box, on the entered face. The origin where
+    the ray starts inside.
+    """
     normal: NDArray[np.float64]
     """The outward normal of the face entered, shape (ndim,); zero where the ray starts inside."""
 

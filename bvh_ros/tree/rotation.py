@@ -1,6 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tree rotations: the four exchanges of a child with a niece (Kopta et al. 2012, "Fast, Effective BVH Updates for Animated Scenes").
+"""Tree rotations: the four exchanges of a child with a niece (Kopta et al. 2012, "Fast, Effective
+BVH Updates for Animated Scenes").
 
                 A                          A
               /   \\                      /   \\
@@ -8,8 +9,9 @@
             / \\   / \\     ------>            / \\
            D   E F   G                      B   G
 
-A keeps its box; C's becomes the union of B and G. The exchange pays if that is smaller than C's before. The other three are
-B <-> G, C <-> D and C <-> E. They keep sorted input from making a list.
+A keeps its box; C's becomes the union of B and G. The exchange pays if that is smaller than C's
+before. The other three are B <-> G, C <-> D and C <-> E. They keep sorted input from making a
+list.
 """
 
 import numpy as np
@@ -38,7 +40,9 @@ def _exchange(nodes, heights, node, child, uncle_of, niece):
 
 @lean_kernel
 def rotate(nodes, heights, node):
-    """Do the exchange below `node` that lowers the cost most, or at equal cost the height; true if one was done."""
+    """Do the exchange below `node` that lowers the cost most, or at equal cost the height; true if
+    one was done.
+    """
     left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
     if is_leaf(left) and is_leaf(right):
         return False
@@ -54,7 +58,10 @@ def rotate(nodes, heights, node):
             change = union_area(nodes, child, stays, scale) - before
             if change > best_change:
                 continue
-            height = 1 + max(np.int64(heights[niece]), 1 + max(np.int64(heights[child]), np.int64(heights[stays])))
+            height = 1 + max(
+                np.int64(heights[niece]),
+                1 + max(np.int64(heights[child]), np.int64(heights[stays])),
+            )
             if change < best_change or height < best_height:
                 best_change, best_height = change, height
                 best_child, best_uncle, best_niece = child, uncle, niece

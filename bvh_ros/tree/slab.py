@@ -2,21 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays against boxes: the one slab test for inner nodes, and the exact decision for leaves.
 
-A box is the overlap of its slabs (Kay and Kajiya 1986). A ray is inside the slab of one axis between two distances,
+A box is the overlap of its slabs (Kay and Kajiya 1986). A ray is inside the slab of one axis
+between two distances,
 
     entry = (near - o) / d,   exit = (far - o) / d,   near, far = (lo, hi) if d > 0 else (hi, lo),
 
 and meets the box if the latest entry is not after the earliest exit.
 
-**Inner nodes** must not lose a hit; a needless visit is harmless. With u = 2**-53, (plane - o) * (1 / d) is within a factor (1 + u)**3 of
-the truth, so the comparison is padded by 1 + 16 u, more than the 1 + 2 gamma(3) of Ize 2013, "Robust BVH Ray Traversal", section 3,
-because the best distance so far has rounding of its own. `prepare_ray` keeps 1 / d away from overflow and underflow, and a pad of
-`TINY` covers products that underflow.
+**Inner nodes** must not lose a hit; a needless visit is harmless. With u = 2**-53, (plane - o) *
+(1 / d) is within a factor (1 + u)**3 of the truth, so the comparison is padded by 1 + 16 u, more
+than the 1 + 2 gamma(3) of Ize 2013, "Robust BVH Ray Traversal", section 3, because the best
+distance so far has rounding of its own. `prepare_ray` keeps 1 / d away from overflow and
+underflow, and a pad of `TINY` covers products that underflow.
 
-**Leaves** are decided as real arithmetic decides. entry_a <= exit_b compares two quotients of differences. Each is computed with two
-roundings, so with a relative error below 2 u + u**2 (below the smallest normal double: an absolute error of at most 2**-1074). Two
-computed values that differ by more than 8 u, relatively, and by more than `TINY` are in the order of their exact ones. Else
-multiplying out by both directions leaves the sign of a sum of four products, which `exact_sign` computes without rounding.
+**Leaves** are decided as real arithmetic decides. entry_a <= exit_b compares two quotients of
+differences. Each is computed with two roundings, so with a relative error below 2 u + u**2 (below
+the smallest normal double: an absolute error of at most 2**-1074). Two computed values that differ
+by more than 8 u, relatively, and by more than `TINY` are in the order of their exact ones. Else
+multiplying out by both directions leaves the sign of a sum of four products, which `exact_sign`
+computes without rounding.
 """
 
 import math
@@ -40,9 +44,10 @@ ORIGIN, DIRECTION, INVERSE = range(3)
 def prepare_ray(ray, bounds_lo, bounds_hi):
     """Fill the row of inverses; return (scale, wide).
 
-    The traversal measures distance in units of 2**scale, see `traversal_distance`; scale is 0 unless 1 / d or a distance would
-    leave the normal doubles. An axis whose inverse still would is NaN, which bounds nothing in `enters`: the leaves decide.
-    `wide` says that plane - origin may overflow.
+    The traversal measures distance in units of 2**scale, see `traversal_distance`; scale is 0
+    unless 1 / d or a distance would leave the normal doubles. An axis whose inverse still would is
+    NaN, which bounds nothing in `enters`: the leaves decide. `wide` says that plane - origin may
+    overflow.
     """
     largest = 0.0
     reach = 0.0
@@ -52,7 +57,9 @@ def prepare_ray(ray, bounds_lo, bounds_hi):
         reach = max(reach, abs(bounds_hi[axis] - origin), abs(bounds_lo[axis] - origin))
     scale = 0
     if largest > 0.0 and not (2.0**-1000 < largest < 2.0**1000 and reach < largest * 2.0**1000):
-        scale = 3 - math.frexp(largest)[1]  # the largest component in [4, 8): no distance along it overflows
+        scale = (
+            3 - math.frexp(largest)[1]
+        )  # the largest component in [4, 8): no distance along it overflows
     for axis in range(bounds_lo.shape[0]):
         direction = ray[DIRECTION, axis]
         scaled = direction
@@ -67,16 +74,19 @@ def prepare_ray(ray, bounds_lo, bounds_hi):
 
 @inlined
 def traversal_distance(t, scale):
-    """A computed distance in the traversal's units, raised by its absolute error: that of a t which underflowed may matter there."""
+    """A computed distance in the traversal's units, raised by its absolute error: that of a t
+    which underflowed may matter there.
+    """
     return t if scale == 0 else math.ldexp(t + TINY, -scale)
 
 
 @inlined
 def enters(lo, hi, ray, limit, wide):
-    """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters after `limit`.
+    """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters
+    after `limit`.
 
-    0 * inf is NaN where the ray runs in the plane of a face: comparisons with NaN are false, so the slab bounds nothing, and the
-    touching ray goes on, as closed boxes want.
+    0 * inf is NaN where the ray runs in the plane of a face: comparisons with NaN are false, so
+    the slab bounds nothing, and the touching ray goes on, as closed boxes want.
     """
     entry = 0.0
     leave = limit
@@ -102,14 +112,25 @@ def plane_distance(plane, origin, direction):
 
 
 @lean_kernel
-def compare_distances(t, plane, origin, direction, other_t, other_plane, other_origin, other_direction):
-    """Sign of (plane - origin) / direction - the same of the other, exactly; t and other_t are the computed values, not negative."""
+def compare_distances(
+    t, plane, origin, direction, other_t, other_plane, other_origin, other_direction
+):
+    """Sign of (plane - origin) / direction - the same of the other, exactly; t and other_t are the
+    computed values, not negative.
+    """
     if t * CLEAR + TINY < other_t:
         return -1
     if other_t * CLEAR + TINY < t:
         return 1
     sign = sign_of_four_products(
-        plane, other_direction, -origin, other_direction, -other_plane, direction, other_origin, direction
+        plane,
+        other_direction,
+        -origin,
+        other_direction,
+        -other_plane,
+        direction,
+        other_origin,
+        direction,
     )
     return sign if (direction > 0.0) == (other_direction > 0.0) else -sign
 
@@ -131,7 +152,8 @@ def within(t, plane, origin, direction, t_max):
 def meets(lo, hi, ray, t_max):
     """Exact decision of a ray and a closed box: (hit, t, axis).
 
-    `axis` is the one entered last, INSIDE where the ray starts in the box. Ties between axes go to the lowest.
+    `axis` is the one entered last, INSIDE where the ray starts in the box. Ties between axes go to
+    the lowest.
     """
     ndim = lo.shape[0]
     t = 0.0
@@ -146,21 +168,42 @@ def meets(lo, hi, ray, t_max):
             distance = plane_distance(plane, origin, direction)
             if entered == INSIDE or (
                 compare_distances(
-                    distance, plane, origin, direction,
-                    t, near_plane(lo, hi, ray, entered), ray[ORIGIN, entered], ray[DIRECTION, entered],
-                ) > 0
+                    distance,
+                    plane,
+                    origin,
+                    direction,
+                    t,
+                    near_plane(lo, hi, ray, entered),
+                    ray[ORIGIN, entered],
+                    ray[DIRECTION, entered],
+                )
+                > 0
             ):
                 t, entered = distance, axis
     if entered == INSIDE:
         return True, 0.0, INSIDE
-    plane, origin, direction = near_plane(lo, hi, ray, entered), ray[ORIGIN, entered], ray[DIRECTION, entered]
+    plane, origin, direction = (
+        near_plane(lo, hi, ray, entered),
+        ray[ORIGIN, entered],
+        ray[DIRECTION, entered],
+    )
     for axis in range(ndim):
         if axis != entered and ray[DIRECTION, axis] != 0.0:
             far = hi[axis] if ray[DIRECTION, axis] > 0.0 else lo[axis]
             leave = plane_distance(far, ray[ORIGIN, axis], ray[DIRECTION, axis])
-            if compare_distances(
-                t, plane, origin, direction, leave, far, ray[ORIGIN, axis], ray[DIRECTION, axis]
-            ) > 0:
+            if (
+                compare_distances(
+                    t,
+                    plane,
+                    origin,
+                    direction,
+                    leave,
+                    far,
+                    ray[ORIGIN, axis],
+                    ray[DIRECTION, axis],
+                )
+                > 0
+            ):
                 return False, np.inf, INSIDE
     return within(t, plane, origin, direction, t_max), t, entered
 
@@ -170,12 +213,21 @@ def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
     """Sign of the exact difference of two hits' distances along one ray."""
     if axis == INSIDE or other_axis == INSIDE:
         return (0 if other_axis == INSIDE else -1) if axis == INSIDE else 1
-    plane, other_plane = near_plane(lo, hi, ray, axis), near_plane(other_lo, other_hi, ray, other_axis)
+    plane, other_plane = (
+        near_plane(lo, hi, ray, axis),
+        near_plane(other_lo, other_hi, ray, other_axis),
+    )
     if axis == other_axis:  # one axis, one direction: the planes are in the order of the hits
         if plane == other_plane:
             return 0
         return -1 if (plane < other_plane) == (ray[DIRECTION, axis] > 0.0) else 1
     return compare_distances(
-        t, plane, ray[ORIGIN, axis], ray[DIRECTION, axis],
-        other_t, other_plane, ray[ORIGIN, other_axis], ray[DIRECTION, other_axis],
+        t,
+        plane,
+        ray[ORIGIN, axis],
+        ray[DIRECTION, axis],
+        other_t,
+        other_plane,
+        ray[ORIGIN, other_axis],
+        ray[DIRECTION, other_axis],
     )

@@ -61,5 +61,5 @@ def unpack(tree: Any, packed: dict[str, Any]) -> None:
     nodes = aligned_empty(len(tree._nodes), tree._nodes.dtype)
     nodes[:] = tree._nodes
     tree._nodes = nodes
-    tree._start_snapshots()
+    tree._start()
     tree.validate()

@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Is the tree what it must be? Structure (links, counts, free lists) and metrics (boxes, masks, heights) are checked apart."""
+"""Is the tree what it must be? Structure (links, counts, free lists) and metrics (boxes, masks,
+heights) are checked apart.
+"""
 
 import numpy as np
 
@@ -66,7 +68,9 @@ def check_structure(nodes, handles, state):
 
 @kernel
 def check_metrics(nodes, heights, tight, state):
-    """Return (complaint, node); SOUND if boxes, masks and heights are those of the children. The structure must be sound."""
+    """Return (complaint, node); SOUND if boxes, masks and heights are those of the children. The
+    structure must be sound.
+    """
     if state[ROOT] == NONE:
         return SOUND, NONE
     if heights[state[ROOT]] > height_limit(state[COUNT]):
@@ -88,7 +92,9 @@ def check_metrics(nodes, heights, tight, state):
             continue
         left, right = nodes[here.left], nodes[here.right]
         for axis in range(here.lo.shape[0]):
-            if here.lo[axis] != min(left.lo[axis], right.lo[axis]) or here.hi[axis] != max(left.hi[axis], right.hi[axis]):
+            if here.lo[axis] != min(left.lo[axis], right.lo[axis]) or here.hi[axis] != max(
+                left.hi[axis], right.hi[axis]
+            ):
                 return 7, node
         if here.mask != left.mask | right.mask:
             return 8, node

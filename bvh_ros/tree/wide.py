@@ -1,9 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A read-only snapshot of the tree for batches of rays: nodes of eight children, whose boxes are tested with one vector operation.
+"""A read-only snapshot of the tree for batches of rays: nodes of eight children, whose boxes are
+tested with one vector operation.
 
-The snapshot is a filter and decides nothing: see `wide_raycasting`. Its boxes are float32 in units in which the scene fits into
-[-1, 1], rounded outwards. It is built when a batch comes that is worth it, and again after the tree has changed.
+The snapshot is a filter and decides nothing: see `wide_raycasting`. Its boxes are float32 in units
+in which the scene fits into [-1, 1], rounded outwards. It is built when a batch comes that is
+worth it, and again after the tree has changed.
 """
 
 import math
@@ -18,16 +20,19 @@ from .machine import LANES, stack_array
 from .nodes import DEEPEST, is_leaf
 from .overlapping import grown
 
-# Batches for which building pays, measured: a ray through the binary tree costs 2 to 4 times one through the snapshot, and
-# building costs a box about what that saves on half a ray.
+# Batches for which building pays, measured: a ray through the binary tree costs 2 to 4 times one
+# through the snapshot, and building costs a box about what that saves on half a ray.
 RAYS_PER_BOX = 0.5
 LEAST_RAYS = 64
 
-# Scenes of other sizes (m) are left to the binary tree: here no distance in a float64 leaves the normal doubles.
+# Scenes of other sizes (m) are left to the binary tree: here no distance in a float64 leaves the
+# normal doubles.
 SMALLEST_SCENE, LARGEST_SCENE = 1e-200, 1e200
 
 
-DEEPEST_WIDE = DEEPEST * (LANES - 1) + 1  # a stack of wide nodes: all but one of the lanes on every level
+DEEPEST_WIDE = (
+    DEEPEST * (LANES - 1) + 1
+)  # a stack of wide nodes: all but one of the lanes on every level
 
 
 class Snapshot(NamedTuple):
@@ -50,10 +55,15 @@ class Snapshot(NamedTuple):
 
 
 def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
-    """Collapse the tree below `root`, an inner node; None where the scene's size is out of range."""
+    """Collapse the tree below `root`, an inner node; None where the scene's size is out of
+    range.
+    """
     lo, hi = nodes['lo'][root], nodes['hi'][root]
     half = float((hi * 0.5 - lo * 0.5).max())
-    if not SMALLEST_SCENE < half < LARGEST_SCENE or float(np.abs(nodes['lo'][root]).max()) > LARGEST_SCENE:
+    if (
+        not SMALLEST_SCENE < half < LARGEST_SCENE
+        or float(np.abs(nodes['lo'][root]).max()) > LARGEST_SCENE
+    ):
         return None
     center, per_length = lo * 0.5 + hi * 0.5, 2.0 ** -math.ceil(math.log2(half))
     places = len(nodes) // 2
@@ -67,7 +77,9 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
 
 @kernel
 def post_order(nodes, root):
-    """Inner nodes below and with `root`, parents before children: read it backwards for children first."""
+    """Inner nodes below and with `root`, parents before children: read it backwards for children
+    first.
+    """
     order, stack = np.empty(64, np.int64), stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
@@ -88,8 +100,9 @@ def post_order(nodes, root):
 def plan_collapse(nodes, root, least, shares):
     """Least total area of wide nodes, by dynamic programming (Ylitie et al. 2017, section 3.1).
 
-    least[k, j - 1]: of the subtree of inner node 2 k + 1 when it may take up to j lanes of the wide node above.
-    shares[k, j - 1]: how many of those lanes its left child gets; 0 if it takes one lane, as a wide node of its own.
+    least[k, j - 1]: of the subtree of inner node 2 k + 1 when it may take up to j lanes of the
+    wide node above. shares[k, j - 1]: how many of those lanes its left child gets; 0 if it takes
+    one lane, as a wide node of its own.
     """
     scale = area_scale(nodes, root, root)
     order = post_order(nodes, root)
@@ -131,7 +144,9 @@ def count_wide(nodes, root, shares):
 
 @lean_kernel
 def _gather(nodes, shares, node, members):
-    """The descendants that share the lanes of the wide node made of inner node `node`; return how many."""
+    """The descendants that share the lanes of the wide node made of inner node `node`; return how
+    many.
+    """
     members[0], members[1] = nodes[node].left, nodes[node].right
     lanes = stack_array(LANES, np.int64)
     lanes[0] = shares[node >> 1, LANES - 1]

@@ -1,14 +1,18 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of rays through the wide snapshot: eight boxes a vector operation in float32, decided in float64.
+"""Batches of rays through the wide snapshot: eight boxes a vector operation in float32, decided in
+float64.
 
-The distance of a plane is fma(plane, 1 / d, -o / d) in the snapshot's units. With e = 2**-24, the rounding of 1 / d, of o / d and of
-the result make an error of at most |1 / d| (1 + |o|) 2 e (1 + 4 e), so every entry is lowered and every exit raised by
-PAD32 |1 / d| (1 + |o|), twice that. (Ize 2013 bounds (plane - o) * (1 / d); the fused form needs the term with |o|.) Directions are
-scaled to a largest component of 1, and components below 2**-40 are taken for 2**-40: such an axis' exit then is beyond 2**17 at
-least, further than anything that a ray from within 2**10 scene sizes can meet. Other rays take the binary tree.
+The distance of a plane is fma(plane, 1 / d, -o / d) in the snapshot's units. With e = 2**-24, the
+rounding of 1 / d, of o / d and of the result make an error of at most |1 / d| (1 + |o|) 2 e (1 + 4
+e), so every entry is lowered and every exit raised by PAD32 |1 / d| (1 + |o|), twice that. (Ize
+2013 bounds (plane - o) * (1 / d); the fused form needs the term with |o|.) Directions are scaled
+to a largest component of 1, and components below 2**-40 are taken for 2**-40: such an axis' exit
+then is beyond 2**17 at least, further than anything that a ray from within 2**10 scene sizes can
+meet. Other rays take the binary tree.
 
-What passes is decided in float64 by `quick_decision`, and where that cannot tell, by `slab.meets`, as everywhere.
+What passes is decided in float64 by `quick_decision`, and where that cannot tell, by `slab.meets`,
+as everywhere.
 """
 
 import math
@@ -33,8 +37,9 @@ MISSES, MEETS, ASK = range(3)
 def quick_decision(lo, hi, ray, best_t):
     """Decide where rounding cannot matter: (verdict, t, axis).
 
-    MISSES: surely not met, or surely after best_t. MEETS: surely met, before best_t, and entered last through `axis`. ASK: `meets`
-    must tell. t has an error of three roundings. Distances from the ray neither overflow nor have an infinite inverse here.
+    MISSES: surely not met, or surely after best_t. MEETS: surely met, before best_t, and entered
+    last through `axis`. ASK: `meets` must tell. t has an error of three roundings. Distances from
+    the ray neither overflow nor have an infinite inverse here.
     """
     entry, second, leave = 0.0, 0.0, best_t
     entered = INSIDE
@@ -71,7 +76,9 @@ def fill_ray(ray, center, per_length, ndim):
 
 @inlined
 def axis_constants(ray, axis, center, per_length, largest, ndim):
-    """For `slab8`: near and far plane offsets, inverse, near shift, far shift of one axis, with the largest direction made 1."""
+    """For `slab8`: near and far plane offsets, inverse, near shift, far shift of one axis, with
+    the largest direction made 1.
+    """
     inverse = ray[INVERSE, axis] * largest
     slope = min(abs(inverse), STEEPEST)
     origin = (ray[ORIGIN, axis] - center[axis]) * per_length
@@ -91,14 +98,36 @@ def limit32(t, unit):
 
 @inlined
 def cast(
-    planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, largest, t_max, mask, skip_inside, any_hit, stack, stack_entry, entries
+    planes,
+    kids,
+    wide_masks,
+    center,
+    per_length,
+    nodes,
+    tight,
+    handles,
+    ray,
+    largest,
+    t_max,
+    mask,
+    skip_inside,
+    any_hit,
+    stack,
+    stack_entry,
+    entries,
 ):
     """First hit of one ray (or any): (slot, axis); slot NONE where there is none."""
     ndim = ray.shape[1]
     stride = 2 * ndim * LANES
-    near_x, far_x, inverse_x, in_x, out_x = axis_constants(ray, 0, center, per_length, largest, ndim)
-    near_y, far_y, inverse_y, in_y, out_y = axis_constants(ray, 1, center, per_length, largest, ndim)
-    near_z, far_z, inverse_z, in_z, out_z = axis_constants(ray, ndim - 1, center, per_length, largest, ndim)
+    near_x, far_x, inverse_x, in_x, out_x = axis_constants(
+        ray, 0, center, per_length, largest, ndim
+    )
+    near_y, far_y, inverse_y, in_y, out_y = axis_constants(
+        ray, 1, center, per_length, largest, ndim
+    )
+    near_z, far_z, inverse_z, in_z, out_z = axis_constants(
+        ray, ndim - 1, center, per_length, largest, ndim
+    )
     unit = largest * per_length  # t times this is the distance in the snapshot's units
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     limit = limit32(t_max, unit)
@@ -118,7 +147,9 @@ def cast(
                 met, t, axis = meets(lo, hi, ray, t_max)
                 if not met or (skip_inside and axis == INSIDE):
                     continue
-                if best != NONE and not is_before(nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis):
+                if best != NONE and not is_before(
+                    nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis
+                ):
                     continue
             best, best_t, best_axis = slot, t, axis
             limit = limit32(t, unit)
@@ -128,13 +159,27 @@ def cast(
         base = np.int64(child)
         if ndim == 2:
             hits = slab8(
-                planes, base * stride, (near_x, near_y), (far_x, far_y), (inverse_x, inverse_y), (in_x, in_y), (out_x, out_y),
-                limit, entries,
+                planes,
+                base * stride,
+                (near_x, near_y),
+                (far_x, far_y),
+                (inverse_x, inverse_y),
+                (in_x, in_y),
+                (out_x, out_y),
+                limit,
+                entries,
             )
         else:
             hits = slab8(
-                planes, base * stride, (near_x, near_y, near_z), (far_x, far_y, far_z), (inverse_x, inverse_y, inverse_z),
-                (in_x, in_y, in_z), (out_x, out_y, out_z), limit, entries,
+                planes,
+                base * stride,
+                (near_x, near_y, near_z),
+                (far_x, far_y, far_z),
+                (inverse_x, inverse_y, inverse_z),
+                (in_x, in_y, in_z),
+                (out_x, out_y, out_z),
+                limit,
+                entries,
             )
         floor = top
         while hits != np.uint32(0):
@@ -154,8 +199,26 @@ def cast(
 
 @lean_kernel
 def cast_rows(
-    planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, origins, directions, t_max, masks, skip_inside,
-    any_hit, order, slots, ts, axes, left_over,
+    planes,
+    kids,
+    wide_masks,
+    center,
+    per_length,
+    nodes,
+    tight,
+    handles,
+    ray,
+    origins,
+    directions,
+    t_max,
+    masks,
+    skip_inside,
+    any_hit,
+    order,
+    slots,
+    ts,
+    axes,
+    left_over,
 ):
     """Cast the rays of `order`; those not suited are marked in `left_over`. `ray` is scratch."""
     ndim = origins.shape[1]
@@ -168,15 +231,32 @@ def cast_rows(
         if not suited:
             continue
         slot, axis = cast(
-            planes, kids, wide_masks, center, per_length, nodes, tight, handles, ray, largest, t_max[i], masks[i],
-            skip_inside, any_hit, stack, stack_entry, entries,
+            planes,
+            kids,
+            wide_masks,
+            center,
+            per_length,
+            nodes,
+            tight,
+            handles,
+            ray,
+            largest,
+            t_max[i],
+            masks[i],
+            skip_inside,
+            any_hit,
+            stack,
+            stack_entry,
+            entries,
         )
         slots[i], axes[i], ts[i] = slot, axis, np.inf
         if slot != NONE:
             lo, hi = leaf_box(nodes, tight, 2 * slot)
             ts[i] = 0.0
             if axis != INSIDE:
-                ts[i] = plane_distance(near_plane(lo, hi, ray, axis), ray[ORIGIN, axis], ray[DIRECTION, axis])
+                ts[i] = plane_distance(
+                    near_plane(lo, hi, ray, axis), ray[ORIGIN, axis], ray[DIRECTION, axis]
+                )
 
 
 CELL_BITS = 5  # of the origin on each axis
@@ -187,7 +267,9 @@ DIGITS = 1 << DIGIT_BITS
 
 @inlined
 def _ray_key(origins, directions, i, center, per_length):
-    """Octant of the direction, then the cell of the origin with the bits of the axes interleaved (Morton 1966)."""
+    """Octant of the direction, then the cell of the origin with the bits of the axes interleaved
+    (Morton 1966).
+    """
     key = 0
     for axis in range(origins.shape[1]):
         place = (origins[i, axis] - center[axis]) * per_length * 0.5 + 0.5
@@ -201,7 +283,9 @@ def _ray_key(origins, directions, i, center, per_length):
 
 @lean_kernel
 def coherent_order(origins, directions, center, per_length, keys, order, spare):
-    """Fill `order` so that neighbours visit the same nodes: a stable radix sort by `_ray_key`. keys, spare: scratch, n int64."""
+    """Fill `order` so that neighbours visit the same nodes: a stable radix sort by `_ray_key`.
+    keys, spare: scratch, n int64.
+    """
     starts = stack_array(DIGITS, np.int64)
     count = origins.shape[0]
     for i in range(count):
