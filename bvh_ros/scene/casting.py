@@ -96,7 +96,8 @@ def precedes(tree, solids, prints, ray, radius, one, another):
 def cast(tree, solids, prints, radius, t_max, mask, skip_inside, every, scratch, hits, filled):
     """Write the first hit, or every hit in no order, into hits from `filled` on.
 
-    hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are counted, not written.
+    hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are
+    counted, not written.
     """
     nodes, tight, _, root = tree
     ray, box, work, stack, entries = scratch

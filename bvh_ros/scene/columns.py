@@ -23,6 +23,10 @@ GEOMETRY = np.dtype(
     align=True,
 )
 
+# What is not `shaped` has this kind and orientation: updates of plain boxes need not write them.
+UNTURNED = np.zeros((), GEOMETRY)
+UNTURNED['orientation'] = (0.0, 0.0, 0.0, 1.0)
+
 
 class Columns:
     """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not FREE."""
@@ -50,6 +54,7 @@ class Columns:
                 bigger[:old] = array
                 setattr(self, name, bigger)
         self.tree_handle[old:] = FREE
+        self.geometry[old:] = UNTURNED
 
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""
@@ -60,7 +65,7 @@ class Columns:
         """Mark slots as free. What scans whole columns must not find them."""
         self.tree_handle[slots] = FREE
         self.node_handle[slots] = 0
-        self.geometry['shaped'][slots] = False
+        self.geometry[slots] = UNTURNED
         self.expires[slots] = 0
         self.group[slots] = 0
         self.source[slots] = 0

@@ -154,29 +154,27 @@ class SceneQueries:
     def _first_box(
         self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """Rows, slots, t, points and normals of the rays that meet a box.
-
-        The tree's own answer.
-        """
+        """Rows, slots, t, points and normals of the rays that meet a box, by the tree alone."""
         ndim = self._tree.ndim
         hits = self._tree.raycast_many(starts[:, :ndim], ways[:, :ndim], t_max, masks, skip_inside)
         rows = np.flatnonzero(hits.ids >= 0)
         slots, ts = hits.ids[rows] & SLOT_MASK, hits.t[rows]
-        points, normals = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-        lo, hi = overlaps.corners(self._columns.geometry[slots])
-        points[:] = np.clip(starts[rows] + ts[:, None] * ways[rows], lo, hi)
+        normals = np.zeros((len(rows), 3))
         normals[:, :ndim] = hits.normals[rows]
-        # On the face that is entered; inside, the origin itself.
-        points = np.where(normals < 0, lo, np.where(normals > 0, hi, points))
+        lo, hi = overlaps.corners(self._columns.geometry[slots])
+        points: Floats = np.clip(starts[rows] + ts[:, None] * ways[rows], lo, hi)
+        np.copyto(points, lo, where=normals < 0)  # exactly on the face that is entered
+        np.copyto(points, hi, where=normals > 0)
         return rows, slots, ts, points, normals
 
     def _first(
         self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """The same against the true shapes."""
-        offsets, *found = self._cast(starts, ways, 0.0, t_max, masks, skip_inside, False)
+        found = self._cast(starts, ways, 0.0, t_max, masks, skip_inside, False)
+        offsets, slots, ts, points, normals = found
         rows = np.asarray(np.flatnonzero(np.diff(offsets)), np.int64)
-        return rows, found[0], found[1], found[2], found[3]
+        return rows, slots, ts, points, normals
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float

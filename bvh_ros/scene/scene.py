@@ -218,10 +218,11 @@ class Scene(SceneQueries, SceneInspection):
         columns, place = self._columns, as_index(slots)
         geometry = columns.geometry
         geometry['position'][place] = rows.shapes.position
-        geometry['orientation'][place] = rows.shapes.orientation
         geometry['half'][place] = rows.shapes.size * 0.5
-        geometry['kind'][place] = rows.shapes.kind
-        geometry['shaped'][place] = rows.shaped
+        if rows.shaped.any() or geometry['shaped'][place].any():
+            geometry['orientation'][place] = rows.shapes.orientation
+            geometry['kind'][place] = rows.shapes.kind
+            geometry['shaped'][place] = rows.shaped
         if columns.footprint is not None:
             columns.footprint[place] = footprints(rows.shapes, rows.shaped)
         columns.categories[place] = rows.categories

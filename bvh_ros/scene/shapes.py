@@ -114,7 +114,7 @@ def as_shapes(shapes: Shapes) -> Shapes:
             raise ValueError(f'shapes.{name} has shape {array.shape}, not {shape}')
     if kind.dtype.kind not in 'iu' and count:
         raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
-    known = np.isin(kind, list(ShapeKind))
+    known = (kind >= 0) & (kind < len(ShapeKind))
     return Shapes(np.where(known, kind, 255).astype(np.uint8), position, orientation, size)
 
 

@@ -97,11 +97,11 @@ def examine(
     form, aligned = shapes.canonical(given.take(rows))
     with np.errstate(over='ignore', invalid='ignore'):
         lo, hi = shapes.bounds(form, aligned)
-    finite = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
-    reasons.update((int(number), shapes.REASONS[shapes.TOO_LARGE]) for number in row[~finite])
-    found = Rows(row, slots[rows], form, ~aligned, lo, hi, masks[rows], lives[rows]).take(
-        np.asarray(finite)
-    )
+    found = Rows(row, slots[rows], form, ~aligned, lo, hi, masks[rows], lives[rows])
+    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+        finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
+        reasons.update((int(large), shapes.REASONS[shapes.TOO_LARGE]) for large in row[~finite])
+        found = found.take(finite)
     last = registry.last_of_each(names, found.row)
     return found if len(last) == len(found.row) else found.take(np.isin(found.row, last)), reasons
 

@@ -56,7 +56,7 @@ class Solid(NamedTuple):
 
 def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     """max over unit n of n . offset - support(n), not below 0; by ever closer samples of n."""
-    angles = np.broadcast_to(np.linspace(-math.pi, math.pi, 721), (len(offsets), 721))
+    angles = np.broadcast_to(np.linspace(-math.pi, math.pi, 181), (len(offsets), 181))
     for _ in range(9):
         normals = np.stack([np.cos(angles), np.sin(angles)], axis=2)
         gaps = np.einsum('nka,na->nk', normals, offsets) - support(normals)
@@ -78,7 +78,7 @@ def solids(shapes: Shapes) -> list[Solid]:
 
 
 def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:
-    """Boxes (also flat ones), spheres and cylinders: unturned, by right angles, about z, any way."""
+    """Boxes (also flat ones), spheres and cylinders: unturned, by right angles, about z, free."""
     kind = rng.integers(0, 3, count).astype(np.uint8)
     size = rng.uniform(0.05, 2.0, (count, 3))
     size[rng.random(count) < 0.1, 2] = 0.01

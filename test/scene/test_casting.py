@@ -33,7 +33,7 @@ def segment(rng, world):
 def test_all_hits_equal_brute_force(radius, planar):
     rng = np.random.default_rng(int(radius * 1000) + planar)
     met = 0
-    for _ in range(4):
+    for _ in range(3 if planar else 4):
         scene, world = filled(rng, 12, planar, margin=rng.choice([0.0, 0.2]))
         for _ in range(10 if planar else 25):
             start, goal = segment(rng, world)
@@ -50,7 +50,7 @@ def test_all_hits_equal_brute_force(radius, planar):
                     assert hit.t == pytest.approx(t, abs=T) or depth < GRAZING
                     assert_contact(solid, hit, start, goal, radius, planar)
             assert by_name == {}
-    assert met > 30
+    assert met > 25
 
 
 def assert_contact(solid, hit, start, goal, radius, planar):

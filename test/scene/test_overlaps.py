@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlap queries: exactly among axis-aligned boxes, by python-fcl and by brute force elsewhere."""
+"""Overlap queries: exactly among axis-aligned boxes, elsewhere against fcl and brute force."""
 
 import csv
 import math

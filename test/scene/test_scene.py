@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Updates, replacements, lifetimes and refusals, step by step against a dictionary of obstacles."""
+"""Updates, replacements, lifetimes and refusals, step by step against a dictionary."""
 
 import subprocess
 import sys
@@ -331,11 +331,14 @@ def test_a_scene_of_aligned_boxes_compiles_and_imports_nothing_narrow():
     program = """
 import sys, numpy as np
 from bvh_ros.scene import Scene, Shapes
-turns = [[0, 0, 0, 0], [0, 0, 1, 1], [0.5, -0.5, 0.5, 0.5], [0, 0, np.sin(np.pi / 4), np.cos(np.pi / 4)]]
+half = np.pi / 4
+turns = [[0] * 4, [0, 0, 1, 1], [0.5, -0.5, 0.5, 0.5], [0, 0, np.sin(half), np.cos(half)]]
 scene = Scene()
-assert scene.update('a', list('abcd'), Shapes.boxes(np.eye(4, 3) * 9, [1, 2, 3], turns), stamp=1) == []
+crates = Shapes.boxes(np.eye(4, 3) * 9, [1, 2, 3], turns)
+assert scene.update('a', list('abcd'), crates, stamp=1) == []
 assert scene.raycast([-5, 0, 0], [9, 0, 0]) and scene.raycast_all([-5, 0, 0], [9, 0, 0])
-assert scene.overlap([0, 0, 0], [9, 9, 9], [0, 0, 1, 1], 0.1) and scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
+assert scene.overlap([0, 0, 0], [9, 9, 9], [0, 0, 1, 1], 0.1)
+assert scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
 assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0

@@ -1,0 +1,125 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Touching counts: rays and balls that just graze a shape, in numbers that doubles hold."""
+
+import math
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Scene, ShapeKind, Shapes
+
+BOX, SPHERE, CYLINDER = ShapeKind
+
+
+def scene_of(kind, size, orientation=(0, 0, 0, 0), position=(0, 0, 0)):
+    scene = Scene()
+    parts = (np.array([part], float) for part in (position, orientation, size))
+    assert scene.update('test', ['x'], Shapes(np.array([kind]), *parts), stamp=1) == []
+    return scene
+
+
+# kind, size, start, goal, radius, then t, point and normal of the hit
+CONTACTS = [
+    (BOX, (2, 2, 2), (-5, 0, 0), (5, 0, 0), 0.5, 0.35, (-1, 0, 0), (-1, 0, 0)),
+    (BOX, (2, 2, 2), (-5, 1.5, 0), (5, 1.5, 0), 0.5, 0.4, (-1, 1, 0), (0, 1, 0)),  # along a face
+    (BOX, (2, 2, 2), (-5, 1.3, 0), (5, 1.3, 0), 0.5, 0.36, (-1, 1, 0), (-0.8, 0.6, 0)),  # an edge
+    (BOX, (2, 2, 2), (-8, 3, 5), (8, 3, 5), 6.0, 0.1875, (-1, 1, 1), (-2 / 3, 1 / 3, 2 / 3)),
+    (BOX, (2, 2, 2), (-5, 0, 0), (-1.5, 0, 0), 0.5, 1.0, (-1, 0, 0), (-1, 0, 0)),  # at the goal
+    (BOX, (2, 2, 2), (-1.5, 0, 0), (-5, 0, 0), 0.5, 0.0, (-1, 0, 0), (-1, 0, 0)),  # and off again
+    (BOX, (2, 2, 0), (0, 0, -4), (0, 0, 4), 1.0, 0.375, (0, 0, 0), (0, 0, -1)),  # a flat box
+    (SPHERE, (2, 2, 2), (-5, 0, 0), (5, 0, 0), 0.0, 0.4, (-1, 0, 0), (-1, 0, 0)),
+    (SPHERE, (2, 2, 2), (-5, 1, 0), (5, 1, 0), 0.0, 0.5, (0, 1, 0), (0, 1, 0)),
+    (SPHERE, (2, 2, 2), (-5, 3, 0), (5, 3, 0), 2.0, 0.5, (0, 1, 0), (0, 1, 0)),
+    (SPHERE, (2, 2, 2), (0, 3, 0), (0, 3, 0), 2.0, 0.0, (0, 1, 0), (0, 1, 0)),  # no way at all
+    (CYLINDER, (2, 2, 4), (-5, 0, 0), (5, 0, 0), 0.0, 0.4, (-1, 0, 0), (-1, 0, 0)),
+    (CYLINDER, (2, 2, 4), (-5, 1, 0), (5, 1, 0), 0.0, 0.5, (0, 1, 0), (0, 1, 0)),  # along the side
+    (CYLINDER, (2, 2, 4), (0.5, 0, 6), (0.5, 0, -6), 0.0, 1 / 3, (0.5, 0, 2), (0, 0, 1)),
+    (CYLINDER, (2, 2, 4), (-5, 0, 2), (5, 0, 2), 0.0, 0.4, (-1, 0, 2), (-1, 0, 0)),  # in the cap
+    (CYLINDER, (2, 2, 4), (1, 0, 5), (1, 0, -5), 0.0, 0.3, (1, 0, 2), (0, 0, 1)),  # down the side
+    (CYLINDER, (2, 2, 4), (-5, 1.5, 0), (5, 1.5, 0), 0.5, 0.5, (0, 1, 0), (0, 1, 0)),
+    (CYLINDER, (2, 2, 4), (-5, 0, 2.5), (5, 0, 2.5), 0.5, 0.4, (-1, 0, 2), (0, 0, 1)),  # over a cap
+    (CYLINDER, (2, 2, 4), (1.5, 0, 5), (1.5, 0, -5), 0.5, 0.3, (1, 0, 2), (1, 0, 0)),  # down a side
+    (CYLINDER, (2, 2, 4), (-5, 0, 2.3), (5, 0, 2.3), 0.5, 0.36, (-1, 0, 2), (-0.8, 0, 0.6)),  # rim
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('kind', 'size', 'start', 'goal', 'radius', 't', 'point', 'normal'), CONTACTS
+)
+def test_contacts(kind, size, start, goal, radius, t, point, normal):
+    hit = scene_of(kind, size).raycast(start, goal, radius)
+    assert hit.t == pytest.approx(t, abs=1e-14)
+    assert hit.point == pytest.approx(point, abs=1e-12)
+    assert hit.normal == pytest.approx(normal, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ('kind', 'size', 'start', 'goal', 'radius', 't', 'point', 'normal'), CONTACTS
+)
+def test_the_same_contacts_turned(kind, size, start, goal, radius, t, point, normal):
+    """Turned and moved as a whole, and pushed in by 1e-9: rounding may lose a grazing contact."""
+    turn = np.array([0.3, -0.2, 0.5, 0.8]) / math.sqrt(1.02)
+    x, y, z, w = turn
+    matrix = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    away = np.array([3.0, -8.0, 0.7])
+    inwards = np.array(point) * 1e-9
+    scene = scene_of(kind, size, turn, away)
+    hit = scene.raycast(
+        matrix @ (start - inwards) + away, matrix @ (goal - inwards) + away, radius
+    )
+    assert hit.t == pytest.approx(
+        t, abs=1e-5
+    )  # a grazing one moves by the root of what it was pushed
+    assert hit.point == pytest.approx(matrix @ point + away, abs=1e-3)
+
+
+@pytest.mark.parametrize('kind', list(ShapeKind))
+@pytest.mark.parametrize('radius', [0.0, 0.5])
+def test_a_start_inside_is_met_at_once_without_a_normal(kind, radius):
+    scene = scene_of(kind, (2, 2, 2), (0, 0, 0.2, 1))
+    for goal in ((5, 0, 0), (0.1, 0.2, 0.3)):
+        hit = scene.raycast((0.1, 0.2, 0.3), goal, radius)
+        assert hit.t == 0.0
+        assert hit.point.tolist() == [0.1, 0.2, 0.3]
+        assert hit.normal.tolist() == [0, 0, 0]
+        assert scene.raycast((0.1, 0.2, 0.3), goal, radius, skip_inside=True) is None
+
+
+@pytest.mark.parametrize('kind', list(ShapeKind))
+def test_just_out_of_reach(kind):
+    scene = scene_of(kind, (2, 2, 2))
+    assert scene.raycast((-5, 0, 0), (-1.5 - 1e-12, 0, 0), 0.5) is None
+    assert scene.raycast((-5, 1.5 + 1e-12, 0), (5, 1.5 + 1e-12, 0), 0.5) is None
+    assert scene.raycast((-1.5 - 1e-12, 0, 0), (-5, 0, 0), 0.5) is None
+
+
+@pytest.mark.parametrize('scale', [1e-100, 1e-6, 1e6, 1e100])
+@pytest.mark.parametrize(
+    ('kind', 'size', 'start', 'goal', 'radius', 't', 'point', 'normal'), CONTACTS
+)
+def test_any_scale(scale, kind, size, start, goal, radius, t, point, normal):
+    part = np.array(start), np.array(goal), np.array(point)
+    start, goal, point = (p * scale for p in part)
+    inwards = np.array(point) * 1e-9
+    hit = scene_of(kind, np.array(size) * scale).raycast(
+        start - inwards, goal - inwards, radius * scale
+    )
+    assert hit.t == pytest.approx(t, abs=1e-4)
+    assert hit.point / scale == pytest.approx(point / scale, abs=1e-3)
+
+
+def test_a_far_start_costs_few_digits():
+    """Each contact is 1e6 m away and still found to a nanometre."""
+    for kind in ShapeKind:
+        scene = scene_of(kind, (0.2, 0.2, 0.2), (0, 0, 0.1, 1))
+        hit = scene.raycast((-1e6, 0, 0), (1e6, 0, 0), 0.05)
+        reach = 0.15 if kind != BOX else 0.05 + 0.1 * (math.sqrt(2) * math.cos(0.0))
+        assert -reach - 1e-9 <= hit.t * 2e6 - 1e6 <= -0.15 + 1e-9
+        assert scene.raycast((-1e6, 0.1, 0.15 + 1e-6), (1e6, 0.1, 0.15 + 1e-6), 0.05) is None

@@ -1,0 +1,82 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbered names cost no Python step a row, and are the same names as strings."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Numbered, Scene, Shapes
+
+
+def calls_of(work):
+    count = 0
+
+    def note(frame, event, argument):
+        nonlocal count
+        count += event in ('call', 'c_call')
+
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize('planar', [False, True])
+def test_a_frame_of_points_takes_as_many_steps_however_many_points(planar):
+    counts = []
+    for rows in (100, 100, 10_000):  # the first time compiles
+        scene = Scene(planar=planar)
+        names = Numbered('cloud#', np.arange(rows))
+        shapes = Shapes.boxes(np.random.default_rng(0).uniform(-9, 9, (rows, 3)), [0.1, 0.1, 0.1])
+
+        def frame(scene=scene, names=names, shapes=shapes):
+            assert scene.replace('cloud', '', names, shapes, stamp=1) == []
+
+        def fewer(scene=scene, names=names, shapes=shapes, rows=rows):
+            kept = Numbered('cloud#', names.numbers[: rows // 2])
+            assert scene.replace('cloud', '', kept, shapes.take(slice(rows // 2)), stamp=1) == []
+
+        if not counts:
+            frame(), fewer(), frame(), scene.clear()
+        steps = [
+            calls_of(frame),
+            calls_of(frame),
+            calls_of(fewer),
+            calls_of(frame),
+            calls_of(scene.clear),
+        ]
+        counts.append(steps)
+    _, few, many = np.array(counts)
+    assert (many <= few + 50).all(), counts
+
+
+def test_a_number_and_a_string_are_one_name():
+    one = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+    scene = Scene()
+    scene.update('a', ['p5', 'p05', 'p'], Shapes.boxes(np.zeros((3, 3)), [1, 1, 1]), stamp=1)
+    (refusal,) = scene.update('b', Numbered('p', np.array([5])), one, stamp=2)
+    assert refusal == (0, 'p5', "its name belongs to the source 'a'")
+    assert scene.update('b', Numbered('p', np.array([6])), one, stamp=2) == []
+    (refusal,) = scene.update('a', ['p6'], one, stamp=3)
+    assert "source 'b'" in refusal.reason
+    assert scene.update('a', Numbered('p0', np.array([5])), one, stamp=4) == []
+    assert scene.get('p05').stamp == 4
+    assert scene.get('p5').stamp == 1
+    assert sorted(name for _, name in scene.names()) == ['p', 'p05', 'p5', 'p6']
+    scene.validate()
+
+
+def test_the_last_row_of_a_name_holds():
+    scene = Scene()
+    shapes = Shapes.boxes([[1, 0, 0], [2, 0, 0], [3, 0, 0], [np.nan, 0, 0]], [1, 1, 1])
+    refusals = scene.update('a', ['x', 'y', 'x', 'x'], shapes, stamp=1)
+    assert [refusal.row for refusal in refusals] == [3]
+    assert scene.get('x').position.tolist() == [3, 0, 0]
+    refusals = scene.update('b', Numbered('n', np.array([4, 4, 2, 4])), shapes, stamp=1)
+    assert [refusal.row for refusal in refusals] == [3]
+    assert scene.get('n4').position.tolist() == [2, 0, 0]
+    assert len(scene) == 4

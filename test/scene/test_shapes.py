@@ -1,0 +1,91 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Canonical forms and bounds of shapes."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scene.reference import random_shapes, solids
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene.footprint import footprints
+from bvh_ros.scene.shapes import bounds, canonical
+
+COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
+
+
+@pytest.mark.parametrize('scale', [1.0, 7.3, 1e-300, 1e300])
+@pytest.mark.parametrize('components', COMPONENTS)
+def test_the_24_rotations_of_a_cube_keep_a_box_aligned(components, scale):
+    position, size = np.array([0.1, 0.2, 0.3]), np.array([0.7, 1.1, 1.3])
+    shapes = Shapes.boxes([position], size, [np.array(components) * scale])
+    form, aligned = canonical(shapes)
+    assert aligned.tolist() == [True]
+    matrix = np.rint(Rotation.from_quat(components).as_matrix())
+    turned = np.abs(matrix) @ size
+    assert form.size[0].tolist() == turned.tolist()
+    lo, hi = bounds(form, aligned)
+    assert lo[0].tolist() == (position - turned / 2).tolist()
+    assert hi[0].tolist() == (position + turned / 2).tolist()
+
+
+@pytest.mark.parametrize('quarter', range(-8, 9))
+def test_computed_right_angles_are_right_angles(quarter):
+    """Quaternions as robots make them: the sine and cosine of half a rounded angle."""
+    yaw = quarter * math.pi / 2
+    turn = [0, 0, math.sin(yaw / 2), math.cos(yaw / 2)]
+    assert canonical(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn]))[1].tolist() == [True]
+    turn[0] = 1e-14
+    assert canonical(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn]))[1].tolist() == [False]
+
+
+def test_bounds_hold_the_shape_and_little_more():
+    rng = np.random.default_rng(1)
+    shapes = random_shapes(rng, 2000)
+    form, aligned = canonical(shapes)
+    lo, hi = bounds(form, aligned)
+    assert 100 < np.count_nonzero(aligned) < 1000
+    for i, solid in enumerate(solids(shapes)):
+        # The farthest points along the axes: of a box corners, of a cylinder the rims.
+        if solid.kind == ShapeKind.BOX:
+            reach = np.abs(solid.matrix) @ solid.half
+        elif solid.kind == ShapeKind.SPHERE:
+            reach = solid.half
+        else:
+            rim = np.hypot(solid.matrix[:, 0], solid.matrix[:, 1]) * solid.half[0]
+            reach = np.abs(solid.matrix[:, 2]) * solid.half[2] + rim
+        assert lo[i] == pytest.approx(solid.position - reach, abs=1e-12)
+        assert hi[i] == pytest.approx(solid.position + reach, abs=1e-12)
+        if not aligned[i]:
+            assert (lo[i] <= solid.position - reach + 1e-15).all()
+            assert (hi[i] >= solid.position + reach - 1e-15).all()
+
+
+def test_a_box_from_above_is_the_hull_of_its_corners():
+    rng = np.random.default_rng(2)
+    shapes = random_shapes(rng, 600)
+    form, _ = canonical(shapes)
+    prints = footprints(form, np.ones(600, np.bool_))
+    signs = np.array(list(itertools.product([-1, 1], repeat=3)))
+    boxes = 0
+    for i, solid in enumerate(solids(shapes)):
+        if solid.kind != ShapeKind.BOX:
+            continue
+        boxes += 1
+        flat = ((signs * solid.half) @ solid.matrix.T)[:, :2]
+        hull = ConvexHull(flat)
+        area = ConvexHull(prints[i]['corners']).volume
+        assert area == pytest.approx(hull.volume, rel=1e-9)
+        outside = prints[i]['corners'] @ hull.equations[:, :2].T + hull.equations[:, 2]
+        assert outside.max() < 1e-9
+        # The strips hold every corner, and each touches one.
+        across = np.abs(prints[i]['corners'] @ prints[i]['normals'].T)
+        assert across.max(axis=0) == pytest.approx(prints[i]['widths'])
+        edges = np.diff(prints[i]['corners'], axis=0)
+        turns = edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0]
+        assert turns.min() > -1e-12
+    assert boxes > 100
