@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -69,9 +70,11 @@ class BvhClient:
         self.node = node
         self.name = name
         self.timeout = timeout
-        self._raycast = node.create_client(GetPlan, f'{name}/raycast')
-        self._raycast_all = node.create_client(GetPlan, f'{name}/raycast_all')
-        self._overlap = node.create_client(GetPlan, f'{name}/overlap')
+        # A group of their own: a callback that awaits an answer keeps the group it is in busy.
+        self._group = ReentrantCallbackGroup()
+        self._raycast = self._client('raycast')
+        self._raycast_all = self._client('raycast_all')
+        self._overlap = self._client('overlap')
         self._executor: SingleThreadedExecutor | None = None
         self._spinning = threading.Lock()
 
@@ -198,6 +201,11 @@ class BvhClient:
         """Ask as `overlap` does; return a future of its result."""
         request = _request(corner, opposite, tolerance, frame_id, orientation)
         return self._ask(self._overlap, request, _all)
+
+    def _client(self, service: str) -> Client:
+        return self.node.create_client(
+            GetPlan, f'{self.name}/{service}', callback_group=self._group
+        )
 
     def _ask(
         self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]

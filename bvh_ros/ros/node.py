@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from rclpy.node import Node
 
 from bvh_ros.ros.diagnostics import Diagnostics
 from bvh_ros.ros.frames import Frames, tf2_lookup
+from bvh_ros.ros.interrupts import Interrupts
 from bvh_ros.ros.parameters import ConfigurationError, read_settings
 from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
@@ -23,6 +23,7 @@ from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.scene import Scene
 
 if TYPE_CHECKING:
+    from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.sources.source import Source
 
 EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
@@ -49,12 +50,10 @@ class BvhNode(Node):
         )
         lookup = tf2_lookup(self) if settings.use_tf else None
         self.frames = Frames(settings.frame_id, lookup)
-        self.sources: list[Source] = [
-            create_source(self, source, self.scene, self.frames) for source in settings.sources
-        ]
+        self.sources = [self._create_source(source) for source in settings.sources]
 
-    def start(self) -> None:
-        """Compile what is needed, subscribe, and only then offer the services."""
+    def compile(self) -> None:
+        """Compile the kernels that this configuration needs."""
         kinds = {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
         warm_up(
             planar=self.settings.planar,
@@ -62,6 +61,9 @@ class BvhNode(Node):
             kinds=kinds,
             log=self.get_logger().info,
         )
+
+    def serve(self) -> None:
+        """Listen to the sources and offer the services; every kernel is compiled by now."""
         for source in self.sources:
             self._subscribe(source)
         self.queries = QueryServices(self, self.scene, self.frames, self.sources)
@@ -92,10 +94,18 @@ class BvhNode(Node):
             f'on: {used}; off: {off}'
         )
 
-    def _subscribe(self, source: Source) -> None:
+    def _create_source(self, settings: SourceSettings) -> Source:
+        try:
+            self.resolve_topic_name(settings.topic)  # a wrong one is better known before compiling
+        except (RuntimeError, InvalidTopicNameException) as error:
+            raise ConfigurationError(f"source '{settings.name}': {error}") from error
+        return create_source(self, settings, self.scene, self.frames)
+
+    @staticmethod
+    def _subscribe(source: Source) -> None:
         try:
             source.subscribe()
-        except (RuntimeError, ParameterException, InvalidTopicNameException) as error:
+        except (RuntimeError, ParameterException) as error:  # QoS overrides that make no sense
             raise ConfigurationError(f"source '{source.name}': {error}") from error
 
     def _expire(self) -> None:
@@ -109,18 +119,21 @@ class BvhNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM; return the exit code."""
-    # As Ctrl-C does, so that compiling ends at once. rclpy calls this handler after its own.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupts = Interrupts()
     try:
         rclpy.init(args=args)
         node = BvhNode()
-        node.start()
+        with interrupts.while_compiling():
+            node.compile()
+        node.serve()
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 0
+    except ExternalShutdownException:
+        pass
     except (ConfigurationError, RCLError) as error:
-        print(f'bvh_node: {error}', file=sys.stderr)
-        return WRONG_CONFIGURATION
+        # Where a signal has shut ROS down below us, an error is only its echo.
+        if not interrupts.received:
+            print(f'bvh_node: {error}', file=sys.stderr)
+            return WRONG_CONFIGURATION
     finally:
         rclpy.try_shutdown()
     return 0

@@ -1,0 +1,126 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the node starts and ends."""
+
+import os
+import signal
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+READY_WITHIN = 2.5  # seconds, with compiled kernels on disk
+
+
+def end_of(world):
+    """Return the exit code and what was said."""
+    return world.process.wait(60), world.said()
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
+def test_clean_exit(start_node, messages, how):
+    world = start_node()
+    world.markers(messages.marker(1))
+    world.until(lambda: world.everything() == {'a/1'})
+    assert world.end(how) == 0
+    assert 'Traceback' not in world.said()
+    assert 'rror' not in world.said()
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('after', [0.6, 0.8, 1.0])
+def test_clean_exit_while_starting(start_node, how, after):
+    world = start_node(wait=False)
+    time.sleep(after)
+    code = world.end(how)
+    # While Python is still importing us, the signal ends it in Python's way.
+    assert code in (0, -how), world.said()
+    if code == 0:
+        assert 'Traceback' not in world.said()
+
+
+def test_ready_in_time_with_compiled_kernels(start_node):
+    start_node()  # compiles, if nobody has
+    began = time.monotonic()
+    world = start_node(wait=False)
+    world.until(lambda: 'ready' in world.said())
+    took = time.monotonic() - began
+    loaded = os.getloadavg()[0] > os.cpu_count()
+    assert took < READY_WITHIN * (2 if loaded else 1)
+    assert world.names('raycast', (0, 0, 0), (1, 0, 0)) == []
+
+
+def test_start_up_line_says_what_is_on(start_node):
+    world = start_node({'planar': True, 'margin': 0.5, 'frame_id': 'odom'})
+    line = next(line for line in world.said().splitlines() if 'ready' in line)
+    for word in ("'odom'", '2D', 'margin 0.5', 'MarkerArray', 'obstacles', 'python-fcl'):
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        ({'margin': -1.0}, "'margin' must be at least 0"),
+        ({'margin': 'wide'}, "'margin' must be a number"),
+        ({'margin': float('nan')}, "'margin' must be"),
+        ({'planar': 1}, "'planar' must be true or false"),
+        ({'frame_id': ''}, "'frame_id' is empty"),
+        ({'frame_id': 5}, "'frame_id' must be a string"),
+        ({'max_obstacles': 0}, "'max_obstacles' must be at least 1"),
+        ({'max_obstacles': 10.5}, "'max_obstacles' must be a whole number"),
+        ({'sources': 'markers'}, 'must be a list'),
+        ({'sources': ['a', 'a']}, 'there twice'),
+        ({'sources': ['margin']}, 'name of another parameter'),
+        ({'sources': ['views']}, 'name of another parameter'),
+        ({'sources': ['a b']}, 'is not a name'),
+        ({'sources': ['a']}, "'a.type' must be one of MarkerArray, PointCloud2, OccupancyGrid"),
+        ({'sources': ['a'], 'a': {'type': 'LaserScan'}}, "'a.type' must be one of"),
+        ({'sources': ['a'], 'a': {'type': 'PointCloud2'}}, "needs a parameter 'a.topic'"),
+        ({'markers': {'topic': 'a//b'}}, "source 'markers'"),
+        ({'markers': {'max_age': -1.0}}, "'markers.max_age' must be at least 0"),
+        ({'markers': {'requierd': True}}, "did you mean 'markers.required'"),
+        (
+            {'sources': ['g'], 'g': {'type': 'OccupancyGrid', 'topic': 'g', 'unknown': 'maybe'}},
+            "'g.unknown' must be one of free, occupied",
+        ),
+        (
+            {'sources': ['g'], 'g': {'type': 'OccupancyGrid', 'topic': 'g', 'z_min': 9.0}},
+            "'g.z_min' is above 'g.z_max'",
+        ),
+    ],
+)
+def test_wrong_parameters(start_node, parameters, reason):
+    code, said = end_of(start_node(parameters, wait=False))
+    assert code == 2
+    assert reason in said
+    assert 'Traceback' not in said
+
+
+@pytest.mark.parametrize('sources', [[], ['']])
+def test_no_source_at_all(start_node, sources):
+    world = start_node({'sources': sources})
+    assert world.names('raycast', (0, 0, 0), (1, 0, 0)) == []
+    assert world.end() == 0
+
+
+def test_diagnostics(world, messages):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    seen = {}
+
+    def keep(message):
+        seen.update({status.name: status for status in message.status})
+
+    subscription = world.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
+    name = world.name.lstrip('/')
+    world.markers(messages.marker(1), messages.marker(2, size=(1, -1, 1)))
+    world.until(lambda: world.everything() == {'a/1'})
+    world.until(lambda: f'{name}: world' in seen and '1 obst' in seen[f'{name}: world'].message)
+    source = seen[f'{name}: source markers']
+    values = {pair.key: pair.value for pair in source.values}
+    assert values['refused'] == '1'
+    assert 'negative' in values['last reason']
+    assert values['reliability'] == 'reliable'
+    assert seen[f'{name}: queries'].level in (DiagnosticStatus.OK, DiagnosticStatus.WARN)
+    world.node.destroy_subscription(subscription)

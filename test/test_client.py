@@ -1,0 +1,183 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Python client, against a stand-in for the node."""
+
+import threading
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.srv import GetPlan
+from rclpy.executors import SingleThreadedExecutor
+
+from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
+
+
+class FakeNode:
+    """Answers like a bvh node: by the tolerance of the request."""
+
+    def __init__(self, context):
+        self.node = rclpy.create_node('bvh', context=context)
+        self.requests = []
+        for name in ('raycast', 'raycast_all', 'overlap'):
+            self.node.create_service(GetPlan, f'~/{name}', self.answer)
+        self.executor = SingleThreadedExecutor(context=context)
+        self.executor.add_node(self.node)
+        self.thread = threading.Thread(target=self.executor.spin)
+        self.thread.start()
+
+    def answer(self, request, response):
+        self.requests.append(request)
+        if request.tolerance == 99.0:
+            time.sleep(0.5)
+        count = 1 if request.tolerance == 7.0 else int(request.tolerance)
+        for i in range(count):
+            pose = PoseStamped()
+            pose.header.frame_id = 'error: no world' if request.tolerance == 7.0 else f'a/{i}'
+            pose.header.stamp.sec, pose.header.stamp.nanosec = 3, i
+            pose.pose.position.x = float(i)
+            pose.pose.orientation.z, pose.pose.orientation.w = 1.0, 0.0  # -x
+            response.plan.poses = [*response.plan.poses, pose]
+        return response
+
+    def close(self):
+        self.executor.shutdown()
+        self.thread.join()
+        self.node.destroy_node()
+
+
+@pytest.fixture
+def context():
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    yield context
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def server(context):
+    fake = FakeNode(context)
+    yield fake
+    fake.close()
+
+
+@pytest.fixture
+def node(context, server):
+    node = rclpy.create_node('asker', context=context)
+    yield node
+    node.destroy_node()
+
+
+@pytest.fixture
+def client(node):
+    client = BvhClient(node)
+    client.wait_until_ready(10.0)
+    return client
+
+
+@pytest.fixture(params=['nobody spins', 'spun in a thread'])
+def any_client(request, client, context):
+    """The client of a node that nobody spins, and of one that is being spun."""
+    if request.param == 'nobody spins':
+        yield client
+        return
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(client.node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    yield client
+    executor.shutdown()
+    thread.join()
+
+
+def test_raycast(any_client, server):
+    assert any_client.raycast((1, 2, 3), (4, 5), 0.0) is None
+    request = server.requests[-1]
+    start, goal = request.start.pose.position, request.goal.pose.position
+    assert (start.x, start.y, start.z) == (1, 2, 3)
+    assert (goal.x, goal.y, goal.z) == (4, 5, 0)
+    hit = any_client.raycast((0, 0, 0), (1, 0, 0), 2.0, frame_id='odom')
+    assert hit == Hit('a/0', (0, 0, 0), (-1, 0, 0), 3_000_000_000)
+    assert server.requests[-1].start.header.frame_id == 'odom'
+    assert server.requests[-1].goal.header.frame_id == 'odom'
+
+
+def test_many_hits_in_order(any_client):
+    hits = any_client.raycast_all((0, 0, 0), (1, 0, 0), 3.0)
+    assert [hit.name for hit in hits] == ['a/0', 'a/1', 'a/2']
+    assert [hit.stamp for hit in hits] == [3_000_000_000, 3_000_000_001, 3_000_000_002]
+
+
+def test_overlap(any_client, server):
+    hits = any_client.overlap((0, 0, 0), (1, 1, 1), (0, 0, 1, 0), tolerance=2.0)
+    assert len(hits) == 2
+    turn = server.requests[-1].start.pose.orientation
+    assert (turn.x, turn.y, turn.z, turn.w) == (0, 0, 1, 0)
+
+
+def test_an_error_reply_is_raised(any_client):
+    for call in (any_client.raycast, any_client.raycast_all):
+        with pytest.raises(BvhError, match='no world'):
+            call((0, 0, 0), (1, 0, 0), 7.0)
+    with pytest.raises(BvhError, match='no world'):
+        any_client.overlap((0, 0, 0), (1, 0, 0), tolerance=7.0)
+
+
+def test_timeout(any_client):
+    with pytest.raises(BvhTimeoutError, match=r'within 0\.1 s'):
+        any_client.raycast((0, 0, 0), (1, 0, 0), 99.0, timeout=0.1)
+    assert any_client.raycast((0, 0, 0), (1, 0, 0)) is None  # and works again
+
+
+def test_wrong_arguments(client):
+    with pytest.raises(ValueError, match='coordinates'):
+        client.raycast((0,), (1, 0, 0))
+    with pytest.raises(ValueError, match='coordinates'):
+        client.overlap((0, 0, 0), (1, 0, 0), (0, 0, 1))
+
+
+def test_nobody_there(context, node):
+    client = BvhClient(node, 'elsewhere')
+    with pytest.raises(BvhTimeoutError, match='elsewhere'):
+        client.wait_until_ready(0.1)
+
+
+def test_async_inside_a_callback(client, context):
+    """A timer's callback asks and awaits, in the one thread that spins."""
+    answers = []
+
+    async def tick():
+        timer.cancel()
+        answers.append(await client.raycast_async((0, 0, 0), (1, 0, 0), 1.0))
+        answers.append(len(await client.raycast_all_async((0, 0, 0), (1, 0, 0), 3.0)))
+        answers.append(len(await client.overlap_async((0, 0, 0), (1, 0, 0), tolerance=2.0)))
+        try:
+            await client.raycast_async((0, 0, 0), (1, 0, 0), 7.0)
+        except BvhError as error:
+            answers.append(str(error))
+
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(client.node)
+    timer = client.node.create_timer(0.01, tick)
+    deadline = time.monotonic() + 5
+    while len(answers) < 4 and time.monotonic() < deadline:
+        executor.spin_once(0.1)
+    executor.shutdown()
+    assert [getattr(answer, 'name', answer) for answer in answers] == ['a/0', 3, 2, 'no world']
+
+
+def test_calls_do_not_become_slower(client):
+    def ask(count):
+        began = time.perf_counter()
+        for _ in range(count):
+            client.raycast((0, 0, 0), (1, 0, 0))
+        return (time.perf_counter() - began) / count
+
+    ask(20)
+    first = min(ask(50) for _ in range(3))
+    ask(500)
+    assert min(ask(50) for _ in range(3)) < 3 * first
