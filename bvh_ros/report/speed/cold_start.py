@@ -27,18 +27,20 @@ print(imported - start, time.perf_counter() - start)
 
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
-    return 1 + (1 if brief else WARM_RUNS)
+    return 1 if brief else 1 + WARM_RUNS
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:
-    """Measure in processes of their own, with a cache folder of their own."""
+    """Measure in processes of their own; unless in brief, with an empty cache folder first."""
+    progress.say('speed: cold start')
+    rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
-        progress.say('speed: cold start')
-        rows: list[list[Cell]] = [['empty', *_first_answer(folder)]]
-        progress.step()
+        if not brief:
+            rows.append(['empty', *_first_answer(folder)])
+            progress.step()
         runs = []
-        for _ in range(steps(brief) - 1):
-            runs.append(_first_answer(folder))
+        for _ in range(1 if brief else WARM_RUNS):
+            runs.append(_first_answer(None if brief else folder))
             progress.step()
     rows.append(['warm', *(statistics.median(column) for column in zip(*runs, strict=True))])
     page.add('### Cold start')
@@ -51,8 +53,8 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     )
 
 
-def _first_answer(cache: str) -> tuple[float, float]:
-    environment = {**os.environ, 'NUMBA_CACHE_DIR': cache}
+def _first_answer(cache: str | None) -> tuple[float, float]:
+    environment = {**os.environ, **({'NUMBA_CACHE_DIR': cache} if cache else {})}
     result = subprocess.run(
         [sys.executable, '-c', FIRST_ANSWER],
         env=environment,

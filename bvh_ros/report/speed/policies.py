@@ -21,7 +21,7 @@ from ..timing import Job, interleaved
 BOXES, REPEATS = 10_000, 6
 SHARES = (1 / 256, 1 / 128, 1 / 64, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0)
 SHARES_QUICK = (1 / 8, 1.0)
-# Shares from which on move_many refits and builds anew; above 1 is never.
+# Shares from which on move_many refits, and builds anew; above 1 is never.
 POLICIES = {'reinsert': (2.0, 2.0), 'refit': (0.0, 2.0), 'rebuild': (0.0, 0.0)}
 CHOSEN = 'as chosen'
 KINDS = ('nearby', 'anywhere')
@@ -39,8 +39,8 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     page.add(
         f'{size:,} boxes; a share of them, others each time, moves nearby (up to one edge) or '
         f"anywhere. us a call; *cost* is the tree's cost after {REPEATS + 1} calls over that of a "
-        f'new build. `move_many` refits from a share of {dynamic_bvh.REFIT_SHARE} and builds anew '
-        f'from {dynamic_bvh.REBUILD_SHARE}.'
+        f'new build. *refit* inserts again those that move far. `move_many` refits from a share of '
+        f'{dynamic_bvh.REFIT_SHARE} and builds anew from {dynamic_bvh.REBUILD_SHARE} that move far.'
     )
     for kind in KINDS:
         rows = [_row(size, share, kind, progress) for share in (SHARES_QUICK if brief else SHARES)]
