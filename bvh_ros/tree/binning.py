@@ -152,7 +152,7 @@ def _divide(items, spare, start, stop, axis, origin, per_length, last, split):
     Every item is copied both ways and one of the two places moves on: no branch that the processor
     would guess wrong half the time, which costs more than all the rest of a split.
     """
-    left, right = start, 0
+    left, right = np.int64(start), np.int64(0)
     for item in range(start, stop):
         before = np.int64(_bin_of(items, item, axis, origin, per_length, last) < split)
         copy8(spare, right * LANES, items, item * LANES)

@@ -15,6 +15,8 @@ from .nodes import ALL, SLOT_MASK
 
 Floats = NDArray[np.float64]
 
+EVERY = np.uint32(ALL)
+
 
 @kernel
 def _first_not_finite(values):
@@ -94,7 +96,8 @@ def boxes(
     row = _first_reversed(low, high)
     if row >= 0:
         raise ValueError(
-            f'lo must not exceed hi: row {row} has lo {low[row].tolist()} and hi {high[row].tolist()}'
+            f'lo must not exceed hi: row {row} has lo {low[row].tolist()} '
+            f'and hi {high[row].tolist()}'
         )
     return low, high
 
@@ -109,6 +112,8 @@ def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
 
 def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
+    if value is ALL:  # the default, and much the most common: not worth a microsecond
+        return EVERY
     try:
         number = int(value)
     except (TypeError, ValueError):
@@ -125,7 +130,8 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
         return np.full(count, mask(array[()]), np.uint32)
     if array.shape != (count,) or (array.dtype.kind not in 'iu' and array.size):
         raise ValueError(
-            f'mask must be an integer or have shape ({count},) of integers, not {array.shape} {array.dtype}'
+            f'mask must be an integer or have shape ({count},) of integers, '
+            f'not {array.shape} of {array.dtype}'
         )
     bad = np.flatnonzero((array < 0) | (array > ALL))
     if bad.size:

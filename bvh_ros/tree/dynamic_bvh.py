@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import building, checks, moving, storing, validation
 from .area import tree_cost
+from .arrays import Floats, Ids
+from .box_queries import BoxQueries
 from .compiling import cache_folder
 from .nodes import (
-    COUNT,
     LAST_SERIAL,
     NONE,
     ROOT,
@@ -24,7 +25,7 @@ from .nodes import (
     link_free,
     node_dtype,
 )
-from .queries import Floats, Ids, Queries
+from .ray_queries import RayQueries
 
 SEARCHES = ('greedy', 'branch_and_bound')
 
@@ -37,7 +38,7 @@ REBUILD_SHARE = 0.3
 WORSE = 1.2
 
 
-class DynamicBVH(Queries):
+class DynamicBVH(RayQueries, BoxQueries):
     """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at
     any time.
 
@@ -346,9 +347,6 @@ class DynamicBVH(Queries):
         self._changes += 1
 
     # ---- introspection
-
-    def __len__(self) -> int:
-        return int(self._state[COUNT])
 
     def __contains__(self, handle: object) -> bool:
         try:

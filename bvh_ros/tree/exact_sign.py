@@ -39,8 +39,9 @@ def _significand(x):
     """
     fraction, exponent = math.frexp(abs(x))
     bits, place = np.int64(fraction * 2.0**53), np.int64(exponent) - 53
-    surplus = max(-1074 - place, 0)
-    return bits >> surplus, place + surplus
+    if place < -1074:
+        return bits >> (-1074 - place), np.int64(-1074)
+    return bits, place
 
 
 @lean_kernel

@@ -32,7 +32,7 @@ def greedy_sibling(nodes, heights, root, leaf):
     best, best_cost = root, direct
     while not is_leaf(node):
         inherited += direct - here_area
-        next_bound, next_node, next_direct, next_area = np.inf, NONE, 0.0, 0.0
+        next_bound, next_node, next_direct, next_area = np.inf, np.int64(NONE), 0.0, 0.0
         for child in (nodes[node].left, nodes[node].right):
             child_direct = union_area(nodes, child, leaf, scale)
             cost = inherited + child_direct

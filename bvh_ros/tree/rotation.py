@@ -48,7 +48,7 @@ def rotate(nodes, heights, node):
         return False
     scale = area_scale(nodes, left, right)
     best_change, best_height = 0.0, np.int64(heights[node])
-    best_child, best_uncle, best_niece = NONE, NONE, NONE
+    best_child = best_uncle = best_niece = np.int64(NONE)
     for child, uncle in ((left, right), (right, left)):
         if is_leaf(uncle):
             continue

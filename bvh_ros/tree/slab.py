@@ -33,7 +33,6 @@ from .exact_sign import sign_of_four_products
 PAD = 1.0 + 16 * 2.0**-53
 CLEAR = 1.0 + 8 * 2.0**-53
 TINY = 1e-322
-SCALE = 600  # binary places by which extreme directions are brought back to the middle of the exponents
 INSIDE = -1  # the axis of a hit whose ray starts inside
 
 # What prepare_ray leaves in `ray`: one row an item.

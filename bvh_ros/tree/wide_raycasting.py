@@ -270,7 +270,7 @@ def _ray_key(origins, directions, i, center, per_length):
     """Octant of the direction, then the cell of the origin with the bits of the axes interleaved
     (Morton 1966).
     """
-    key = 0
+    key = np.int64(0)
     for axis in range(origins.shape[1]):
         place = (origins[i, axis] - center[axis]) * per_length * 0.5 + 0.5
         cell = np.int64(min(max(place, 0.0), 0.999) * (1 << CELL_BITS))

@@ -1,0 +1,96 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What touches a box, which boxes touch each other, and which are nearest to a point."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import checks, overlapping, proximity
+from .arrays import Arrays, Floats, Ids, in_threads
+from .nodes import ALL, ROOT, box_dtype
+
+
+class BoxQueries(Arrays):
+    """What touches, and what is near."""
+
+    def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL) -> Ids:
+        """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
+        ascending.
+        """
+        low, high = checks.box(lo, hi, self.ndim)
+        return self.overlap_many(low[None], high[None], checks.mask(mask))[1]
+
+    def overlap_many(
+        self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike = ALL, threads: int = 1
+    ) -> tuple[Ids, Ids]:
+        """Overlaps of n query boxes, shape (n, ndim) each: (offsets, ids).
+
+        Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts.
+        """
+        low, high = checks.boxes(lo, hi, self.ndim)
+        count = len(low)
+        seen = checks.masks(mask, count)
+        queries = np.empty(count, box_dtype(self.ndim))
+        queries['lo'], queries['hi'] = low, high
+        sizes = np.empty(count, np.int64)
+
+        def work(start: int, stop: int) -> Ids:
+            found: Ids = overlapping.overlap_many(
+                *self._boxes_only(), queries, seen, start, stop, sizes
+            )
+            return found
+
+        slots = np.concatenate(in_threads(work, count, threads))
+        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        handles = self._handles[slots]
+        order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
+        return offsets, handles[order]
+
+    def overlap_pairs(self, mask: int = ALL) -> Ids:
+        """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
+        sorted.
+        """
+        slots = np.empty(max(4 * len(self), 64), np.int64)
+        tree = self._nodes, self._heights, self._tight, int(self._state[ROOT]), checks.mask(mask)
+        count = overlapping.overlap_pairs(*tree, slots)
+        if count > len(slots):
+            slots = np.empty(count, np.int64)
+            overlapping.overlap_pairs(*tree, slots)
+        slots = slots[:count]
+        pairs = np.sort(self._handles[slots].reshape(-1, 2), axis=1)
+        return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+    def nearest(
+        self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
+    ) -> tuple[Ids, Floats]:
+        """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances),
+        nearest first, ties by handle.
+
+        The distance is 0 inside a box, and within 4 roundings of the exact one (see
+        `tree.proximity`).
+        """
+        where = checks.point('point', point, self.ndim)
+        ids, distances = self.nearest_many(
+            where[None], k, checks.limit('max_distance', max_distance), checks.mask(mask)
+        )
+        count = int(np.count_nonzero(ids[0] >= 0))
+        return ids[0, :count], distances[0, :count]
+
+    def nearest_many(
+        self,
+        points: ArrayLike,
+        k: int = 1,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+    ) -> tuple[Ids, Floats]:
+        """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
+        where = checks.points('points', points, self.ndim)
+        k = checks.whole('k', k, 1)
+        count = len(where)
+        reaches, seen = (
+            checks.limits('max_distance', max_distance, count),
+            checks.masks(mask, count),
+        )
+        slots, distances = np.empty((count, k), np.int64), np.empty((count, k))
+        proximity.nearest_many(*self._tree(), where, k, reaches, seen, slots, distances)
+        return self._to_handles(slots), distances

@@ -1,0 +1,298 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What rays meet, one by one or in batches. Each method checks its input and calls one kernel."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import checks, raycasting, wide, wide_raycasting
+from .arrays import Arrays, Floats, Ids, in_threads
+from .nodes import ALL
+from .results import RayHit, RayHits
+from .slab import INSIDE
+
+# Sizes from which sorting a batch pays, measured: the tree no longer fits the nearest cache.
+SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
+
+
+class RayQueries(Arrays):
+    """What rays meet."""
+
+    def raycast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
+    ) -> RayHit | None:
+        """Return the first box that the ray meets.
+
+        Parameters
+        ----------
+        origin, direction : array_like, shape (ndim,)
+            The ray is ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for
+            the point `origin`.
+        t_max : float
+            In units of `direction`: metres if that is a unit vector of metres. May be inf.
+        mask : int
+            Only boxes with ``box_mask & mask != 0`` are seen.
+        skip_inside : bool
+            Ignore boxes that contain the origin; else such a box is hit at ``t = 0`` with a zero
+            normal.
+
+        Returns
+        -------
+        RayHit or None
+            Which box is first is decided exactly, ties by the smaller handle.
+
+        Raises
+        ------
+        ValueError
+            If an argument has the wrong shape or is NaN, infinite (`t_max` may be) or negative
+            (`t_max`).
+
+        Examples
+        --------
+        >>> from bvh_ros import DynamicBVH
+        >>> tree = DynamicBVH(ndim=2)
+        >>> wall = tree.insert([4, -1], [5, 1])
+        >>> hit = tree.raycast([0, 0], [2, 0])
+        >>> hit.id == wall, hit.t, hit.normal.tolist()
+        (True, 2.0, [-1.0, 0.0])
+        """
+        found = self._cast(origin, direction, t_max, mask, skip_inside, raycasting.CLOSEST)
+        if found is None:
+            return None
+        slot, t, place = found
+        return RayHit(int(self._handles[slot]), t, place[0], place[1])
+
+    def raycast_all(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
+    ) -> list[RayHit]:
+        """Return every box that the ray meets, nearest first (exactly; ties by handle). Arguments
+        as `raycast`.
+        """
+        start = checks.point('origin', origin, self.ndim)
+        way = checks.point('direction', direction, self.ndim)
+        reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        _, slots, ts, axes = self._every(start[None], way[None], reach, seen, skip_inside)
+        return [
+            self._hit(start, way, *row)
+            for row in zip(slots.tolist(), ts.tolist(), axes.tolist(), strict=True)
+        ]
+
+    def occluded(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float = np.inf,
+        mask: int = ALL,
+        skip_inside: bool = False,
+    ) -> bool:
+        """Whether the ray meets any box; cheaper than `raycast`. Arguments as there."""
+        return self._cast(origin, direction, t_max, mask, skip_inside, raycasting.ANY) is not None
+
+    def raycast_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+        threads: int = 1,
+    ) -> RayHits:
+        """First hits of n rays, the same as `raycast` gives one by one.
+
+        Parameters
+        ----------
+        origins, directions : array_like, shape (n, ndim)
+        t_max, mask : one for all rays, or array_like of shape (n,)
+        threads : int
+            The rays are shared among so many threads; the answer does not depend on it.
+
+        Raises
+        ------
+        ValueError
+            As `raycast`; the message names the first bad row.
+        """
+        starts, ways = self._rays(origins, directions)
+        slots, ts, axes = self._first(
+            starts, ways, t_max, mask, skip_inside, raycasting.CLOSEST, threads
+        )
+        normals = np.zeros_like(starts)
+        rows = np.flatnonzero(axes != INSIDE)
+        normals[rows, axes[rows]] = -np.sign(ways[rows, axes[rows]])
+        return RayHits(self._to_handles(slots), ts, normals)
+
+    def occluded_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+        threads: int = 1,
+    ) -> NDArray[np.bool_]:
+        """Whether each of n rays meets any box, shape (n,). Arguments as `raycast_many`."""
+        starts, ways = self._rays(origins, directions)
+        slots, _, _ = self._first(starts, ways, t_max, mask, skip_inside, raycasting.ANY, threads)
+        return np.asarray(slots >= 0)
+
+    def raycast_all_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+    ) -> tuple[Ids, Ids, Floats]:
+        """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i +
+        1]]``, nearest first.
+        """
+        starts, ways = self._rays(origins, directions)
+        offsets, slots, ts, _ = self._every(starts, ways, t_max, mask, skip_inside)
+        return offsets, self._handles[slots], ts
+
+    def _cast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float,
+        mask: int,
+        skip_inside: bool,
+        mode: int,
+    ) -> tuple[int, float, Floats] | None:
+        """One ray, with as little Python as can be: (slot, t, point and normal as rows)."""
+        start, way = checks.floats('origin', origin), checks.floats('direction', direction)
+        shape = (self.ndim,)
+        if start.shape != shape or way.shape != shape:
+            checks.point('origin', start, self.ndim)
+            checks.point('direction', way, self.ndim)
+        reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        place = np.empty((5, self.ndim))
+        slot, t = raycasting.raycast_one(
+            self._nodes,
+            self._tight,
+            self._handles,
+            self._state,
+            start,
+            way,
+            reach,
+            seen,
+            bool(skip_inside),
+            mode,
+            place,
+        )
+        if slot == raycasting.NOT_FINITE:
+            checks.point('origin', start, self.ndim)
+            checks.point('direction', way, self.ndim)
+        return None if slot < 0 else (slot, t, place)
+
+    def _rays(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats]:
+        starts = checks.points('origins', origins, self.ndim)
+        return starts, checks.points('directions', directions, self.ndim, len(starts))
+
+    def _hit(self, start: Floats, way: Floats, slot: int, t: float, axis: int) -> RayHit:
+        place = np.empty((2, self.ndim))
+        raycasting.locate(self._nodes, self._tight, start, way, slot, t, axis, place)
+        return RayHit(int(self._handles[slot]), t, place[0], place[1])
+
+    def _first(
+        self,
+        starts: Floats,
+        ways: Floats,
+        t_max: ArrayLike,
+        mask: ArrayLike,
+        skip_inside: bool,
+        mode: int,
+        threads: int,
+    ) -> tuple[Ids, Floats, Ids]:
+        count = len(starts)
+        reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
+        slots, ts, axes = np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
+        rays = starts, ways, reaches, seen, bool(skip_inside)
+        snapshot = self._snapshot_for(count)
+        if snapshot is None:
+            left = np.arange(count)
+        else:
+            order = self._coherent(snapshot, starts, ways)
+            marks = np.empty(count, np.bool_)
+
+            def cast(start: int, stop: int) -> None:
+                wide_raycasting.cast_rows(
+                    *snapshot,
+                    *self._boxes_only()[:2],
+                    self._handles,
+                    np.empty((3, self.ndim)),
+                    *rays,
+                    mode == raycasting.ANY,
+                    order[start:stop],
+                    slots,
+                    ts,
+                    axes,
+                    marks,
+                )
+
+            in_threads(cast, count, threads)
+            left = np.flatnonzero(marks)
+
+        def work(start: int, stop: int) -> None:
+            raycasting.raycast_rows(
+                *self._tree(),
+                np.empty((3, self.ndim)),
+                *rays,
+                mode,
+                left[start:stop],
+                slots,
+                ts,
+                axes,
+            )
+
+        in_threads(work, len(left), threads)
+        return slots, ts, axes
+
+    def _coherent(self, snapshot: wide.Snapshot, starts: Floats, ways: Floats) -> Ids:
+        """The order to cast rays in: sorted where a tree larger than the near caches makes
+        neighbours share what they load.
+        """
+        count = len(starts)
+        order = np.arange(count)
+        if len(self) >= SORT_FROM_BOXES and count >= SORT_FROM_RAYS:
+            keys, spare = np.empty(count, np.int64), np.empty(count, np.int64)
+            wide_raycasting.coherent_order(
+                starts, ways, snapshot.center, snapshot.per_length, keys, order, spare
+            )
+        return order
+
+    def _every(
+        self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool
+    ) -> tuple[Ids, Ids, Floats, Ids]:
+        count = len(starts)
+        reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
+        offsets = np.zeros(count + 1, np.int64)
+        slots, ts, axes = raycasting.raycast_every_row(
+            *self._tree(), starts, ways, reaches, seen, bool(skip_inside), offsets
+        )
+        rays = np.repeat(np.arange(count), np.diff(offsets))
+        order = np.lexsort((self._handles[slots], ts, rays))
+        slots, ts, axes = slots[order], ts[order], axes[order]
+        scratch = np.empty((3, self.ndim))
+        raycasting.settle_order(
+            self._nodes,
+            self._tight,
+            self._handles,
+            scratch,
+            starts,
+            ways,
+            offsets,
+            slots,
+            ts,
+            axes,
+        )
+        return offsets, slots, ts, axes
