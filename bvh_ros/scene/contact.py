@@ -1,7 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One obstacle of any shape: into its own frame, where a ray enters it, which point of it is
-closest.
+"""One obstacle of any shape: into its own frame, where a ray enters it, what point is closest.
 
 `shape` is a record of `columns.GEOMETRY`. An axis-aligned box is met in the world's frame by its
 corners lo and hi, which are exact; every other shape in its own frame, where it lies at the
@@ -58,9 +57,9 @@ def to_frame(shape, ray, local):
 
 @lean_kernel
 def enter_shape(shape, lo, hi, ray, radius, t_max, work):
-    """(t, feature) of a ray, or of a ball swept along it, in units of the ray's direction.
+    """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
 
-    T inf: not met up to t_max.
+    t is in units of the ray's direction.
     """
     if not shape.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)

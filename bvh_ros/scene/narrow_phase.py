@@ -26,9 +26,10 @@ def boxes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_
         return near
     import fcl
 
-    other = _solid(query.centre, query.orientation, query.half)
+    # Seen from the query: far from the origin of the world differences keep their digits.
+    other = _solid(np.zeros(3), query.orientation, query.half)
     for i, record in enumerate(records):
-        one = _solid(record['position'], record['orientation'], record['half'])
+        one = _solid(record['position'] - query.centre, record['orientation'], record['half'])
         near[i] = fcl.collide(one, other) > 0
         if not near[i] and query.tolerance > 0.0:
             near[i] = fcl.distance(one, other) <= query.tolerance

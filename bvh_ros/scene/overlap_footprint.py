@@ -15,10 +15,7 @@ BISECTIONS = 60
 
 @kernel
 def closest_points(prints, centre, points):
-    """Fill `points` with the point of each footprint closest to `centre`, shape (2,).
-
-    The centre itself inside.
-    """
+    """Fill `points` with each footprint's point closest to `centre`; inside the centre itself."""
     local, closest = np.empty(2), np.empty(2)
     for i in range(prints.shape[0]):
         for axis in range(2):
@@ -60,9 +57,7 @@ def separated(one, other, offset):
 
 @kernel
 def zonogon_gap(one, other, offset, point, closest):
-    """0 if no edge of either separates the two, else the least distance from a corner of one to
-    the other.
-    """
+    """Least distance from a corner of one to the other; 0 if no edge of either separates them."""
     if not separated(one, other, offset) and not separated(other, one, offset):
         return 0.0
     best = np.inf
@@ -78,10 +73,7 @@ def zonogon_gap(one, other, offset, point, closest):
 
 @kernel
 def oval_gap(oval, other, offset, point, closest):
-    """Along each edge of the other the squared distance from the oval is convex.
-
-    Bisect its slope.
-    """
+    """The squared distance from the oval is convex along each edge: bisect its slope."""
     for axis in range(2):
         point[axis] = -offset[axis]
     if closest_on_zonogon(other, point, closest) == 0.0:

@@ -23,10 +23,7 @@ from .solid_gap import box_cylinder_gap
 
 
 class Touching(NamedTuple):
-    """Obstacles that touch a query, and how each lies to its centre.
-
-    One row an obstacle, in no order.
-    """
+    """Obstacles that touch a query, one a row in no order, and how each lies to its centre."""
 
     slots: Slots
     distances: Floats
@@ -132,10 +129,7 @@ def distances_to_query(points: Floats, query: BoxQuery) -> Floats:
 
 
 def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
-    """The point of each shape closest to `centre`, in closed form.
-
-    The centre itself where it lies inside.
-    """
+    """The point of each shape closest to `centre`; the centre itself where it lies inside."""
     lo, hi = corners(records)
     points = np.clip(centre, lo, hi)
     turned = np.flatnonzero(records['shaped'])

@@ -25,7 +25,7 @@ from .ray_shapes import (
 
 @lean_kernel
 def to_centre(footprint, ray, local):
-    """Origin relative to the centre and unit direction into `local`.
+    """Fill `local` with origin and unit direction as seen from the centre.
 
     Return the direction's length.
     """
@@ -67,7 +67,7 @@ def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
 
 @lean_kernel
 def enter_rounded_zonogon(footprint, origin, way, radius, reach, closest):
-    """Discs about the corners and edges moved outwards.
+    """The grown zonogon is bounded by arcs about its corners and by its edges moved outwards.
 
     The ray enters where it first meets one.
     """
@@ -121,7 +121,7 @@ def approach_oval(footprint, origin, way, radius, reach, point, closest):
 
 @lean_kernel
 def closest_on_footprint(footprint, point, out):
-    """Closest point of a footprint into `out`, `point` itself inside; return the distance."""
+    """Fill `out` with a footprint's closest point, `point` itself inside; return the distance."""
     if footprint.oval:
         return closest_on_oval(footprint, point, out)
     distance = closest_on_zonogon(footprint, point, out)
@@ -202,10 +202,7 @@ def closest_on_ellipse(a, b, x, y):
 
 @lean_kernel
 def oval_normal(footprint, point, normal):
-    """Direction outwards at the oval's rim next to `point`.
-
-    The gradient of the ellipse, or straight across.
-    """
+    """Direction outwards at the oval's rim next to `point`: the gradient, or straight across."""
     along = footprint.along
     u, v = point[0] * along[0] + point[1] * along[1], point[1] * along[0] - point[0] * along[1]
     x, y = abs(u) - footprint.straight, abs(v)

@@ -23,8 +23,9 @@ BISECTIONS = 60
 
 @lean_kernel
 def box_cylinder_gap(half, turn, centre, radius, half_height):
-    """Distance of a box with half sizes `half`, axes the columns of `turn` and this centre, in the
-    cylinder's frame; 0 if they touch.
+    """Distance of a box from a cylinder, in the cylinder's frame; 0 if they touch.
+
+    The columns of `turn` are the box's axes.
     """
     if box_holds(half, turn, centre, 0.0, 0.0, 0.0):
         return 0.0
