@@ -73,9 +73,9 @@ def quick(task: Task) -> Task:
 
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
-    return sum(1 if brief else REPEATS * len(task.sizes) for task in TASKS) * (
-        REPEATS_QUICK if brief else 1
-    )
+    if brief:
+        return REPEATS_QUICK * len(TASKS)
+    return REPEATS * sum(len(task.sizes) for task in TASKS)
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:
@@ -84,18 +84,30 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     page.add('## Peers')
     page.add(_introduction(libraries))
     slower: dict[str, dict[str, float]] = {}
+    summary: list[list[Cell]] = []
+    names = [library.name for library in libraries if library.name != 'bvh_ros']
     with one_processor():
         for task in TASKS:
             found = measure(quick(task) if brief else task, libraries, progress, brief)
             page.add(f'### {task.title}')
             page.table(table(task, found))
+            summary += [_summary(task, *entry, names) for entry in found.items()]
             slower[task.title] = _over_ours(found)
+    page.add('### All tasks')
+    page.add('The time that bvh_ros takes, and that over the time of each library.')
+    page.table(Table('peers_all', ['task', 'boxes', 'bvh_ros', 'unit', *names], summary))
     plots.ratios(
         page.plot('peers', 'Time of every library over that of bvh_ros'),
         slower,
         'time over that of bvh_ros (above 1: bvh_ros is faster)',
         'The same work by each library',
     )
+
+
+def _summary(task: Task, size: int, timings: dict[str, Timing], names: list[str]) -> list[Cell]:
+    ours = timings['bvh_ros'].nanoseconds
+    ratios = [ours / timings[name].nanoseconds if name in timings else None for name in names]
+    return [task.title, size, ours, task.unit, *ratios]
 
 
 def _over_ours(found: dict[int, dict[str, Timing]]) -> dict[str, float]:

@@ -39,8 +39,8 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     page.add(
         f'{size:,} boxes; a share of them, others each time, moves nearby (up to one edge) or '
         f"anywhere. us a call; *cost* is the tree's cost after {REPEATS + 1} calls over that of a "
-        f'new build. *refit* inserts again those that move far. `move_many` refits from a share of '
-        f'{dynamic_bvh.REFIT_SHARE} and builds anew from {dynamic_bvh.REBUILD_SHARE} that move far.'
+        f'new build. *refit* inserts those that move far again. `move_many` refits from a share '
+        f'of {dynamic_bvh.REFIT_SHARE}, and builds anew if {dynamic_bvh.REBUILD_SHARE} move far.'
     )
     for kind in KINDS:
         rows = [_row(size, share, kind, progress) for share in (SHARES_QUICK if brief else SHARES)]
