@@ -71,7 +71,7 @@ def rays_at(rng: Rng, lo: Floats, hi: Floats, count: int, scale: float) -> tuple
         )
         steps = whole * size
         simple = rng.random((count, 1)) < 0.4
-        before = finite(targets - steps * rng.integers(0, 5, (count, 1)))
+        before = finite(targets - steps * rng.choice([0, 1, 2, 3, 4, 100, 999], (count, 1)))
         origins = np.where(simple, before, origins)
         directions = np.where(simple, steps, directions)
         directions = finite(directions * rng.choice(LENGTHS, (count, 1)))

@@ -34,6 +34,8 @@ BOXES = 20
 RAYS = 500  # a scene: enough for the batch path
 SCENES = effort(1, 130)  # a scale and number of dimensions
 
+pytestmark = pytest.mark.timeout(effort(300, 3600))
+
 each_scale = pytest.mark.parametrize(
     'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
 )
