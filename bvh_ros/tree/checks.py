@@ -57,9 +57,12 @@ def floats(name: str, value: ArrayLike) -> Floats:
     the caller's memory.
     """
     try:
-        return np.array(value, dtype=np.float64, order='C')
+        array = np.array(value)
+        if array.dtype.kind == 'c':
+            raise TypeError('they are complex')
+        return array.astype(np.float64, order='C', copy=False)
     except (TypeError, ValueError) as error:
-        raise ValueError(f'{name} must be numbers: {error}') from None
+        raise ValueError(f'{name} must be real numbers: {error}') from None
 
 
 def point(name: str, value: ArrayLike, ndim: int) -> Floats:

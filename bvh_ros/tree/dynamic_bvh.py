@@ -103,11 +103,11 @@ class DynamicBVH(RayQueries, BoxQueries):
         """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row
         order.
         """
-        ndim = np.shape(lo)[1] if np.ndim(lo) == 2 else 0
-        if ndim not in (2, 3):
-            raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {np.shape(lo)}')
-        tree = cls(ndim, margin=margin, capacity=max(len(np.asarray(lo)), 1))
-        tree.insert_many(lo, hi, mask)
+        low = checks.floats('lo', lo)
+        if low.ndim != 2 or low.shape[1] not in (2, 3):
+            raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {low.shape}')
+        tree = cls(low.shape[1], margin=margin, capacity=max(len(low), 1))
+        tree.insert_many(low, hi, mask)
         return tree
 
     def _start(self) -> None:
@@ -245,7 +245,9 @@ class DynamicBVH(RayQueries, BoxQueries):
         """
         slot = self._slot(handle)
         low, high = checks.box(lo, hi, self.ndim)
-        ahead = self._ahead(None if displacement is None else np.asarray(displacement)[None], 1)
+        if displacement is not None:
+            displacement = checks.point('displacement', displacement, self.ndim)[None]
+        ahead = self._ahead(displacement, 1)
         changed = moving.move_one(
             self._nodes,
             self._heights,

@@ -3,12 +3,13 @@
 """A tree as plain arrays: what a file and a pickle hold."""
 
 import zipfile
+import zlib
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from .nodes import aligned_empty
+from .nodes import SLOT_BITS, aligned_empty, box_dtype, node_dtype
 
 VERSION = 1
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
@@ -36,11 +37,14 @@ def save(path: str | PathLike[str], packed: dict[str, Any]) -> None:
 
 
 def load(path: str | PathLike[str]) -> dict[str, Any]:
-    """Read what `save` wrote."""
+    """Read what `save` wrote; ValueError if the file is anything else."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            packed = {name: file[name] for name in file.files}
-    except (zipfile.BadZipFile, EOFError, ValueError) as error:
+        with open(path, 'rb') as file:
+            archive = np.load(file, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise ValueError('it is one array')
+            packed = {name: archive[name] for name in archive.files}
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError) as error:
         raise ValueError(f'{path} is no saved tree: {error}') from None
     missing = {'version', 'counters', *ARRAYS, *VALUES} - set(packed)
     if missing:
@@ -51,15 +55,40 @@ def load(path: str | PathLike[str]) -> dict[str, Any]:
     return packed
 
 
+def _check_arrays(ndim: int, packed: dict[str, Any]) -> None:
+    """ValueError unless the arrays have the types and lengths that belong together."""
+    capacity = len(packed['handles'])
+    fat = (capacity,) if len(packed['tight']) else (0,)
+    kinds = {
+        'nodes': (node_dtype(ndim), (2 * capacity,)),
+        'heights': (np.dtype(np.int16), (2 * capacity,)),
+        'tight': (box_dtype(ndim), fat),
+        'handles': (np.dtype(np.int64), (capacity,)),
+        'state': (np.dtype(np.int64), (4,)),
+    }
+    for name, (dtype, shape) in kinds.items():
+        array = packed[name]
+        if array.dtype != dtype or array.shape != shape:
+            raise ValueError(
+                f'the saved {name} must be {dtype} of shape {shape}, '
+                f'not {array.dtype} of shape {array.shape}'
+            )
+
+
 def unpack(tree: Any, packed: dict[str, Any]) -> None:
-    """Fill a new tree; RuntimeError if what was kept is not a sound one."""
-    tree.ndim, tree.margin = int(packed['ndim']), float(packed['margin'])
-    tree.sibling_search, tree._serial = str(packed['sibling_search']), int(packed['serial'])
+    """Fill a new tree; ValueError or RuntimeError if what was kept is not a sound one."""
+    tree.__init__(
+        int(packed['ndim']),
+        margin=float(packed['margin']),
+        sibling_search=str(packed['sibling_search']),
+    )
+    _check_arrays(tree.ndim, packed)
+    tree._serial = int(packed['serial'])
+    if tree._serial <= int(packed['handles'].max(initial=0)) >> SLOT_BITS:
+        raise ValueError(f'the saved next serial number {tree._serial} was given already')
     tree._counters = {str(name): int(count) for name, count in packed['counters']}
     for name in ARRAYS:
         setattr(tree, f'_{name}', np.array(packed[name]))
-    nodes = aligned_empty(len(tree._nodes), tree._nodes.dtype)
-    nodes[:] = tree._nodes
-    tree._nodes = nodes
-    tree._start()
+    tree._nodes = aligned_empty(len(packed['nodes']), packed['nodes'].dtype)
+    tree._nodes[:] = packed['nodes']
     tree.validate()

@@ -8,13 +8,13 @@ import numpy as np
 
 from .building import height_limit
 from .compiling import kernel
-from .nodes import COUNT, FREE_INNER, FREE_LEAF, NONE, ROOT, is_leaf
+from .nodes import COUNT, FREE_INNER, FREE_LEAF, NONE, ROOT, SLOT_MASK, is_leaf
 
 SOUND = 0
 COMPLAINTS = {
     1: 'the root has a parent',
     2: 'a child does not name its parent',
-    3: 'a leaf has no live handle',
+    3: 'a leaf has no live handle of its slot',
     4: 'a node is reached twice or lies outside the storage',
     5: 'the number of leaves reached is not the number of boxes',
     6: 'a free list does not hold exactly the free places',
@@ -23,6 +23,7 @@ COMPLAINTS = {
     9: 'a height is not one more than the higher child',
     10: 'a fat box does not contain the exact box',
     11: 'the tree is higher than 4 log2(n) + 4',
+    12: 'a box is not finite, or its lo exceeds its hi',
 }
 
 
@@ -33,6 +34,8 @@ def check_structure(nodes, handles, state):
     stack, top, leaves = np.empty(nodes.shape[0] + 1, np.int64), 0, 0
     if state[ROOT] != NONE:
         stack[0], top = state[ROOT], 1
+        if not 0 <= state[ROOT] < nodes.shape[0]:
+            return 4, state[ROOT]
         if nodes[state[ROOT]].parent != NONE:
             return 1, state[ROOT]
     while top > 0:
@@ -43,7 +46,7 @@ def check_structure(nodes, handles, state):
         seen[node] = True
         if is_leaf(node):
             leaves += 1
-            if handles[node >> 1] < 0:
+            if handles[node >> 1] < 0 or handles[node >> 1] & SLOT_MASK != node >> 1:
                 return 3, node
             continue
         for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
@@ -84,6 +87,9 @@ def check_metrics(nodes, heights, tight, state):
         if is_leaf(node):
             if heights[node] != 0:
                 return 9, node
+            for axis in range(here.lo.shape[0]):
+                if not (-np.inf < here.lo[axis] <= here.hi[axis] < np.inf):
+                    return 12, node
             if tight.shape[0] > 0:
                 box = tight[node >> 1]
                 for axis in range(here.lo.shape[0]):

@@ -71,7 +71,7 @@ def fill_ray(ray, center, per_length, ndim):
         farthest = max(farthest, abs(ray[ORIGIN, axis] - center[axis]) * per_length)
         ray[INVERSE, axis] = 1.0 / ray[DIRECTION, axis]
     suited = 1e-200 < largest < 1e200 and smallest > 1e-290 and farthest < FARTHEST_ORIGIN
-    return suited, largest
+    return suited and 1e-290 < largest * per_length < 1e290, largest
 
 
 @inlined
