@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Python client, against a stand-in for the node."""
 
+import os
 import threading
 import time
 
@@ -51,9 +52,10 @@ class FakeNode:
 
 
 @pytest.fixture
-def context():
+def context(monkeypatch):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     context = rclpy.Context()
-    rclpy.init(args=[], context=context)
+    rclpy.init(args=[], context=context, domain_id=1 + os.getpid() % 100)
     yield context
     rclpy.try_shutdown(context=context)
 
