@@ -204,7 +204,7 @@ def refit_all(nodes, heights, root):
     """Make every inner box tight again, children before parents, without changing the tree's
     shape.
     """
-    if is_leaf(root):
+    if root == NONE or is_leaf(root):
         return
     order, stack = np.empty(2 * 1024, np.int64), stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0

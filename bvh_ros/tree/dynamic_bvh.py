@@ -288,9 +288,11 @@ class DynamicBVH(RayQueries, BoxQueries):
         near, far = near[:near_count], far[:far_count]
         count = near_count + far_count
         self._counters['kept'] += len(slots) - count
-        self._changes += int(count > 0)
+        if not count:
+            return 0
+        self._changes += 1
         moved = slots, low, high, self.margin, ahead
-        if count and far_count >= REBUILD_SHARE * len(self):
+        if far_count >= REBUILD_SHARE * len(self):
             moving.write_rows(self._nodes, self._tight, near, *moved)
             moving.write_rows(self._nodes, self._tight, far, *moved)
             self.rebuild()
