@@ -130,6 +130,12 @@ def broken(array: Any, place: Any, value: Any) -> Any:
     return array
 
 
+def far_links(nodes: Any) -> Any:
+    nodes = nodes.copy()
+    nodes['left'] = nodes['right'] = nodes['parent'] = 2**31 - 1
+    return nodes
+
+
 FIELDS = {
     'of a later version': with_value('version', lambda v: v + 1),
     'without a version': without('version'),
@@ -142,6 +148,10 @@ FIELDS = {
     'with other handles': with_value('handles', lambda a: a[::-1]),
     'with a short state': with_value('state', lambda a: a[:2]),
     'with a negative root': with_value('state', lambda a: broken(a, 0, -9)),
+    'with a root outside': with_value('state', lambda a: broken(a, 0, 10**9)),
+    'with a root far below': with_value('state', lambda a: broken(a, 0, -(10**9))),
+    'with a free place outside': with_value('state', lambda a: broken(a, 2, 10**9)),
+    'with a link outside': with_value('nodes', lambda a: broken(a, slice(None), far_links(a))),
     'with nodes of plain numbers': with_value('nodes', lambda a: np.zeros((len(a), 8))),
     'with another ndim': with_value('ndim', lambda v: 2),
     'with ndim 7': with_value('ndim', lambda v: 7),
