@@ -79,7 +79,7 @@ def tf2_lookup(node: Node) -> Lookup | None:
         return None
     from rclpy.time import Time
 
-    buffer = tf2_ros.Buffer(node=node)
+    buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer, node)
 
     def lookup(target: str, source: str, stamp: int, _keep: object = listener) -> Transform:

@@ -8,6 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import rclpy
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -21,6 +22,7 @@ from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.scene import Scene
+from bvh_ros.tree import compiling
 
 if TYPE_CHECKING:
     from bvh_ros.ros.parameters import SourceSettings
@@ -45,6 +47,10 @@ class BvhNode(Node):
         super().__init__('bvh')
         settings = read_settings(self, {name: t.options for name, t in SOURCE_TYPES.items()})
         self.settings = settings
+        if not compiling.is_warm():
+            self.get_logger().info(
+                'first start on this machine: compiling, about a minute; later starts take seconds'
+            )
         self.scene = Scene(
             planar=settings.planar, margin=settings.margin, max_obstacles=settings.max_obstacles
         )
@@ -69,8 +75,10 @@ class BvhNode(Node):
         self.queries = QueryServices(self, self.scene, self.frames, self.sources)
         TriggerServices(self, self.scene, self.sources)
         Diagnostics(self, self.scene, self.queries, self.sources)
-        self.create_timer(EXPIRY_PERIOD, self._expire)
-        self.create_timer(QOS_PERIOD, self._check_qos)
+        # Real time: with simulated time these have to go on while nobody publishes /clock.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(EXPIRY_PERIOD, self._expire, clock=steady)
+        self.create_timer(QOS_PERIOD, self._check_qos, clock=steady)
         self.get_logger().info(self.in_words())
 
     def in_words(self) -> str:
@@ -82,16 +90,18 @@ class BvhNode(Node):
             if source.subscription is not None
         )
         parts = {
-            '2D tree of footprints': settings.planar,
-            '3D tree': not settings.planar,
-            f'margin {settings.margin:g} m': settings.margin > 0.0,
+            '2D tree of footprints' if settings.planar else '3D tree': True,
+            f'margin of {settings.margin:g} m' if settings.margin else 'margin': settings.margin
+            > 0.0,
             'tf2': self.frames.lookup is not None,
+            'python-fcl until a turned or round shape is asked about': False,
         }
-        used = ', '.join(part for part, on in parts.items() if on)
-        off = 'narrow phase (python-fcl) until a turned or round shape is asked about'
+        on, off = (
+            ', '.join(part for part in parts if parts[part] is used) for used in (True, False)
+        )
         return (
             f"ready in frame '{settings.frame_id}'; sources: {heard or 'none'}; "
-            f'on: {used}; off: {off}'
+            f'on: {on}; off: {off}'
         )
 
     def _create_source(self, settings: SourceSettings) -> Source:

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
-from bvh_ros.tree import compiling
 
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
 TURNED = (0.1, 0.2, 0.3, 0.9)
-SLOW = 1.0  # seconds: a step that takes longer was not in the cache
+SLOW = 0.5  # seconds: a step that takes longer was not in the cache
 
 Step = tuple[str, Callable[[], object]]
 Vector = tuple[float, float, float]
@@ -37,15 +36,12 @@ def warm_up(
     log : callable
         Takes a line about the progress, when there is something to wait for.
     """
-    first_ever = not compiling.is_warm()
-    if first_ever:
-        log('first start on this machine: compiling, about a minute; later starts take seconds')
     steps = _steps(Scene(planar=planar, margin=margin), sorted(kinds))
     for number, (name, call) in enumerate(steps, 1):
         began = time.perf_counter()
         call()
         took = time.perf_counter() - began
-        if first_ever or took > SLOW:
+        if took > SLOW:
             log(f'compiled {number} of {len(steps)}: {name} ({took:.1f} s)')
 
 

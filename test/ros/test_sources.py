@@ -165,6 +165,29 @@ def test_required_and_max_age(start_node, messages):
     assert answer()[0].startswith('error: ')
 
 
+def test_lifetime_in_simulated_time(start_node, messages):
+    from rosgraph_msgs.msg import Clock
+
+    world = start_node({'use_sim_time': True})
+    publisher = world.node.create_publisher(Clock, '/clock', 1)
+    world.until(lambda: publisher.get_subscription_count() > 0)
+
+    def say(seconds):
+        message = Clock()
+        message.clock.sec = seconds
+        publisher.publish(message)
+
+    say(100)
+    time.sleep(0.1)
+    world.markers(messages.marker(1, lifetime=0.3), messages.marker(2))
+    holds(world, 'a/1', 'a/2')
+    time.sleep(0.5)  # real time does not count
+    assert world.everything() == {'a/1', 'a/2'}
+    say(101)
+    holds(world, 'a/2')
+    world.node.destroy_publisher(publisher)
+
+
 def test_planar(start_node, messages):
     world = start_node({'planar': True})
     world.markers(messages.marker(1, (5, 0, 100)), messages.marker(2, (5, 9, 0), type=3))
