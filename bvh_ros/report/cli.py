@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from . import peers, speed
+from . import error, peers, speed
 from .page import Page
 from .progress import Progress
 
-PARTS = {'peers': peers, 'speed': speed}
+PARTS = {'error': error, 'peers': peers, 'speed': speed}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,0 +1,21 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_report error`: how wrong each way of answering is, against how long it takes."""
+
+from ..page import Page
+from ..progress import Progress
+from . import box_scenes
+
+SECTIONS = (box_scenes.random_scene,)
+
+
+def steps(brief: bool) -> int:
+    """How often the progress bar will move."""
+    return len(SECTIONS) * (box_scenes.REPEATS_QUICK if brief else box_scenes.REPEATS)
+
+
+def run(page: Page, progress: Progress, brief: bool) -> None:
+    """Measure every scene."""
+    page.add('## Error against run time')
+    for section in SECTIONS:
+        section(page, progress, brief)

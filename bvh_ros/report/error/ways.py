@@ -1,0 +1,127 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ways of answering: what each does, and a run of all of them that measures error and time."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...tree import DynamicBVH, raycasting
+from ...tree.nodes import SLOT_MASK
+from ..page import Page
+from ..progress import Progress
+from ..scenes import Boxes, Rays
+from ..tables import Table
+from ..timing import Job, Timing, interleaved
+from . import plain
+from .picture import Point, tradeoff
+from .scoring import HEADER, Answer, Score, cells, score
+from .truth import NOTHING, Truth, brute_force
+
+
+class Way(NamedTuple):
+    """One way to answer the rays of a scene."""
+
+    run: Callable[[], Answer]
+    family: str
+    """Ways of one family look alike in the picture."""
+    rays: int | None = None
+    """How many rays it answers, the first ones; None: all."""
+
+
+class Panel(NamedTuple):
+    """One kind of error in a picture."""
+
+    label: str
+    error: Callable[[Score], float]
+
+
+WRONG = Panel('wrong answers, share of the rays', lambda s: s.wrong)
+RELATIVE = Panel('largest relative error of the distance', lambda s: s.relative)
+MEAN = Panel('mean error of the distance, m', lambda s: s.mean)
+SLOW_RAYS = 500  # of a way that takes a millisecond each
+
+
+def tree_answer(tree: DynamicBVH, rays: Rays) -> Answer:
+    """First hits in one batch, of a tree built at once: its slots are the rows."""
+    hits = tree.raycast_many(*rays)
+    return Answer(np.where(hits.ids >= 0, hits.ids & SLOT_MASK, NOTHING), hits.t)
+
+
+def one_by_one(tree: DynamicBVH, rays: Rays) -> Answer:
+    """First hits by a call each."""
+    hits = [tree.raycast(*ray) for ray in zip(*rays, strict=True)]
+    return Answer(
+        np.array([hit.id & SLOT_MASK if hit else NOTHING for hit in hits]),
+        np.array([hit.t if hit else np.inf for hit in hits]),
+    )
+
+
+def head(rays: Rays, count: int | None) -> Rays:
+    """The first rays."""
+    return Rays(rays.origins[:count], rays.directions[:count])
+
+
+def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
+    """Ways to cast rays at axis-aligned boxes."""
+    tree = DynamicBVH.from_boxes(*boxes)
+    few = head(rays, SLOW_RAYS)
+
+    def rounded() -> Answer:
+        with plain.rounded_decisions():
+            return tree_answer(tree, rays)
+
+    binary = plain.BinaryCast(tree, rays, raycasting.raycast_rows)
+    binary_plain = plain.BinaryCast(tree, rays, plain.binary_kernel())
+    single = plain.BinaryCast(tree, rays, plain.binary_kernel(), np.float32)
+    return {
+        'bvh_ros, batch': Way(lambda: tree_answer(tree, rays), 'exact'),
+        'bvh_ros, one call a ray': Way(lambda: one_by_one(tree, few), 'exact', SLOW_RAYS),
+        'bvh_ros, binary tree': Way(binary, 'exact'),
+        'batch, plain float64 leaves': Way(rounded, 'float64'),
+        'binary tree, plain float64 leaves': Way(binary_plain, 'float64'),
+        'binary tree, float32': Way(single, 'float32'),
+        'brute force, float64': Way(
+            lambda: Answer(*brute_force(boxes, few)), 'brute force', SLOW_RAYS
+        ),
+    }
+
+
+def compare(
+    ways: Mapping[str, Way], truth: Truth, repeats: int, progress: Progress
+) -> tuple[dict[str, Score], dict[str, Timing]]:
+    """Score every way against the truth, and let them take turns."""
+    scores = {}
+    for name, way in ways.items():
+        answer = way.run()
+        scores[name] = score(answer, truth._replace(rows=truth.rows[: len(answer.rows)]))
+    jobs = {name: Job(way.run, scores[name].rays) for name, way in ways.items()}
+    return scores, interleaved(jobs, repeats, progress.step)
+
+
+def show(
+    page: Page,
+    name: str,
+    title: str,
+    ways: Mapping[str, Way],
+    found: tuple[dict[str, Score], dict[str, Timing]],
+    panels: Sequence[Panel] = (WRONG, RELATIVE),
+) -> None:
+    """Table and picture of one scene."""
+    scores, times = found
+    rows = [
+        [way, times[way].nanoseconds / 1e3, scores[way].rays, *cells(scores[way])] for way in ways
+    ]
+    page.table(Table(f'error_{name}', ['way', 'us a ray', 'rays', *HEADER], rows))
+    points = [
+        Point(
+            way,
+            times[way].nanoseconds / 1e3,
+            [panel.error(scores[way]) for panel in panels],
+            ways[way].family,
+        )
+        for way in ways
+    ]
+    path = page.plot(f'error_{name}', f'Error against run time: {title}')
+    tradeoff(path, points, [panel.label for panel in panels], title)
