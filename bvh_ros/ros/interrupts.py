@@ -11,32 +11,31 @@ from contextlib import contextmanager
 
 
 class Interrupts:
-    """Notes SIGINT and SIGTERM, and while compiling ends the process at once.
+    """Notes SIGINT and SIGTERM, and while the node starts ends the process at once.
 
     To be made before `rclpy.init`, whose own handlers end the spinning and then call this one.
     """
 
     def __init__(self) -> None:
         self.received = False
-        self._compiling = False
+        self._starting = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     @contextmanager
-    def while_compiling(self) -> Iterator[None]:
+    def while_starting(self) -> Iterator[None]:
         """End the process at once: kernels take seconds, and the compiler swallows exceptions.
 
-        Nothing is half done then, because kernels reach their cache by renaming whole files.
+        Nobody has been promised anything yet, and nothing is left half done, because kernels
+        reach their cache by renaming whole files.
         """
-        self._compiling = True
-        if self.received:  # before rclpy was there to end anything
-            os._exit(0)
+        self._starting = True
         try:
             yield
         finally:
-            self._compiling = False
+            self._starting = False
 
     def _on_signal(self, _number: int, _frame: object) -> None:
         self.received = True
-        if self._compiling:
+        if self._starting:
             os._exit(0)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException, ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
@@ -131,12 +131,13 @@ def main(args: list[str] | None = None) -> int:
     """Run the node until Ctrl-C or SIGTERM; return the exit code."""
     interrupts = Interrupts()
     try:
-        rclpy.init(args=args)
-        node = BvhNode()
-        with interrupts.while_compiling():
+        with interrupts.while_starting():
+            rclpy.init(args=args)
+            node = BvhNode()
             node.compile()
-        node.serve()
-        rclpy.spin(node)
+            node.serve()
+            executor = SingleThreadedExecutor()
+        rclpy.spin(node, executor)
     except ExternalShutdownException:
         pass
     except (ConfigurationError, RCLError) as error:
