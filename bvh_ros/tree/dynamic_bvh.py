@@ -19,6 +19,7 @@ from .nodes import (
     LAST_SERIAL,
     NONE,
     ROOT,
+    SLOT_BITS,
     SLOT_MASK,
     aligned_empty,
     box_dtype,
@@ -410,6 +411,8 @@ class DynamicBVH(RayQueries, BoxQueries):
             complaint, node = validation.check_metrics(
                 self._nodes, self._heights, self._tight, self._state
             )
+        if complaint == validation.SOUND and self._handles.max() >> SLOT_BITS >= self._serial:
+            complaint, node = validation.FUTURE_HANDLE, 2 * int(self._handles.argmax())
         if complaint != validation.SOUND:
             raise RuntimeError(f'{validation.COMPLAINTS[complaint]} (node {node})')
 

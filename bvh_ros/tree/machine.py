@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What numba's own language lacks: small arrays on the stack, and operations on eight boxes at a
-time (LLVM vectors).
-"""
+"""What numba's own language lacks: small arrays on the stack, and LLVM's vector operations."""
 
 from typing import Any
 
@@ -12,10 +10,12 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array, populate_array
 
-LANES = 8
+LANES = 8  # floats of a box: lower and upper bounds, padded
+WIDTH = 16  # children of a wide node
 
-_FLOAT, _BIT, _BYTE, _INT = ir.FloatType(), ir.IntType(1), ir.IntType(8), ir.IntType(32)
+_FLOAT, _BIT, _INT = ir.FloatType(), ir.IntType(1), ir.IntType(32)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
+_WIDE = ir.VectorType(_FLOAT, WIDTH)
 
 
 @intrinsic(prefer_literal=True)
@@ -42,11 +42,9 @@ def stack_array(typingctx, size, dtype):
 
 
 def _splat(builder: Any, scalar: Any) -> Any:
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(_INT, 0))
+    one = builder.insert_element(ir.Constant(_WIDE, ir.Undefined), scalar, ir.Constant(_INT, 0))
     return builder.shuffle_vector(
-        one,
-        ir.Constant(_VECTOR, ir.Undefined),
-        ir.Constant(ir.VectorType(_INT, LANES), [0] * LANES),
+        one, ir.Constant(_WIDE, ir.Undefined), ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH)
     )
 
 
@@ -55,8 +53,8 @@ def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
 
 
 @intrinsic
-def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):
-    """Test one ray against the eight boxes that begin at planes[base]; entries get their
+def slab16(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):
+    """Test one ray against the sixteen boxes that begin at planes[base]; entries get their
     distances; returns a bit mask of hits.
 
     near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints
@@ -70,23 +68,25 @@ def slab8(typingctx, planes, base, near, far, inverse, near_shift, far_shift, li
         out = context.make_array(signature.args[-1])(context, builder, args[-1]).data
         base, near, far, inverse, near_shift, far_shift, limit = args[1:8]
         fma = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_VECTOR, [_VECTOR] * 3), 'llvm.fma.v8f32'
+            builder.module, ir.FunctionType(_WIDE, [_WIDE] * 3), 'llvm.fma.v16f32'
         )
 
         def distance(offsets: Any, shifts: Any, axis: int) -> Any:
             place = builder.gep(data, [builder.add(base, builder.extract_value(offsets, axis))])
-            plane = builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=4)
+            plane = builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
             slope = _splat(builder, builder.extract_value(inverse, axis))
             return builder.call(
                 fma, [plane, slope, _splat(builder, builder.extract_value(shifts, axis))]
             )
 
-        entry, leave = ir.Constant(_VECTOR, [0.0] * LANES), _splat(builder, limit)
+        entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), _splat(builder, limit)
         for axis in range(signature.args[2].count):
             entry = _pick(builder, '>', distance(near, near_shift, axis), entry)
             leave = _pick(builder, '<', distance(far, far_shift, axis), leave)
-        builder.store(entry, builder.bitcast(out, _VECTOR.as_pointer()), align=4)
-        return builder.zext(builder.bitcast(builder.fcmp_ordered('<=', entry, leave), _BYTE), _INT)
+        builder.store(entry, builder.bitcast(out, _WIDE.as_pointer()), align=4)
+        return builder.zext(
+            builder.bitcast(builder.fcmp_ordered('<=', entry, leave), ir.IntType(WIDTH)), _INT
+        )
 
     return sig, codegen
 

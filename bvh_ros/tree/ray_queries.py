@@ -9,7 +9,6 @@ from . import checks, raycasting, wide, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL
 from .results import RayHit, RayHits
-from .slab import INSIDE
 
 # Sizes from which sorting a batch pays, measured: the tree no longer fits the nearest cache.
 SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
@@ -125,10 +124,9 @@ class RayQueries(Arrays):
         slots, ts, axes = self._first(
             starts, ways, t_max, mask, skip_inside, raycasting.CLOSEST, threads
         )
-        normals = np.zeros_like(starts)
-        rows = np.flatnonzero(axes != INSIDE)
-        normals[rows, axes[rows]] = -np.sign(ways[rows, axes[rows]])
-        return RayHits(self._to_handles(slots), ts, normals)
+        normals = np.empty_like(starts)
+        raycasting.describe(self._handles, slots, axes, ways, normals)
+        return RayHits(slots, ts, normals)
 
     def occluded_many(
         self,

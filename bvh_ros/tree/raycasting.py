@@ -298,3 +298,15 @@ def raycast_one(
         return NONE, np.inf
     locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
     return slots[0], ts[0]
+
+
+@lean_kernel
+def describe(handles, slots, axes, directions, normals):
+    """Turn slots into handles in place, and write the normals of the faces entered."""
+    for i in range(slots.shape[0]):
+        for k in range(directions.shape[1]):
+            normals[i, k] = 0.0
+        if slots[i] >= 0:
+            slots[i] = handles[slots[i]]
+            if axes[i] != INSIDE:
+                normals[i, axes[i]] = -1.0 if directions[i, axes[i]] > 0.0 else 1.0

@@ -11,6 +11,7 @@ from .compiling import kernel
 from .nodes import COUNT, FREE_INNER, FREE_LEAF, NONE, ROOT, SLOT_MASK, is_leaf
 
 SOUND = 0
+FUTURE_HANDLE = 13
 COMPLAINTS = {
     1: 'the root has a parent',
     2: 'a child does not name its parent',
@@ -24,6 +25,7 @@ COMPLAINTS = {
     10: 'a fat box does not contain the exact box',
     11: 'the tree is higher than 4 log2(n) + 4',
     12: 'a box is not finite, or its lo exceeds its hi',
+    FUTURE_HANDLE: 'a leaf has a handle that was never given',
 }
 
 

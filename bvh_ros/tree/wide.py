@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A read-only snapshot of the tree for batches of rays: nodes of eight children, whose boxes are
+"""A read-only snapshot of the tree for batches of rays: nodes of sixteen children, whose boxes are
 tested with one vector operation.
 
 The snapshot is a filter and decides nothing: see `wide_raycasting`. Its boxes are float32 in units
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .area import area_scale, node_area
 from .compiling import inlined, kernel, lean_kernel
-from .machine import LANES, stack_array
+from .machine import WIDTH, stack_array
 from .nodes import DEEPEST, is_leaf
 from .overlapping import grown
 
@@ -31,7 +31,7 @@ SMALLEST_SCENE, LARGEST_SCENE = 1e-200, 1e200
 
 
 DEEPEST_WIDE = (
-    DEEPEST * (LANES - 1) + 1
+    DEEPEST * (WIDTH - 1) + 1
 )  # a stack of wide nodes: all but one of the lanes on every level
 
 
@@ -39,11 +39,11 @@ class Snapshot(NamedTuple):
     """The arrays that `wide_raycasting` reads."""
 
     planes: NDArray[np.float32]
-    """Per node and axis eight lower, then per axis eight upper planes."""
+    """Per node and axis sixteen lower, then per axis sixteen upper planes."""
     kids: NDArray[np.int32]
-    """Eight a node: a wide node, or ~slot of a leaf."""
+    """Sixteen a node: a wide node, or ~slot of a leaf."""
     masks: NDArray[np.uint32]
-    """Eight a node."""
+    """Sixteen a node."""
     center: NDArray[np.float64]
     """Of the scene, in its units, shape (ndim,)."""
     per_length: float
@@ -67,10 +67,10 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
         return None
     center, per_length = lo * 0.5 + hi * 0.5, 2.0 ** -math.ceil(math.log2(half))
     places = len(nodes) // 2
-    least, shares = np.empty((places, LANES), np.float32), np.empty((places, LANES), np.uint8)
+    least, shares = np.empty((places, WIDTH), np.float32), np.empty((places, WIDTH), np.uint8)
     count = plan_collapse(nodes, root, least, shares)
-    planes = np.empty(count * 2 * LANES * nodes['lo'].shape[1], np.float32)
-    kids, masks = np.empty(count * LANES, np.int32), np.empty(count * LANES, np.uint32)
+    planes = np.empty(count * 2 * WIDTH * nodes['lo'].shape[1], np.float32)
+    kids, masks = np.empty(count * WIDTH, np.int32), np.empty(count * WIDTH, np.uint32)
     collapse(nodes, root, shares, center, per_length, planes, kids, masks)
     return Snapshot(planes, kids, masks, center, per_length)
 
@@ -110,7 +110,7 @@ def plan_collapse(nodes, root, least, shares):
         node = order[place]
         left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
         here, share = least[node >> 1], shares[node >> 1]
-        for lanes in range(2, LANES + 1):
+        for lanes in range(2, WIDTH + 1):
             best, best_share = np.float32(np.inf), 0
             for given in range(1, lanes):
                 cost = np.float32(0.0)
@@ -121,8 +121,8 @@ def plan_collapse(nodes, root, least, shares):
                 if cost < best:
                     best, best_share = cost, given
             here[lanes - 1], share[lanes - 1] = best, best_share
-        here[0], share[0] = np.float32(node_area(nodes, node, scale)) + here[LANES - 1], 0
-        for lanes in range(2, LANES + 1):
+        here[0], share[0] = np.float32(node_area(nodes, node, scale)) + here[WIDTH - 1], 0
+        for lanes in range(2, WIDTH + 1):
             if here[lanes - 2] <= here[lanes - 1]:
                 here[lanes - 1], share[lanes - 1] = here[lanes - 2], share[lanes - 2]
     return count_wide(nodes, root, shares)
@@ -131,7 +131,7 @@ def plan_collapse(nodes, root, least, shares):
 @lean_kernel
 def count_wide(nodes, root, shares):
     """How many wide nodes the plan makes."""
-    stack, members = stack_array(DEEPEST_WIDE, np.int64), stack_array(LANES, np.int64)
+    stack, members = stack_array(DEEPEST_WIDE, np.int64), stack_array(WIDTH, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
@@ -148,9 +148,9 @@ def _gather(nodes, shares, node, members):
     many.
     """
     members[0], members[1] = nodes[node].left, nodes[node].right
-    lanes = stack_array(LANES, np.int64)
-    lanes[0] = shares[node >> 1, LANES - 1]
-    lanes[1] = LANES - lanes[0]
+    lanes = stack_array(WIDTH, np.int64)
+    lanes[0] = shares[node >> 1, WIDTH - 1]
+    lanes[1] = WIDTH - lanes[0]
     count, i = 2, 0
     while i < count:
         member = members[i]
@@ -182,13 +182,13 @@ def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
     Node by node in the order of breadth, so that the top, which every ray visits, lies together.
     """
     ndim = nodes[root].lo.shape[0]
-    stride = 2 * ndim * LANES
-    members = stack_array(LANES, np.int64)
-    queue = np.empty(kids.shape[0] // LANES, np.int64)
+    stride = 2 * ndim * WIDTH
+    members = stack_array(WIDTH, np.int64)
+    queue = np.empty(kids.shape[0] // WIDTH, np.int64)
     queue[0], made, at = root, 1, 0
     while at < made:
         size = _gather(nodes, shares, queue[at], members)
-        for lane in range(LANES):
+        for lane in range(WIDTH):
             place = at * stride + lane
             here = nodes[members[lane if lane < size else 0]]
             visible = lane < size and here.mask != 0
@@ -197,9 +197,9 @@ def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
                 if visible:
                     lo = _down32((here.lo[axis] - center[axis]) * per_length)
                     hi = _up32((here.hi[axis] - center[axis]) * per_length)
-                planes[place + axis * LANES] = lo
-                planes[place + (axis + ndim) * LANES] = hi
-            place = at * LANES + lane
+                planes[place + axis * WIDTH] = lo
+                planes[place + (axis + ndim) * WIDTH] = hi
+            place = at * WIDTH + lane
             masks[place], kids[place] = 0, -1
             if visible:
                 masks[place] = here.mask

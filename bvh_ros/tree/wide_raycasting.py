@@ -1,7 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of rays through the wide snapshot: eight boxes a vector operation in float32, decided in
-float64.
+"""Batches of rays through the wide snapshot: sixteen boxes a vector operation, decided in float64.
 
 The distance of a plane is fma(plane, 1 / d, -o / d) in the snapshot's units. With e = 2**-24, the
 rounding of 1 / d, of o / d and of the result make an error of at most |1 / d| (1 + |o|) 2 e (1 + 4
@@ -20,7 +19,7 @@ import math
 import numpy as np
 
 from .compiling import inlined, lean_kernel
-from .machine import LANES, slab8, stack_array, trailing_zeros
+from .machine import WIDTH, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
 from .raycasting import is_before, load_ray
 from .slab import DIRECTION, INSIDE, INVERSE, ORIGIN, PAD, TINY, meets, near_plane, plane_distance
@@ -76,7 +75,7 @@ def fill_ray(ray, center, per_length, ndim):
 
 @inlined
 def axis_constants(ray, axis, center, per_length, largest, ndim):
-    """For `slab8`: near and far plane offsets, inverse, near shift, far shift of one axis, with
+    """For `slab16`: near and far plane offsets, inverse, near shift, far shift of one axis, with
     the largest direction made 1.
     """
     inverse = ray[INVERSE, axis] * largest
@@ -84,8 +83,8 @@ def axis_constants(ray, axis, center, per_length, largest, ndim):
     origin = (ray[ORIGIN, axis] - center[axis]) * per_length
     pad = PAD32 * slope * (1.0 + abs(origin))
     slope = math.copysign(slope, inverse)
-    near = axis * LANES if slope > 0.0 else (axis + ndim) * LANES
-    far = (2 * axis + ndim) * LANES - near
+    near = axis * WIDTH if slope > 0.0 else (axis + ndim) * WIDTH
+    far = (2 * axis + ndim) * WIDTH - near
     shift = -origin * slope
     return near, far, np.float32(slope), np.float32(shift - pad), np.float32(shift + pad)
 
@@ -118,7 +117,7 @@ def cast(
 ):
     """First hit of one ray (or any): (slot, axis); slot NONE where there is none."""
     ndim = ray.shape[1]
-    stride = 2 * ndim * LANES
+    stride = 2 * ndim * WIDTH
     near_x, far_x, inverse_x, in_x, out_x = axis_constants(
         ray, 0, center, per_length, largest, ndim
     )
@@ -158,7 +157,7 @@ def cast(
             continue
         base = np.int64(child)
         if ndim == 2:
-            hits = slab8(
+            hits = slab16(
                 planes,
                 base * stride,
                 (near_x, near_y),
@@ -170,7 +169,7 @@ def cast(
                 entries,
             )
         else:
-            hits = slab8(
+            hits = slab16(
                 planes,
                 base * stride,
                 (near_x, near_y, near_z),
@@ -185,14 +184,14 @@ def cast(
         while hits != np.uint32(0):
             lane = np.int64(trailing_zeros(hits))
             hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
-            if mask != ALL32 and wide_masks[base * LANES + lane] & mask == 0:
+            if mask != ALL32 and wide_masks[base * WIDTH + lane] & mask == 0:
                 continue
             entry = entries[lane]
             place = top
             while place > floor and stack_entry[place - 1] < entry:
                 stack_entry[place], stack[place] = stack_entry[place - 1], stack[place - 1]
                 place -= 1
-            stack_entry[place], stack[place] = entry, kids[base * LANES + lane]
+            stack_entry[place], stack[place] = entry, kids[base * WIDTH + lane]
             top += 1
     return best, best_axis
 
@@ -223,7 +222,7 @@ def cast_rows(
     """Cast the rays of `order`; those not suited are marked in `left_over`. `ray` is scratch."""
     ndim = origins.shape[1]
     stack, stack_entry = stack_array(DEEPEST_WIDE, np.int32), stack_array(DEEPEST_WIDE, np.float32)
-    entries = stack_array(LANES, np.float32)
+    entries = stack_array(WIDTH, np.float32)
     for i in order:
         load_ray(ray, origins, directions, i)
         suited, largest = fill_ray(ray, center, per_length, ndim)
