@@ -59,34 +59,50 @@ def _keep(slots, distances, handles, count, k, slot, gap):
     return count + 1
 
 
+@inlined
+def _square(lo, hi, point):
+    """Squared distance, only to prune by: where it overflows or vanishes, so does its limit."""
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        total += gap * gap
+    return total
+
+
 @lean_kernel
 def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, distances):
     """Write the k nearest within `max_distance`, nearest first; return how many there are."""
     if root == NONE or k == 0:
         return 0
-    stack, bounds = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], bounds[0], top = root, 0.0, 1
+    stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], squares[0], top = root, 0.0, 1
     count = 0
+    limit = max_distance * max_distance * PAD * PAD + TINY
     while top > 0:
         top -= 1
-        node, bound = stack[top], bounds[top]
-        limit = distances[k - 1] if count == k else max_distance
-        if bound > limit * PAD + TINY or nodes[node].mask & mask == 0:
+        node = stack[top]
+        if squares[top] > limit or nodes[node].mask & mask == 0:
             continue
-        if is_leaf(node):
-            lo, hi = leaf_box(nodes, tight, node)
-            gap = distance(lo, hi, point)
-            if gap <= max_distance:
-                count = _keep(slots, distances, handles, count, k, node >> 1, gap)
+        while not is_leaf(node):
+            near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
+            near_square = _square(nodes[near].lo, nodes[near].hi, point)
+            far_square = _square(nodes[far].lo, nodes[far].hi, point)
+            if far_square < near_square:
+                near, far, near_square, far_square = far, near, far_square, near_square
+            if far_square <= limit:
+                stack[top], squares[top] = far, far_square
+                top += 1
+            node = near
+            if near_square > limit or nodes[near].mask & mask == 0:
+                break
+        if not is_leaf(node) or nodes[node].mask & mask == 0:
             continue
-        near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        near_bound = distance(nodes[near].lo, nodes[near].hi, point)
-        far_bound = distance(nodes[far].lo, nodes[far].hi, point)
-        if far_bound < near_bound:
-            near, far, near_bound, far_bound = far, near, far_bound, near_bound
-        stack[top], bounds[top] = far, far_bound
-        stack[top + 1], bounds[top + 1] = near, near_bound
-        top += 2
+        lo, hi = leaf_box(nodes, tight, node)
+        gap = distance(lo, hi, point)
+        if gap <= max_distance:
+            count = _keep(slots, distances, handles, count, k, node >> 1, gap)
+            if count == k:
+                limit = distances[k - 1] * distances[k - 1] * PAD * PAD + TINY
     return count
 
 
