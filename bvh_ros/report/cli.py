@@ -12,6 +12,7 @@ from . import error, peers, speed
 from .page import Page
 from .progress import Progress
 
+DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
 PARTS = {'error': error, 'peers': peers, 'speed': speed}
 
 
@@ -22,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit("bvh_report draws with matplotlib: pip install 'bvh_ros[report]'")
     parts = list(PARTS.values()) if options.part == 'all' else [PARTS[options.part]]
     with Progress(sum(part.steps(options.quick) for part in parts)) as progress:
-        page = Page(options.out, progress.write)
+        page = Page(options.out, progress.write, options.data)
         for part in parts:
             part.run(page, progress, options.quick)
     print(f'written: {page.write()}')
@@ -33,11 +34,15 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         'part',
         choices=[*PARTS, 'all'],
-        help='peers: other libraries on the same work; '
+        help='error: how wrong each way of answering is, against its time; '
+        'peers: other libraries on the same work; '
         'speed: growth, calls, policies, searches, cold start',
     )
     parser.add_argument(
         '--out', type=Path, default=Path('report_out'), help='folder to write to (%(default)s)'
+    )
+    parser.add_argument(
+        '--data', type=Path, default=DATA, help='folder of the recordings (%(default)s)'
     )
     parser.add_argument(
         '--quick',

@@ -4,7 +4,7 @@
 
 import os
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -22,11 +22,16 @@ class Page:
         Where `report.md`, the CSV files and the plots go; made if it is not there.
     say : callable
         Prints what is added.
+    data : Path
+        Folder of recorded input, for the parts that use some.
     """
 
-    def __init__(self, folder: Path, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, folder: Path, say: Callable[[str], None], data: Path = Path('data')
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
+        self.data = data
         self._say = say
         self._parts: list[str] = []
         self.add('# bvh_ros: report')
@@ -36,6 +41,14 @@ class Page:
         """Add a heading or a paragraph."""
         self._say(f'{text}\n')
         self._parts.append(text)
+
+    def misses(self, files: Iterable[Path]) -> bool:
+        """Whether one of the recordings is not there; the page then says which."""
+        for file in files:
+            if not file.is_file():
+                self.add(f'Left out: there is no file {file} (see --data).')
+                return True
+        return False
 
     def table(self, table: Table) -> None:
         """Add a table, and write it as CSV."""

@@ -41,6 +41,8 @@ def show(cell: Cell) -> str:
     """Text of a cell: three significant digits, thousands grouped."""
     if cell is None:
         return ''
+    if isinstance(cell, float) and abs(cell) >= 1e7:
+        return f'{cell:.3g}'
     if isinstance(cell, float):
         return f'{cell:,.0f}' if abs(cell) >= 100 else f'{cell:.3g}'
     return f'{cell:,}' if isinstance(cell, int) else cell

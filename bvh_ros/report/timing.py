@@ -36,9 +36,13 @@ def seconds(run: Callable[[], Any]) -> float:
 
 
 def interleaved(
-    jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None]
+    jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None], warm: bool = False
 ) -> dict[str, Timing]:
-    """Run the jobs in turns, after an untimed run each; `tick` is called after each turn."""
+    """Run the jobs in turns, after an untimed run each; `tick` is called after each turn.
+
+    `warm`: an untimed run before every timed one, so that short jobs don't pay for what the job
+    before them has driven from the caches.
+    """
     first = {name: job.run() for name, job in jobs.items()}
     counts = {
         name: job.answers(first[name]) if job.answers else None for name, job in jobs.items()
@@ -46,6 +50,8 @@ def interleaved(
     took: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(repeats):
         for name, job in jobs.items():
+            if warm:
+                job.run()
             took[name].append(seconds(job.run) / job.units)
         tick()
     return {

@@ -4,14 +4,20 @@
 
 from ..page import Page
 from ..progress import Progress
-from . import box_scenes
+from . import box_scenes, shape_scenes, ways
 
-SECTIONS = (box_scenes.random_scene,)
+SECTIONS = (
+    box_scenes.random_scene,
+    box_scenes.adversarial_scene,
+    box_scenes.building_scene,
+    shape_scenes.random_shapes,
+    shape_scenes.shelves,
+)
 
 
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
-    return len(SECTIONS) * (box_scenes.REPEATS_QUICK if brief else box_scenes.REPEATS)
+    return len(SECTIONS) * ways.repeats(brief)
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:

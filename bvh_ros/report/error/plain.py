@@ -128,4 +128,5 @@ def _as(records: Any, number: type) -> Any:
         (name, number if name in ('lo', 'hi') else kind.base, kind.shape)
         for name, (kind, _) in records.dtype.fields.items()
     ]
-    return records.astype(fields)
+    with np.errstate(all='ignore'):  # free places hold anything
+        return records.astype(fields)

@@ -33,7 +33,7 @@ class Score(NamedTuple):
     wrong_first: int
     """An object is met first that is not: farther, or not met at all."""
     distances: Floats
-    """|t - exact t| of all rays that meet something and should."""
+    """|t - exact t| in metres, of all rays that meet something and should."""
     relative: float
     """Largest relative error of t where the first object is right."""
     ulps: float
@@ -84,7 +84,7 @@ def score(answer: Answer, truth: Truth) -> Score:
             misses += exact is not None and row == NOTHING
             continue
         error = abs(Fraction(t) - exact)
-        distances.append(float(error))
+        distances.append(float(error) * float(truth.lengths[ray]))
         if row != true_row and truth.entry(row, ray) != exact:
             firsts += 1
         elif error:

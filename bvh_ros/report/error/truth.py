@@ -32,6 +32,8 @@ class Truth(NamedTuple):
     """Exact distance to it."""
     entry: Callable[[int, int], Fraction | None]
     """Exact distance at which a ray enters an object: entry(row, ray)."""
+    lengths: Floats
+    """(n,) of the directions, m: distances are in units of them."""
 
 
 @njit(nogil=True)
@@ -108,7 +110,7 @@ def boxes_truth(boxes: Boxes, rays: Rays) -> Truth:
                 return found[:count]
             found = np.empty(count, np.int64)
 
-    return _settle(len(starts), candidates, entry)
+    return _settle(rays, candidates, entry)
 
 
 def shapes_truth(shapes: Shapes, rays: Rays) -> Truth:
@@ -131,21 +133,22 @@ def shapes_truth(shapes: Shapes, rays: Rays) -> Truth:
         apart = np.linalg.norm(offset - along[:, None] * way, axis=1)
         return np.flatnonzero(apart <= reach)
 
-    return _settle(len(starts), candidates, entry)
+    return _settle(rays, candidates, entry)
 
 
 def _settle(
-    count: int,
+    rays: Rays,
     candidates: Callable[[int], Rows],
     entry: Callable[[int, int], Fraction | None],
 ) -> Truth:
+    count = len(rays.origins)
     rows, ts = np.full(count, NOTHING, np.int64), []
     for ray in range(count):
         met = [(t, row) for row in candidates(ray).tolist() if (t := entry(row, ray)) is not None]
         ts.append(min(met)[0] if met else None)
         if met:
             rows[ray] = min(met)[1]
-    return Truth(rows, ts, entry)
+    return Truth(rows, ts, entry, np.linalg.norm(rays.directions, axis=1))
 
 
 def brute_force(boxes: Boxes, rays: Rays) -> tuple[Rows, Floats]:

@@ -15,7 +15,7 @@ from ..scenes import Boxes, Rays
 from ..tables import Table
 from ..timing import Job, Timing, interleaved
 from . import plain
-from .picture import Point, tradeoff
+from .picture import Panel, Point, tradeoff
 from .scoring import HEADER, Answer, Score, cells, score
 from .truth import NOTHING, Truth, brute_force
 
@@ -26,21 +26,30 @@ class Way(NamedTuple):
     run: Callable[[], Answer]
     family: str
     """Ways of one family look alike in the picture."""
-    rays: int | None = None
-    """How many rays it answers, the first ones; None: all."""
 
 
-class Panel(NamedTuple):
-    """One kind of error in a picture."""
+class Shown(NamedTuple):
+    """One kind of error, as a panel of the picture."""
 
     label: str
     error: Callable[[Score], float]
+    floor: float | None
+    """Where zero is drawn; None: at a tenth of one ray in all."""
+    top: float
 
 
-WRONG = Panel('wrong answers, share of the rays', lambda s: s.wrong)
-RELATIVE = Panel('largest relative error of the distance', lambda s: s.relative)
-MEAN = Panel('mean error of the distance, m', lambda s: s.mean)
-SLOW_RAYS = 500  # of a way that takes a millisecond each
+WRONG = Shown('wrong answers, share of the rays', lambda s: s.wrong, None, 1.0)
+RELATIVE = Shown(
+    'largest relative error of the distance\n(where the object is right)',
+    lambda s: s.relative, 1e-18, 1e-2,
+)
+MEAN = Shown('mean error of the distance, m', lambda s: s.mean, 1e-18, 10.0)
+SLOW_RAYS = 200  # the first ones, for a way that takes milliseconds each
+
+
+def repeats(brief: bool) -> int:
+    """How often each way takes its turn."""
+    return 2 if brief else 9
 
 
 def tree_answer(tree: DynamicBVH, rays: Rays) -> Answer:
@@ -58,15 +67,10 @@ def one_by_one(tree: DynamicBVH, rays: Rays) -> Answer:
     )
 
 
-def head(rays: Rays, count: int | None) -> Rays:
-    """The first rays."""
-    return Rays(rays.origins[:count], rays.directions[:count])
-
-
 def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
     """Ways to cast rays at axis-aligned boxes."""
     tree = DynamicBVH.from_boxes(*boxes)
-    few = head(rays, SLOW_RAYS)
+    few = Rays(rays.origins[:SLOW_RAYS], rays.directions[:SLOW_RAYS])
 
     def rounded() -> Answer:
         with plain.rounded_decisions():
@@ -77,13 +81,13 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
     single = plain.BinaryCast(tree, rays, plain.binary_kernel(), np.float32)
     return {
         'bvh_ros, batch': Way(lambda: tree_answer(tree, rays), 'exact'),
-        'bvh_ros, one call a ray': Way(lambda: one_by_one(tree, few), 'exact', SLOW_RAYS),
+        'bvh_ros, one call a ray': Way(lambda: one_by_one(tree, rays), 'exact'),
         'bvh_ros, binary tree': Way(binary, 'exact'),
         'batch, plain float64 leaves': Way(rounded, 'float64'),
         'binary tree, plain float64 leaves': Way(binary_plain, 'float64'),
         'binary tree, float32': Way(single, 'float32'),
         'brute force, float64': Way(
-            lambda: Answer(*brute_force(boxes, few)), 'brute force', SLOW_RAYS
+            lambda: Answer(*brute_force(boxes, few)), 'brute force'
         ),
     }
 
@@ -97,7 +101,7 @@ def compare(
         answer = way.run()
         scores[name] = score(answer, truth._replace(rows=truth.rows[: len(answer.rows)]))
     jobs = {name: Job(way.run, scores[name].rays) for name, way in ways.items()}
-    return scores, interleaved(jobs, repeats, progress.step)
+    return scores, interleaved(jobs, repeats, progress.step, warm=True)
 
 
 def show(
@@ -106,7 +110,7 @@ def show(
     title: str,
     ways: Mapping[str, Way],
     found: tuple[dict[str, Score], dict[str, Timing]],
-    panels: Sequence[Panel] = (WRONG, RELATIVE),
+    shown: Sequence[Shown] = (WRONG, RELATIVE),
 ) -> None:
     """Table and picture of one scene."""
     scores, times = found
@@ -118,10 +122,12 @@ def show(
         Point(
             way,
             times[way].nanoseconds / 1e3,
-            [panel.error(scores[way]) for panel in panels],
+            [kind.error(scores[way]) for kind in shown],
             ways[way].family,
         )
         for way in ways
     ]
     path = page.plot(f'error_{name}', f'Error against run time: {title}')
-    tradeoff(path, points, [panel.label for panel in panels], title)
+    share = 0.1 / max(found_score.rays for found_score in scores.values())
+    panels = [Panel(kind.label, kind.floor or share, kind.top) for kind in shown]
+    tradeoff(path, points, panels, title)
