@@ -4,7 +4,7 @@
 
 from ..page import Page
 from ..progress import Progress
-from . import box_scenes, shape_scenes, ways
+from . import box_scenes, shape_scenes, traffic, ways
 
 SECTIONS = (
     box_scenes.random_scene,
@@ -12,6 +12,7 @@ SECTIONS = (
     box_scenes.building_scene,
     shape_scenes.random_shapes,
     shape_scenes.shelves,
+    traffic.stale_traffic,
 )
 
 

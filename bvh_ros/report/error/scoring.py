@@ -87,8 +87,10 @@ def score(answer: Answer, truth: Truth) -> Score:
         distances.append(float(error) * float(truth.lengths[ray]))
         if row != true_row and truth.entry(row, ray) != exact:
             firsts += 1
+        elif error and not exact:
+            relative = ulps = math.inf
         elif error:
-            relative = max(relative, float(error / exact) if exact else math.inf)
+            relative = max(relative, float(error / exact))
             ulps = max(ulps, float(error / Fraction(math.ulp(float(exact)))))
     count = len(answer.rows)
     return Score(count, hits, misses, firsts, np.array(distances), relative, ulps)

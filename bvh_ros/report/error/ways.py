@@ -3,7 +3,7 @@
 """Ways of answering: what each does, and a run of all of them that measures error and time."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,14 +93,21 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
 
 
 def compare(
-    ways: Mapping[str, Way], truth: Truth, repeats: int, progress: Progress
+    ways: Mapping[str, Way],
+    truth: Truth,
+    repeats: int,
+    progress: Progress,
+    timed: Mapping[str, Callable[[], Any]] | None = None,
 ) -> tuple[dict[str, Score], dict[str, Timing]]:
-    """Score every way against the truth, and let them take turns."""
+    """Score every way against the truth, and let them take turns.
+
+    `timed`: what is timed, where getting the answers together is not part of it.
+    """
     scores = {}
     for name, way in ways.items():
         answer = way.run()
         scores[name] = score(answer, truth._replace(rows=truth.rows[: len(answer.rows)]))
-    jobs = {name: Job(way.run, scores[name].rays) for name, way in ways.items()}
+    jobs = {name: Job(timed[name] if timed else way.run, scores[name].rays) for name, way in ways.items()}
     return scores, interleaved(jobs, repeats, progress.step, warm=True)
 
 

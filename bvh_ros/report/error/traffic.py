@@ -1,0 +1,221 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A stale world: recorded traffic that is known at a rate only, while rays are asked all the time.
+
+The true world at any time lies on straight lines between the recorded frames (10 Hz). The known
+world is the one of the last refresh, as it is or moved on by each vehicle's velocity between the
+last two refreshes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
+from .. import plots
+from ..page import Page
+from ..progress import Progress
+from ..scenes import Floats, Rays
+from ..tables import Table
+from .recordings import Track, tracks
+from .scoring import Answer, Score
+from .shape_scenes import joined_truth
+from .truth import NOTHING, Rows, Truth, shapes_truth
+from .ways import MEAN, WRONG, Way, compare, repeats, show
+
+RATES = (1, 2, 5, 10, 20)  # Hz
+MOMENTS_PER_SECOND, RAYS_PER_MOMENT = 25, 40
+HEIGHT = 0.75  # m, of rays: half that of the vehicles
+PREFIX = 'vehicle'
+
+
+class World(NamedTuple):
+    """The vehicles of one moment."""
+
+    ids: Rows
+    shapes: Shapes
+
+
+class Moment(NamedTuple):
+    """When rays are asked, and which."""
+
+    time: float
+    rays: Rays
+
+
+def world_at(traffic: dict[int, Track], time: float) -> World:
+    """Vehicles on straight lines between their frames."""
+    ids, places, turns, sizes = [], [], [], []
+    for number, track in traffic.items():
+        if not track.times[0] <= time <= track.times[-1]:
+            continue
+        ids.append(number)
+        sizes.append(track.size)
+        for values, into in ((track.positions, places), (track.turns, turns)):
+            into.append([np.interp(time, track.times, column) for column in values.T])
+    kind = np.full(len(ids), ShapeKind.BOX, np.uint8)
+    return World(np.array(ids), Shapes(kind, np.array(places), np.array(turns), np.array(sizes)))
+
+
+class Observer:
+    """Answers every moment's rays from the world as it was last known.
+
+    Parameters
+    ----------
+    traffic
+        Vehicles by number.
+    moments
+        In order of time.
+    rate : float or None
+        Refreshes a second; None: at every moment.
+    extrapolated : bool
+        Move the world on to the moment.
+    """
+
+    def __init__(
+        self,
+        traffic: dict[int, Track],
+        moments: list[Moment],
+        rate: float | None,
+        extrapolated: bool = False,
+    ) -> None:
+        self._moments, self._extrapolated = moments, extrapolated
+        times = [m.time if rate is None else np.floor(m.time * rate) / rate for m in moments]
+        self._known = {time: world_at(traffic, time) for time in times}
+        self._times = times
+        self._velocity = {}
+        if extrapolated and rate is not None:
+            for time in self._known:
+                before = world_at(traffic, time - 1 / rate)
+                self._velocity[time] = _velocities(before, self._known[time], 1 / rate)
+
+    def __call__(self) -> list[Answer]:
+        """Go through all moments with a new scene: handles and distances."""
+        scene, last, answers = Scene(), None, []
+        self.names: dict[int, int] = {}
+        present: set[int] = set()
+        for moment, time in zip(self._moments, self._times, strict=True):
+            if time != last or self._extrapolated:
+                world = self._known[time]
+                shapes = world.shapes
+                if self._extrapolated:
+                    ahead = self._velocity[time] * (moment.time - time)
+                    shapes = shapes._replace(position=shapes.position + ahead)
+                scene.replace('radar', '', Numbered(PREFIX, world.ids), shapes, stamp=0)
+                if time != last and not present.issuperset(ids := set(world.ids.tolist())):
+                    present |= ids
+                    names = scene.names()
+                    self.names |= {handle: int(name[len(PREFIX) :]) for handle, name in names}
+            last = time
+            handles, ts, _, _ = scene.raycast_many(*moment.rays)
+            answers.append(Answer(handles, ts))
+        return answers
+
+    def answer(self) -> Answer:
+        """The same as one answer whose rows are the vehicles' numbers."""
+        answers = self()
+        self.names[NO_NODE] = NOTHING
+        handles = np.concatenate([answer.rows for answer in answers]).tolist()
+        rows = np.array([self.names[handle] for handle in handles])
+        return Answer(rows, np.concatenate([answer.ts for answer in answers]))
+
+
+def _velocities(before: World, now: World, interval: float) -> Floats:
+    """(n, 3) m/s; zero for vehicles that were not seen before."""
+    velocity = np.zeros_like(now.shapes.position)
+    _, here, there = np.intersect1d(now.ids, before.ids, return_indices=True)
+    moved = now.shapes.position[here] - before.shapes.position[there]
+    velocity[here] = moved / interval
+    return velocity
+
+
+def moments_of(traffic: dict[int, Track], seconds: float, rng: np.random.Generator) -> list[Moment]:
+    """Moments at random from the second second on; rays from free places beside the vehicles."""
+    places = np.concatenate([track.positions for track in traffic.values()])
+    found = []
+    for time in np.sort(rng.uniform(2.0, 2.0 + seconds, round(seconds * MOMENTS_PER_SECOND))):
+        origins = places[rng.integers(0, len(places), RAYS_PER_MOMENT)]
+        origins = origins + rng.normal(0.0, 2.0, origins.shape)
+        angles = rng.uniform(0, 2 * np.pi, len(origins))
+        origins[:, 2] = HEIGHT
+        ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
+        found.append(Moment(float(time), Rays(origins, ways)))
+    return found
+
+
+def traffic_truth(traffic: dict[int, Track], moments: list[Moment]) -> Truth:
+    """What the rays of all moments meet; rows are the vehicles' numbers."""
+    worlds = [world_at(traffic, moment.time) for moment in moments]
+    truths = [shapes_truth(w.shapes, m.rays) for w, m in zip(worlds, moments, strict=True)]
+    counts = [len(world.ids) for world in worlds]
+    joined = joined_truth(truths, counts)
+    numbers = np.concatenate([world.ids for world in worlds])
+    first = np.repeat(np.cumsum([0, *counts[:-1]]), RAYS_PER_MOMENT)
+    rows = np.where(joined.rows == NOTHING, NOTHING, numbers[joined.rows])
+
+    def entry(number: int, ray: int) -> object:
+        here = worlds[ray // RAYS_PER_MOMENT].ids
+        place = np.flatnonzero(here == number)
+        return joined.entry(int(first[ray] + place[0]), ray) if len(place) else None
+
+    return joined._replace(rows=rows, entry=entry)
+
+
+def stale_traffic(page: Page, progress: Progress, brief: bool) -> None:
+    """US-101 at several refresh rates."""
+    page.add('### Traffic on US-101: a stale world')
+    path = page.data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
+    if page.misses([path]):
+        return
+    progress.say('error: traffic')
+    traffic = tracks(path)
+    seconds = 0.4 if brief else 7.9
+    moments = moments_of(traffic, seconds, np.random.default_rng(6))
+    page.add(
+        f'{len(traffic)} recorded vehicles, {len(moments)} moments of {RAYS_PER_MOMENT} level '
+        'rays from places on the road in all directions. Time is that of the refreshes and of '
+        'the rays, over the rays. *Extrapolated*: every vehicle is moved on at every moment by '
+        'its velocity between the last two refreshes. Between two frames (10 Hz) the true '
+        'vehicles go straight: above 10 Hz the recording flatters extrapolation.'
+    )
+    watchers = {'refreshed for every query': Observer(traffic, moments, None)}
+    for rate in RATES:
+        watchers[f'{rate} Hz'] = Observer(traffic, moments, rate)
+    for rate in RATES:
+        watchers[f'{rate} Hz, extrapolated'] = Observer(traffic, moments, rate, True)
+    ways = {name: Way(watcher.answer, _family(name)) for name, watcher in watchers.items()}
+    found = compare(
+        ways, traffic_truth(traffic, moments), repeats(brief), progress, dict(watchers)
+    )
+    title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'
+    show(page, 'traffic', title, ways, found, (WRONG, MEAN))
+    _rates(page, found[0])
+
+
+def _family(name: str) -> str:
+    if 'every' in name:
+        return 'exact'
+    return 'extrapolated' if 'extrapolated' in name else 'stale'
+
+
+def _rates(page: Page, scores: dict[str, Score]) -> None:
+    """What a refresh rate costs, as a table and a picture."""
+    header = ['refreshes a second', 'mean error, m', 'extrapolated: mean error, m']
+    header += ['wrong, % of rays', 'extrapolated: wrong, % of rays']
+    pairs = [(scores[f'{rate} Hz'], scores[f'{rate} Hz, extrapolated']) for rate in RATES]
+    rows = [
+        [rate, a.mean, b.mean, 100 * a.wrong, 100 * b.wrong]
+        for rate, (a, b) in zip(RATES, pairs, strict=True)
+    ]
+    page.add('What a refresh rate costs:')
+    page.table(Table('error_traffic_rates', header, rows))
+    plots.lines(
+        page.plot('error_traffic_rates', 'Mean error of the hit distance against refresh rate'),
+        {
+            'as it is': plots.Line(RATES, [a.mean for a, _ in pairs]),
+            'extrapolated at constant velocity': plots.Line(RATES, [b.mean for _, b in pairs]),
+        },
+        'refreshes a second',
+        'mean error of the hit distance, m',
+        'US-101: what a refresh rate costs',
+    )
