@@ -22,6 +22,7 @@ from ..tree.slab import (
     INSIDE,
     ORIGIN,
     PAD,
+    RAY_ROWS,
     TINY,
     compare_hits,
     enters,
@@ -181,7 +182,7 @@ def cast_all(
     solids = columns.geometry if prints is None else None
     count, ndim = rays[0].shape
     scratch = (
-        np.empty((3, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
+        np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
         np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
     )  # fmt: skip
     offsets, total, room = np.empty(count + 1, np.int64), max(count, 16), 0

@@ -16,8 +16,10 @@ from .arrays import Floats, Ids
 from .box_queries import BoxQueries
 from .compiling import cache_folder
 from .nodes import (
+    EXACT_RAYS,
     LAST_SERIAL,
     NONE,
+    RAYS,
     ROOT,
     SLOT_BITS,
     SLOT_MASK,
@@ -125,7 +127,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         self._heights = np.zeros(2 * capacity, np.int16)
         self._tight = np.empty(capacity if self.margin > 0.0 else 0, box_dtype(self.ndim))
         self._handles = np.full(capacity, NONE, np.int64)
-        self._state = np.array([NONE, 0, NONE, NONE], np.int64)
+        self._state = np.array([NONE, 0, NONE, NONE, 0, 0], np.int64)
         link_free(self._nodes, self._state, 0, capacity)
 
     def _reserve(self, more: int) -> None:
@@ -232,7 +234,9 @@ class DynamicBVH(RayQueries, BoxQueries):
     def clear(self) -> None:
         """Remove all boxes. Their handles stay stale for ever."""
         self._counters['removed'] += len(self)
+        tally = self._state[RAYS:].copy()
         self._allocate(len(self._handles))
+        self._state[RAYS:] = tally
         self._changes += 1
 
     def move(
@@ -432,6 +436,8 @@ class DynamicBVH(RayQueries, BoxQueries):
             'exact_boxes_beside_nodes': bool(len(self._tight)),
             'wide_snapshot': self._snapshot is not None and self._snapshot_of == self._changes,
             'kernel_cache': str(cache_folder()),
+            'rays': int(self._state[RAYS]),
+            'rays_decided_exactly': int(self._state[EXACT_RAYS]),
             **self._counters,
         }
 

@@ -31,7 +31,8 @@ LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
 DEEPEST = 128
 
 # Places in the small state array that kernels read and write.
-ROOT, COUNT, FREE_LEAF, FREE_INNER = range(4)
+ROOT, COUNT, FREE_LEAF, FREE_INNER, RAYS, EXACT_RAYS = range(6)
+STATE_PLACES = 6
 
 
 def node_dtype(ndim: int) -> np.dtype[Any]:

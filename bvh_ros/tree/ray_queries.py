@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import checks, raycasting, wide, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
-from .nodes import ALL
+from .nodes import ALL, EXACT_RAYS, RAYS
 from .results import RayHit, RayHits
+from .slab import RAY_ROWS
 
 # Sizes from which sorting a batch pays, measured: the tree no longer fits the nearest cache.
 SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
@@ -173,7 +174,7 @@ class RayQueries(Arrays):
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
-        place = np.empty((5, self.ndim))
+        place = np.empty((2 + RAY_ROWS, self.ndim))
         slot, t = raycasting.raycast_one(
             self._nodes,
             self._tight,
@@ -216,18 +217,17 @@ class RayQueries(Arrays):
         slots, ts, axes = np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
         rays = starts, ways, reaches, seen, bool(skip_inside)
         snapshot = self._snapshot_for(count)
-        if snapshot is None:
-            left = np.arange(count)
-        else:
+        left, exact = np.arange(count), 0
+        if snapshot is not None:
             order = self._coherent(snapshot, starts, ways)
             marks = np.empty(count, np.bool_)
 
-            def cast(start: int, stop: int) -> None:
-                wide_raycasting.cast_rows(
+            def cast(start: int, stop: int) -> int:
+                return wide_raycasting.cast_rows(
                     *snapshot,
                     *self._boxes_only()[:2],
                     self._handles,
-                    np.empty((3, self.ndim)),
+                    np.empty((RAY_ROWS, self.ndim)),
                     *rays,
                     mode == raycasting.ANY,
                     order[start:stop],
@@ -237,13 +237,13 @@ class RayQueries(Arrays):
                     marks,
                 )
 
-            in_threads(cast, count, threads)
+            exact += sum(in_threads(cast, count, threads))
             left = np.flatnonzero(marks)
 
-        def work(start: int, stop: int) -> None:
-            raycasting.raycast_rows(
+        def work(start: int, stop: int) -> int:
+            return raycasting.raycast_rows(
                 *self._tree(),
-                np.empty((3, self.ndim)),
+                np.empty((RAY_ROWS, self.ndim)),
                 *rays,
                 mode,
                 left[start:stop],
@@ -252,8 +252,15 @@ class RayQueries(Arrays):
                 axes,
             )
 
-        in_threads(work, len(left), threads)
+        exact += sum(in_threads(work, len(left), threads))
+        self._tally(count, exact)
         return slots, ts, axes
+
+    def _tally(self, rays: int, exact: int) -> None:
+        """Count rays, and those of them that took exact arithmetic."""
+        with self._lock:
+            self._state[RAYS] += rays
+            self._state[EXACT_RAYS] += exact
 
     def _coherent(self, snapshot: wide.Snapshot, starts: Floats, ways: Floats) -> Ids:
         """The order to cast rays in: sorted where a tree larger than the near caches makes
@@ -274,13 +281,14 @@ class RayQueries(Arrays):
         count = len(starts)
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
         offsets = np.zeros(count + 1, np.int64)
-        slots, ts, axes = raycasting.raycast_every_row(
+        slots, ts, axes, exact = raycasting.raycast_every_row(
             *self._tree(), starts, ways, reaches, seen, bool(skip_inside), offsets
         )
+        self._tally(count, exact)
         rays = np.repeat(np.arange(count), np.diff(offsets))
         order = np.lexsort((self._handles[slots], ts, rays))
         slots, ts, axes = slots[order], ts[order], axes[order]
-        scratch = np.empty((3, self.ndim))
+        scratch = np.empty((RAY_ROWS, self.ndim))
         raycasting.settle_order(
             self._nodes,
             self._tight,

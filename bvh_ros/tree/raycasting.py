@@ -10,13 +10,15 @@ import numpy as np
 
 from .compiling import inlined, kernel, lean_kernel
 from .machine import stack_array
-from .nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
+from .nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf, leaf_box
 from .overlapping import grown
 from .slab import (
     DIRECTION,
+    EXACT,
     INSIDE,
     ORIGIN,
     PAD,
+    RAY_ROWS,
     TINY,
     compare_hits,
     enters,
@@ -112,6 +114,7 @@ def load_ray(ray, origins, directions, i):
     for axis in range(origins.shape[1]):
         ray[ORIGIN, axis] = origins[i, axis]
         ray[DIRECTION, axis] = directions[i, axis]
+    ray[EXACT, 0] = 0.0
 
 
 @lean_kernel
@@ -135,6 +138,7 @@ def raycast_rows(
     """First (CLOSEST) or any hit (ANY) of the rays of `rows`; slot NONE and t inf where there is
     none. `ray` is scratch.
     """
+    exact = np.int64(0)
     for i in rows:
         load_ray(ray, origins, directions, i)
         filled = raycast(
@@ -154,6 +158,8 @@ def raycast_rows(
         )
         if filled == 0:
             slots[i], ts[i], axes[i] = NONE, np.inf, INSIDE
+        exact += np.int64(ray[EXACT, 0])
+    return exact
 
 
 @kernel
@@ -163,8 +169,9 @@ def raycast_every_row(
     """All hits of every ray, as (slots, ts, axes); those of ray i stand at [offsets[i], offsets[i
     + 1]), in no order.
     """
-    ray = np.empty((3, origins.shape[1]))
+    ray = np.empty((RAY_ROWS, origins.shape[1]))
     slots, ts, axes = np.empty(64, np.int64), np.empty(64), np.empty(64, np.int64)
+    exact = np.int64(0)
     for i in range(origins.shape[0]):
         load_ray(ray, origins, directions, i)
         end = raycast(
@@ -200,7 +207,8 @@ def raycast_every_row(
                 offsets[i],
             )
         offsets[i + 1] = end
-    return slots[: offsets[-1]], ts[: offsets[-1]], axes[: offsets[-1]]
+        exact += np.int64(ray[EXACT, 0])
+    return slots[: offsets[-1]], ts[: offsets[-1]], axes[: offsets[-1]], exact
 
 
 @lean_kernel
@@ -274,6 +282,7 @@ def raycast_one(
             return NOT_FINITE, np.inf
         place[2, k] = origin[k]
         place[3, k] = direction[k]
+    place[2 + EXACT, 0] = 0.0
     slots, ts, axes = (
         stack_array(1, np.int64),
         stack_array(1, np.float64),
@@ -294,6 +303,8 @@ def raycast_one(
         axes,
         0,
     )
+    state[RAYS] += 1
+    state[EXACT_RAYS] += np.int64(place[2 + EXACT, 0])
     if found == 0:
         return NONE, np.inf
     locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)

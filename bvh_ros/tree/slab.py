@@ -35,8 +35,10 @@ CLEAR = 1.0 + 8 * 2.0**-53
 TINY = 1e-322
 INSIDE = -1  # the axis of a hit whose ray starts inside
 
-# What prepare_ray leaves in `ray`: one row an item.
-ORIGIN, DIRECTION, INVERSE = range(3)
+# The rows of a ray: the caller writes the first two, prepare_ray the inverses; ray[EXACT, 0] says
+# whether a decision about it took exact arithmetic.
+ORIGIN, DIRECTION, INVERSE, EXACT = range(4)
+RAY_ROWS = 4
 
 
 @inlined
@@ -139,11 +141,35 @@ def near_plane(lo, hi, ray, axis):
     return lo[axis] if ray[DIRECTION, axis] > 0.0 else hi[axis]
 
 
-@lean_kernel
-def within(t, plane, origin, direction, t_max):
-    """Whether (plane - origin) / direction <= t_max, exactly."""
-    if math.isinf(t_max):
+@inlined
+def _order(ray, t, plane, axis, other_t, other_plane, other_axis):
+    """`compare_distances` of two planes along one ray, given by their axes."""
+    if t * CLEAR + TINY < other_t:
+        return -1
+    if other_t * CLEAR + TINY < t:
+        return 1
+    ray[EXACT, 0] = 1.0
+    return compare_distances(
+        t,
+        plane,
+        ray[ORIGIN, axis],
+        ray[DIRECTION, axis],
+        other_t,
+        other_plane,
+        ray[ORIGIN, other_axis],
+        ray[DIRECTION, other_axis],
+    )
+
+
+@inlined
+def _within(ray, t, plane, axis, t_max):
+    """Whether the ray reaches the plane of an axis by t_max, exactly."""
+    if math.isinf(t_max) or t * CLEAR + TINY < t_max:
         return True
+    if t_max * CLEAR + TINY < t:
+        return False
+    ray[EXACT, 0] = 1.0
+    origin, direction = ray[ORIGIN, axis], ray[DIRECTION, axis]
     return compare_distances(t, plane, origin, direction, t_max, t_max, 0.0, 1.0) <= 0
 
 
@@ -152,59 +178,33 @@ def meets(lo, hi, ray, t_max):
     """Exact decision of a ray and a closed box: (hit, t, axis).
 
     `axis` is the one entered last, INSIDE where the ray starts in the box. Ties between axes go to
-    the lowest.
+    the lowest. Where it took exact arithmetic, ray[EXACT, 0] becomes 1.
     """
-    ndim = lo.shape[0]
-    t = 0.0
-    entered = INSIDE
-    for axis in range(ndim):
+    t, entered = 0.0, INSIDE
+    for axis in range(lo.shape[0]):
         origin, direction = ray[ORIGIN, axis], ray[DIRECTION, axis]
         below, above = origin < lo[axis], origin > hi[axis]
-        if below or above:
-            if direction == 0.0 or below != (direction > 0.0):
-                return False, np.inf, INSIDE  # parallel outside, or flying away
-            plane = lo[axis] if below else hi[axis]
-            distance = plane_distance(plane, origin, direction)
-            if entered == INSIDE or (
-                compare_distances(
-                    distance,
-                    plane,
-                    origin,
-                    direction,
-                    t,
-                    near_plane(lo, hi, ray, entered),
-                    ray[ORIGIN, entered],
-                    ray[DIRECTION, entered],
-                )
-                > 0
-            ):
-                t, entered = distance, axis
+        if not (below or above):
+            continue
+        if direction == 0.0 or below != (direction > 0.0):
+            return False, np.inf, INSIDE  # parallel outside, or flying away
+        plane = lo[axis] if below else hi[axis]
+        distance = plane_distance(plane, origin, direction)
+        if entered == INSIDE or (
+            _order(ray, distance, plane, axis, t, near_plane(lo, hi, ray, entered), entered) > 0
+        ):
+            t, entered = distance, axis
     if entered == INSIDE:
         return True, 0.0, INSIDE
-    plane, origin, direction = (
-        near_plane(lo, hi, ray, entered),
-        ray[ORIGIN, entered],
-        ray[DIRECTION, entered],
-    )
-    for axis in range(ndim):
-        if axis != entered and ray[DIRECTION, axis] != 0.0:
-            far = hi[axis] if ray[DIRECTION, axis] > 0.0 else lo[axis]
-            leave = plane_distance(far, ray[ORIGIN, axis], ray[DIRECTION, axis])
-            if (
-                compare_distances(
-                    t,
-                    plane,
-                    origin,
-                    direction,
-                    leave,
-                    far,
-                    ray[ORIGIN, axis],
-                    ray[DIRECTION, axis],
-                )
-                > 0
-            ):
+    plane = near_plane(lo, hi, ray, entered)
+    for axis in range(lo.shape[0]):
+        direction = ray[DIRECTION, axis]
+        if axis != entered and direction != 0.0:
+            far = hi[axis] if direction > 0.0 else lo[axis]
+            leave = plane_distance(far, ray[ORIGIN, axis], direction)
+            if _order(ray, t, plane, entered, leave, far, axis) > 0:
                 return False, np.inf, INSIDE
-    return within(t, plane, origin, direction, t_max), t, entered
+    return _within(ray, t, plane, entered, t_max), t, entered
 
 
 @lean_kernel
@@ -220,13 +220,4 @@ def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
         if plane == other_plane:
             return 0
         return -1 if (plane < other_plane) == (ray[DIRECTION, axis] > 0.0) else 1
-    return compare_distances(
-        t,
-        plane,
-        ray[ORIGIN, axis],
-        ray[DIRECTION, axis],
-        other_t,
-        other_plane,
-        ray[ORIGIN, other_axis],
-        ray[DIRECTION, other_axis],
-    )
+    return _order(ray, t, plane, axis, other_t, other_plane, other_axis)

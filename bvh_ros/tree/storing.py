@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .nodes import SLOT_BITS, aligned_empty, box_dtype, node_dtype
+from .nodes import SLOT_BITS, STATE_PLACES, aligned_empty, box_dtype, node_dtype
 
 VERSION = 1
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
@@ -44,7 +44,7 @@ def load(path: str | PathLike[str]) -> dict[str, Any]:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise ValueError('it is one array')
             packed = {name: archive[name] for name in archive.files}
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, KeyError) as error:
+    except Exception as error:  # a damaged file makes numpy raise errors of many kinds
         raise ValueError(f'{path} is no saved tree: {error}') from None
     missing = {'version', 'counters', *ARRAYS, *VALUES} - set(packed)
     if missing:
@@ -64,7 +64,7 @@ def _check_arrays(ndim: int, packed: dict[str, Any]) -> None:
         'heights': (np.dtype(np.int16), (2 * capacity,)),
         'tight': (box_dtype(ndim), fat),
         'handles': (np.dtype(np.int64), (capacity,)),
-        'state': (np.dtype(np.int64), (4,)),
+        'state': (np.dtype(np.int64), (STATE_PLACES,)),
     }
     for name, (dtype, shape) in kinds.items():
         array = packed[name]

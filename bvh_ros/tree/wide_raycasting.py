@@ -22,7 +22,18 @@ from .compiling import inlined, lean_kernel
 from .machine import WIDTH, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
 from .raycasting import is_before, load_ray
-from .slab import DIRECTION, INSIDE, INVERSE, ORIGIN, PAD, TINY, meets, near_plane, plane_distance
+from .slab import (
+    DIRECTION,
+    EXACT,
+    INSIDE,
+    INVERSE,
+    ORIGIN,
+    PAD,
+    TINY,
+    meets,
+    near_plane,
+    plane_distance,
+)
 from .wide import DEEPEST_WIDE
 
 PAD32 = 2.0**-22
@@ -223,6 +234,7 @@ def cast_rows(
     ndim = origins.shape[1]
     stack, stack_entry = stack_array(DEEPEST_WIDE, np.int32), stack_array(DEEPEST_WIDE, np.float32)
     entries = stack_array(WIDTH, np.float32)
+    exact = np.int64(0)
     for i in order:
         load_ray(ray, origins, directions, i)
         suited, largest = fill_ray(ray, center, per_length, ndim)
@@ -256,6 +268,8 @@ def cast_rows(
                 ts[i] = plane_distance(
                     near_plane(lo, hi, ray, axis), ray[ORIGIN, axis], ray[DIRECTION, axis]
                 )
+        exact += np.int64(ray[EXACT, 0])
+    return exact
 
 
 CELL_BITS = 5  # of the origin on each axis

@@ -20,6 +20,7 @@ from tree.reference import (
 )
 
 from bvh_ros.tree.slab import (
+    RAY_ROWS,
     compare_distances,
     compare_hits,
     enters,
@@ -36,8 +37,8 @@ each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
 def ray_rows(origin: Floats, direction: Floats) -> Floats:
-    """Origin, direction and room for what `prepare_ray` adds."""
-    return np.stack([origin, direction, np.zeros_like(origin)])
+    """Origin, direction and room for what `prepare_ray` and `meets` add."""
+    return np.stack([origin, direction, *np.zeros((RAY_ROWS - 2, len(origin)))])
 
 
 @each_scale

@@ -72,6 +72,7 @@ def grow(boxes: Boxes, search: str, rotations: str) -> DynamicBVH:
         True,
         np.empty(count, np.int64),
     )
+    tree._serial += count
     return tree
 
 
