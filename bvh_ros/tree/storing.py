@@ -44,6 +44,8 @@ def load(path: str | PathLike[str]) -> dict[str, Any]:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise ValueError('it is one array')
             packed = {name: archive[name] for name in archive.files}
+    except OSError:
+        raise
     except Exception as error:  # a damaged file makes numpy raise errors of many kinds
         raise ValueError(f'{path} is no saved tree: {error}') from None
     missing = {'version', 'counters', *ARRAYS, *VALUES} - set(packed)
