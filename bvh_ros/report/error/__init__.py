@@ -4,7 +4,7 @@
 
 from ..page import Page
 from ..progress import Progress
-from . import box_scenes, shape_scenes, traffic, ways
+from . import box_scenes, decision, shape_scenes, traffic, ways
 
 SECTIONS = (
     box_scenes.random_scene,
@@ -13,12 +13,13 @@ SECTIONS = (
     shape_scenes.random_shapes,
     shape_scenes.shelves,
     traffic.stale_traffic,
+    decision.exact_decisions,
 )
 
 
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
-    return len(SECTIONS) * ways.repeats(brief)
+    return (len(SECTIONS) - 1) * ways.repeats(brief) + decision.steps(brief)
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:

@@ -47,9 +47,7 @@ def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes
     steps = rng.integers(-3, 4, (asked, 3))
     steps[~steps.any(axis=1)] = (1, 2, 3)
     # Half of the rays from any lattice point, half along a simple direction.
-    anywhere = np.where(
-        rng.random((asked, 3)) < 0.15, targets, rng.integers(-80, 80, (asked, 3))
-    )
+    anywhere = np.where(rng.random((asked, 3)) < 0.15, targets, rng.integers(-80, 80, (asked, 3)))
     before = targets - steps * rng.integers(1, 30, (asked, 1))
     simple = rng.random((asked, 1)) < 0.5
     origins = np.where(simple, before, anywhere) * 0.1

@@ -54,7 +54,7 @@ def enter_slabs(near: Sequence[int], far: Sequence[int], way: Sequence[int]) -> 
 def _disc_interval(
     start: Sequence[int], way: Sequence[int], radius: int
 ) -> tuple[Fraction, Fraction] | None:
-    """Where a line is within a radius of the origin; None if nowhere or, along a zero way, ever."""
+    """Where a line along a way that is not zero is within a radius of the origin."""
     a = sum(d * d for d in way)
     b = sum(o * d for o, d in zip(start, way, strict=True))
     c = sum(o * o for o in start) - radius * radius

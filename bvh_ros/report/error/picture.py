@@ -10,9 +10,18 @@ from typing import Any, NamedTuple
 # Okabe and Ito's colours, which the colour-blind can tell apart.
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#000000')
 MARKERS = 'osD^vP*'
-FAMILIES = ('exact', 'float64', 'float32', 'brute force', 'simpler shapes', 'stale', 'extrapolated')
+FAMILIES = (
+    'exact',
+    'float64',
+    'float32',
+    'brute force',
+    'simpler shapes',
+    'stale',
+    'extrapolated',
+)
 LETTERS = 'ABCDEFGHIJKLMNOPQRSTUVWXYZ'
 # Where a letter may stand round its point: points of length, and angle; above first.
+LEADER = {'arrowstyle': '-', 'color': '0.5', 'lw': 0.6, 'shrinkA': 4, 'shrinkB': 4}
 AROUND = [(away, turn * math.pi / 8) for away in (11, 15, 20, 26, 33) for turn in range(1, 16, 2)]
 
 
@@ -21,9 +30,9 @@ class Panel(NamedTuple):
 
     label: str
     floor: float
-    """Where zero is drawn on the logarithmic axis, below all that can be measured."""
-    top: float = 0.0
-    """Least upper end of the axis."""
+    """Where zero, and what is below this, is drawn on the logarithmic axis."""
+    top: float
+    """Upper end of the axis, if nothing is above."""
 
 
 class Point(NamedTuple):
@@ -90,12 +99,12 @@ def _panel(
         axes.plot(point.time, y, markerfacecolor=face, zorder=3, **look)
     axes.set(xscale='log', yscale='log', xlabel='run time a ray, µs', ylabel=panel.label)
     axes.set_xlim(points[0].time / 3, points[-1].time * 3)
-    axes.set_ylim(panel.floor / 5, max(panel.top, max(shown) * 10))
+    axes.set_ylim(panel.floor / 5, max(panel.top, max(shown) * 3))
     _front_line(axes, [(points[i].time, shown[i]) for i in best])
     axes.axhline(panel.floor, color='0.4', linewidth=0.9, linestyle=(0, (2, 3)), zorder=0)
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.spines[['top', 'right']].set_visible(False)
-    _ticks(axes, panel.floor)
+    _ticks(axes, panel.floor, any(0 < error < panel.floor for error in errors))
     return best
 
 
@@ -107,15 +116,19 @@ def _front_line(axes: Any, steps: list[tuple[float, float]]) -> None:
     )
 
 
-def _ticks(axes: Any, floor: float) -> None:
-    """At most eight decades a vertical axis, and its zero."""
-    from matplotlib.ticker import FuncFormatter, NullFormatter
+def _ticks(axes: Any, floor: float, below: bool) -> None:
+    """At most eight decades a vertical axis, and its floor: zero, or what is `below` it too."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     first, last = math.ceil(math.log10(floor * 5)), math.floor(math.log10(axes.get_ylim()[1]))
     every = max(1, math.ceil((last - first) / 8))
     axes.set_yticks([floor, *(10.0**k for k in range(last, first - 1, -every))])
     axes.minorticks_off()
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: '0' if v == floor else _power(v)))
+    lowest = f'< {_power(floor)}' if below else '0'
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: lowest if v == floor else _power(v)))
+    left, right = axes.get_xlim()
+    if right < 300 * left:
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=15))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f'{v:,.10g}'))
     axes.xaxis.set_minor_formatter(NullFormatter())
 
@@ -135,7 +148,14 @@ def _key(figure: Any, points: Sequence[Point], chosen: set[int]) -> None:
         face = look['color'] if i in chosen else 'white'
         entries.append(Line2D([], [], label=f'{LETTERS[i]}  {point.name}', mfc=face, **look))
     line = Line2D([], [], color='0.4', linewidth=1.2, label='Pareto front (filled points)')
-    floor = Line2D([], [], color='0.4', linewidth=0.9, linestyle=(0, (2, 3)), label='no error')
+    floor = Line2D(
+        [],
+        [],
+        color='0.4',
+        linewidth=0.9,
+        linestyle=(0, (2, 3)),
+        label='no error, or below the scale',
+    )
     legend = figure.legend(
         handles=[*entries, line, floor], loc='outside right center', frameon=False, fontsize=8
     )
@@ -152,11 +172,20 @@ def _place_letters(axes: Any, points: Sequence[Point], shown: Sequence[float]) -
     for i, (x, y) in enumerate(spots):
         spot = max(
             ((x + away * math.cos(turn), y + away * math.sin(turn)) for away, turn in AROUND),
-            key=lambda s: min(12.0, min(math.dist(s, t) for t in taken)) - 0.3 * math.dist(s, (x, y)),
+            key=lambda s: (
+                min(12.0, min(math.dist(s, t) for t in taken)) - 0.3 * math.dist(s, (x, y))
+            ),
         )
         taken.append(spot)
         axes.annotate(
-            LETTERS[i], places[i], xytext=(spot[0] - x, spot[1] - y), textcoords='offset points',
-            fontsize=8.5, fontweight='bold', ha='center', va='center', zorder=4,
-            arrowprops={'arrowstyle': '-', 'color': '0.5', 'lw': 0.6, 'shrinkA': 4, 'shrinkB': 3},
+            LETTERS[i],
+            places[i],
+            xytext=(spot[0] - x, spot[1] - y),
+            textcoords='offset points',
+            fontsize=8.5,
+            fontweight='bold',
+            ha='center',
+            va='center',
+            zorder=4,
+            arrowprops=LEADER if math.dist(spot, (x, y)) > 14 else None,
         )

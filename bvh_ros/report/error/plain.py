@@ -6,7 +6,7 @@ They are compiled again from the same source, with another function in the place
 decides. What is left is the slab test as it is usually written.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from types import FunctionType
@@ -15,18 +15,19 @@ from typing import Any
 import numba
 import numpy as np
 
-from ...tree import DynamicBVH, raycasting, wide_raycasting
-from ...tree.nodes import ALL
+from ... import DynamicBVH, RayHits
+from ...tree import raycasting, wide_raycasting
 from ...tree.slab import INSIDE, INVERSE, ORIGIN
-from ..scenes import Rays
-from .scoring import Answer
+from ..scenes import Boxes, Rays
 
 
 def rewired(original: Any, **calls: Any) -> Any:
     """The same kernel with the same options, some of the functions it calls replaced."""
     python = original.py_func
     function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
-    options = {k: v for k, v in original.targetoptions.items() if k not in ('nopython', 'boundscheck')}
+    options = {
+        k: v for k, v in original.targetoptions.items() if k not in ('nopython', 'boundscheck')
+    }
     return numba.njit(function, **options)
 
 
@@ -79,53 +80,49 @@ def wide_kernel() -> Any:
 
 
 @contextmanager
-def rounded_decisions() -> Iterator[None]:
-    """Batches of rays are decided by rounded arithmetic."""
+def replaced(cast_rows: Any, raycast_rows: Any) -> Iterator[None]:
+    """Batches of rays go through other kernels."""
     kept = wide_raycasting.cast_rows, raycasting.raycast_rows
-    wide_raycasting.cast_rows, raycasting.raycast_rows = wide_kernel(), binary_kernel()
+    wide_raycasting.cast_rows, raycasting.raycast_rows = cast_rows, raycast_rows
     try:
         yield
     finally:
         wide_raycasting.cast_rows, raycasting.raycast_rows = kept
 
 
-class BinaryCast:
-    """Rays through the binary tree, in their order, by one kernel.
-
-    Parameters
-    ----------
-    kernel
-        `raycasting.raycast_rows` or its `binary_kernel`.
-    number
-        float64, or float32 for boxes and rays rounded to that.
-    """
-
-    def __init__(self, tree: DynamicBVH, rays: Rays, kernel: Any, number: type = np.float64):
-        nodes, tight, handles, root = tree._tree()
-        self._kernel = kernel
-        self._tree = _as(nodes, number), _as(tight, number), handles, root
-        self._rays = rays.origins.astype(number), rays.directions.astype(number)
-        self._scratch = np.empty((3, tree.ndim), number)
-
-    def __call__(self) -> Answer:
-        """Cast all rays; rows are the places among the tree's ids."""
-        count = len(self._rays[0])
-        slots, ts, axes = np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
-        limits = np.full(count, np.inf), np.full(count, ALL, np.uint32)
-        self._kernel(
-            *self._tree, self._scratch, *self._rays, *limits, False, raycasting.CLOSEST,
-            np.arange(count), slots, ts, axes,
-        )
-        # A tree built from boxes at once gives its slots out in their order.
-        return Answer(slots, ts)
+def rounded_decisions() -> Any:
+    """A context in which batches of rays are decided by rounded arithmetic."""
+    return replaced(wide_kernel(), binary_kernel())
 
 
-def _as(records: Any, number: type) -> Any:
-    """Records with the planes of their boxes rounded to another type."""
-    if number is np.float64:
-        return records
+class BinaryTree(DynamicBVH):
+    """A tree whose batches go through the binary tree, too: no wide snapshot."""
+
+    def _snapshot_for(self, count: int) -> None:
+        return None
+
+
+def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
+    """A batch through the binary tree whose boxes and rays are rounded to float32."""
+    tree = BinaryTree.from_boxes(*boxes)
+    tree._nodes, tree._tight = _rounded(tree._nodes), _rounded(tree._tight)
+    kernel = binary_kernel()
+
+    def rows(nodes: Any, tight: Any, handles: Any, root: Any, *rest: Any) -> Any:
+        ray, origins, directions = (array.astype(np.float32) for array in rest[:3])
+        return kernel(nodes, tight, handles, root, ray, origins, directions, *rest[3:])
+
+    def run() -> RayHits:
+        with replaced(wide_raycasting.cast_rows, rows):
+            return tree.raycast_many(*rays)
+
+    return run
+
+
+def _rounded(records: Any) -> Any:
+    """Records with the planes of their boxes in float32."""
     fields = [
-        (name, number if name in ('lo', 'hi') else kind.base, kind.shape)
+        (name, np.float32 if name in ('lo', 'hi') else kind.base, kind.shape)
         for name, (kind, _) in records.dtype.fields.items()
     ]
     with np.errstate(all='ignore'):  # free places hold anything

@@ -7,12 +7,12 @@ from fractions import Fraction
 
 import numpy as np
 
+from ... import DynamicBVH
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
 from ...scene.shapes import bounds, canonical
-from ...tree import DynamicBVH
 from ..page import Page
 from ..progress import Progress
-from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread
+from ..scenes import EDGE, Boxes, Rays, incoherent_rays, spread
 from . import recordings
 from .scoring import Answer
 from .truth import NOTHING, Truth, shapes_truth

@@ -129,7 +129,9 @@ def _velocities(before: World, now: World, interval: float) -> Floats:
     return velocity
 
 
-def moments_of(traffic: dict[int, Track], seconds: float, rng: np.random.Generator) -> list[Moment]:
+def moments_of(
+    traffic: dict[int, Track], seconds: float, rng: np.random.Generator
+) -> list[Moment]:
     """Moments at random from the second second on; rays from free places beside the vehicles."""
     places = np.concatenate([track.positions for track in traffic.values()])
     found = []
@@ -178,7 +180,7 @@ def stale_traffic(page: Page, progress: Progress, brief: bool) -> None:
         'its velocity between the last two refreshes. Between two frames (10 Hz) the true '
         'vehicles go straight: above 10 Hz the recording flatters extrapolation.'
     )
-    watchers = {'refreshed for every query': Observer(traffic, moments, None)}
+    watchers = {'true world at every query': Observer(traffic, moments, None)}
     for rate in RATES:
         watchers[f'{rate} Hz'] = Observer(traffic, moments, rate)
     for rate in RATES:

@@ -137,9 +137,7 @@ def shapes_truth(shapes: Shapes, rays: Rays) -> Truth:
 
 
 def _settle(
-    rays: Rays,
-    candidates: Callable[[int], Rows],
-    entry: Callable[[int, int], Fraction | None],
+    rays: Rays, candidates: Callable[[int], Rows], entry: Callable[[int, int], Fraction | None]
 ) -> Truth:
     count = len(rays.origins)
     rows, ts = np.full(count, NOTHING, np.int64), []

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree import DynamicBVH, raycasting
+from ... import DynamicBVH, RayHits
 from ...tree.nodes import SLOT_MASK
 from ..page import Page
 from ..progress import Progress
@@ -41,9 +41,11 @@ class Shown(NamedTuple):
 WRONG = Shown('wrong answers, share of the rays', lambda s: s.wrong, None, 1.0)
 RELATIVE = Shown(
     'largest relative error of the distance\n(where the object is right)',
-    lambda s: s.relative, 1e-18, 1e-2,
+    lambda s: s.relative,
+    1e-18,
+    1e-2,
 )
-MEAN = Shown('mean error of the distance, m', lambda s: s.mean, 1e-18, 10.0)
+MEAN = Shown('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
 SLOW_RAYS = 200  # the first ones, for a way that takes milliseconds each
 
 
@@ -53,9 +55,19 @@ def repeats(brief: bool) -> int:
 
 
 def tree_answer(tree: DynamicBVH, rays: Rays) -> Answer:
-    """First hits in one batch, of a tree built at once: its slots are the rows."""
-    hits = tree.raycast_many(*rays)
+    """First hits in one batch."""
+    return as_answer(tree.raycast_many(*rays))
+
+
+def as_answer(hits: RayHits) -> Answer:
+    """Rows of a tree that was built at once: its slots."""
     return Answer(np.where(hits.ids >= 0, hits.ids & SLOT_MASK, NOTHING), hits.t)
+
+
+def rounded_answer(tree: DynamicBVH, rays: Rays) -> Answer:
+    """The same by the same kernels without the exact decision."""
+    with plain.rounded_decisions():
+        return tree_answer(tree, rays)
 
 
 def one_by_one(tree: DynamicBVH, rays: Rays) -> Answer:
@@ -72,23 +84,16 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
     tree = DynamicBVH.from_boxes(*boxes)
     few = Rays(rays.origins[:SLOW_RAYS], rays.directions[:SLOW_RAYS])
 
-    def rounded() -> Answer:
-        with plain.rounded_decisions():
-            return tree_answer(tree, rays)
-
-    binary = plain.BinaryCast(tree, rays, raycasting.raycast_rows)
-    binary_plain = plain.BinaryCast(tree, rays, plain.binary_kernel())
-    single = plain.BinaryCast(tree, rays, plain.binary_kernel(), np.float32)
+    binary = plain.BinaryTree.from_boxes(*boxes)
+    single = plain.single_precision(boxes, rays)
     return {
         'bvh_ros, batch': Way(lambda: tree_answer(tree, rays), 'exact'),
         'bvh_ros, one call a ray': Way(lambda: one_by_one(tree, rays), 'exact'),
-        'bvh_ros, binary tree': Way(binary, 'exact'),
-        'batch, plain float64 leaves': Way(rounded, 'float64'),
-        'binary tree, plain float64 leaves': Way(binary_plain, 'float64'),
-        'binary tree, float32': Way(single, 'float32'),
-        'brute force, float64': Way(
-            lambda: Answer(*brute_force(boxes, few)), 'brute force'
-        ),
+        'bvh_ros, binary tree': Way(lambda: tree_answer(binary, rays), 'exact'),
+        'batch, plain float64 leaves': Way(lambda: rounded_answer(tree, rays), 'float64'),
+        'binary tree, plain float64 leaves': Way(lambda: rounded_answer(binary, rays), 'float64'),
+        'binary tree, float32': Way(lambda: as_answer(single()), 'float32'),
+        'brute force, float64': Way(lambda: Answer(*brute_force(boxes, few)), 'brute force'),
     }
 
 
@@ -107,7 +112,10 @@ def compare(
     for name, way in ways.items():
         answer = way.run()
         scores[name] = score(answer, truth._replace(rows=truth.rows[: len(answer.rows)]))
-    jobs = {name: Job(timed[name] if timed else way.run, scores[name].rays) for name, way in ways.items()}
+    jobs = {
+        name: Job(timed[name] if timed else way.run, scores[name].rays)
+        for name, way in ways.items()
+    }
     return scores, interleaved(jobs, repeats, progress.step, warm=True)
 
 
