@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, raycasting, wide, wide_raycasting
+from . import checks, ordering, ray_hits, raycasting, wide, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, EXACT_RAYS, RAYS
 from .results import RayHit, RayHits
@@ -126,7 +126,7 @@ class RayQueries(Arrays):
             starts, ways, t_max, mask, skip_inside, raycasting.CLOSEST, threads
         )
         normals = np.empty_like(starts)
-        raycasting.describe(self._handles, slots, axes, ways, normals)
+        ray_hits.describe(self._handles, slots, axes, ways, normals)
         return RayHits(slots, ts, normals)
 
     def occluded_many(
@@ -175,7 +175,7 @@ class RayQueries(Arrays):
             checks.point('direction', way, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         place = np.empty((2 + RAY_ROWS, self.ndim))
-        slot, t = raycasting.raycast_one(
+        slot, t = ray_hits.raycast_one(
             self._nodes,
             self._tight,
             self._handles,
@@ -188,7 +188,7 @@ class RayQueries(Arrays):
             mode,
             place,
         )
-        if slot == raycasting.NOT_FINITE:
+        if slot == ray_hits.NOT_FINITE:
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)
         return None if slot < 0 else (slot, t, place)
@@ -199,7 +199,7 @@ class RayQueries(Arrays):
 
     def _hit(self, start: Floats, way: Floats, slot: int, t: float, axis: int) -> RayHit:
         place = np.empty((2, self.ndim))
-        raycasting.locate(self._nodes, self._tight, start, way, slot, t, axis, place)
+        ray_hits.locate(self._nodes, self._tight, start, way, slot, t, axis, place)
         return RayHit(int(self._handles[slot]), t, place[0], place[1])
 
     def _first(
@@ -270,7 +270,7 @@ class RayQueries(Arrays):
         order = np.arange(count)
         if len(self) >= SORT_FROM_BOXES and count >= SORT_FROM_RAYS:
             keys, spare = np.empty(count, np.int64), np.empty(count, np.int64)
-            wide_raycasting.coherent_order(
+            ordering.coherent_order(
                 starts, ways, snapshot.center, snapshot.per_length, keys, order, spare
             )
         return order

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A tree as plain arrays: what a file and a pickle hold."""
 
-import zipfile
-import zlib
 from os import PathLike
 from typing import Any
 
