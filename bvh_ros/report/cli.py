@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from . import error, peers, speed
+from . import error, peers, speed, stability
 from .page import Page
 from .progress import Progress
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
-PARTS = {'error': error, 'peers': peers, 'speed': speed}
+PARTS = {'error': error, 'peers': peers, 'speed': speed, 'stability': stability}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -24,9 +24,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parts = list(PARTS.values()) if options.part == 'all' else [PARTS[options.part]]
     with Progress(sum(part.steps(options.quick) for part in parts)) as progress:
         page = Page(options.out, progress.write, options.data)
-        for part in parts:
-            part.run(page, progress, options.quick)
+        failed = sum(part.run(page, progress, options.quick) or 0 for part in parts)
     print(f'written: {page.write()}')
+    if failed:
+        sys.exit(f'{failed} cases of stability failed')
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -36,7 +37,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         choices=[*PARTS, 'all'],
         help='error: how wrong each way of answering is, against its time; '
         'peers: other libraries on the same work; '
-        'speed: growth, calls, policies, searches, cold start',
+        'speed: growth, calls, policies, searches, cold start; '
+        'stability: extreme and stiff cases; exits with 1 if one fails',
     )
     parser.add_argument(
         '--out', type=Path, default=Path('report_out'), help='folder to write to (%(default)s)'

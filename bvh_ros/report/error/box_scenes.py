@@ -41,7 +41,7 @@ def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes
     """Boxes and rays of lattice points; the directions are not normalised."""
     low = rng.integers(-40, 40, (count, 3))
     high = low + rng.integers(0, 4, (count, 3))
-    lo, hi = low * 0.1, high * 0.1
+    lo, hi = low.astype(np.float64) * 0.1, high.astype(np.float64) * 0.1
     rows = rng.integers(0, count, asked)
     targets = np.where(rng.random((asked, 3)) < 0.5, low[rows], high[rows])
     steps = rng.integers(-3, 4, (asked, 3))

@@ -45,6 +45,8 @@ class Point(NamedTuple):
     """One a panel."""
     family: str
     """One of `FAMILIES`: its colour and marker."""
+    judged: bool = True
+    """Whether it may be on the front; not if it was asked less than others."""
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -70,7 +72,7 @@ def tradeoff(path: Path, points: Sequence[Point], panels: Sequence[Panel], title
     FigureCanvasAgg(figure)
     every = figure.subplots(1, len(panels), squeeze=False)[0]
     ranked = sorted(points, key=lambda point: point.time)
-    chosen = set()
+    chosen: set[int] = set()
     for k, (axes, panel) in enumerate(zip(every, panels, strict=True)):
         chosen.update(_panel(axes, ranked, [point.errors[k] for point in ranked], panel))
     _key(figure, ranked, chosen)
@@ -92,7 +94,8 @@ def _panel(
 ) -> Sequence[int]:
     """Points and front; returns which are on the front."""
     shown = [max(error, panel.floor) for error in errors]
-    best = front([(point.time, y) for point, y in zip(points, shown, strict=True)])
+    judged = [i for i, point in enumerate(points) if point.judged]
+    best = [judged[i] for i in front([(points[i].time, shown[i]) for i in judged])]
     for i, (point, y) in enumerate(zip(points, shown, strict=True)):
         look = _look(point)
         face = look['color'] if i in best else 'white'
@@ -127,8 +130,8 @@ def _ticks(axes: Any, floor: float, below: bool) -> None:
     lowest = f'< {_power(floor)}' if below else '0'
     axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: lowest if v == floor else _power(v)))
     left, right = axes.get_xlim()
-    if right < 300 * left:
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=15))
+    short = right < 100 * left
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,), numticks=5))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda v, _: f'{v:,.10g}'))
     axes.xaxis.set_minor_formatter(NullFormatter())
 

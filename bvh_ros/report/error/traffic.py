@@ -7,6 +7,7 @@ world is the one of the last refresh, as it is or moved on by each vehicle's vel
 last two refreshes.
 """
 
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,9 @@ class Moment(NamedTuple):
 
 def world_at(traffic: dict[int, Track], time: float) -> World:
     """Vehicles on straight lines between their frames."""
-    ids, places, turns, sizes = [], [], [], []
+    ids, sizes = [], []
+    places: list[list[float]] = []
+    turns: list[list[float]] = []
     for number, track in traffic.items():
         if not track.times[0] <= time <= track.times[-1]:
             continue
@@ -108,7 +111,7 @@ class Observer:
                     self.names |= {handle: int(name[len(PREFIX) :]) for handle, name in names}
             last = time
             handles, ts, _, _ = scene.raycast_many(*moment.rays)
-            answers.append(Answer(handles, ts))
+            answers.append(Answer(handles.astype(np.int64), ts))
         return answers
 
     def answer(self) -> Answer:
@@ -155,7 +158,7 @@ def traffic_truth(traffic: dict[int, Track], moments: list[Moment]) -> Truth:
     first = np.repeat(np.cumsum([0, *counts[:-1]]), RAYS_PER_MOMENT)
     rows = np.where(joined.rows == NOTHING, NOTHING, numbers[joined.rows])
 
-    def entry(number: int, ray: int) -> object:
+    def entry(number: int, ray: int) -> Fraction | None:
         here = worlds[ray // RAYS_PER_MOMENT].ids
         place = np.flatnonzero(here == number)
         return joined.entry(int(first[ray] + place[0]), ray) if len(place) else None

@@ -156,8 +156,9 @@ def brute_force(boxes: Boxes, rays: Rays) -> tuple[Rows, Floats]:
         for ray, (origin, direction) in enumerate(zip(*rays, strict=True)):
             inverse = 1.0 / direction
             first, last = (boxes.lo - origin) * inverse, (boxes.hi - origin) * inverse
-            entry = np.fmin(first, last).max(axis=1).clip(0.0)
-            leave = np.fmax(first, last).min(axis=1)
+            near, far = np.where(inverse > 0, first, last), np.where(inverse > 0, last, first)
+            entry = np.fmax.reduce(near, axis=1, initial=0.0)  # 0 * inf is NaN: bounds nothing
+            leave = np.fmin.reduce(far, axis=1, initial=np.inf)
             met = np.flatnonzero(entry <= leave)
             if len(met):
                 rows[ray] = met[entry[met].argmin()]

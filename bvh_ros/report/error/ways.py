@@ -93,7 +93,9 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
         'batch, plain float64 leaves': Way(lambda: rounded_answer(tree, rays), 'float64'),
         'binary tree, plain float64 leaves': Way(lambda: rounded_answer(binary, rays), 'float64'),
         'binary tree, float32': Way(lambda: as_answer(single()), 'float32'),
-        'brute force, float64': Way(lambda: Answer(*brute_force(boxes, few)), 'brute force'),
+        f'brute force, float64 ({len(few.origins)} rays)': Way(
+            lambda: Answer(*brute_force(boxes, few)), 'brute force'
+        ),
     }
 
 
@@ -133,16 +135,17 @@ def show(
         [way, times[way].nanoseconds / 1e3, scores[way].rays, *cells(scores[way])] for way in ways
     ]
     page.table(Table(f'error_{name}', ['way', 'us a ray', 'rays', *HEADER], rows))
+    asked = max(result.rays for result in scores.values())
     points = [
         Point(
             way,
             times[way].nanoseconds / 1e3,
             [kind.error(scores[way]) for kind in shown],
             ways[way].family,
+            scores[way].rays == asked,
         )
         for way in ways
     ]
     path = page.plot(f'error_{name}', f'Error against run time: {title}')
-    share = 0.1 / max(found_score.rays for found_score in scores.values())
-    panels = [Panel(kind.label, kind.floor or share, kind.top) for kind in shown]
+    panels = [Panel(kind.label, kind.floor or 0.1 / asked, kind.top) for kind in shown]
     tradeoff(path, points, panels, title)
