@@ -123,7 +123,7 @@ def plan_collapse(nodes, root, least, shares):
             here[lanes - 1], share[lanes - 1] = best, best_share
         here[0], share[0] = np.float32(node_area(nodes, node, scale)) + here[WIDTH - 1], 0
         for lanes in range(2, WIDTH + 1):
-            if here[lanes - 2] <= here[lanes - 1]:
+            if here[lanes - 2] < here[lanes - 1]:
                 here[lanes - 1], share[lanes - 1] = here[lanes - 2], share[lanes - 2]
     return count_wide(nodes, root, shares)
 
