@@ -46,7 +46,8 @@ def corner_scene(rng: np.random.Generator, scales: Floats, count: int) -> tuple[
     steps = rng.integers(-2, 3, (count, 3))
     steps[~steps.any(axis=1)] = (1, 1, 2)
     origins = (corners - steps * rng.integers(1, 4, (count, 1))) * scales[rows]
-    directions: Floats = steps * np.where(rng.random((count, 1)) < 0.5, scales[rows], 1.0)
+    lengths = np.where(rng.random((count, 1)) < 0.5, scales[rows], 1.0)
+    directions = steps.astype(np.float64) * lengths
     return Boxes(lo, hi), Rays(origins, directions)
 
 

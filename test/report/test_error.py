@@ -1,0 +1,141 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The truth that the report measures against, and how it counts."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from tree.reference import exact_hits
+
+from bvh_ros import DynamicBVH
+from bvh_ros.report.error import plain, recordings
+from bvh_ros.report.error.box_scenes import corner_rays
+from bvh_ros.report.error.picture import front
+from bvh_ros.report.error.scoring import Answer, score
+from bvh_ros.report.error.traffic import Observer, moments_of, traffic_truth, world_at
+from bvh_ros.report.error.truth import NOTHING, boxes_truth, shapes_truth
+from bvh_ros.report.error.ways import rounded_answer, tree_answer
+from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
+from bvh_ros.scene import ShapeKind, Shapes
+
+
+@pytest.mark.parametrize('adversarial', [False, True])
+def test_truth_of_boxes_is_that_of_brute_force(adversarial):
+    rng = np.random.default_rng(1)
+    boxes, rays = uniform_boxes(200, rng), incoherent_rays(100, rng)
+    if adversarial:
+        boxes, rays = corner_rays(200, 100, rng)
+    truth = boxes_truth(boxes, rays)
+    for ray, hits in enumerate(exact_hits(*boxes, *rays)):
+        first = min((hit.t, hit.row) for hit in hits) if hits else (None, NOTHING)
+        assert (truth.ts[ray], truth.rows[ray]) == first
+        for hit in hits:
+            assert truth.entry(hit.row, ray) == hit.t
+
+
+HALF_TURN = (0.0, 0.0, 1.0, 1.0)  # a quarter turn about z, not of unit length
+EIGHTH = (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8))
+ROOT = Fraction(math.isqrt(2 << 200), 1 << 100)
+# kind, size, quaternion, origin, direction, exact t or None; all shapes stand at (10, 0, 0)
+SHAPES = {
+    'box': ('BOX', (2, 4, 6), (0, 0, 0, 0), (0, 0, 0), (1, 0, 0), 9),
+    'box, quarter turn': ('BOX', (2, 4, 6), HALF_TURN, (0, 0, 0), (1, 0, 0), 8),
+    'box, edge first': ('BOX', (2, 2, 2), EIGHTH, (0, 0, 0), (1, 0, 0), 10 - ROOT),
+    'sphere': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (0, 3, 0), (1, 0, 0), 6),
+    'sphere, slow ray': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (0, 3, 0), (0.5, 0, 0), 12),
+    'sphere, touched': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (0, 5, 0), (1, 0, 0), 10),
+    'sphere missed': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (0, 5 + 1e-15, 0), (1, 0, 0), None),
+    'sphere, behind': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (20, 3, 0), (1, 0, 0), None),
+    'sphere, inside': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (12, 3, 0), (1, 0, 0), 0),
+    'cylinder, side': ('CYLINDER', (10, 10, 2), (0, 0, 0, 1), (0, 4, 0), (1, 0, 0), 7),
+    'cylinder, cap': ('CYLINDER', (10, 10, 2), (0, 0, 0, 1), (12, 1, 9), (0, 0, -2), 4),
+    'cylinder, rim': ('CYLINDER', (10, 10, 2), (0, 0, 0, 1), (0, 0, 1), (1, 0, 0), 5),
+    'above': ('CYLINDER', (10, 10, 2), (0, 0, 0, 1), (0, 0, 1 + 2e-16), (1, 0, 0), None),
+    'cylinder, lying': ('CYLINDER', (10, 10, 2), (0, 1, 0, 1), (0, 0, 3), (1, 0, 0), 9),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize('name', SHAPES)
+def test_truth_of_shapes(name):
+    kind, size, turn, origin, direction, expected = SHAPES[name]
+    shapes = Shapes(
+        np.array([ShapeKind[kind]], np.uint8),
+        np.array([[10.0, 0, 0]]),
+        np.array([turn], float),
+        np.array([size], float),
+    )
+    truth = shapes_truth(shapes, Rays(np.array([origin], float), np.array([direction], float)))
+    (t,) = truth.ts
+    if expected is None:
+        assert t is None
+    else:
+        assert abs(t - expected) < 1e-15
+    assert truth.rows[0] == (NOTHING if expected is None else 0)
+
+
+def test_score_counts_what_is_wrong():
+    boxes = Boxes(np.array([[1.0, 0, 0], [3, 0, 0]]), np.array([[2.0, 1, 1], [4, 1, 1]]))
+    origins = np.array([[0.0, 0.5, 0.5]] * 5 + [[0, 5, 5]])
+    truth = boxes_truth(boxes, Rays(origins, np.tile([1.0, 0, 0], (6, 1))))
+    assert truth.rows.tolist() == [0, 0, 0, 0, 0, NOTHING]
+    one_ulp = math.nextafter(1.0, 2.0)
+    answer = Answer(np.array([0, 0, 1, NOTHING, 0, 1]), np.array([1, one_ulp, 3, math.inf, 1, 3]))
+    found = score(answer, truth)
+    assert (found.wrong_hits, found.wrong_misses, found.wrong_first) == (1, 1, 1)
+    assert found.wrong == 0.5
+    assert found.ulps == 1.0
+    assert found.relative == 2.0**-52
+    assert found.distances.tolist() == [0, 2.0**-52, 2, 0]
+
+
+def test_objects_entered_at_the_same_distance_are_both_first():
+    boxes = Boxes(np.zeros((2, 3)), np.ones((2, 3)))
+    truth = boxes_truth(boxes, Rays(np.array([[-1.0, 0.5, 0.5]]), np.array([[1.0, 0, 0]])))
+    assert truth.rows.tolist() == [0]
+    assert score(Answer(np.array([1]), np.array([1.0])), truth).wrong == 0
+
+
+def test_rounded_decisions_are_undone_and_are_wrong_where_it_is_close():
+    boxes, rays = corner_rays(300, 2000, np.random.default_rng(1))
+    truth = boxes_truth(boxes, rays)
+    for tree in (DynamicBVH.from_boxes(*boxes), plain.BinaryTree.from_boxes(*boxes)):
+        assert score(rounded_answer(tree, rays), truth).wrong > 0.01
+        found = score(tree_answer(tree, rays), truth)
+        assert found.wrong == 0
+        assert found.ulps <= 2
+
+
+@pytest.mark.parametrize(
+    ('points', 'expected'),
+    [
+        ([(1, 1), (2, 0.5), (3, 0.7), (4, 0.1)], [0, 1, 3]),
+        ([(4, 0.1), (1, 1), (1, 0.5)], [2, 0]),
+        ([(1, 1), (2, 0.95)], [0]),
+        ([(1, 0), (2, 0)], [0]),
+    ],
+)
+def test_front(points, expected):
+    assert front(points) == expected
+
+
+def test_a_world_that_is_refreshed_at_once_is_right(shared_data):
+    path = shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
+    traffic = recordings.tracks(path)
+    assert len(traffic) == 22
+    moments = moments_of(traffic, 0.2, np.random.default_rng(1))
+    truth = traffic_truth(traffic, moments)
+    assert (truth.rows != NOTHING).sum() > 10
+    assert score(Observer(traffic, moments, None).answer(), truth).wrong == 0
+    assert score(Observer(traffic, moments, 1).answer(), truth).wrong > 0
+
+
+def test_vehicles_are_between_their_frames(shared_data):
+    path = shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
+    traffic = recordings.tracks(path)
+    world = world_at(traffic, 0.25)
+    for number, place in zip(world.ids.tolist(), world.shapes.position, strict=True):
+        track = traffic[number]
+        around = track.positions[(track.times > 0.15) & (track.times < 0.35)]
+        assert np.allclose(place, around.mean(axis=0), atol=1e-9)
