@@ -84,6 +84,7 @@ def test_score_counts_what_is_wrong():
     answer = Answer(np.array([0, 0, 1, NOTHING, 0, 1]), np.array([1, one_ulp, 3, math.inf, 1, 3]))
     found = score(answer, truth)
     assert (found.wrong_hits, found.wrong_misses, found.wrong_first) == (1, 1, 1)
+    assert found.wrong_by == 2.0
     assert found.wrong == 0.5
     assert found.ulps == 1.0
     assert found.relative == 2.0**-52

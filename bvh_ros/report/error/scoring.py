@@ -32,6 +32,8 @@ class Score(NamedTuple):
     """Nothing is met where there is something."""
     wrong_first: int
     """An object is met first that is not: farther, or not met at all."""
+    wrong_by: float
+    """How much farther at most, m; inf if it is not met at all."""
     distances: Floats
     """|t - exact t| in metres, of all rays that meet something and should."""
     relative: float
@@ -54,6 +56,7 @@ HEADER = (
     'wrong hits',
     'wrong misses',
     'wrong first',
+    'by at most, m',
     'wrong, % of rays',
     'distance: mean error, m',
     '95 %, m',
@@ -68,6 +71,7 @@ def cells(score: Score) -> list[Cell]:
     far = float(np.percentile(score.distances, 95)) if len(score.distances) else 0.0
     largest = float(score.distances.max(initial=0.0))
     counts: list[Cell] = [score.wrong_hits, score.wrong_misses, score.wrong_first]
+    counts.append(score.wrong_by if score.wrong_first else None)
     return [*counts, 100 * score.wrong, score.mean, far, largest, score.relative, score.ulps]
 
 
@@ -75,7 +79,7 @@ def score(answer: Answer, truth: Truth) -> Score:
     """Compare. Of objects entered at exactly the same distance any may be called the first."""
     hits = misses = firsts = 0
     distances: list[float] = []
-    relative = ulps = 0.0
+    relative = ulps = by = 0.0
     pairs = zip(answer.rows.tolist(), answer.ts.tolist(), truth.rows.tolist(), strict=True)
     for ray, (row, t, true_row) in enumerate(pairs):
         exact = truth.ts[ray]
@@ -85,12 +89,18 @@ def score(answer: Answer, truth: Truth) -> Score:
             continue
         error = abs(Fraction(t) - exact)
         distances.append(float(error) * float(truth.lengths[ray]))
-        if row != true_row and truth.entry(row, ray) != exact:
+        entry = exact if row == true_row else truth.entry(row, ray)
+        if entry != exact:
             firsts += 1
+            by = max(by, _farther(entry, exact) * float(truth.lengths[ray]))
         elif error and not exact:
             relative = ulps = math.inf
         elif error:
             relative = max(relative, float(error / exact))
             ulps = max(ulps, float(error / Fraction(math.ulp(float(exact)))))
     count = len(answer.rows)
-    return Score(count, hits, misses, firsts, np.array(distances), relative, ulps)
+    return Score(count, hits, misses, firsts, by, np.array(distances), relative, ulps)
+
+
+def _farther(entry: Fraction | None, first: Fraction) -> float:
+    return math.inf if entry is None else float(entry - first)
