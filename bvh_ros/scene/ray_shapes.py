@@ -7,6 +7,10 @@ A ball of radius r meets a shape where its centre meets the shape grown by r wit
 the distance along the unit direction `way` at which `origin + s * way` enters the shape, inf if it
 does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray starts
 in the (grown) shape, the axis of a flat face, ROUND elsewhere.
+
+The error is one of place: origin + s * way, computed exactly, lies within 8 u L of the surface of
+the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the shape, or an
+edge). How far s itself is off follows from the angle at which the ray meets the surface.
 """
 
 import math

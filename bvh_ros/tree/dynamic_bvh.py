@@ -35,6 +35,8 @@ REFIT_SHARE = 0.05
 REBUILD_SHARE = 0.3
 # ... which is also done when refits have made the tree so much costlier than it was when built.
 WORSE = 1.2
+# The cost is looked at after so many moves a box.
+REFITS_BEFORE_A_LOOK = 1
 
 
 class DynamicBVH(RayQueries, BoxQueries, Introspection):
@@ -113,7 +115,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         self._lock = Lock()
         self._changes = 0
         self._snapshot, self._snapshot_of, self._rays_since = None, 0, 0
-        self._refits = 0  # boxes since the last look at the cost
+        self._refits = 0  # boxes moved since the last look at the cost
         self._built = 0, 0.0  # boxes and cost after the last bulk build
 
     # ---- storage
@@ -255,6 +257,9 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         )
         self._counters['reinserted' if changed else 'kept'] += 1
         self._changes += int(changed)
+        self._refits += int(changed)
+        if self._refits >= REFITS_BEFORE_A_LOOK * len(self):
+            self._rebuild_if_worse()
         return bool(changed)
 
     def move_many(
@@ -298,7 +303,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
             self._counters['refitted'] += near_count
             self._refits += near_count
         self._reinsert(far, *moved)
-        if self._refits >= len(self):
+        if self._refits >= REFITS_BEFORE_A_LOOK * len(self):
             self._rebuild_if_worse()
         return count
 
@@ -307,9 +312,10 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
             self._nodes, self._heights, self._tight, self._state, rows, *moved, self._thorough
         )
         self._counters['reinserted'] += len(rows)
+        self._refits += len(rows)
 
     def _rebuild_if_worse(self) -> None:
-        """After as many refitted boxes as there are: see what they have done to the tree."""
+        """See what many moves have done to the tree."""
         self._refits = 0
         count, cost = self._built
         if not 0.8 * count < len(self) < 1.25 * count or self.cost() > WORSE * cost:

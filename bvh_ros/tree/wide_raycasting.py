@@ -47,11 +47,12 @@ MISSES, MEETS, ASK = range(3)
 def quick_decision(lo, hi, ray, best_t):
     """Decide where rounding cannot matter: (verdict, t, axis).
 
-    MISSES: surely not met, or surely after best_t. MEETS: surely met, before best_t, and entered
-    last through `axis`. ASK: `meets` must tell. t has an error of three roundings. Distances from
-    the ray neither overflow nor have an infinite inverse here.
+    MISSES: surely not met, or surely after best_t. MEETS: surely met, and before best_t. ASK:
+    `meets` must tell. t has an error of three roundings, and `axis` is one entered then: of two
+    that are entered at almost the same time it may be the other, which `settle_axis` finds out
+    where it matters. Distances neither overflow nor have an infinite inverse here.
     """
-    entry, second, leave = 0.0, 0.0, best_t
+    entry, leave = 0.0, best_t
     entered = INSIDE
     for axis in range(lo.shape[0]):
         inverse = ray[INVERSE, axis]
@@ -59,15 +60,24 @@ def quick_decision(lo, hi, ray, best_t):
         at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
         near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
         if near > entry:
-            entry, second, entered = near, entry, axis
-        elif near > second:
-            second = near
+            entry, entered = near, axis
         leave = far if far < leave else leave
     if entry > leave * PAD + TINY:
         return MISSES, entry, entered
-    if entry * PAD + TINY < leave and second * PAD + TINY < entry:
+    if entered != INSIDE and entry * PAD + TINY < leave:
         return MEETS, entry, entered
     return ASK, entry, entered
+
+
+@lean_kernel
+def settle_axis(lo, hi, ray, t_max, t, entered):
+    """The axis on which a ray that meets the box enters it last, exactly; likely `entered`."""
+    for axis in range(lo.shape[0]):
+        if axis != entered and ray[DIRECTION, axis] != 0.0:
+            near = (near_plane(lo, hi, ray, axis) - ray[ORIGIN, axis]) * ray[INVERSE, axis]
+            if near * PAD + TINY >= t:
+                return np.int64(meets(lo, hi, ray, t_max)[2])
+    return np.int64(entered)
 
 
 @inlined
@@ -126,7 +136,7 @@ def cast(
     stack_entry,
     entries,
 ):
-    """First hit of one ray (or any): (slot, axis); slot NONE where there is none."""
+    """First hit of one ray (or any): (slot, about t, axis); slot NONE where there is none."""
     ndim = ray.shape[1]
     stride = 2 * ndim * WIDTH
     near_x, far_x, inverse_x, in_x, out_x = axis_constants(
@@ -157,10 +167,13 @@ def cast(
                 met, t, axis = meets(lo, hi, ray, t_max)
                 if not met or (skip_inside and axis == INSIDE):
                     continue
-                if best != NONE and not is_before(
-                    nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis
-                ):
-                    continue
+                if best != NONE:
+                    best_lo, best_hi = leaf_box(nodes, tight, 2 * best)
+                    best_axis = settle_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
+                    if not is_before(
+                        nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis
+                    ):
+                        continue
             best, best_t, best_axis = slot, t, axis
             limit = limit32(t, unit)
             if any_hit:
@@ -204,7 +217,7 @@ def cast(
                 place -= 1
             stack_entry[place], stack[place] = entry, kids[base * WIDTH + lane]
             top += 1
-    return best, best_axis
+    return best, best_t, best_axis
 
 
 @lean_kernel
@@ -241,7 +254,7 @@ def cast_rows(
         left_over[i] = not suited
         if not suited:
             continue
-        slot, axis = cast(
+        slot, t, axis = cast(
             planes,
             kids,
             wide_masks,
@@ -260,13 +273,15 @@ def cast_rows(
             stack_entry,
             entries,
         )
-        slots[i], axes[i], ts[i] = slot, axis, np.inf
-        if slot != NONE:
+        if slot == NONE:
+            t = np.inf
+        elif axis == INSIDE:
+            t = 0.0
+        else:
             lo, hi = leaf_box(nodes, tight, 2 * slot)
-            ts[i] = 0.0
-            if axis != INSIDE:
-                ts[i] = plane_distance(
-                    near_plane(lo, hi, ray, axis), ray[ORIGIN, axis], ray[DIRECTION, axis]
-                )
+            axis = settle_axis(lo, hi, ray, t_max[i], t, axis)
+            plane = near_plane(lo, hi, ray, axis)
+            t = plane_distance(plane, ray[ORIGIN, axis], ray[DIRECTION, axis])
+        slots[i], axes[i], ts[i] = slot, axis, t
         exact += np.int64(ray[EXACT, 0])
     return exact
