@@ -63,6 +63,11 @@ def _plain_verdict(lo, hi, ray, best_t):
     return wide_raycasting.MEETS if met else wide_raycasting.MISSES, t, axis
 
 
+@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
+def _plain_axis(lo, hi, ray, t_max, t, entered):
+    return entered
+
+
 @cache
 def binary_kernel() -> Any:
     """`raycasting.raycast_rows` without the exact decision."""
@@ -76,6 +81,7 @@ def wide_kernel() -> Any:
     return rewired(
         wide_raycasting.cast_rows,
         cast=rewired(wide_raycasting.cast, quick_decision=_plain_verdict),
+        settle_axis=_plain_axis,
     )
 
 
