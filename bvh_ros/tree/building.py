@@ -259,8 +259,8 @@ def optimize(nodes, heights, state):
     """Rebuild every treelet by SAH, then the tree's top over them.
 
     Less work than a whole build, and less gain: what the upper levels have divided badly stays
-    divided (Kensler 2008 and Bittner et al. 2013 move subtrees instead; measured, they cost more
-    than the whole build does here).
+    divided. (Bittner et al. 2013 insert nodes again instead; here one such insertion takes longer
+    than a whole build takes for a box.)
     """
     if state[COUNT] < 3:
         return
