@@ -222,14 +222,17 @@ class Registry:
                 )
         self._table[slots] = 0
 
-    def starting_with(self, beginning: str) -> Iterator[Slots]:
-        """Slots of the names that start with `beginning`, which must not end in a digit."""
+    def in_namespace(self, namespace: str) -> Iterator[Slots]:
+        """Slots of the names `namespace`/x, where x has no slash: a/b/7 is not in a."""
+        beginning = f'{namespace}/'
+
+        def inside(name: str) -> bool:
+            return name.startswith(beginning) and '/' not in name[len(beginning) :]
+
         for prefix, table in self._tables.items():
-            if prefix.startswith(beginning):
+            if inside(prefix):  # then so is every name in it: numbers have no slash
                 yield table.slots
-        yield np.array(
-            [slot for name, slot in self._slot_of.items() if name.startswith(beginning)], np.int64
-        )
+        yield np.array([slot for name, slot in self._slot_of.items() if inside(name)], np.int64)
 
     def _grow(self, capacity: int) -> None:
         old = len(self._table)

@@ -260,13 +260,13 @@ class Scene(SceneQueries, SceneInspection):
         return self._remove(self._members(source, group, np.empty(0, np.int64)))
 
     def remove_namespace(self, source: str, namespace: str | None = None) -> int:
-        """Remove the source's obstacles whose names begin with `namespace` + '/', or all.
+        """Remove the source's obstacles named `namespace`/x, where x has no slash; None: all.
 
         Return how many there were.
         """
         if namespace is None:
             return self.remove_group(source, '')
-        slots = np.concatenate(list(self._registry.starting_with(f'{namespace}/')))
+        slots = np.concatenate(list(self._registry.in_namespace(namespace)))
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
 
     def clear(self) -> int:

@@ -11,11 +11,11 @@ from bvh_ros.scene import Numbered, Scene, Shapes
 
 SOURCES = ['camera', 'lidar']
 # Given as strings or as prefix and number; 'a1' + 5 and 'a' + 15 are one name, 'a05' is another.
-texts = st.sampled_from(
-    ['a0', 'a1', 'a15', 'a05', 'a1/2', 'a1/3', 'b', 'a', '', 'error: x', 'a-1', '7']
-)
+PLAIN = ('a0', 'a1', 'a15', 'a05', 'b', 'a', '', 'error: x', 'a-1', '7')
+WITH_SLASH = ('a1/2', 'a1/3', 'a1/b/2', '/4')
+texts = st.sampled_from(PLAIN + WITH_SLASH)
 numbered = st.tuples(
-    st.sampled_from(['a', 'a1', 'a1/', '', 'a-', 'error: ', 'c']),
+    st.sampled_from(['a', 'a1', 'a1/', 'a1/b/', '', 'a-', 'error: ', 'c']),
     st.lists(st.integers(-1, 20), max_size=8),
 )
 coordinates = st.sampled_from([0.0, 1.0, 2.5, float('nan'), 1e308])
@@ -125,12 +125,13 @@ class Model(RuleBasedStateMachine):
         assert self.scene.remove_group(source, group) == len(gone)
         self.forget(gone)
 
-    @rule(source=sources, namespace=st.sampled_from([None, 'a1', 'a', 'b']))
+    @rule(source=sources, namespace=st.sampled_from([None, 'a1', 'a1/b', 'a', '', 'b']))
     def remove_namespace(self, source, namespace):
         gone = {
             n
             for n, o in self.known.items()
-            if o[0] == source and (namespace is None or n.startswith(namespace + '/'))
+            if o[0] == source
+            and (namespace is None or ('/' in n and n.rpartition('/')[0] == namespace))
         }
         assert self.scene.remove_namespace(source, namespace) == len(gone)
         self.forget(gone)

@@ -64,7 +64,6 @@ class Reading(NamedTuple):
 
     steps: list[Step]
     refusals: list[Refusal]
-    namespaces: set[str]  # of all its markers, with the prefix
 
 
 def steps(
@@ -99,7 +98,7 @@ def steps(
     for row, marker in enumerate(markers):
         reader.read(row, marker)
     reader.end_run()
-    return Reading(reader.steps, reader.refusals, reader.namespaces)
+    return Reading(reader.steps, reader.refusals)
 
 
 class _Reader:
@@ -113,14 +112,12 @@ class _Reader:
         self.prefix = prefix
         self.steps: list[Step] = []
         self.refusals: list[Refusal] = []
-        self.namespaces: set[str] = set()
         self._frame: tuple[str, int] = ('', 0)
         self._first_row = 0
         self._rows: dict[str, tuple[float, ...]] = {}  # by name: a name twice ends the run
 
     def read(self, row: int, marker: Any) -> None:
         namespace = self.prefix + marker.ns
-        self.namespaces.add(namespace)
         name = f'{namespace}/{marker.id}'
         action = marker.action
         if action == ADD_OR_MODIFY:

@@ -23,15 +23,13 @@ class MarkerArraySource(Source):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self._lists: set[str] = set()  # markers that are kept as lists of elements
-        self._namespaces: set[str] = set()
 
     def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
         """Follow the markers in order."""
-        steps, refusals, namespaces = markers.steps(
+        steps, refusals = markers.steps(
             message.markers, now=now, into_node=self.frames.into_node, prefix=self.settings.prefix
         )
         items = len(message.markers)
-        self._namespaces |= namespaces
         for step in steps:
             if isinstance(step, markers.Update):
                 refusals += self._update(step)
@@ -84,11 +82,5 @@ class MarkerArraySource(Source):
             self.scene.remove_group(self.name, '')
             self._lists.clear()
             return
-        beginning = namespace + '/'
-        if any(other.startswith(beginning) for other in self._namespaces):
-            # a/b/7 begins with a/ but is not of the namespace a: the slow way, by every name
-            mine = (n for _, n in self.scene.names() if n.rpartition('/')[0] == namespace)
-            self.scene.remove(self.name, list(mine))
-        else:
-            self.scene.remove_namespace(self.name, namespace)
+        self.scene.remove_namespace(self.name, namespace)
         self._lists = {name for name in self._lists if name.rpartition('/')[0] != namespace}
