@@ -46,6 +46,7 @@ setup(
     entry_points={
         'console_scripts': [
             'bvh_node = bvh_ros.ros.node:main',
+            'bvh_lifecycle_node = bvh_ros.ros.lifecycle_node:main',
             'bvh_demo = bvh_ros.demo:main',
             'bvh_report = bvh_ros.report.cli:main',
         ]

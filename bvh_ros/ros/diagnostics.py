@@ -4,38 +4,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
+
+from bvh_ros.ros.part import Part
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.services import QueryServices
     from bvh_ros.ros.sources.source import Source
-    from bvh_ros.scene import Scene
+    from bvh_ros.ros.world import World
 
 PERIOD = 1.0  # seconds
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
-class Diagnostics:
+class Diagnostics(Part):
     """Publishes one status for the world, one for the queries and one for each source."""
 
-    def __init__(
-        self, node: Node, scene: Scene, queries: QueryServices, sources: Sequence[Source]
-    ) -> None:
+    def __init__(self, node: Node, world: World, queries: QueryServices) -> None:
+        super().__init__(node)
         self._name = node.get_fully_qualified_name()
         self._clock = node.get_clock()
-        self._scene = scene
+        self._scene = world.scene
         self._queries = queries
-        self._sources = sources
+        self._sources = world.sources
         self._refused_before: dict[str, int] = {}
-        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 1)
-        node.create_timer(PERIOD, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._publisher = self.publisher(DiagnosticArray, '/diagnostics', 1)
+        self.every(PERIOD, self.publish)
 
     def publish(self) -> None:
         """Publish the state as it is now."""

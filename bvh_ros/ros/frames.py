@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from rclpy.time import Time
 
 from bvh_ros.ros.conversions import rotations
 
@@ -71,27 +72,43 @@ class Frames:
         return self.lookup(self.frame_id, frame_id, stamp)
 
 
-def tf2_lookup(node: Node) -> Lookup | None:
-    """Return a lookup in a tf2 buffer that listens on this node, or None without tf2_ros."""
-    try:
+class Tf2:
+    """A lookup in a tf2 buffer that listens on this node.
+
+    Raises
+    ------
+    ImportError
+        Where tf2_ros is not installed.
+    """
+
+    def __init__(self, node: Node) -> None:
         import tf2_ros
-    except ImportError:
-        return None
-    from rclpy.time import Time
 
-    buffer = tf2_ros.Buffer()
-    listener = tf2_ros.TransformListener(buffer, node)
+        self._error = tf2_ros.TransformException
+        self._buffer = tf2_ros.Buffer()
+        self._listener = tf2_ros.TransformListener(self._buffer, node)
 
-    def lookup(target: str, source: str, stamp: int, _keep: object = listener) -> Transform:
+    def __call__(self, target: str, source: str, stamp: int) -> Transform:
+        """Return the transform at `stamp` (ns, 0 = latest); see `Lookup`."""
         try:
             # No timeout: waiting inside a callback would stop the thread that receives /tf.
-            found = buffer.lookup_transform(target, source, Time(nanoseconds=stamp)).transform
-        except tf2_ros.TransformException as error:
+            found = self._buffer.lookup_transform(target, source, Time(nanoseconds=stamp))
+        except self._error as error:
             raise FrameError(f"no transform from '{source}' to '{target}': {error}") from error
-        move, turn = found.translation, found.rotation
+        move, turn = found.transform.translation, found.transform.rotation
         return Transform(
             np.array((move.x, move.y, move.z)),
             rotations.normalised((turn.x, turn.y, turn.z, turn.w)),
         )
 
-    return lookup
+    def destroy(self) -> None:
+        """Listen no longer."""
+        self._listener.unregister()
+
+
+def listen_to_tf2(node: Node) -> Tf2 | None:
+    """Return a lookup in tf2, or None where tf2_ros is not installed."""
+    try:
+        return Tf2(node)
+    except ImportError:
+        return None

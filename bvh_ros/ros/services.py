@@ -11,19 +11,19 @@ from nav_msgs.srv import GetPlan
 from std_srvs.srv import Trigger
 
 from bvh_ros.ros.conversions import plans
+from bvh_ros.ros.part import Part
 from bvh_ros.ros.refusals import Refused
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.frames import Frames
-    from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.world import World
     from bvh_ros.scene import Scene, SceneHit
 
-Answer = Callable[[plans.Query], 'Sequence[SceneHit]']
+Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
 
 
-class QueryServices:
+class QueryServices(Part):
     """Answers `~/raycast`, `~/raycast_all` and `~/overlap`, or says why it cannot.
 
     A request that cannot be answered never looks free: the reply holds one pose whose frame_id
@@ -32,50 +32,47 @@ class QueryServices:
     Parameters
     ----------
     node : rclpy.node.Node
-    scene : Scene
-    frames : Frames
-    sources : sequence of Source
-        Asked before each answer whether the world is complete.
+    world : World
+        Asked before each answer whether it is complete.
     """
 
-    def __init__(
-        self, node: Node, scene: Scene, frames: Frames, sources: Sequence[Source]
-    ) -> None:
+    def __init__(self, node: Node, world: World) -> None:
+        super().__init__(node)
         self.refused = Refused(node.get_logger(), 'query')
         self.answered = 0
         self._clock = node.get_clock()
-        self._scene = scene
-        self._frames = frames
-        self._sources = sources
-        self._serve(node, '~/raycast', self._raycast)
-        self._serve(node, '~/raycast_all', self._raycast_all)
-        self._serve(node, '~/overlap', self._overlap, oriented=True)
+        self._world = world
+        self._serve('~/raycast', self._raycast)
+        self._serve('~/raycast_all', self._raycast_all)
+        self._serve('~/overlap', self._overlap, oriented=True)
 
-    def _serve(self, node: Node, name: str, answer: Answer, *, oriented: bool = False) -> None:
+    def _serve(self, name: str, answer: Answer, *, oriented: bool = False) -> None:
         def callback(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
             self._reply(request, response, answer, oriented)
             return response
 
-        node.create_service(GetPlan, name, callback)
+        self.service(GetPlan, name, callback)
 
-    def _raycast(self, query: plans.Query) -> Sequence[SceneHit]:
-        hit = self._scene.raycast(query.start, query.goal, query.tolerance)
+    @staticmethod
+    def _raycast(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        hit = scene.raycast(query.start, query.goal, query.tolerance)
         return () if hit is None else (hit,)
 
-    def _raycast_all(self, query: plans.Query) -> Sequence[SceneHit]:
-        return self._scene.raycast_all(query.start, query.goal, query.tolerance)
+    @staticmethod
+    def _raycast_all(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        return scene.raycast_all(query.start, query.goal, query.tolerance)
 
-    def _overlap(self, query: plans.Query) -> Sequence[SceneHit]:
-        return self._scene.overlap(query.start, query.goal, query.orientation, query.tolerance)
+    @staticmethod
+    def _overlap(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        return scene.overlap(query.start, query.goal, query.orientation, query.tolerance)
 
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         now = self._clock.now().nanoseconds
-        plan, scene, frame_id = response.plan, self._scene, self._frames.frame_id
+        plan, frames = response.plan, self._world.frames
         try:
-            self._check_world(now)
-            query = plans.query(request, self._frames.into_node, oriented=oriented)
-            scene.expire(now)  # the timer that does this too may be late
-            plans.fill(plan, answer(query), frame_id, scene.newest)
+            scene = self._world.at(now)
+            query = plans.query(request, frames.into_node, oriented=oriented)
+            plans.fill(plan, answer(scene, query), frames.frame_id, scene.newest)
             self.answered += 1
             return
         except ValueError as error:
@@ -83,40 +80,34 @@ class QueryServices:
         except Exception as error:  # whatever went wrong, the way must not look free
             reason = f'internal error: {error!r}'
         self.refused.add(reason)
-        plans.fill_error(plan, request, reason, frame_id, now)
-
-    def _check_world(self, now: int) -> None:
-        for source in self._sources:
-            problem = source.problem(now)
-            if problem:
-                raise ValueError(problem)
+        plans.fill_error(plan, request, reason, frames.frame_id, now)
 
 
-class TriggerServices:
+class TriggerServices(Part):
     """`~/clear`, `~/rebuild` and `~/validate`."""
 
-    def __init__(self, node: Node, scene: Scene, sources: Sequence[Source]) -> None:
-        self._scene = scene
-        self._sources = sources
+    def __init__(self, node: Node, world: World) -> None:
+        super().__init__(node)
+        self._scene = world.scene
+        self._sources = world.sources
         for name, act in (
             ('~/clear', self._clear),
             ('~/rebuild', self._rebuild),
             ('~/validate', self._validate),
         ):
-            self._serve(node, name, act)
+            self._serve(name, act)
 
-    @staticmethod
-    def _serve(node: Node, name: str, act: Callable[[], str]) -> None:
+    def _serve(self, name: str, act: Callable[[], str]) -> None:
         def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 response.message = act()
                 response.success = True
             except Exception as error:
                 response.message = f'{type(error).__name__}: {error}'
-                node.get_logger().error(f'{name}: {response.message}')
+                self.node.get_logger().error(f'{name}: {response.message}')
             return response
 
-        node.create_service(Trigger, name, callback)
+        self.service(Trigger, name, callback)
 
     def _clear(self) -> str:
         removed = self._scene.clear()

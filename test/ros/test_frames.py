@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bvh_ros.ros.frames import FrameError, Frames, tf2_lookup
+from bvh_ros.ros.frames import FrameError, Frames, listen_to_tf2
 
 
 class FakeBuffer:
@@ -52,13 +52,13 @@ def test_own_frame_needs_no_transform():
 
 def test_without_tf2_other_frames_are_refused(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2_ros', None)  # import fails
-    assert tf2_lookup(None) is None
+    assert listen_to_tf2(None) is None
     with pytest.raises(FrameError, match="'base' is not 'map'"):
         Frames('map').into_node('base')
 
 
 def test_transform_by_tf2(tf2):
-    frames = Frames('map', tf2_lookup('node'))
+    frames = Frames('map', listen_to_tf2('node'))
     assert tf2 == ['node']
     transform = frames.into_node('base', 5)
     assert np.allclose(transform.points([[1, 0, 0], [0, 1, 5]]), [[1, 3, 3], [0, 2, 8]])

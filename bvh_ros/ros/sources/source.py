@@ -61,6 +61,13 @@ class Source(ABC):
             follow=self.follows_publisher,
         )
 
+    def destroy(self) -> None:
+        """Listen no longer; the obstacles stay, and a required source has to speak again."""
+        if self.subscription is not None:
+            self.subscription.destroy()
+            self.subscription = None
+        self.has_spoken = self.has_spoken and not self.settings.required
+
     def receive(self, message: Any) -> None:
         """Apply one message; what cannot be used is counted and explained, never raised."""
         now = self._clock.now().nanoseconds

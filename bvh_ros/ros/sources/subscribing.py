@@ -104,6 +104,11 @@ class FollowingSubscription:
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._create(None)
 
+    def destroy(self) -> None:
+        """Listen no longer."""
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_guard_condition(self._change)
+
     def publishers(self) -> int:
         """Return how many publishers are matched."""
         return int(self._node.count_publishers(self.topic))

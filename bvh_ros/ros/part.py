@@ -1,0 +1,62 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A part of the node: what it opened on the node goes away with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from rclpy.clock import Clock, ClockType
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+class Part:
+    """Opens services, topics and timers on a node, and closes them again.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Any node, managed or not.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._close: list[Callable[[], object]] = []
+
+    def service(self, kind: type, name: str, callback: Callable[..., Any], **given: Any) -> Any:
+        """Create a service that lives as long as this part."""
+        service = self.node.create_service(kind, name, callback, **given)
+        self._close.append(partial(self.node.destroy_service, service))
+        return service
+
+    def publisher(self, kind: type, topic: str, qos: Any, **given: Any) -> Any:
+        """Create a publisher that lives as long as this part."""
+        publisher = self.node.create_publisher(kind, topic, qos, **given)
+        self._close.append(partial(self.node.destroy_publisher, publisher))
+        return publisher
+
+    def subscription(
+        self, kind: type, topic: str, callback: Callable[..., Any], qos: Any, **given: Any
+    ) -> Any:
+        """Create a subscription that lives as long as this part."""
+        subscription = self.node.create_subscription(kind, topic, callback, qos, **given)
+        self._close.append(partial(self.node.destroy_subscription, subscription))
+        return subscription
+
+    def every(self, period: float, callback: Callable[[], Any]) -> None:
+        """Call back every `period` seconds of real time, as long as this part lives.
+
+        With simulated time, too: the callback has to run while nobody publishes /clock.
+        """
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.node.create_timer(period, callback, clock=clock)
+        self._close.append(partial(self.node.destroy_timer, timer))
+
+    def destroy(self) -> None:
+        """Close what was opened, the last first. Doing so twice does nothing more."""
+        while self._close:
+            self._close.pop()()

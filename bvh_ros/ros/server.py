@@ -1,0 +1,150 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node does, on any rclpy node: reads parameters, compiles, listens and answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Protocol
+
+from rclpy.exceptions import InvalidTopicNameException, ParameterException
+
+from bvh_ros.ros.diagnostics import Diagnostics
+from bvh_ros.ros.frames import Frames, listen_to_tf2
+from bvh_ros.ros.parameters import ConfigurationError, read_settings
+from bvh_ros.ros.services import QueryServices, TriggerServices
+from bvh_ros.ros.sources import SOURCE_TYPES, create_source
+from bvh_ros.ros.upkeep import Upkeep
+from bvh_ros.ros.warm_up import warm_up
+from bvh_ros.ros.world import World
+from bvh_ros.scene import Scene
+from bvh_ros.tree import compiling
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.parameters import SourceSettings
+    from bvh_ros.ros.sources.source import Source
+
+
+class Destroyable(Protocol):
+    """All that the server asks of a part."""
+
+    def destroy(self) -> None:
+        """Take away everything that this part opened on the node."""
+
+
+class BvhServer:
+    """Keeps moving obstacles in a dynamic bounding volume hierarchy and answers queries.
+
+    Its life: made (parameters read), `compile`, then `serve` and `stop` as often as wanted, and
+    `destroy` in the end.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Any node, managed or not.
+
+    Raises
+    ------
+    ConfigurationError
+        If a parameter cannot be used.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        settings = read_settings(node, {name: t.options for name, t in SOURCE_TYPES.items()})
+        self.settings = settings
+        scene = Scene(
+            planar=settings.planar, margin=settings.margin, max_obstacles=settings.max_obstacles
+        )
+        self._tf2 = listen_to_tf2(node) if settings.use_tf else None
+        frames = Frames(settings.frame_id, self._tf2)
+        sources = [self._create_source(given, scene, frames) for given in settings.sources]
+        self.world = World(settings, scene, frames, sources)
+        self._parts: list[Destroyable] = []
+
+    def compile(self) -> None:
+        """Compile the kernels that this configuration needs."""
+        log = self.node.get_logger().info
+        if not compiling.is_warm():
+            log(
+                'first start on this machine: compiling, about a minute; later starts take seconds'
+            )
+        kinds = {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
+        warm_up(planar=self.settings.planar, margin=self.settings.margin, kinds=kinds, log=log)
+
+    def serve(self) -> None:
+        """Listen to the sources and offer the services; every kernel is compiled by now.
+
+        Raises
+        ------
+        ConfigurationError
+            If a part cannot be had as configured; none is there then.
+        """
+        try:
+            for source in self.world.sources:
+                self._parts.append(source)
+                self._subscribe(source)
+            self._parts.extend(self._create_parts())
+        except Exception:
+            self.stop()
+            raise
+        self.node.get_logger().info(self.in_words())
+
+    def _create_parts(self) -> Iterator[Destroyable]:
+        """Create the parts that this configuration uses, a line each; the last ends first."""
+        node, world = self.node, self.world
+        queries = QueryServices(node, world)
+        yield queries
+        yield TriggerServices(node, world)
+        yield Upkeep(node, world)
+        yield Diagnostics(node, world, queries)
+
+    def stop(self) -> None:
+        """End all parts: no topic is heard and no service offered. The world stays as it is."""
+        while self._parts:
+            self._parts.pop().destroy()
+
+    def destroy(self) -> None:
+        """Leave nothing behind on the node but its parameters."""
+        self.stop()
+        if self._tf2 is not None:
+            self._tf2.destroy()
+
+    def in_words(self) -> str:
+        """Say what is served and which parts this scene uses."""
+        settings, world = self.settings, self.world
+        heard = ', '.join(
+            f'{source.name} ({source.settings.type} on {source.subscription.topic})'
+            for source in world.sources
+            if source.subscription is not None
+        )
+        parts = {
+            '2D tree of footprints' if settings.planar else '3D tree': True,
+            f'margin of {settings.margin:g} m' if settings.margin else 'margin': settings.margin
+            > 0.0,
+            'tf2': world.frames.lookup is not None,
+            'python-fcl until a turned or round shape is asked about': False,
+        }
+        on, off = (
+            ', '.join(part for part in parts if parts[part] is used) for used in (True, False)
+        )
+        return (
+            f"ready in frame '{settings.frame_id}'; sources: {heard or 'none'}; "
+            f'on: {on}; off: {off}'
+        )
+
+    def _create_source(self, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:
+        try:
+            self.node.resolve_topic_name(settings.topic)  # better known before compiling
+        except (RuntimeError, InvalidTopicNameException) as error:
+            raise ConfigurationError(f"source '{settings.name}': {error}") from error
+        return create_source(self.node, settings, scene, frames)
+
+    @staticmethod
+    def _subscribe(source: Source) -> None:
+        try:
+            source.subscribe()
+        except (RuntimeError, ParameterException) as error:  # QoS overrides that make no sense
+            raise ConfigurationError(f"source '{source.name}': {error}") from error

@@ -1,0 +1,35 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What has to be done again and again, whoever asks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from bvh_ros.ros.part import Part
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.world import World
+
+EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
+QOS_PERIOD = 1.0  # seconds
+
+
+class Upkeep(Part):
+    """Removes obstacles whose time is over, and follows what publishers offer."""
+
+    def __init__(self, node: Node, world: World) -> None:
+        super().__init__(node)
+        self._world = world
+        self.every(EXPIRY_PERIOD, self._expire)
+        self.every(QOS_PERIOD, self._check_qos)
+
+    def _expire(self) -> None:
+        self._world.scene.expire(self.node.get_clock().now().nanoseconds)
+
+    def _check_qos(self) -> None:
+        for source in self._world.sources:
+            if source.subscription is not None:
+                source.subscription.check()

@@ -1,0 +1,45 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The world that every part of the node works on: scene, frames and sources."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bvh_ros.ros.frames import Frames
+    from bvh_ros.ros.parameters import Settings
+    from bvh_ros.ros.sources.source import Source
+    from bvh_ros.scene import Scene
+
+
+class IncompleteWorldError(ValueError):
+    """A source that the answers depend on is missing; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What is known, where it comes from, and whether that is enough to answer."""
+
+    settings: Settings
+    scene: Scene
+    frames: Frames
+    sources: Sequence[Source]
+
+    def at(self, now: int) -> Scene:
+        """Return the scene as it is at `now` (ns on the node's clock): what is due has expired.
+
+        Raises
+        ------
+        IncompleteWorldError
+            If a source is missing or silent for too long; an answer might look free.
+        """
+        for source in self.sources:
+            problem = source.problem(now)
+            if problem:
+                raise IncompleteWorldError(problem)
+        self.scene.expire(now)
+        return self.scene
