@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured
 from bvh_ros.scene import Refusal, ShapeKind, Shapes
 
-# sensor_msgs/msg/PointField datatypes
-DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 CENTRE = ('x', 'y', 'z')
 SIZE = ('sx', 'sy', 'sz')
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
@@ -47,14 +45,14 @@ def boxes(cloud: Any, *, voxel: float) -> Boxes:
         If the cloud contradicts itself; nothing of it can be trusted then.
     """
     n = cloud.width * cloud.height
-    points = structured(cloud)
+    points = structured(cloud, (*CENTRE, *SIZE, *ORIENTATION, 'id'))
     names = points.dtype.names or ()
     by_id = 'id' in names
     if n == 0:
         return _nothing(by_id)
-    has_size = _all_or_none(names, SIZE)
-    has_orientation = _all_or_none(names, ORIENTATION)
-    if not _all_or_none(names, CENTRE):
+    has_size = all_or_none(names, SIZE)
+    has_orientation = all_or_none(names, ORIENTATION)
+    if not all_or_none(names, CENTRE):
         raise ValueError('the cloud has no fields x, y, z')
     centre = columns(points, CENTRE)
     size = columns(points, SIZE) if has_size else np.full((n, 3), voxel)
@@ -74,83 +72,6 @@ def boxes(cloud: Any, *, voxel: float) -> Boxes:
         np.full(len(rows), ShapeKind.BOX, dtype=np.uint8), centre[rows], turn[rows], size[rows]
     )
     return Boxes(numbers[rows], shapes, deleted, by_id, int(unknown.sum()), refusals)
-
-
-def structured(cloud: Any) -> NDArray[np.void]:
-    """Return the cloud's rows as a read-only structured view of its bytes, shape (height, width).
-
-    Raises
-    ------
-    ValueError
-        If sizes, steps and data disagree, or a field lies outside its point.
-    """
-    width, height, point_step, row_step = (
-        cloud.width,
-        cloud.height,
-        cloud.point_step,
-        cloud.row_step,
-    )
-    dtype = _row_type(cloud.fields, point_step, '>' if cloud.is_bigendian else '<')
-    length = len(cloud.data)
-    if width * height == 0:
-        if length:
-            raise ValueError(
-                f'a cloud of {width} x {height} points carries {length} bytes of data'
-            )
-        return np.empty((height, width), dtype)
-    if row_step < width * point_step:
-        raise ValueError(
-            f'row_step {row_step} is less than width * point_step = {width * point_step}'
-        )
-    if length != row_step * height:
-        raise ValueError(
-            f'data has {length} bytes, row_step * height = {row_step} * {height} '
-            f'promises {row_step * height}'
-        )
-    return np.ndarray((height, width), dtype, buffer=cloud.data, strides=(row_step, point_step))
-
-
-def columns(points: NDArray[np.void], names: Sequence[str]) -> NDArray[np.float64]:
-    """Return the named fields as an (n, len(names)) float64 array."""
-    table = np.empty((points.size, len(names)))
-    for column, name in enumerate(names):
-        table[:, column] = points[name].ravel()
-    return table
-
-
-def _row_type(fields: Sequence[Any], point_step: int, endian: str) -> np.dtype[np.void]:
-    names: list[str] = []
-    formats: list[str] = []
-    offsets: list[int] = []
-    for field in fields:
-        if field.name not in (*CENTRE, *SIZE, *ORIENTATION, 'id'):
-            continue
-        if field.name in names:
-            raise ValueError(f"field '{field.name}' is there twice")
-        if field.datatype not in DATATYPES:
-            raise ValueError(f"field '{field.name}' has the unknown datatype {field.datatype}")
-        if field.count > 1:
-            raise ValueError(f"field '{field.name}' has count {field.count} instead of 1")
-        kind = endian + DATATYPES[field.datatype]
-        if field.offset + np.dtype(kind).itemsize > point_step:
-            raise ValueError(
-                f"field '{field.name}' at offset {field.offset} ends outside its point "
-                f'of {point_step} bytes'
-            )
-        names.append(field.name)
-        formats.append(kind)
-        offsets.append(field.offset)
-    return np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': point_step}
-    )
-
-
-def _all_or_none(names: Sequence[str], wanted: Sequence[str]) -> bool:
-    missing = [name for name in wanted if name not in names]
-    if missing and len(missing) < len(wanted):
-        have = ', '.join(name for name in wanted if name in names)
-        raise ValueError(f'the cloud has {have} but not {", ".join(missing)}')
-    return not missing
 
 
 def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[Refusal]]:

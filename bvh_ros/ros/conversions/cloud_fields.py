@@ -1,0 +1,101 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The bytes of a PointCloud2 as named columns, and what is wrong with a cloud that lies."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# sensor_msgs/msg/PointField datatypes
+DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+
+
+def structured(cloud: Any, wanted: Collection[str]) -> NDArray[np.void]:
+    """Return the cloud's rows as a structured view of its bytes, shape (height, width).
+
+    Parameters
+    ----------
+    cloud : sensor_msgs/PointCloud2
+        Of either byte order, with gaps wherever it likes.
+    wanted : collection of str
+        The fields to read; others are left alone, whatever they are.
+
+    Raises
+    ------
+    ValueError
+        If sizes, steps and data disagree, or a field lies outside its point.
+    """
+    width, height, point_step, row_step = (
+        cloud.width,
+        cloud.height,
+        cloud.point_step,
+        cloud.row_step,
+    )
+    dtype = _row_type(cloud.fields, wanted, point_step, '>' if cloud.is_bigendian else '<')
+    length = len(cloud.data)
+    if width * height == 0:
+        if length:
+            raise ValueError(
+                f'a cloud of {width} x {height} points carries {length} bytes of data'
+            )
+        return np.empty((height, width), dtype)
+    if row_step < width * point_step:
+        raise ValueError(
+            f'row_step {row_step} is less than width * point_step = {width * point_step}'
+        )
+    if length != row_step * height:
+        raise ValueError(
+            f'data has {length} bytes, row_step * height = {row_step} * {height} '
+            f'promises {row_step * height}'
+        )
+    return np.ndarray((height, width), dtype, buffer=cloud.data, strides=(row_step, point_step))
+
+
+def columns(points: NDArray[np.void], names: Sequence[str]) -> NDArray[np.float64]:
+    """Return the named fields as an (n, len(names)) float64 array."""
+    table = np.empty((points.size, len(names)))
+    for column, name in enumerate(names):
+        table[:, column] = points[name].ravel()
+    return table
+
+
+def all_or_none(names: Sequence[str], wanted: Sequence[str]) -> bool:
+    """Return whether all wanted fields are there; ValueError if only some are."""
+    missing = [name for name in wanted if name not in names]
+    if missing and len(missing) < len(wanted):
+        have = ', '.join(name for name in wanted if name in names)
+        raise ValueError(f'the cloud has {have} but not {", ".join(missing)}')
+    return not missing
+
+
+def _row_type(
+    fields: Sequence[Any], wanted: Collection[str], point_step: int, endian: str
+) -> np.dtype[np.void]:
+    names: list[str] = []
+    formats: list[str] = []
+    offsets: list[int] = []
+    for field in fields:
+        if field.name not in wanted:
+            continue
+        if field.name in names:
+            raise ValueError(f"field '{field.name}' is there twice")
+        if field.datatype not in DATATYPES:
+            raise ValueError(f"field '{field.name}' has the unknown datatype {field.datatype}")
+        if field.count > 1:
+            raise ValueError(f"field '{field.name}' has count {field.count} instead of 1")
+        kind = endian + DATATYPES[field.datatype]
+        if field.offset + np.dtype(kind).itemsize > point_step:
+            raise ValueError(
+                f"field '{field.name}' at offset {field.offset} ends outside its point "
+                f'of {point_step} bytes'
+            )
+        names.append(field.name)
+        formats.append(kind)
+        offsets.append(field.offset)
+    return np.dtype(
+        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': point_step}
+    )
