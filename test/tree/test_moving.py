@@ -165,6 +165,25 @@ def test_cost_after_many_random_moves(search: str, at_once: int) -> None:
             tree.validate()
 
 
+def test_boxes_that_all_walk_are_refitted_until_the_cost_says_build() -> None:
+    """Up to an edge a call, mostly in place, and at most 1.25 of a fresh build's cost at any
+    time.
+    """
+    rng = np.random.default_rng(6)
+    lo = rng.uniform(0, 100, (2000, 3))
+    size = rng.uniform(0.5, 3, lo.shape)
+    tree = DynamicBVH.from_boxes(lo, lo + size)
+    for _ in range(100):
+        lo += rng.uniform(-1, 1, lo.shape) * size
+        lo = 100 - abs(100 - abs(lo))  # walls reflect
+        assert tree.move_many(tree.ids(), lo, lo + size) == 2000
+        assert tree.cost() <= 1.25 * DynamicBVH.from_boxes(lo, lo + size).cost()
+    tree.validate()
+    stats = tree.stats()
+    assert stats['refitted'] == 100 * 2000
+    assert 2 <= stats['rebuilds'] <= 70
+
+
 def test_fast_and_slow_in_one_scene() -> None:
     """Speeds of 1e4 and of 1e-9 m/s at 100 Hz, with prediction: each box stays found, and the slow
     ones cost nothing.
