@@ -12,13 +12,9 @@ import argparse
 import csv
 import math
 import os
-import signal
-import statistics
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
@@ -27,13 +23,15 @@ import rclpy
 from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
+from bvh_ros.client import BvhClient, BvhTimeoutError
+from bvh_ros.questions import Question, Table
+from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
 
 DURATION = 15.0  # seconds of the warehouse
 RATE = 10.0  # frames a second of the warehouse
-START_TIMEOUT = 300.0  # seconds: the first start on a machine compiles
 PRINT_EVERY = 1.0  # seconds between the answers that are printed; all are counted
 MARKER_TYPES = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER}
+EVERYWHERE = ((-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))
 Vector = tuple[float, float, float]
 
 
@@ -46,13 +44,6 @@ class Thing(NamedTuple):
     centre: Vector
     size: Vector
     yaw: float
-
-
-class Question(NamedTuple):
-    """One call of the client, and how the table names it."""
-
-    text: str
-    ask: Callable[[BvhClient], Hit | list[Hit] | None]
 
 
 class Frame(NamedTuple):
@@ -151,52 +142,6 @@ def _questions_of(car: Thing) -> list[Question]:
     ]
 
 
-class Table:
-    """Prints some answers and keeps the time of all."""
-
-    def __init__(self) -> None:
-        self.times: list[float] = []
-        self.errors = 0
-
-    def head(self) -> None:
-        """Print the column names."""
-        print(f'\n{"t [s]":>6}  {"question":34} {"answer":26} {"at x, y, z [m]":24} {"ms":>6}')
-
-    def ask(self, client: BvhClient, question: Question, t: float, *, show: bool) -> None:
-        """Ask one question."""
-        began = time.perf_counter()
-        try:
-            answer = question.ask(client)
-        except BvhError as error:
-            self.errors += 1
-            print(f'{t:6.1f}  {question.text:34} error: {error}')
-            return
-        took = 1e3 * (time.perf_counter() - began)
-        self.times.append(took)
-        if show:
-            who, where = _in_words(answer)
-            print(f'{t:6.1f}  {question.text:34} {who:26} {where:24} {took:6.2f}')
-
-    def summary(self) -> str:
-        """Say how it went."""
-        if not self.times:
-            return 'no question was answered'
-        return (
-            f'{len(self.times)} questions answered, {self.errors} errors; round trip over ROS 2: '
-            f'median {statistics.median(self.times):.2f} ms, slowest {max(self.times):.2f} ms'
-        )
-
-
-def _in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
-    hits = [] if answer is None else [answer] if isinstance(answer, Hit) else answer
-    if not hits:
-        return 'free', ''
-    names = ', '.join(hit.name for hit in hits[:2])
-    if len(hits) > 2:
-        names += f', +{len(hits) - 2}'
-    return names, '({:.2f}, {:.2f}, {:.2f})'.format(*hits[0].point)
-
-
 def markers(things: Iterable[Thing], gone: Iterable[tuple[str, int]]) -> MarkerArray:
     """Return the things as markers, and those that are gone as deletions."""
     array = MarkerArray()
@@ -227,6 +172,8 @@ def play(frames: Iterable[Frame], speed: float, node: Node, client: BvhClient) -
         time.sleep(max(0.0, began + frame.t / speed - time.monotonic()))
         present = {(thing.namespace, thing.number) for thing in frame.things}
         publisher.publish(markers(frame.things, known - present))
+        while not (known or client.overlap(*EVERYWHERE)):  # the first frame has to arrive
+            time.sleep(0.01)
         known, updates = present, updates + len(frame.things)
         second = int(frame.t / speed / PRINT_EVERY + 1e-6)
         for question in frame.questions:
@@ -234,36 +181,6 @@ def play(frames: Iterable[Frame], speed: float, node: Node, client: BvhClient) -
         printed = second
     print(f'\n{updates} obstacle updates in {time.monotonic() - began:.1f} s; {table.summary()}')
     return table
-
-
-@contextmanager
-def running_node() -> Iterator[subprocess.Popen[bytes]]:
-    """Run bvh_node in a process of its own, with the Python that runs this."""
-    environment = {**os.environ, 'RCUTILS_CONSOLE_OUTPUT_FORMAT': '  {name}: {message}'}
-    command = [sys.executable, '-m', 'bvh_ros.ros.node']
-    process = subprocess.Popen(command, env=environment)
-    try:
-        yield process
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-
-
-def wait_for(client: BvhClient, process: subprocess.Popen[bytes]) -> None:
-    """Wait until the node is ready, or raise RuntimeError if it has ended."""
-    deadline = time.monotonic() + START_TIMEOUT
-    while True:
-        try:
-            client.wait_until_ready(timeout=1.0)
-            return
-        except BvhTimeoutError:
-            if process.poll() is not None:
-                raise RuntimeError(f'the node ended with code {process.returncode}') from None
-            if time.monotonic() > deadline:
-                raise
 
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
@@ -284,19 +201,17 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the demo; return 0 if every question was answered."""
     options = _arguments(args)
-    # Not to talk to robots nearby: this machine only, and by default a domain of our own.
-    own_domain = os.environ.get('ROS_DOMAIN_ID') or str(1 + os.getpid() % 100)
-    os.environ['ROS_DOMAIN_ID'] = str(own_domain if options.domain is None else options.domain)
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    print(f'starting bvh_node on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}', flush=True)
+    namespace = keep_apart(options.domain)
+    where = f'{namespace}/bvh on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
+    print(f'starting the node {where}', flush=True)
     frames = warehouse() if options.replay is None else replay(options.replay)
-    rclpy.init(args=[])
+    init()
     try:
-        node = rclpy.create_node('bvh_demo')
+        node = rclpy.create_node('bvh_demo', namespace=namespace)
         client = BvhClient(node)
-        with running_node() as process:
+        with running_node(namespace) as process:
             began = time.monotonic()
-            wait_for(client, process)
+            wait_until_ready(client, process)
             print(f'ready after {time.monotonic() - began:.1f} s')
             table = play(frames, options.speed, node, client)
     except KeyboardInterrupt:

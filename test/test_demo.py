@@ -3,8 +3,11 @@
 """The demo ends by itself, and its table tells who was in the way."""
 
 import re
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -15,25 +18,54 @@ from bvh_ros import demo
 ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+/\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
 
 
-def run(*arguments):
-    return subprocess.run(
-        [sys.executable, '-m', 'bvh_ros.demo', *arguments],
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
+def start(*arguments):
+    command = [sys.executable, '-m', 'bvh_ros.demo', *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def test_replay_of_recorded_traffic(shared_data):
+def finished(process):
+    """Exit code, table, and what else was said."""
+    output, errors = process.communicate(timeout=280)
+    assert 'Traceback' not in errors
+    return process.returncode, output, errors
+
+
+def rows_of(output):
+    return [line for line in output.splitlines() if ROW.match(line)]
+
+
+def test_recorded_traffic_and_the_warehouse_at_once(shared_data):
+    """Two demos in one domain: each sees its own world only."""
     file = shared_data / 'commonroad_ngsim' / 'USA_Peach-4_8_T-1.csv'
-    result = run('--replay', str(file), '--speed', '3')
-    assert result.returncode == 0, result.stderr
-    rows = [line for line in result.stdout.splitlines() if ROW.match(line)]
-    assert len(rows) >= 6, result.stdout
-    assert any('car/' in row.split('  ')[-3] or 'car/' in row for row in rows)
-    assert '0 errors' in result.stdout
-    assert 'Traceback' not in result.stderr
+    demos = start('--replay', str(file), '--speed', '3'), start('--speed', '4')
+    (code, traffic, said), (other_code, warehouse, also_said) = map(finished, demos)
+    assert (code, other_code) == (0, 0), said + also_said
+    assert len(rows_of(traffic)) >= 6, traffic
+    assert any(re.search(r'  (car|truck)/\d', row) for row in rows_of(traffic))
+    assert any('  forklift/0' in row for row in rows_of(warehouse))
+    assert 'forklift' not in traffic
+    assert 'car/' not in warehouse
+    assert '0 errors' in traffic
+    assert '0 errors' in warehouse
+
+
+@pytest.mark.parametrize(('how', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_demo_and_its_node(how, code):
+    demo = start()
+    assert demo.stdout.readline().startswith('starting the node')
+    (node,) = children_of(demo.pid)
+    demo.send_signal(how)
+    assert finished(demo)[0] == code
+    assert not Path(f'/proc/{node}').exists()
+
+
+def children_of(pid):
+    children = Path(f'/proc/{pid}/task/{pid}/children')
+    deadline = time.monotonic() + 10
+    while not (found := children.read_text().split()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    return found
 
 
 def test_every_frame_of_the_warehouse():
@@ -55,6 +87,4 @@ def test_markers_of_things_that_are_gone():
     'arguments', [('--replay', '/nowhere.csv'), ('--speed', '0'), ('--speed', 'nan')]
 )
 def test_wrong_arguments(arguments):
-    result = run(*arguments)
-    assert result.returncode == 2
-    assert 'Traceback' not in result.stderr
+    assert finished(start(*arguments))[0] == 2
