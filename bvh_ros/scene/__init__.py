@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
-from .registry import Numbered
+from .names import Families, Numbered
 from .results import NO_NODE, Obstacle, SceneHit
 from .scene import Scene
 from .shapes import ShapeKind, Shapes
@@ -10,6 +10,7 @@ from .updating import Refusal
 
 __all__ = [
     'NO_NODE',
+    'Families',
     'Numbered',
     'Obstacle',
     'Refusal',

@@ -10,6 +10,14 @@ from numpy.typing import NDArray
 NOBODY = 0  # number of the source and group of a free slot, and of what was never heard of
 
 
+def tally(numbers: NDArray[np.int64]) -> dict[int, int]:
+    """How often each number is there."""
+    if len(numbers) and (numbers == numbers[0]).all():
+        return {int(numbers[0]): len(numbers)}
+    different, times = np.unique(numbers, return_counts=True)
+    return dict(zip(different.tolist(), times.tolist(), strict=True))
+
+
 @dataclass
 class Group:
     """Obstacles of one source that one message replaces; '' is for all that has no other group."""
@@ -59,14 +67,7 @@ class Groups:
 
     def leave(self, numbers: NDArray[np.int64]) -> None:
         """One obstacle left each of these groups; a group that is empty then is forgotten."""
-        if not len(numbers):
-            return
-        if (numbers == numbers[0]).all():
-            counts = {int(numbers[0]): len(numbers)}
-        else:
-            different, times = np.unique(numbers, return_counts=True)
-            counts = dict(zip(different.tolist(), times.tolist(), strict=True))
-        for number, count in counts.items():
+        for number, count in tally(numbers).items():
             group = self._by_number[number]
             group.members -= count
             if group.members == 0:

@@ -12,8 +12,9 @@ from .columns import Columns, as_index
 from .footprint import footprints
 from .groups import NOBODY, Groups
 from .inspection import SceneInspection
+from .names import Families, Names, as_families
 from .queries import SceneQueries
-from .registry import UNKNOWN, Names, Numbered, Registry, Slots, as_names, name_at, take
+from .registry import UNKNOWN, Registry, Slots
 from .results import LAST_NODE_HANDLE
 from .shapes import Shapes, as_shapes
 from .updating import Refusal, Rows
@@ -75,7 +76,7 @@ class Scene(SceneQueries, SceneInspection):
         names: Names,
         shapes: Shapes,
         *,
-        stamp: int,
+        stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike = 1,
     ) -> list[Refusal]:
@@ -85,11 +86,11 @@ class Scene(SceneQueries, SceneInspection):
         ----------
         source : str
             The owner; nobody else can touch these obstacles.
-        names : sequence of n str, or Numbered
+        names : sequence of n str, Numbered or Families
             Of several good rows with one name the last holds.
         shapes : Shapes
             n rows.
-        stamp : int
+        stamp : int or (n,) array
             Time of the data, ns.
         expires : int or (n,) array
             When they vanish on the caller's clock, ns, see `expire`; 0 is never.
@@ -117,7 +118,7 @@ class Scene(SceneQueries, SceneInspection):
         names: Names,
         shapes: Shapes,
         *,
-        stamp: int,
+        stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike = 1,
     ) -> list[Refusal]:
@@ -134,20 +135,19 @@ class Scene(SceneQueries, SceneInspection):
         group: str,
         names: Names,
         shapes: Shapes,
-        stamp: int,
+        stamp: ArrayLike,
         expires: ArrayLike,
         categories: ArrayLike,
         whole: bool,
     ) -> list[Refusal]:
-        names, shapes = as_names(names), as_shapes(shapes)
-        if (count := len(names.numbers if isinstance(names, Numbered) else names)) != len(
-            shapes.kind
-        ):
-            raise ValueError(f'there are {count} names for {len(shapes.kind)} shapes')
-        slots = self._registry.find(names)
+        called, formed = as_families(names), updating.form(as_shapes(shapes))
+        if len(called) != formed.total:
+            raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
+        slots = self._registry.find(called)
         owner = self._groups.source(source)
+        columns = stamp, expires, categories
         rows, reasons = updating.examine(
-            names, shapes, slots, self._columns.source, owner, expires, categories
+            called, formed, slots, self._columns.source, owner, columns
         )
         named = slots[slots != UNKNOWN]
         stale = self._members(source, group, named) if whole else named[:0]
@@ -161,14 +161,12 @@ class Scene(SceneQueries, SceneInspection):
                 f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
             )
         self._remove(stale)
-        self._move(known, source, group, stamp)
-        self._insert(added, take(names, added.row), source, group, stamp)
-        if whole or len(rows.row):
-            self.newest = max(self.newest, stamp)
+        self._move(known, source, group)
+        self._insert(added, called.take(added.row), source, group)
+        self.newest = int(np.max(stamp if whole else rows.stamp, initial=self.newest))
         self._any_shaped = self._columns.any_shaped
         return [
-            Refusal(row, name_at(names, row), self._sentence(reasons[row]))
-            for row in sorted(reasons)
+            Refusal(row, called.text(row), self._sentence(reasons[row])) for row in sorted(reasons)
         ]
 
     def _sentence(self, reason: str | int) -> str:
@@ -187,7 +185,7 @@ class Scene(SceneQueries, SceneInspection):
         member[besides] = False
         return np.flatnonzero(member)
 
-    def _move(self, rows: Rows, source: str, group: str, stamp: int) -> None:
+    def _move(self, rows: Rows, source: str, group: str) -> None:
         """Give obstacles that exist their new shape and pose."""
         if not len(rows.row):
             return
@@ -197,10 +195,10 @@ class Scene(SceneQueries, SceneInspection):
         if (columns.categories[rows.slot] != rows.categories).any():
             self._tree.set_masks(handles, rows.categories)
         before = columns.group[rows.slot]
-        self._write(rows, rows.slot, source, group, stamp)
+        self._write(rows, rows.slot, source, group)
         self._groups.leave(before)
 
-    def _insert(self, rows: Rows, names: Names, source: str, group: str, stamp: int) -> None:
+    def _insert(self, rows: Rows, names: Families, source: str, group: str) -> None:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
         if not len(rows.row):
             return
@@ -212,9 +210,9 @@ class Scene(SceneQueries, SceneInspection):
         self._columns.node_handle[slots] = np.arange(len(slots)) + self._next_node_handle
         self._next_node_handle += len(slots)
         self._registry.add(names, slots)
-        self._write(rows, slots, source, group, stamp)
+        self._write(rows, slots, source, group)
 
-    def _write(self, rows: Rows, slots: Slots, source: str, group: str, stamp: int) -> None:
+    def _write(self, rows: Rows, slots: Slots, source: str, group: str) -> None:
         columns, place = self._columns, as_index(slots)
         geometry = columns.geometry
         geometry['position'][place] = rows.shapes.position
@@ -226,7 +224,7 @@ class Scene(SceneQueries, SceneInspection):
         if columns.footprint is not None:
             columns.footprint[place] = footprints(rows.shapes, rows.shaped)
         columns.categories[place] = rows.categories
-        columns.stamp[place] = stamp
+        columns.stamp[place] = rows.stamp
         columns.expires[place] = rows.expires
         mortal = rows.expires[rows.expires > 0]
         if len(mortal):
@@ -248,7 +246,7 @@ class Scene(SceneQueries, SceneInspection):
 
         Names it does not own are left alone.
         """
-        slots = np.unique(self._registry.find(as_names(names)))
+        slots = np.unique(self._registry.find(as_families(names)))
         slots = slots[slots != UNKNOWN]
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
 
@@ -266,7 +264,7 @@ class Scene(SceneQueries, SceneInspection):
         """
         if namespace is None:
             return self.remove_group(source, '')
-        slots = np.concatenate(list(self._registry.in_namespace(namespace)))
+        slots = self._registry.in_namespace(namespace)
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
 
     def clear(self) -> int:

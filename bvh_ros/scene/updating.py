@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree.nodes import ALL
-from . import registry, shapes
-from .registry import UNKNOWN, Names, Numbered, Slots
+from . import shapes
+from .names import BARE, Families, last_of_each
+from .registry import UNKNOWN, Slots
 from .shapes import Floats, Shapes
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
@@ -26,6 +27,30 @@ class Refusal(NamedTuple):
     reason: str
 
 
+class Formed(NamedTuple):
+    """The good ones among `total` shapes, in canonical form; what is wrong with the others."""
+
+    total: int
+    row: NDArray[np.int64]  # (m,) their numbers, ascending; what follows has a row for each
+    shapes: Shapes
+    shaped: NDArray[np.bool_]  # anything but an axis-aligned box
+    lo: Floats
+    hi: Floats
+    faults: dict[int, str]  # by number of the row
+
+    def take(self, which: NDArray[Any]) -> 'Formed':
+        """Some of the good ones; the arrays themselves where that is all of them."""
+        if which.dtype == np.bool_ and which.all():
+            return self
+        return self._replace(
+            row=self.row[which],
+            shapes=self.shapes.take(which),
+            shaped=self.shaped[which],
+            lo=self.lo[which],
+            hi=self.hi[which],
+        )
+
+
 class Rows(NamedTuple):
     """Rows of one update; all arrays have the same length."""
 
@@ -36,6 +61,7 @@ class Rows(NamedTuple):
     lo: Floats
     hi: Floats
     categories: NDArray[np.uint32]
+    stamp: NDArray[np.int64]
     expires: NDArray[np.int64]
 
     def take(self, which: NDArray[Any]) -> 'Rows':
@@ -50,6 +76,7 @@ class Rows(NamedTuple):
             self.lo[which],
             self.hi[which],
             self.categories[which],
+            self.stamp[which],
             self.expires[which],
         )
 
@@ -64,59 +91,70 @@ def column(name: str, value: ArrayLike, count: int, largest: int) -> NDArray[np.
     return np.broadcast_to(array.astype(np.int64), (count,))
 
 
+def form(given: Shapes) -> Formed:
+    """Look at shapes alone: nothing here depends on the world."""
+    count = len(given.kind)
+    code = shapes.faults(given)
+    faults = {int(row): shapes.REASONS[code[row]] for row in np.flatnonzero(code)}
+    row = np.flatnonzero(code == shapes.FINE)
+    form, aligned = shapes.canonical(given if len(row) == count else given.take(row))
+    with np.errstate(over='ignore', invalid='ignore'):
+        lo, hi = shapes.bounds(form, aligned)
+    formed = Formed(count, row, form, ~aligned, lo, hi, faults)
+    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+        finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
+        faults.update((int(large), shapes.REASONS[shapes.TOO_LARGE]) for large in row[~finite])
+        formed = formed.take(finite)
+    return formed
+
+
 def examine(
-    names: Names,
-    given: Shapes,
+    names: Families,
+    given: Formed,
     slots: Slots,
     owners: NDArray[np.int64],
     source: int,
-    expires: ArrayLike,
-    categories: ArrayLike,
+    columns: tuple[ArrayLike, ArrayLike, ArrayLike],
 ) -> tuple[Rows, dict[int, str | int]]:
     """The rows to apply, and the reason of each refused row: a sentence, or the number of the
-    source that owns its name.
+    source that owns its name. `columns` are stamps, expiries and categories, one for all or one a
+    row.
 
     Of several good rows with one name the last is applied: a message is read in order, and a later
     row modifies an earlier one's obstacle.
     """
-    count = len(given.kind)
-    lives = column('expires', expires, count, np.iinfo(np.int64).max)
-    masks = column('categories', categories, count, ALL).astype(np.uint32)
-    code = shapes.faults(given)
-    reasons: dict[int, str | int] = {
-        int(row): shapes.REASONS[code[row]] for row in np.flatnonzero(code)
-    }
-    reasons.update(_name_faults(names))
-    if (slots != UNKNOWN).any():
-        foreign = np.flatnonzero((slots != UNKNOWN) & (owners[slots] != source))
+    count = given.total
+    stamps = np.broadcast_to(np.asarray(columns[0], np.int64), (count,))
+    lives = column('expires', columns[1], count, np.iinfo(np.int64).max)
+    masks = column('categories', columns[2], count, ALL).astype(np.uint32)
+    reasons: dict[int, str | int] = {**given.faults, **_name_faults(names)}
+    known = slots != UNKNOWN
+    if known.any():
+        foreign = np.flatnonzero(known & (owners[slots] != source))
         reasons.update((int(row), int(owners[slots[row]])) for row in foreign)
     good = np.ones(count, np.bool_)
     good[list(reasons)] = False
-    row = np.flatnonzero(good)
-    rows = row if len(row) < count else slice(None)
-    form, aligned = shapes.canonical(given.take(rows))
-    with np.errstate(over='ignore', invalid='ignore'):
-        lo, hi = shapes.bounds(form, aligned)
-    found = Rows(row, slots[rows], form, ~aligned, lo, hi, masks[rows], lives[rows])
-    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
-        finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
-        reasons.update((int(large), shapes.REASONS[shapes.TOO_LARGE]) for large in row[~finite])
-        found = found.take(finite)
-    last = registry.last_of_each(names, found.row)
-    return found if len(last) == len(found.row) else found.take(np.isin(found.row, last)), reasons
+    given = given.take(good[given.row])
+    row = given.row
+    last = last_of_each(names, row)
+    if len(last) < len(row):
+        given = given.take(np.isin(row, last))
+        row = given.row
+    at = row if len(row) < count else slice(None)
+    _, _, form, shaped, lo, hi, _ = given
+    found = Rows(row, slots[at], form, shaped, lo, hi, masks[at], stamps[at], lives[at])
+    return found, reasons
 
 
-def _name_faults(names: Names) -> dict[int, str]:
-    reserved = f"names that begin with '{ERROR_PREFIX}' are reserved for error replies"
-    if isinstance(names, Numbered):
-        count = len(names.numbers) if names.prefix.startswith(ERROR_PREFIX) else 0
-        return dict.fromkeys(range(count), reserved)
-    faults = {}
-    for row, name in enumerate(names):
-        if not isinstance(name, str):
-            raise ValueError(f'names must be strings: row {row} is {name!r}')
-        if not name:
-            faults[row] = 'its name is empty'
-        elif name.startswith(ERROR_PREFIX):
-            faults[row] = reserved
+def _name_faults(names: Families) -> dict[int, str]:
+    faults: dict[int, str] = {}
+    for place, prefix in enumerate(names.prefixes):
+        if prefix.startswith(ERROR_PREFIX):
+            reason = f"names that begin with '{ERROR_PREFIX}' are reserved for error replies"
+            bad = names.family == place
+        elif not prefix:
+            reason, bad = 'its name is empty', (names.family == place) & (names.numbers == BARE)
+        else:
+            continue
+        faults.update(dict.fromkeys(np.flatnonzero(bad).tolist(), reason))
     return faults

@@ -7,7 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Numbered, Scene, Shapes
+from bvh_ros.scene import Families, Numbered, Scene, Shapes
+from bvh_ros.scene.names import as_families
+from bvh_ros.scene.registry import UNKNOWN, Registry
 
 
 def calls_of(work):
@@ -54,6 +56,30 @@ def test_a_frame_of_points_takes_as_many_steps_however_many_points(planar):
     assert (many <= few + 50).all(), counts
 
 
+@pytest.mark.parametrize('stride', [1, 7, 16, 2**12, 2**40 + 1])
+def test_names_come_and_go_as_in_a_dictionary(stride):
+    """Numbers of every stride, several prefixes, and names without a number; as the table grows
+    and clusters break up."""
+    random = np.random.default_rng(stride)
+    registry, known = Registry(), {}
+    pool = [f'{prefix}{stride * k}' for prefix in ('a#', 'b/', 'b/-') for k in range(700)]
+    pool += [f'wall {k:04}' for k in range(300)]
+    for _ in range(30):
+        chosen = random.choice(pool, 500, replace=False).tolist()
+        new = [name for name in chosen if name not in known]
+        free = np.setdiff1d(np.arange(3000), list(known.values()))[: len(new)]
+        registry.add(as_families(new), free)
+        known.update(zip(new, free.tolist(), strict=True))
+        gone = random.choice(sorted(known), len(known) // 3, replace=False).tolist()
+        registry.discard(np.array([known.pop(name) for name in gone]))
+        expected = [known.get(name, UNKNOWN) for name in pool]
+        assert registry.find(as_families(pool)).tolist() == expected
+        assert len(registry) == len(known)
+    assert all(registry.name(slot) == name for name, slot in known.items())
+    inside = sorted(slot for name, slot in known.items() if name.startswith('b/'))
+    assert registry.in_namespace('b').tolist() == inside
+
+
 def test_a_number_and_a_string_are_one_name():
     one = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
     scene = Scene()
@@ -80,3 +106,17 @@ def test_the_last_row_of_a_name_holds():
     assert [refusal.row for refusal in refusals] == [3]
     assert scene.get('n4').position.tolist() == [2, 0, 0]
     assert len(scene) == 4
+
+
+def test_names_of_several_prefixes_are_the_same_names_as_strings():
+    scene = Scene()
+    shapes = Shapes.boxes(np.arange(15.0).reshape(5, 3), [1, 1, 1])
+    names = Families(['a/', 'a/-', 'b1'], np.array([0, 1, 2, 0, 2]), np.array([4, 4, 2, 4, 2]))
+    assert scene.update('a', names, shapes, stamp=np.arange(5)) == []
+    assert {name for _, name in scene.names()} == {'a/4', 'a/-4', 'b12'}
+    assert [scene.get(name).stamp for name in ('a/4', 'a/-4', 'b12')] == [3, 1, 4]
+    assert scene.newest == 4
+    assert scene.remove('a', Families(['b', 'a/'], np.array([0, 1]), np.array([12, 5]))) == 1
+    (refusal,) = scene.update('b', Numbered('a/', np.array([4])), shapes.take([0]), stamp=9)
+    assert "source 'a'" in refusal.reason
+    scene.validate()

@@ -1,0 +1,123 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Names of obstacles without a Python string a name.
+
+Every name is a prefix and a number: 'cloud#17' is 'cloud#' and 17. Ten thousand names of a message
+have few prefixes, so they are a short list of strings and two arrays. A name that does not end in
+a plain number is all prefix. There is one way to split a name, so that 'p5' is one obstacle
+however it was given.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers: TypeAlias = NDArray[np.int64]
+
+BARE = -1  # instead of a number: the prefix is the whole name
+_DIGITS = '0123456789'
+_MOST_DIGITS = 18  # so many fit an int64, whatever they are
+
+
+class Numbered(NamedTuple):
+    """Names `prefix` + number, not made into strings."""
+
+    prefix: str
+    numbers: Integers
+
+
+class Families(NamedTuple):
+    """Names `prefixes[family]` + number, not made into strings."""
+
+    prefixes: Sequence[str]
+    family: Integers
+    numbers: Integers
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def text(self, row: int) -> str:
+        """One name as a string."""
+        number = int(self.numbers[row])
+        prefix = self.prefixes[self.family[row]]
+        return prefix if number == BARE else f'{prefix}{number}'
+
+    def take(self, rows: Integers) -> 'Families':
+        """The names of some rows."""
+        return Families(self.prefixes, self.family[rows], self.numbers[rows])
+
+
+Names: TypeAlias = Sequence[str] | Numbered | Families
+
+
+def split(name: str) -> tuple[str, int]:
+    """Prefix and number of a name."""
+    prefix = name.rstrip(_DIGITS)
+    digits = name[len(prefix) :]
+    if not digits or len(digits) > _MOST_DIGITS or (digits[0] == '0' and len(digits) > 1):
+        return name, BARE
+    return prefix, int(digits)
+
+
+def as_families(names: Names) -> Families:
+    """Names as the registry compares them.
+
+    Raises
+    ------
+    ValueError
+        If they are not strings, or not integers.
+    """
+    if isinstance(names, Families):
+        numbers = _integers(names.numbers)
+        family = np.asarray(names.family, np.int64)
+        if family.shape != numbers.shape:
+            raise ValueError(f'names.family has shape {family.shape}, not {numbers.shape}')
+        prefixes = names.prefixes
+    elif isinstance(names, Numbered):
+        numbers, prefixes = _integers(names.numbers), [names.prefix]
+        family = np.zeros(len(numbers), np.int64)
+    else:
+        return _from_strings(names)
+    in_range = not numbers.size or 0 <= numbers.min() <= numbers.max() < 10**_MOST_DIGITS
+    if in_range and not any(prefix[-1:].isdigit() for prefix in prefixes):
+        return Families(prefixes, family, numbers)
+    # 'a1' and 5, 'a' and 15 are one name.
+    pairs = zip(family.tolist(), numbers.tolist(), strict=True)
+    return _from_strings([f'{prefixes[place]}{number}' for place, number in pairs])
+
+
+def last_of_each(names: Families, rows: Integers) -> Integers:
+    """Of ascending rows, those whose name does not come again in a later one."""
+    family, numbers = names.family[rows], names.numbers[rows]
+    step, onward = np.diff(family), np.diff(numbers)
+    if ((step > 0) | ((step == 0) & (onward > 0))).all():
+        return rows
+    order = np.lexsort((numbers, family))  # stable: of equal names the last row comes last
+    same = (np.diff(family[order]) == 0) & (np.diff(numbers[order]) == 0)
+    if not same.any():
+        return rows
+    return rows[np.sort(order[~np.append(same, False)])]
+
+
+def _integers(numbers: Integers) -> Integers:
+    array = np.asarray(numbers)
+    if array.ndim != 1 or (array.size and array.dtype.kind not in 'iu'):
+        raise ValueError(
+            f'names.numbers has shape {array.shape} and type {array.dtype}, not (n,) integers'
+        )
+    return array.astype(np.int64, copy=False)
+
+
+def _from_strings(names: Sequence[str]) -> Families:
+    if isinstance(names, str):
+        raise ValueError('names is one string, not a sequence of strings')
+    prefixes: dict[str, int] = {}
+    pairs = np.empty((len(names), 2), np.int64)
+    for row, name in enumerate(names):
+        if not isinstance(name, str):
+            raise ValueError(f'names must be strings: row {row} is {name!r}')
+        prefix, number = split(name)
+        pairs[row] = prefixes.setdefault(prefix, len(prefixes)), number
+    return Families(list(prefixes), pairs[:, 0].copy(), pairs[:, 1].copy())
