@@ -31,6 +31,15 @@ class Transform(NamedTuple):
         """Return (..., 3) points in the node's frame."""
         return rotations.rotate(self.rotation, points) + self.translation
 
+    def vectors(self, vectors: ArrayLike) -> NDArray[np.float64]:
+        """Return (..., 3) directions in the node's frame."""
+        return rotations.rotate(self.rotation, vectors)
+
+    def inverse(self) -> Transform:
+        """Return the way back: from the node's frame into the other."""
+        back = self.rotation * (-1.0, -1.0, -1.0, 1.0)
+        return Transform(-rotations.rotate(back, self.translation), back)
+
     def orientations(self, quaternions: ArrayLike) -> NDArray[np.float64]:
         """Return (..., 4) orientations in the node's frame."""
         return rotations.multiply(self.rotation, rotations.normalised(quaternions))

@@ -54,6 +54,7 @@ NODE_OPTIONS = (
         maximum=2**31 - 1,
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
+    Option('batch', True, 'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits.'),
     Option('use_tf', True, 'Transform other frames by tf2, where tf2_ros is installed.'),
 )
 SOURCE_OPTIONS = (
@@ -97,6 +98,7 @@ class Settings:
     planar: bool
     margin: float  # m
     max_obstacles: int
+    batch: bool
     use_tf: bool
     sources: tuple[SourceSettings, ...]
 

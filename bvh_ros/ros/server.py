@@ -72,7 +72,13 @@ class BvhServer:
                 'first start on this machine: compiling, about a minute; later starts take seconds'
             )
         kinds = {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
-        warm_up(planar=self.settings.planar, margin=self.settings.margin, kinds=kinds, log=log)
+        warm_up(
+            planar=self.settings.planar,
+            margin=self.settings.margin,
+            kinds=kinds,
+            batch=self.settings.batch,
+            log=log,
+        )
 
     def serve(self) -> None:
         """Listen to the sources and offer the services; every kernel is compiled by now.
@@ -98,6 +104,10 @@ class BvhServer:
         queries = QueryServices(node, world)
         yield queries
         yield TriggerServices(node, world)
+        if self.settings.batch:
+            from bvh_ros.ros.batch import RayBatch
+
+            yield RayBatch(node, world)
         yield Upkeep(node, world)
         yield Diagnostics(node, world, queries)
 
@@ -124,6 +134,7 @@ class BvhServer:
             '2D tree of footprints' if settings.planar else '3D tree': True,
             f'margin of {settings.margin:g} m' if settings.margin else 'margin': settings.margin
             > 0.0,
+            'batches of rays': settings.batch,
             'tf2': world.frames.lookup is not None,
             'python-fcl until a turned or round shape is asked about': False,
         }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 
+MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
 TURNED = (0.1, 0.2, 0.3, 0.9)
@@ -23,7 +24,12 @@ Vector = tuple[float, float, float]
 
 
 def warm_up(
-    *, planar: bool, margin: float, kinds: Iterable[ShapeKind], log: Callable[[str], object]
+    *,
+    planar: bool,
+    margin: float,
+    kinds: Iterable[ShapeKind],
+    batch: bool,
+    log: Callable[[str], object],
 ) -> None:
     """Run every kind of call once on a throw-away scene.
 
@@ -33,10 +39,14 @@ def warm_up(
         As the node's scene has them.
     kinds : iterable of ShapeKind
         The shapes that its sources can bring.
+    batch : bool
+        Whether rays come in batches.
     log : callable
         Takes a line about the progress, when there is something to wait for.
     """
     steps = _steps(Scene(planar=planar, margin=margin), sorted(kinds))
+    if batch:
+        steps.append(('batches of rays', lambda: _batches(Scene(planar=planar, margin=margin))))
     for number, (name, call) in enumerate(steps, 1):
         began = time.perf_counter()
         call()
@@ -101,3 +111,13 @@ def _add_turned(scene: Scene, kind: ShapeKind) -> None:
     shape = Shapes.boxes([3.0, 3.5 + kind, 3.0], EDGE, [TURNED])
     shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
     scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
+
+
+def _batches(scene: Scene) -> None:
+    """Cast a batch of each size that the tree answers in a way of its own."""
+    line = np.arange(MANY * 3.0).reshape(MANY, 3)
+    scene.replace(
+        'cloud', '', Numbered('box#', np.arange(MANY)), Shapes.boxes(line, EDGE), stamp=1
+    )
+    for count in (1, MANY):
+        scene.raycast_many(line[:count], line[:count])

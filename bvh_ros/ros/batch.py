@@ -1,0 +1,131 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`~/rays` to `~/ray_hits`: many rays in one message, answered row for row."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+
+from bvh_ros.ros.conversions import ray_clouds
+from bvh_ros.ros.conversions.markers import nanoseconds
+from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+from bvh_ros.ros.part import Part
+from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.sources.subscribing import FollowingSubscription
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.frames import Transform
+    from bvh_ros.ros.world import World
+    from bvh_ros.scene import Scene
+
+DEPTH = 10  # messages that may wait, in either direction
+QOS_PERIOD = 1.0  # seconds
+
+
+class RayBatch(Part):
+    """Answers each cloud of rays by a cloud of hits, in the request's frame and of its shape.
+
+    A row that cannot be answered (NaN, infinite, negative t_max), and each row of a cloud that
+    cannot be answered (wrong fields, unknown frame, a required source missing), has the obstacle
+    0xFFFFFFFE and t = NaN. A cloud whose size cannot be believed gets one such row.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    world : World
+        Asked before each answer whether it is complete.
+    name : str
+        Of the topics: `name`/rays and `name`/ray_hits.
+    mask : int
+        Only obstacles with ``categories & mask & mask of the row != 0`` are seen.
+    skip_inside : bool
+        Ignore obstacles in which a ray starts.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        world: World,
+        name: str = '~',
+        *,
+        mask: int = ray_clouds.EVERYTHING,
+        skip_inside: bool = False,
+    ) -> None:
+        super().__init__(node)
+        self.refused = Refused(node.get_logger(), f'{name}/rays')
+        self.answered = 0  # rays
+        self._world = world
+        self._mask = np.uint32(mask)
+        self._skip_inside = skip_inside
+        self._publisher = self.publisher(PointCloud2, f'{name}/ray_hits', DEPTH)
+        subscription = FollowingSubscription(
+            node, PointCloud2, f'{name}/rays', self.receive, depth=DEPTH
+        )
+        self._close.append(subscription.destroy)
+        self.every(QOS_PERIOD, subscription.check)
+
+    def receive(self, request: PointCloud2) -> None:
+        """Answer one cloud."""
+        try:
+            reply = self._reply(request)
+        except ValueError as error:
+            reply = self._refusal(request, str(error))
+        except Exception as error:  # whatever went wrong, the way must not look free
+            reply = self._refusal(request, f'internal error: {error!r}')
+        reply.header = request.header
+        self._publisher.publish(reply)
+
+    def _reply(self, request: PointCloud2) -> PointCloud2:
+        scene = self._world.at(self.node.get_clock().now().nanoseconds)
+        stamp = nanoseconds(request.header.stamp)
+        transform = self._world.frames.into_node(request.header.frame_id, stamp)
+        rays = ray_clouds.rays(request)
+        hits = self._answer(scene, rays if transform is None else moved(transform, rays))
+        if transform is not None:
+            hits = moved_back(transform, hits)
+        return ray_clouds.hits_cloud(hits, request.height, request.width, rays.real)
+
+    def _answer(self, scene: Scene, rays: Rays) -> Hits:
+        bad, reason = rays.fault()
+        refused = int(np.count_nonzero(bad))
+        self.answered += len(bad) - refused
+        if not refused:
+            return self._cast(scene, rays)
+        self.refused.add(reason, refused)
+        hits = Hits.unanswered(len(bad))
+        hits.put(~bad, self._cast(scene, rays.take(~bad)))
+        return hits
+
+    def _cast(self, scene: Scene, rays: Rays) -> Hits:
+        masks = rays.masks & self._mask
+        found = scene.raycast_many(
+            rays.origins, rays.directions, rays.t_max, masks, self._skip_inside
+        )
+        return Hits(*found)
+
+    def _refusal(self, request: PointCloud2, reason: str) -> PointCloud2:
+        height, width = ray_clouds.rows_of(request)
+        self.refused.add(reason, height * width)
+        return ray_clouds.hits_cloud(
+            Hits.unanswered(height * width), height, width, np.dtype(np.float32)
+        )
+
+
+def moved(transform: Transform, rays: Rays) -> Rays:
+    """Return rays in the node's frame; lengths, and with them t, are the same there."""
+    with np.errstate(over='ignore', invalid='ignore'):  # rows that leave the doubles are refused
+        return rays._replace(
+            origins=transform.points(rays.origins), directions=transform.vectors(rays.directions)
+        )
+
+
+def moved_back(transform: Transform, hits: Hits) -> Hits:
+    """Return hits in the frame that the rays came from."""
+    back = transform.inverse()
+    with np.errstate(over='ignore', invalid='ignore'):
+        return hits._replace(points=back.points(hits.points), normals=back.vectors(hits.normals))

@@ -1,0 +1,198 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays and hits as PointCloud2, row for row; both directions, for the node and its clients."""
+
+from __future__ import annotations
+
+import sys
+from array import array
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+from sensor_msgs.msg import PointCloud2, PointField
+
+from bvh_ros.ros.conversions.cloud_fields import DATATYPES, all_or_none, columns, structured
+
+ORIGIN = ('x', 'y', 'z')
+DIRECTION = ('dx', 'dy', 'dz')
+NORMAL = ('nx', 'ny', 'nz')
+FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
+UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
+EVERYTHING = 0xFFFFFFFF  # the mask that sees every obstacle
+CODES = {kind: code for code, kind in DATATYPES.items()}
+
+Floats = NDArray[np.float64]
+
+
+class Rays(NamedTuple):
+    """The rays of one cloud, in its frame; nothing is known of their values yet."""
+
+    origins: Floats  # (n, 3) m
+    directions: Floats  # (n, 3)
+    t_max: Floats  # (n,) in units of the directions
+    masks: NDArray[np.uint32]  # (n,)
+    real: np.dtype[Any]  # float32 or float64: the widest type among the fields
+
+    def take(self, rows: NDArray[np.bool_]) -> Rays:
+        """Return some of the rows."""
+        return Rays(
+            self.origins[rows],
+            self.directions[rows],
+            self.t_max[rows],
+            self.masks[rows],
+            self.real,
+        )
+
+    def fault(self) -> tuple[NDArray[np.bool_], str]:
+        """Return which rows (n,) cannot be answered, and of the first of them why."""
+        faults: dict[str, NDArray[np.bool_]] = {
+            'its origin is not finite': np.logical_not(np.isfinite(self.origins).all(axis=1)),
+            'its direction is not finite': np.logical_not(
+                np.isfinite(self.directions).all(axis=1)
+            ),
+            'its t_max is NaN or negative': np.logical_not(self.t_max >= 0.0),
+        }
+        bad = np.zeros(len(self.t_max), bool)
+        for rows in faults.values():
+            bad |= rows
+        if not bad.any():
+            return bad, ''
+        first = int(bad.argmax())
+        return bad, f'row {first}: ' + next(why for why, rows in faults.items() if rows[first])
+
+
+class Hits(NamedTuple):
+    """What n rays meet, one row a ray."""
+
+    obstacles: NDArray[np.uint32]  # (n,) node handles, FREE or UNANSWERED
+    t: Floats  # (n,) in units of the directions; inf where free, NaN where unanswered
+    points: Floats  # (n, 3) m, NaN where nothing is hit
+    normals: Floats  # (n, 3) outward; zero where nothing is hit or the ray starts inside
+
+    @classmethod
+    def unanswered(cls, count: int) -> Hits:
+        """Return rows that say that nobody knows."""
+        nothing = np.full((count, 3), np.nan)
+        obstacles = np.full(count, UNANSWERED, np.uint32)
+        return cls(obstacles, np.full(count, np.nan), nothing, np.zeros((count, 3)))
+
+    def put(self, rows: NDArray[np.bool_], others: Hits) -> None:
+        """Overwrite some of the rows."""
+        self.obstacles[rows], self.t[rows] = others.obstacles, others.t
+        self.points[rows], self.normals[rows] = others.points, others.normals
+
+
+def rays(cloud: PointCloud2) -> Rays:
+    """Read the rays of a cloud.
+
+    Parameters
+    ----------
+    cloud : sensor_msgs/PointCloud2
+        Fields x, y, z (origin, m), dx, dy, dz (direction) and optionally t_max, each float32 or
+        float64, and mask, an unsigned integer of up to 32 bits. Other fields are left alone.
+
+    Raises
+    ------
+    ValueError
+        If the cloud contradicts itself or lacks a field; none of its rows can be answered then.
+    """
+    points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'mask'))
+    names, count = points.dtype.names or (), points.size
+    if count == 0:
+        nothing = np.empty((0, 3))
+        none = np.empty(0, np.uint32)
+        return Rays(nothing, nothing, np.empty(0), none, np.dtype(np.float32))
+    if not all_or_none(names, (*ORIGIN, *DIRECTION)):
+        raise ValueError('the cloud has no fields x, y, z, dx, dy, dz')
+    kinds = {name: points.dtype[name] for name in names}
+    mask = kinds.pop('mask', None)
+    for name, kind in kinds.items():
+        if kind.kind != 'f':
+            raise ValueError(f"field '{name}' is {kind.name}; a ray's are float32 or float64")
+    if mask is not None and mask.kind != 'u':
+        raise ValueError(f"field 'mask' is {mask.name}; it has to be an unsigned integer")
+    real = np.dtype(f'f{max(kind.itemsize for kind in kinds.values())}')
+    t_max = columns(points, ['t_max'])[:, 0] if 't_max' in names else np.full(count, np.inf)
+    masks = np.full(count, EVERYTHING, np.uint32)
+    if mask is not None:
+        masks[:] = points['mask'].ravel()
+    return Rays(columns(points, ORIGIN), columns(points, DIRECTION), t_max, masks, real)
+
+
+def rays_cloud(given: Rays) -> PointCloud2:
+    """Write rays into a cloud of one row, its header left to the caller."""
+    t_max = not np.isposinf(given.t_max).all()
+    masks = (given.masks != EVERYTHING).any()
+    names = [*ORIGIN, *DIRECTION, *(['t_max'] if t_max else [])]
+    kinds: list[tuple[str, DTypeLike]] = [(name, given.real) for name in names]
+    if masks:
+        kinds.append(('mask', np.uint32))
+    table = np.empty(len(given.t_max), kinds)
+    _put(table, ORIGIN, given.origins)
+    _put(table, DIRECTION, given.directions)
+    if t_max:
+        table['t_max'] = given.t_max
+    if masks:
+        table['mask'] = given.masks
+    return _cloud(table, 1, len(table))
+
+
+def hits(cloud: PointCloud2) -> Hits:
+    """Read hits as `hits_cloud` writes them."""
+    points = structured(cloud, (*ORIGIN, 't', *NORMAL, 'obstacle'))
+    return Hits(
+        points['obstacle'].ravel(),
+        columns(points, ['t'])[:, 0],
+        columns(points, ORIGIN),
+        columns(points, NORMAL),
+    )
+
+
+def hits_cloud(found: Hits, height: int, width: int, real: DTypeLike) -> PointCloud2:
+    """Write hits into a cloud of height x width points, its header left to the caller.
+
+    Fields x, y, z, t, nx, ny, nz of type `real`, rounded to nearest, and obstacle (uint32).
+    """
+    kinds = [*((name, real) for name in (*ORIGIN, 't', *NORMAL)), ('obstacle', 'u4')]
+    table = np.zeros(height * width, np.dtype(kinds, align=True))
+    with np.errstate(over='ignore'):  # farther than the largest float32 is inf in one
+        _put(table, ORIGIN, found.points)
+        table['t'] = found.t
+    _put(table, NORMAL, found.normals)
+    table['obstacle'] = found.obstacles
+    cloud = _cloud(table, height, width)
+    cloud.is_dense = bool(np.isfinite(found.t).all())
+    return cloud
+
+
+def rows_of(cloud: PointCloud2) -> tuple[int, int]:
+    """Return height and width of the reply to a cloud that cannot be read.
+
+    A size that its own data contradict by promising more points than there are bytes is not
+    believed: one row says then that nothing is answered.
+    """
+    believed = 0 < cloud.height * cloud.width <= len(cloud.data)
+    return (cloud.height, cloud.width) if believed else (1, 1)
+
+
+def _put(table: NDArray[np.void], names: tuple[str, ...], values: Floats) -> None:
+    for axis, name in enumerate(names):
+        table[name] = values[:, axis]
+
+
+def _cloud(table: NDArray[np.void], height: int, width: int) -> PointCloud2:
+    data = array('B')
+    data.frombytes(table.tobytes())
+    return PointCloud2(
+        height=height,
+        width=width,
+        fields=[
+            PointField(name=name, offset=place, datatype=CODES[kind.str[1:]], count=1)
+            for name, (kind, place, *_) in dict(table.dtype.fields or {}).items()
+        ],
+        is_bigendian=sys.byteorder == 'big',
+        point_step=table.itemsize,
+        row_step=table.itemsize * width,
+        data=data,
+    )

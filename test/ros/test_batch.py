@@ -1,0 +1,305 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds of rays over ROS 2: each row equals brute force, and what is no answer says so."""
+
+import itertools
+import math
+from array import array
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+FREE, UNANSWERED = 0xFFFFFFFF, 0xFFFFFFFE
+BOXES, RAYS = 300, 2000
+RNG = np.random.default_rng(11)
+CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
+SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
+LOW, HIGH = CENTRE - SIZE / 2, CENTRE + SIZE / 2
+XYZ, WAY, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
+CODES = {'u1': 2, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
+
+
+class Asker:
+    """Publishes rays and waits for the hits that have the same stamp."""
+
+    def __init__(self, world, name='bvh'):
+        from sensor_msgs.msg import PointCloud2
+
+        self.world, self.stamps, self.replies = world, itertools.count(1), {}
+        topic = f'{world.namespace}/{name}'
+        self.publisher = world.node.create_publisher(PointCloud2, f'{topic}/rays', 10)
+        self.subscription = world.node.create_subscription(
+            PointCloud2, f'{topic}/ray_hits', self.take, 10
+        )
+        world.until(lambda: self.publisher.get_subscription_count() > 0)
+        world.until(lambda: world.node.count_publishers(f'{topic}/ray_hits') > 0)
+
+    def take(self, reply):
+        self.replies[reply.header.stamp.sec] = reply
+
+    def ask(self, cloud, frame=''):
+        cloud.header.stamp.sec = stamp = next(self.stamps)
+        cloud.header.frame_id = frame
+        self.publisher.publish(cloud)
+        self.world.until(lambda: stamp in self.replies)
+        reply = self.replies.pop(stamp)
+        assert reply.header == cloud.header
+        return reply
+
+
+def rays_cloud(columns, *, kinds=None, kind='f8', big=False, padding=0, row_padding=0, height=1):
+    """A cloud with these fields, each of its own type, with gaps between points and rows."""
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    kinds = {name: (kinds or {}).get(name, kind) for name in columns}
+    row = np.dtype(
+        [
+            *((name, ('>' if big else '<') + kinds[name]) for name in columns),
+            ('gap', f'V{padding}'),
+        ]
+    )
+    count = len(next(iter(columns.values())))
+    width = count // height
+    table = np.zeros((height, width), row)
+    for name, column in columns.items():
+        table[name] = np.reshape(column, (height, width))
+    lines = [line.tobytes() + b'\xaa' * row_padding for line in table]
+    return PointCloud2(
+        height=height,
+        width=width,
+        fields=[
+            PointField(name=name, offset=row.fields[name][1], datatype=CODES[kinds[name]], count=1)
+            for name in columns
+        ],
+        is_bigendian=big,
+        point_step=row.itemsize,
+        row_step=row.itemsize * width + row_padding,
+        data=array('B', b''.join(lines)),
+    )
+
+
+def rays(origins, directions, **more):
+    columns = (*np.transpose(origins), *np.transpose(directions))
+    return {**dict(zip((*XYZ, *WAY), columns, strict=True)), **more}
+
+
+def table(reply):
+    """The rows of a reply, read by numpy from its own description of itself."""
+    kinds = {code: kind for kind, code in CODES.items()}
+    dtype = np.dtype(
+        {
+            'names': [field.name for field in reply.fields],
+            'formats': ['<' + kinds[field.datatype] for field in reply.fields],
+            'offsets': [field.offset for field in reply.fields],
+            'itemsize': reply.point_step,
+        }
+    )
+    assert dtype.names == (*XYZ, 't', *NORMAL, 'obstacle')
+    assert len(reply.data) == reply.row_step * reply.height
+    assert reply.row_step == reply.width * reply.point_step
+    return np.frombuffer(reply.data, dtype)
+
+
+def stacked(rows, names):
+    return np.column_stack([rows[name] for name in names]).astype(np.float64)
+
+
+def first_hits(origins, directions, t_max=math.inf):
+    """Brute force: the first box (-1: none) of each ray, and its t."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        one = (LOW - origins[:, None]) / directions[:, None]
+        other = (HIGH - origins[:, None]) / directions[:, None]
+    enter = np.maximum(np.minimum(one, other).max(axis=2), 0.0)
+    leave = np.maximum(one, other).min(axis=2)
+    t = np.where((enter <= leave) & (enter <= np.reshape(t_max, (-1, 1))), enter, np.inf)
+    box = np.where(np.isfinite(t.min(axis=1)), t.argmin(axis=1), -1)
+    return box, t.min(axis=1)
+
+
+@pytest.fixture(scope='module')
+def filled(world, messages):
+    world.markers(*(messages.marker(i, CENTRE[i], SIZE[i]) for i in range(BOXES)))
+    world.until(lambda: len(world.everything()) == BOXES)
+    return world
+
+
+@pytest.fixture(scope='module')
+def asker(filled):
+    return Asker(filled)
+
+
+def random_rays(count=RAYS):
+    directions = RNG.normal(size=(count, 3))
+    return RNG.uniform(-12, 12, (count, 3)), directions
+
+
+def check(reply, origins, directions, t_max=math.inf, tolerance=1e-9):
+    """Compare a reply with brute force; node handles are 1 + the number of the box."""
+    rows = table(reply)
+    box, t = first_hits(origins, directions, t_max)
+    assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
+    hit = box >= 0
+    assert 0.2 < hit.mean() < 0.9  # a comparison worth its name
+    assert np.allclose(rows['t'][hit], t[hit], rtol=tolerance, atol=0)
+    assert np.isposinf(rows['t'][~hit]).all()
+    points, normals = stacked(rows, XYZ), stacked(rows, NORMAL)
+    expected = origins[hit] + t[hit, None] * directions[hit]
+    assert np.allclose(points[hit], expected, rtol=0, atol=tolerance * 100)
+    assert np.isnan(points[~hit]).all()
+    assert not normals[~hit].any()
+    entered = hit & (t > 0)
+    assert (np.abs(normals[entered]).sum(axis=1) == 1).all()
+    assert ((normals * directions).sum(axis=1)[entered] < 0).all()
+    assert not normals[hit & (t == 0)].any()
+    faces = np.where(normals[entered] < 0, LOW[box[entered]], HIGH[box[entered]])
+    on_face = np.where(normals[entered] != 0, points[entered] - faces, 0.0)
+    assert np.abs(on_face).max() <= (0.0 if tolerance < 1e-8 else 1e-6)
+
+
+def test_every_row_equals_brute_force(asker):
+    origins, directions = random_rays()
+    reply = asker.ask(rays_cloud(rays(origins, directions)))
+    assert {field.datatype for field in reply.fields[:-1]} == {8}
+    check(reply, origins, directions)
+
+
+def test_float32_rays_get_float32_hits(asker):
+    origins, directions = (column.astype(np.float32) for column in random_rays())
+    reply = asker.ask(rays_cloud(rays(origins, directions), kind='f4'))
+    assert {field.datatype for field in reply.fields[:-1]} == {7}
+    check(reply, origins.astype(np.float64), directions.astype(np.float64), tolerance=2.0**-23)
+
+
+@pytest.mark.parametrize('big', [False, True])
+@pytest.mark.parametrize(('padding', 'row_padding', 'height'), [(0, 0, 1), (5, 11, 4)])
+def test_every_layout(asker, big, padding, row_padding, height):
+    origins, directions = random_rays()
+    t_max = RNG.uniform(0, 30, RAYS).astype(np.float32)
+    columns = {'intensity': np.zeros(RAYS), **rays(origins, directions, t_max=t_max)}
+    layout = {'big': big, 'padding': padding, 'row_padding': row_padding, 'height': height}
+    reply = asker.ask(rays_cloud(columns, kinds={'t_max': 'f4', 'intensity': 'i4'}, **layout))
+    assert (reply.height, reply.width) == (height, RAYS // height)
+    check(reply, origins, directions, t_max)
+
+
+def test_a_zero_direction_asks_for_a_point(asker):
+    origins = np.vstack((CENTRE[:50], np.full((1, 3), 99.0)))
+    rows = table(asker.ask(rays_cloud(rays(origins, np.zeros((51, 3))))))
+    inside = (origins[:, None] >= LOW) & (origins[:, None] <= HIGH)
+    holds = inside.all(axis=2)
+    expected = np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, FREE)
+    assert np.array_equal(rows['obstacle'], expected)
+    assert (rows['t'][:-1] == 0).all()
+
+
+def test_a_mask_of_no_bits_sees_nothing(asker):
+    origins, directions = random_rays(100)
+    seen = np.arange(100) % 2 * 0xFFFFFFFF
+    columns = rays(origins, directions, mask=seen)
+    rows = table(asker.ask(rays_cloud(columns, kinds={'mask': 'u4'})))
+    box, _ = first_hits(origins, directions)
+    assert np.array_equal(rows['obstacle'], np.where((seen > 0) & (box >= 0), box + 1, FREE))
+
+
+def test_bad_rows_say_so_and_the_others_are_answered(asker):
+    origins, directions = random_rays()
+    t_max = np.full(RAYS, np.inf)
+    clean = table(asker.ask(rays_cloud(rays(origins, directions))))
+    bad = [3, 700, 701, 1500, RAYS - 1]
+    origins[bad[0], 2], origins[bad[1], 0] = np.nan, np.inf
+    directions[bad[2], 1], t_max[bad[3]], t_max[bad[4]] = -np.inf, np.nan, -1e-300
+    rows = table(asker.ask(rays_cloud(rays(origins, directions, t_max=t_max))))
+    assert np.flatnonzero(rows['obstacle'] == UNANSWERED).tolist() == bad
+    assert np.isnan(rows['t'][bad]).all()
+    good = np.delete(np.arange(RAYS), bad)
+    for name in rows.dtype.names:
+        assert np.array_equal(rows[name][good], clean[name][good], equal_nan=True)
+    asker.world.until(lambda: 'row 3: its origin is not finite' in asker.world.said())
+
+
+def three():
+    return rays_cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), t_max=np.ones(3)))
+
+
+def lacking(name):
+    cloud = three()
+    cloud.fields = [field for field in cloud.fields if field.name != name]
+    return cloud
+
+
+def of_kind(name, datatype):
+    cloud = three()
+    for field in cloud.fields:
+        if field.name == name:
+            field.datatype = datatype
+    return cloud
+
+
+def lying(**given):
+    cloud = three()
+    for name, value in given.items():
+        setattr(cloud, name, value)
+    return cloud
+
+
+BAD_CLOUDS = {
+    'no x': (lambda: lacking('x'), 3),
+    'no dz': (lambda: lacking('dz'), 3),
+    'no fields': (lambda: lying(fields=[]), 3),
+    'integer direction': (lambda: of_kind('dx', 5), 3),
+    'unknown datatype': (lambda: of_kind('dx', 99), 3),
+    'mask as a float': (
+        lambda: rays_cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), mask=np.ones(3))),
+        3,
+    ),
+    'a byte too few': (lambda: lying(data=array('B', bytes(167))), 3),
+    'a byte too many': (lambda: lying(data=array('B', bytes(169))), 3),
+    'one row more than the data': (lambda: lying(height=2), 6),
+    'width of four billion': (lambda: lying(width=2**32 - 1), 1),
+    'both of four billion': (lambda: lying(width=2**32 - 1, height=2**32 - 1), 1),
+    'rays without data': (lambda: lying(data=array('B')), 1),
+    'data without rays': (lambda: lying(width=0), 1),
+    'row_step too small': (lambda: lying(row_step=100), 3),
+    'point_step of zero': (lambda: lying(point_step=0), 3),
+    'point_step too small': (lambda: lying(point_step=52), 3),
+}
+
+
+@pytest.mark.parametrize('what', BAD_CLOUDS)
+def test_a_cloud_that_cannot_be_read_never_looks_free(asker, what):
+    make, count = BAD_CLOUDS[what]
+    rows = table(asker.ask(make()))
+    assert len(rows) == count
+    assert (rows['obstacle'] == UNANSWERED).all()
+    assert np.isnan(rows['t']).all()
+
+
+def test_an_unknown_frame(asker):
+    rows = table(asker.ask(three(), frame='mars'))
+    assert rows['obstacle'].tolist() == [UNANSWERED] * 3
+    assert table(asker.ask(three(), frame='map'))['obstacle'].tolist() != [UNANSWERED] * 3
+
+
+def test_no_rays_no_hits(asker):
+    assert len(table(asker.ask(rays_cloud(rays(np.empty((0, 3)), np.empty((0, 3))))))) == 0
+
+
+def test_an_incomplete_world(start_node, messages):
+    parameters = {'markers.required': True, 'planar': True}
+    asker = Asker(start_node(parameters))
+    assert table(asker.ask(three()))['obstacle'].tolist() == [UNANSWERED] * 3
+    asker.world.markers(messages.marker(7, (2, 0, 5)))
+    down = rays_cloud(rays([[0, 0, 1.5]] * 2, [[1, 0, 9], [0, 1, 0]]))
+    asker.world.until(lambda: asker.world.names('raycast', (0, 0, 0), (9, 0, 0)) == ['a/7'])
+    rows = table(asker.ask(down))  # from above, z says nothing
+    assert rows['obstacle'].tolist() == [1, FREE]
+    assert (rows['t'][0], rows['x'][0], rows['z'][0], rows['nx'][0]) == (1.5, 1.5, 1.5, -1)
+
+
+def test_without_batches(start_node):
+    world = start_node({'batch': False})
+    topics = f'{world.namespace}/bvh/obstacles', f'{world.namespace}/bvh/rays'
+    world.until(lambda: world.node.count_subscribers(topics[0]) == 1)
+    assert world.node.count_subscribers(topics[1]) == 0
