@@ -18,12 +18,11 @@ from ..tree.compiling import lean_kernel
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
 from ..tree.slab import (
-    DIRECTION,
     INSIDE,
-    ORIGIN,
     PAD,
     RAY_ROWS,
     TINY,
+    aim,
     compare_hits,
     enters,
     prepare_ray,
@@ -152,8 +151,7 @@ def cast_rays(tree, solids, prints, rays, radius, skip_inside, every, scratch, f
     ray, work, hits = scratch[0], scratch[2], (slots, ts, features)
     offsets[0] = 0
     for i in range(origins.shape[0]):
-        for axis in range(origins.shape[1]):
-            ray[ORIGIN, axis], ray[DIRECTION, axis] = origins[i, axis], directions[i, axis]
+        aim(ray, origins[i], directions[i])
         filled = cast(
             tree, solids, prints, radius, t_max[i], masks[i], skip_inside, every, scratch, hits,
             offsets[i],

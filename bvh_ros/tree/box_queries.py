@@ -1,17 +1,21 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What touches a box, which boxes touch each other, and which are nearest to a point."""
+"""What touches a box, which boxes touch each other, what a box meets on its way, and which boxes
+are nearest to a point.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks, overlapping, proximity
+from . import boxcasting, checks, overlapping, proximity
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, ROOT, box_dtype
+from .results import RayHit
+from .slab import RAY_ROWS
 
 
 class BoxQueries(Arrays):
-    """What touches, and what is near."""
+    """What touches, what comes to touch, and what is near."""
 
     def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL) -> Ids:
         """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
@@ -59,6 +63,61 @@ class BoxQueries(Arrays):
         slots = slots[:count]
         pairs = np.sort(self._handles[slots].reshape(-1, 2), axis=1)
         return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+
+    def boxcast(
+        self, lo: ArrayLike, hi: ArrayLike, translation: ArrayLike, mask: int = ALL
+    ) -> RayHit | None:
+        """Return the first box that the box from `lo` to `hi` touches while it moves by
+        `translation`.
+
+        Parameters
+        ----------
+        lo, hi : array_like, shape (ndim,)
+            The swept box where it starts; it is closed and does not turn. A point is a ray.
+        translation : array_like, shape (ndim,)
+            How far it goes, m. Zero asks what the box touches where it is.
+        mask : int
+            Only boxes with ``box_mask & mask != 0`` are seen.
+
+        Returns
+        -------
+        RayHit or None
+            `t` is the share of the translation until they touch, from 0 to 1; touching at the very
+            end counts. `normal` is that of the face of the other box that is met, zero where they
+            touch at the start. `point` is, of all points in which the two then touch, the closest
+            to the swept box's centre; it lies in the other box, on that face. Whether they touch,
+            and which box is first, is decided exactly, ties by the smaller handle.
+
+        Raises
+        ------
+        ValueError
+            If an argument has the wrong shape or is not finite, or `lo` exceeds `hi`.
+
+        Examples
+        --------
+        >>> from bvh_ros import DynamicBVH
+        >>> tree = DynamicBVH(ndim=2)
+        >>> wall = tree.insert([4, -1], [5, 1])
+        >>> hit = tree.boxcast([-1, 0], [1, 2], [6, 0])
+        >>> hit.id == wall, hit.t, hit.point.tolist(), hit.normal.tolist()
+        (True, 0.5, [4.0, 1.0], [-1.0, 0.0])
+        """
+        low, high = checks.box(lo, hi, self.ndim)
+        way = checks.point('translation', translation, self.ndim)
+        ray, place = np.empty((RAY_ROWS, self.ndim)), np.empty((2, self.ndim))
+        slot, t = boxcasting.boxcast(
+            self._nodes,
+            self._tight,
+            self._handles,
+            self._state,
+            low,
+            high,
+            way,
+            checks.mask(mask),
+            ray,
+            place,
+        )
+        return None if slot < 0 else RayHit(int(self._handles[slot]), t, place[0], place[1])
 
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL

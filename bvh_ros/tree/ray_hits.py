@@ -8,7 +8,7 @@ from .compiling import lean_kernel
 from .machine import stack_array
 from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
 from .raycasting import raycast
-from .slab import EXACT, INSIDE
+from .slab import EXACT, INSIDE, aim
 
 
 @lean_kernel
@@ -44,9 +44,7 @@ def raycast_one(
     for k in range(origin.shape[0]):
         if not (np.isfinite(origin[k]) and np.isfinite(direction[k])):
             return NOT_FINITE, np.inf
-        place[2, k] = origin[k]
-        place[3, k] = direction[k]
-    place[2 + EXACT, 0] = 0.0
+    aim(place[2:], origin, direction)
     slots, ts, axes = (
         stack_array(1, np.int64),
         stack_array(1, np.float64),

@@ -13,13 +13,12 @@ from .machine import stack_array
 from .nodes import DEEPEST, NONE, is_leaf, leaf_box
 from .overlapping import grown
 from .slab import (
-    DIRECTION,
     EXACT,
     INSIDE,
-    ORIGIN,
     PAD,
     RAY_ROWS,
     TINY,
+    aim,
     compare_hits,
     enters,
     meets,
@@ -110,14 +109,6 @@ def is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_a
 
 
 @lean_kernel
-def load_ray(ray, origins, directions, i):
-    for axis in range(origins.shape[1]):
-        ray[ORIGIN, axis] = origins[i, axis]
-        ray[DIRECTION, axis] = directions[i, axis]
-    ray[EXACT, 0] = 0.0
-
-
-@lean_kernel
 def raycast_rows(
     nodes,
     tight,
@@ -140,7 +131,7 @@ def raycast_rows(
     """
     exact = np.int64(0)
     for i in rows:
-        load_ray(ray, origins, directions, i)
+        aim(ray, origins[i], directions[i])
         filled = raycast(
             nodes,
             tight,
@@ -173,7 +164,7 @@ def raycast_every_row(
     slots, ts, axes = np.empty(64, np.int64), np.empty(64), np.empty(64, np.int64)
     exact = np.int64(0)
     for i in range(origins.shape[0]):
-        load_ray(ray, origins, directions, i)
+        aim(ray, origins[i], directions[i])
         end = raycast(
             nodes,
             tight,
@@ -220,7 +211,7 @@ def settle_order(nodes, tight, handles, ray, origins, directions, offsets, slots
     ulp still, and never falling.
     """
     for i in range(origins.shape[0]):
-        load_ray(ray, origins, directions, i)
+        aim(ray, origins[i], directions[i])
         for j in range(offsets[i] + 1, offsets[i + 1]):
             slot, t, axis = slots[j], ts[j], axes[j]
             place = j

@@ -7,7 +7,10 @@ between two distances,
 
     entry = (near - o) / d,   exit = (far - o) / d,   near, far = (lo, hi) if d > 0 else (hi, lo),
 
-and meets the box if the latest entry is not after the earliest exit.
+and meets the box if the latest entry is not after the earliest exit. A box from p to q that moves
+along d meets another where a ray meets that one grown by it: (lo - q) / d and (hi - p) / d. The
+planes of the grown box would have to be rounded, these differences need not be: so a ray here is a
+box that moves, mostly one whose corners are one point.
 
 **Inner nodes** must not lose a hit; a needless visit is harmless. With u = 2**-53, (plane - o) *
 (1 / d) is within a factor (1 + u)**3 of the truth, so the comparison is padded by 1 + 16 u, more
@@ -35,10 +38,26 @@ CLEAR = 1.0 + 8 * 2.0**-53
 TINY = 1e-322
 INSIDE = -1  # the axis of a hit whose ray starts inside
 
-# The rows of a ray: the caller writes the first two, prepare_ray the inverses; ray[EXACT, 0] says
-# whether a decision about it took exact arithmetic.
-ORIGIN, DIRECTION, INVERSE, EXACT = range(4)
-RAY_ROWS = 4
+# The rows of a ray: `aim` or `aim_box` writes the first three, prepare_ray the inverses;
+# ray[EXACT, 0] says whether a decision about it took exact arithmetic.
+ORIGIN, UPPER, DIRECTION, INVERSE, EXACT = range(5)
+RAY_ROWS = 5
+
+
+@inlined
+def aim(ray, origin, direction):
+    """Write the rows of a ray."""
+    aim_box(ray, origin, origin, direction)
+
+
+@inlined
+def aim_box(ray, lo, hi, translation):
+    """Write the rows of a box that is swept along `translation`."""
+    for axis in range(lo.shape[0]):
+        ray[ORIGIN, axis] = lo[axis]
+        ray[UPPER, axis] = hi[axis]
+        ray[DIRECTION, axis] = translation[axis]
+    ray[EXACT, 0] = 0.0
 
 
 @inlined
@@ -53,9 +72,9 @@ def prepare_ray(ray, bounds_lo, bounds_hi):
     largest = 0.0
     reach = 0.0
     for axis in range(bounds_lo.shape[0]):
-        origin = ray[ORIGIN, axis]
         largest = max(largest, abs(ray[DIRECTION, axis]))
-        reach = max(reach, abs(bounds_hi[axis] - origin), abs(bounds_lo[axis] - origin))
+        above, below = bounds_hi[axis] - ray[ORIGIN, axis], bounds_lo[axis] - ray[UPPER, axis]
+        reach = max(reach, abs(above), abs(below))
     scale = 0
     if largest > 0.0 and not (2.0**-1000 < largest < 2.0**1000 and reach < largest * 2.0**1000):
         scale = (
@@ -93,7 +112,7 @@ def enters(lo, hi, ray, limit, wide):
     leave = limit
     for axis in range(lo.shape[0]):
         inverse = ray[INVERSE, axis]
-        at_lo = (lo[axis] - ray[ORIGIN, axis]) * inverse
+        at_lo = (lo[axis] - ray[UPPER, axis]) * inverse
         at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
         near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
         entry = near if near > entry else entry
@@ -142,8 +161,22 @@ def near_plane(lo, hi, ray, axis):
 
 
 @inlined
-def _order(ray, t, plane, axis, other_t, other_plane, other_axis):
-    """`compare_distances` of two planes along one ray, given by their axes."""
+def front(ray, axis):
+    """Where what moves meets the near plane of an axis: the origin of a ray, the leading side of a
+    box.
+    """
+    return ray[UPPER, axis] if ray[DIRECTION, axis] > 0.0 else ray[ORIGIN, axis]
+
+
+@inlined
+def _rear(ray, axis):
+    """Where it leaves the far plane."""
+    return ray[ORIGIN, axis] if ray[DIRECTION, axis] > 0.0 else ray[UPPER, axis]
+
+
+@inlined
+def _order(ray, t, plane, axis, other_t, other_plane, other_origin, other_axis):
+    """`compare_distances` of the near plane of an axis and any plane along one ray."""
     if t * CLEAR + TINY < other_t:
         return -1
     if other_t * CLEAR + TINY < t:
@@ -152,25 +185,32 @@ def _order(ray, t, plane, axis, other_t, other_plane, other_axis):
     return compare_distances(
         t,
         plane,
-        ray[ORIGIN, axis],
+        front(ray, axis),
         ray[DIRECTION, axis],
         other_t,
         other_plane,
-        ray[ORIGIN, other_axis],
+        other_origin,
         ray[DIRECTION, other_axis],
     )
 
 
 @inlined
 def _within(ray, t, plane, axis, t_max):
-    """Whether the ray reaches the plane of an axis by t_max, exactly."""
+    """Whether the ray reaches the near plane of an axis by t_max, exactly."""
     if math.isinf(t_max) or t * CLEAR + TINY < t_max:
         return True
     if t_max * CLEAR + TINY < t:
         return False
     ray[EXACT, 0] = 1.0
-    origin, direction = ray[ORIGIN, axis], ray[DIRECTION, axis]
+    origin, direction = front(ray, axis), ray[DIRECTION, axis]
     return compare_distances(t, plane, origin, direction, t_max, t_max, 0.0, 1.0) <= 0
+
+
+@inlined
+def _enters_later(lo, hi, ray, t, plane, axis, other_t, other_axis):
+    """Whether the near plane of an axis is met after that of another."""
+    other_plane, other_origin = near_plane(lo, hi, ray, other_axis), front(ray, other_axis)
+    return _order(ray, t, plane, axis, other_t, other_plane, other_origin, other_axis) > 0
 
 
 @lean_kernel
@@ -182,17 +222,15 @@ def meets(lo, hi, ray, t_max):
     """
     t, entered = 0.0, INSIDE
     for axis in range(lo.shape[0]):
-        origin, direction = ray[ORIGIN, axis], ray[DIRECTION, axis]
-        below, above = origin < lo[axis], origin > hi[axis]
+        direction = ray[DIRECTION, axis]
+        below, above = ray[UPPER, axis] < lo[axis], ray[ORIGIN, axis] > hi[axis]
         if not (below or above):
             continue
         if direction == 0.0 or below != (direction > 0.0):
             return False, np.inf, INSIDE  # parallel outside, or flying away
         plane = lo[axis] if below else hi[axis]
-        distance = plane_distance(plane, origin, direction)
-        if entered == INSIDE or (
-            _order(ray, distance, plane, axis, t, near_plane(lo, hi, ray, entered), entered) > 0
-        ):
+        distance = plane_distance(plane, front(ray, axis), direction)
+        if entered == INSIDE or _enters_later(lo, hi, ray, distance, plane, axis, t, entered):
             t, entered = distance, axis
     if entered == INSIDE:
         return True, 0.0, INSIDE
@@ -201,8 +239,9 @@ def meets(lo, hi, ray, t_max):
         direction = ray[DIRECTION, axis]
         if axis != entered and direction != 0.0:
             far = hi[axis] if direction > 0.0 else lo[axis]
-            leave = plane_distance(far, ray[ORIGIN, axis], direction)
-            if _order(ray, t, plane, entered, leave, far, axis) > 0:
+            rear = _rear(ray, axis)
+            leave = plane_distance(far, rear, direction)
+            if _order(ray, t, plane, entered, leave, far, rear, axis) > 0:
                 return False, np.inf, INSIDE
     return _within(ray, t, plane, entered, t_max), t, entered
 
@@ -220,4 +259,4 @@ def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
         if plane == other_plane:
             return 0
         return -1 if (plane < other_plane) == (ray[DIRECTION, axis] > 0.0) else 1
-    return _order(ray, t, plane, axis, other_t, other_plane, other_axis)
+    return _order(ray, t, plane, axis, other_t, other_plane, front(ray, other_axis), other_axis)

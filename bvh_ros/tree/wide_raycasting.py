@@ -21,7 +21,7 @@ import numpy as np
 from .compiling import inlined, lean_kernel
 from .machine import WIDTH, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
-from .raycasting import is_before, load_ray
+from .raycasting import is_before
 from .slab import (
     DIRECTION,
     EXACT,
@@ -30,6 +30,7 @@ from .slab import (
     ORIGIN,
     PAD,
     TINY,
+    aim,
     meets,
     near_plane,
     plane_distance,
@@ -249,7 +250,7 @@ def cast_rows(
     entries = stack_array(WIDTH, np.float32)
     exact = np.int64(0)
     for i in order:
-        load_ray(ray, origins, directions, i)
+        aim(ray, origins[i], directions[i])
         suited, largest = fill_ray(ray, center, per_length, ndim)
         left_over[i] = not suited
         if not suited:

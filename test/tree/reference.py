@@ -54,6 +54,29 @@ def exact_hits(
     return [_hits_of_ray(boxes, origin, direction) for origin, direction in rays]
 
 
+def exact_sweeps(
+    lo: Floats, hi: Floats, low: Floats, high: Floats, translations: Floats
+) -> list[list[ExactHit]]:
+    """For every swept box all boxes that it touches on its way, t at most 1, by exact t, then
+    row.
+    """
+    values = np.concatenate([np.ravel(array) for array in (lo, hi, low, high, translations)])
+    bits = max(x.as_integer_ratio()[1].bit_length() - 1 for x in values.tolist())
+    boxes = list(zip(_integers(lo, bits), _integers(hi, bits), strict=True))
+    sweeps = []
+    for bottom, top, way in zip(
+        *(_integers(x, bits) for x in (low, high, translations)), strict=True
+    ):
+        grown = [(_minus(box[0], top), _minus(box[1], bottom)) for box in boxes]
+        hits = _hits_of_ray(grown, [0] * len(way), way)
+        sweeps.append([hit for hit in hits if hit.t <= 1])
+    return sweeps
+
+
+def _minus(one: list[int], other: list[int]) -> list[int]:
+    return [a - b for a, b in zip(one, other, strict=True)]
+
+
 def _integers(rows: Floats, bits: int) -> list[list[int]]:
     """The coordinates in units of 2**-bits."""
     ratios = [[x.as_integer_ratio() for x in row] for row in rows.tolist()]

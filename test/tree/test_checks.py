@@ -106,6 +106,9 @@ TAKES_A_POINT: dict[str, tuple[str, Callable[[DynamicBVH, Any], Any]]] = {
     'occluded direction': ('direction', lambda t, x: t.occluded(ONE, x)),
     'overlap lo': ('lo', lambda t, x: t.overlap(x, ONE)),
     'overlap hi': ('hi', lambda t, x: t.overlap([-9, -9, -9], x)),
+    'boxcast lo': ('lo', lambda t, x: t.boxcast(x, ONE, ONE)),
+    'boxcast hi': ('hi', lambda t, x: t.boxcast([-9, -9, -9], x, ONE)),
+    'boxcast translation': ('translation', lambda t, x: t.boxcast(ONE, ONE, x)),
     'nearest point': ('point', lambda t, x: t.nearest(x)),
 }
 
@@ -131,6 +134,7 @@ OTHERS: dict[str, tuple[Callable[[DynamicBVH], Any], type[Exception], str]] = {
     'move': (lambda t: t.move(t.ids()[0], [0, 0, 2], [1, 1, 1]), ValueError, 'lo .* hi'),
     'move_many': (lambda t: t.move_many(t.ids()[:5], with_row(LO, 4, 5), HI), ValueError, 'row 4'),
     'overlap': (lambda t: t.overlap([0, 2, 0], [1, 1, 1]), ValueError, 'lo .* hi'),
+    'boxcast': (lambda t: t.boxcast([0, 2, 0], [1, 1, 1], ONE), ValueError, 'lo .* hi'),
     'overlap_many': (lambda t: t.overlap_many(with_row(LO, 1, 5), HI), ValueError, 'row 1'),
     'from_boxes': (lambda t: DynamicBVH.from_boxes(with_row(LO, 1, 5), HI), ValueError, 'row 1'),
     # lengths that do not agree

@@ -21,6 +21,7 @@ from tree.reference import (
 
 from bvh_ros.tree.slab import (
     RAY_ROWS,
+    aim,
     compare_distances,
     compare_hits,
     enters,
@@ -37,8 +38,10 @@ each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
 def ray_rows(origin: Floats, direction: Floats) -> Floats:
-    """Origin, direction and room for what `prepare_ray` and `meets` add."""
-    return np.stack([origin, direction, *np.zeros((RAY_ROWS - 2, len(origin)))])
+    """A ray with room for what `prepare_ray` and `meets` add."""
+    rows = np.empty((RAY_ROWS, len(origin)))
+    aim(rows, origin, direction)
+    return rows
 
 
 @each_scale

@@ -20,6 +20,7 @@ from tree.reference import (
     Ids,
     effort,
     exact_hits,
+    exact_sweeps,
     overlapping_pairs,
     overlapping_rows,
     seen,
@@ -210,6 +211,16 @@ class TreeMachine(RuleBasedStateMachine):
         assert self.tree.occluded(origin, direction, t_max, mask, skip) == bool(expected)
         batch = self.tree.raycast_many([origin] * 64, [direction] * 64, t_max, mask, skip)
         assert set(batch.ids.tolist()) == {expected[0] if expected else -1}
+
+    @rule(data=st.data(), mask=MASKS)
+    def sweep_a_box(self, data: st.DataObject, mask: int) -> None:
+        low, high = self.draw_box(data)
+        way = np.array(data.draw(st.tuples(*[SIDES] * self.tree.ndim)))
+        handles, lo, hi, masks = self.arrays()
+        met = exact_sweeps(lo, hi, np.array([low]), np.array([high]), way[None])[0]
+        expected = [handles[hit.row] for hit in seen(met, handles, visible=masks & mask != 0)]
+        hit = self.tree.boxcast(low, high, way, mask)
+        assert (hit.id if hit else None) == (expected[0] if expected else None)
 
     @rule(data=st.data(), mask=MASKS)
     def ask_for_overlaps(self, data: st.DataObject, mask: int) -> None:

@@ -1,0 +1,44 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a box meets on its way: the traversal of rays, with a box that moves instead of a point."""
+
+import numpy as np
+
+from .compiling import lean_kernel
+from .machine import stack_array
+from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
+from .ray_hits import locate
+from .raycasting import CLOSEST, raycast
+from .slab import EXACT, INSIDE, ORIGIN, aim_box
+
+
+@lean_kernel
+def boxcast(nodes, tight, handles, state, lo, hi, translation, mask, ray, place):
+    """First box met: (slot, t), slot NONE if there is none; point and normal go to `place`.
+
+    `ray` is scratch.
+    """
+    aim_box(ray, lo, hi, translation)
+    slots, ts, axes = (
+        stack_array(1, np.int64),
+        stack_array(1, np.float64),
+        stack_array(1, np.int64),
+    )
+    found = raycast(
+        nodes, tight, handles, state[ROOT], ray, 1.0, mask, False, CLOSEST, slots, ts, axes, 0
+    )
+    state[RAYS] += 1
+    state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
+    if found == 0:
+        return NONE, np.inf
+    # Of all points that touch, the closest to the swept box's centre: where that would be, brought
+    # into the box that is met. On the axes along which it does not move, now; `locate` does the
+    # others.
+    met_lo, met_hi = leaf_box(nodes, tight, 2 * slots[0])
+    centre = ray[ORIGIN]
+    for axis in range(lo.shape[0]):
+        centre[axis] = lo[axis] * 0.5 + hi[axis] * 0.5
+        if axes[0] == INSIDE or translation[axis] == 0.0:
+            centre[axis] = min(max(centre[axis], met_lo[axis]), met_hi[axis])
+    locate(nodes, tight, centre, translation, slots[0], ts[0], axes[0], place)
+    return slots[0], ts[0]
