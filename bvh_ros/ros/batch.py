@@ -10,8 +10,8 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.conversions import ray_clouds
-from bvh_ros.ros.conversions.markers import nanoseconds
 from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.part import Part
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription

@@ -77,6 +77,7 @@ class BvhServer:
             margin=self.settings.margin,
             kinds=kinds,
             batch=self.settings.batch,
+            more=[step for source in self.world.sources for step in source.to_compile()],
             log=log,
         )
 
@@ -126,7 +127,8 @@ class BvhServer:
         """Say what is served and which parts this scene uses."""
         settings, world = self.settings, self.world
         heard = ', '.join(
-            f'{source.name} ({source.settings.type} on {source.subscription.topic})'
+            f'{source.name} ({source.settings.type} on {source.subscription.topic}'
+            f'{", decoded here" if source.raw else ""})'
             for source in world.sources
             if source.subscription is not None
         )

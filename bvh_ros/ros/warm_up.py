@@ -29,6 +29,7 @@ def warm_up(
     margin: float,
     kinds: Iterable[ShapeKind],
     batch: bool,
+    more: Iterable[Step] = (),
     log: Callable[[str], object],
 ) -> None:
     """Run every kind of call once on a throw-away scene.
@@ -41,10 +42,12 @@ def warm_up(
         The shapes that its sources can bring.
     batch : bool
         Whether rays come in batches.
+    more : iterable of (str, callable)
+        Further calls, and what they are for.
     log : callable
         Takes a line about the progress, when there is something to wait for.
     """
-    steps = _steps(Scene(planar=planar, margin=margin), sorted(kinds))
+    steps = [*_steps(Scene(planar=planar, margin=margin), sorted(kinds)), *more]
     if batch:
         steps.append(('batches of rays', lambda: _batches(Scene(planar=planar, margin=margin))))
     for number, (name, call) in enumerate(steps, 1):

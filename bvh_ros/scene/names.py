@@ -8,7 +8,7 @@ a plain number is all prefix. There is one way to split a name, so that 'p5' is 
 however it was given.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -43,6 +43,10 @@ class Families(NamedTuple):
         number = int(self.numbers[row])
         prefix = self.prefixes[self.family[row]]
         return prefix if number == BARE else f'{prefix}{number}'
+
+    def texts(self) -> Iterator[str]:
+        """All names as strings."""
+        return map(self.text, range(len(self)))
 
     def take(self, rows: Integers) -> 'Families':
         """The names of some rows."""

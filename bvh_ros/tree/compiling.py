@@ -23,7 +23,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 def _source_hash() -> str:
     digest = hashlib.sha256(numba.__version__.encode())
-    for room in ('tree', 'scene'):
+    for room in ('tree', 'scene', 'ros/cdr'):
         for source in sorted((_PACKAGE / room).glob('*.py')):
             digest.update(source.name.encode())
             digest.update(source.read_bytes())

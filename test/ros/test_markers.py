@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.ros.conversions import markers
+from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.conversions.markers import Delete, DeleteAll, ReplaceList, Update
 from bvh_ros.ros.frames import FrameError, Transform
 from bvh_ros.scene import ShapeKind
@@ -54,8 +55,12 @@ def into_map(frame_id, stamp):
 
 
 def steps(*array, prefix=''):
-    reading = markers.steps(array, now=NOW, into_node=into_map, prefix=prefix)
+    reading = markers.steps(table(array), now=NOW, into_node=into_map, prefix=prefix)
     return reading.steps, reading.refusals
+
+
+def names_of(step):
+    return list(step.names.texts())
 
 
 def test_thousands_become_one_step():
@@ -66,11 +71,11 @@ def test_thousands_become_one_step():
     (update,), refusals = steps(*array)
     assert not refusals
     assert isinstance(update, Update)
-    assert update.names[:2] == ['a/0', 'a/1']
+    assert names_of(update)[:2] == ['a/0', 'a/1']
     assert update.shapes.kind[:3].tolist() == [ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER]
     assert update.shapes.position[-1].tolist() == [2999, 5998, 8997]
     assert (update.shapes.size == (4, 5, 6)).all()
-    assert update.stamp == NOW
+    assert (update.stamp == NOW).all()
     assert not update.expires.any()
 
 
@@ -86,12 +91,13 @@ def test_order_is_kept():
         marker(ns='', action=3),
     )
     assert not refusals
-    assert [type(step) for step in found] == [DeleteAll, Update, Delete, Update, Update, DeleteAll]
+    assert [type(step) for step in found] == [DeleteAll, Update, Delete, Update, DeleteAll]
     assert found[0].namespace == 'a'
-    assert found[1].names == ['a/1', 'a/2']
-    assert found[2].names == ['a/1', 'a/2']
-    assert found[4].shapes.position[0, 0] == 6
-    assert found[5].namespace is None
+    assert names_of(found[1]) == ['a/1', 'a/2']
+    assert names_of(found[2]) == ['a/1', 'a/2']
+    assert names_of(found[3]) == ['a/1', 'a/1']
+    assert found[3].shapes.position[:, 0].tolist() == [5, 6]  # the scene takes the last
+    assert found[4].namespace is None
 
 
 def test_stamps_and_lifetimes():
@@ -101,8 +107,9 @@ def test_stamps_and_lifetimes():
         marker(3),
         marker(4, lifetime=-1),
     )
-    assert [step.stamp for step in found] == [5_000_000_001, NOW]
-    assert found[0].expires.tolist() == [0, NOW + 1_500_000_000]
+    (update,) = found
+    assert update.stamp.tolist() == [5_000_000_001, 5_000_000_001, NOW]
+    assert update.expires.tolist() == [0, NOW + 1_500_000_000, 0]
     assert refusals[0].row == 3
     assert 'negative lifetime' in refusals[0].reason
 
@@ -112,11 +119,15 @@ def test_other_frames_are_transformed_or_refused():
         marker(1, frame='map', at=(1, 2, 3)),
         marker(2, frame='turned', at=(1, 2, 3)),
         marker(3, frame='nowhere'),
+        marker(5, at=(4, 5, 6), stamp=8),
+        marker(6, frame='turned', stamp=9),
         marker(4, frame='nowhere', shape=CUBE_LIST),
     )
-    assert np.allclose(found[0].shapes.position, [[1, 2, 3]])
-    assert np.allclose(found[1].shapes.position, [[9, -2, 3]])
-    assert np.allclose(found[1].shapes.orientation, [[0, 0, 1, 0]])
+    (update,) = found
+    assert names_of(update) == ['a/1', 'a/2', 'a/5', 'a/6']
+    assert np.allclose(update.shapes.position, [[1, 2, 3], [9, -2, 3], [4, 5, 6], [10, 0, 0]])
+    assert np.allclose(update.shapes.orientation[[1, 3]], [[0, 0, 1, 0], [0, 0, 1, 0]])
+    assert update.stamp.tolist() == [NOW, NOW, 8, 9]
     assert [refusal.name for refusal in refusals] == ['a/3', 'a/4']
     assert all('nowhere' in refusal.reason for refusal in refusals)
 
@@ -154,10 +165,17 @@ def test_lists_have_elements_in_the_markers_frame():
 def test_a_marker_that_cannot_be_used_does_not_harm_the_others(bad, reason):
     bad.id = 5
     found, refusals = steps(marker(1), bad, marker(2))
-    names = [name for step in found for name in step.names]
+    names = [name for step in found for name in names_of(step)]
     assert names == ['a/1', 'a/2']
     assert [(refusal.row, refusal.name) for refusal in refusals] == [(1, 'a/5')]
     assert reason in refusals[0].reason
+
+
+def test_names_of_many_namespaces_and_negative_ids():
+    array = [marker(k - 3, ns=ns) for k in range(6) for ns in ('a', '', 'b/c', 'a')]
+    (update,), refusals = steps(*array)
+    assert not refusals
+    assert names_of(update) == [f'{m.ns}/{m.id}' for m in array]
 
 
 def test_prefix_begins_every_name():
@@ -168,7 +186,7 @@ def test_prefix_begins_every_name():
         marker(action=3),
         prefix='left.',
     )
-    assert found[0].names == ['left.a/1']
-    assert found[1].names == ['left.a/2']
+    assert names_of(found[0]) == ['left.a/1']
+    assert names_of(found[1]) == ['left.a/2']
     assert found[2].name == 'left.a/3'
     assert found[3].namespace == 'left.a'

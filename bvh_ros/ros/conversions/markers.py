@@ -4,16 +4,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.marker_table import Integers, MarkerTable
 from bvh_ros.ros.frames import FrameError, Transform
-from bvh_ros.scene import Refusal, ShapeKind, Shapes
+from bvh_ros.scene import Families, Refusal, ShapeKind, Shapes
 
 # visualization_msgs/msg/Marker
 ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
@@ -24,15 +25,19 @@ TYPE_NAMES = (
     *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
     'ARROW_STRIP',
 )
+# By marker type.
+_KINDS = np.zeros(max(SINGLE_SHAPES) + 1, np.uint8)
+_KINDS[list(SINGLE_SHAPES)] = list(SINGLE_SHAPES.values())
+IntoNode = Callable[[str, int], 'Transform | None']
 
 
 class Update(NamedTuple):
     """Add these obstacles, or modify those that exist."""
 
-    names: list[str]
+    names: Families
     shapes: Shapes
-    stamp: int  # ns
-    expires: NDArray[np.int64]  # (n,) ns on the node's clock, 0 = never
+    stamp: Integers  # (n,) ns
+    expires: Integers  # (n,) ns on the node's clock, 0 = never
 
 
 class ReplaceList(NamedTuple):
@@ -47,7 +52,7 @@ class ReplaceList(NamedTuple):
 class Delete(NamedTuple):
     """Remove these obstacles, and the elements of these list markers."""
 
-    names: list[str]
+    names: Families
 
 
 class DeleteAll(NamedTuple):
@@ -58,6 +63,9 @@ class DeleteAll(NamedTuple):
 
 Step = Update | ReplaceList | Delete | DeleteAll
 
+# What a row asks for; consecutive rows of the first two become one step.
+SINGLE, REMOVAL, LISTED, SWEEP, NOTHING = range(5)
+
 
 class Reading(NamedTuple):
     """A message, understood."""
@@ -66,21 +74,15 @@ class Reading(NamedTuple):
     refusals: list[Refusal]
 
 
-def steps(
-    markers: Iterable[Any],
-    *,
-    now: int,
-    into_node: Callable[[str, int], Transform | None],
-    prefix: str = '',
-) -> Reading:
+def steps(table: MarkerTable, *, now: int, into_node: IntoNode, prefix: str = '') -> Reading:
     """Read markers in order.
 
-    Consecutive markers of one kind, frame and stamp become one step, so that thousands of them go
+    Consecutive markers that are added, or deleted, become one step, so that thousands of them go
     down as arrays.
 
     Parameters
     ----------
-    markers : iterable of visualization_msgs/Marker
+    table : MarkerTable
     now : int
         Time of reception on the node's clock, ns: lifetimes begin here, as in RViz.
     into_node : callable
@@ -94,121 +96,136 @@ def steps(
     Reading
         What to do, in order, and the markers that cannot be used.
     """
-    reader = _Reader(now, into_node, prefix)
-    for row, marker in enumerate(markers):
-        reader.read(row, marker)
-    reader.end_run()
-    return Reading(reader.steps, reader.refusals)
+    reader = _Reader(table, now, into_node, prefix)
+    wish = reader.wishes()
+    rows = np.flatnonzero(wish != NOTHING)
+    wish = wish[rows]
+    begins = np.flatnonzero(np.diff(wish, prepend=NOTHING) | (wish > REMOVAL)).tolist()
+    for begin, end in pairwise([*begins, len(rows)]):
+        reader.read(int(wish[begin]), rows[begin:end])
+    return Reading(reader.steps, sorted(reader.refusals))
 
 
 class _Reader:
-    """Collects markers of one kind, frame and stamp into a run until something else comes."""
-
-    def __init__(
-        self, now: int, into_node: Callable[[str, int], Transform | None], prefix: str
-    ) -> None:
-        self.now = now
+    def __init__(self, table: MarkerTable, now: int, into_node: IntoNode, prefix: str) -> None:
+        self.table = table
         self.into_node = into_node
         self.prefix = prefix
+        self.stamps = np.where(table.stamp == 0, now, table.stamp)
+        self.expires = np.where(table.lifetime > 0, table.lifetime + now, 0)
         self.steps: list[Step] = []
         self.refusals: list[Refusal] = []
-        self._frame: tuple[str, int] = ('', 0)
-        self._first_row = 0
-        self._rows: dict[str, tuple[float, ...]] = {}  # by name: a name twice ends the run
 
-    def read(self, row: int, marker: Any) -> None:
-        namespace = self.prefix + marker.ns
-        name = f'{namespace}/{marker.id}'
-        action = marker.action
-        if action == ADD_OR_MODIFY:
-            reason = self._add(row, name, marker)
-            if reason:
-                self.refusals.append(Refusal(row, name, reason))
-        elif action == DELETE:
-            self.end_run()
-            if self.steps and isinstance(self.steps[-1], Delete):
-                self.steps[-1].names.append(name)
-            else:
-                self.steps.append(Delete([name]))
-        elif action == DELETE_ALL:
-            self.end_run()
-            self.steps.append(DeleteAll(namespace if marker.ns else None))
+    def wishes(self) -> Integers:
+        """What each row asks for; NOTHING where that cannot be, which is refused."""
+        kind, action = self.table.type, self.table.action
+        wish = np.full(len(kind), NOTHING)
+        add = action == ADD_OR_MODIFY
+        wish[add & np.isin(kind, list(SINGLE_SHAPES))] = SINGLE
+        wish[add & np.isin(kind, list(LISTED_SHAPES))] = LISTED
+        wish[action == DELETE] = REMOVAL
+        wish[action == DELETE_ALL] = SWEEP
+        for row in np.flatnonzero(wish == NOTHING).tolist():
+            self._refuse(row, self._fault(int(kind[row]), int(action[row])))
+        brief = add & (wish != NOTHING) & (self.table.lifetime < 0)
+        for row in np.flatnonzero(brief).tolist():
+            self._refuse(row, f'negative lifetime {self.table.lifetime[row] / 1e9:g} s')
+        wish[brief] = NOTHING
+        return wish
+
+    def read(self, wish: int, rows: Integers) -> None:
+        """Turn consecutive rows that ask for the same into a step."""
+        if wish == SINGLE:
+            self._update(rows)
+        elif wish == REMOVAL:
+            self.steps.append(Delete(self._names(rows)))
+        elif wish == LISTED:
+            self._list(int(rows[0]))
         else:
-            self.refusals.append(Refusal(row, name, f'unknown marker action {action}'))
+            namespace = self.table.namespaces[self.table.namespace[rows[0]]]
+            self.steps.append(DeleteAll(self.prefix + namespace if namespace else None))
 
-    def _add(self, row: int, name: str, marker: Any) -> str | None:
-        """Take one marker in; return why not."""
-        lifetime = nanoseconds(marker.lifetime)
-        if lifetime < 0:
-            return f'negative lifetime {lifetime / 1e9:g} s'
-        expires = self.now + lifetime if lifetime else 0
-        kind = SINGLE_SHAPES.get(marker.type)
-        if kind is not None:
-            self._single(row, name, kind, marker, expires)
-            return None
-        kind = LISTED_SHAPES.get(marker.type)
-        if kind is not None:
-            self.end_run()
-            return self._list(name, kind, marker, expires)
-        known = 0 <= marker.type < len(TYPE_NAMES)
-        type_name = TYPE_NAMES[marker.type] if known else 'unknown'
-        return f'marker type {marker.type} ({type_name}) is not a box, sphere or cylinder'
+    def _update(self, rows: Integers) -> None:
+        table = self.table
+        kind = _KINDS[table.type[rows]]
+        shapes = Shapes(kind, table.position[rows], table.orientation[rows], table.scale[rows])
+        known = self._into_node(rows, shapes)
+        if not known.all():
+            rows, shapes = rows[known], shapes.take(known)
+        if len(rows):
+            names = self._names(rows)
+            self.steps.append(Update(names, shapes, self.stamps[rows], self.expires[rows]))
 
-    def _single(self, row: int, name: str, kind: ShapeKind, marker: Any, expires: int) -> None:
-        header = marker.header
-        frame = (header.frame_id, nanoseconds(header.stamp))
-        if frame != self._frame or name in self._rows:
-            self.end_run()
-            self._frame = frame
-        if not self._rows:
-            self._first_row = row
-        at, turned, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        self._rows[name] = (
-            *(at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w),
-            *(scale.x, scale.y, scale.z, kind, expires),
-        )
+    def _into_node(self, rows: Integers, shapes: Shapes) -> NDArray[np.bool_]:
+        """Bring shapes into the node's frame; which of them are there, the others are refused."""
+        frame, stamp = self.table.frame[rows], self.table.stamp[rows]
+        known = np.ones(len(rows), np.bool_)
+        own = set()
+        order = np.lexsort((stamp, frame))
+        moves = np.diff(frame[order], prepend=-1) | np.diff(stamp[order], prepend=0)
+        for begin, end in pairwise([*np.flatnonzero(moves).tolist(), len(rows)]):
+            group = order[begin:end]  # of one frame and one stamp
+            number, first = int(frame[group[0]]), int(stamp[group[0]])
+            if number in own:
+                continue
+            try:
+                transform = self.into_node(self.table.frame_ids[number], first)
+            except FrameError as error:
+                known[group] = False
+                for row in rows[group].tolist():
+                    self._refuse(row, str(error))
+                continue
+            if transform is None:  # whatever the time
+                own.add(number)
+                continue
+            shapes.position[group] = transform.points(shapes.position[group])
+            shapes.orientation[group] = transform.orientations(shapes.orientation[group])
+        return known
 
-    def end_run(self) -> None:
-        """Turn the collected markers into one step."""
-        if not self._rows:
+    def _list(self, row: int) -> None:
+        table = self.table
+        shared, size = table.position[row], table.scale[row]
+        if not all(np.isfinite(x).all() for x in (shared, table.orientation[row], size)):
+            self._refuse(row, 'pose or scale of the list is not finite')
             return
-        rows, self._rows = self._rows, {}
-        names = list(rows)
-        table = np.array([row[:11] for row in rows.values()], dtype=np.float64)
-        # Times in ns do not fit a double: they travel beside the table.
-        expires = np.array([row[11] for row in rows.values()], dtype=np.int64)
-        shapes = Shapes(table[:, 10].astype(np.uint8), table[:, :3], table[:, 3:7], table[:, 7:10])
         try:
-            shapes = moved(shapes, self.into_node(*self._frame))
+            transform = self.into_node(table.frame_ids[table.frame[row]], int(table.stamp[row]))
         except FrameError as error:
-            first = self._first_row
-            self.refusals += [Refusal(first + i, n, str(error)) for i, n in enumerate(names)]
+            self._refuse(row, str(error))
             return
-        self.steps.append(Update(names, shapes, self._frame[1] or self.now, expires))
-
-    def _list(self, name: str, kind: ShapeKind, marker: Any, expires: int) -> str | None:
-        at, turned, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        shared = (at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w)
-        size = (scale.x, scale.y, scale.z)
-        if not all(map(math.isfinite, (*shared, *size))):
-            return 'pose or scale of the list is not finite'
-        stamp = nanoseconds(marker.header.stamp)
-        try:
-            transform = self.into_node(marker.header.frame_id, stamp)
-        except FrameError as error:
-            return str(error)
-        points = np.array([(p.x, p.y, p.z) for p in marker.points], dtype=np.float64)
-        points = points.reshape(-1, 3)
-        turn = rotations.normalised(shared[3:])
+        points = table.points(row)
+        turn = rotations.normalised(table.orientation[row])
         n = len(points)
         shapes = Shapes(
-            np.full(n, kind, dtype=np.uint8),
-            rotations.rotate(turn, points) + shared[:3],
+            np.full(n, LISTED_SHAPES[int(table.type[row])], dtype=np.uint8),
+            rotations.rotate(turn, points) + shared,
             np.tile(turn, (n, 1)),
             np.tile(size, (n, 1)),
         )
-        self.steps.append(ReplaceList(name, moved(shapes, transform), stamp or self.now, expires))
-        return None
+        stamp, expires = int(self.stamps[row]), int(self.expires[row])
+        self.steps.append(ReplaceList(self._name(row), moved(shapes, transform), stamp, expires))
+
+    def _names(self, rows: Integers) -> Families:
+        """Two families a namespace: `ns/` and, for negative ids, `ns/-`."""
+        table, number = self.table, self.table.id[rows]
+        used, place = np.unique(table.namespace[rows], return_inverse=True)
+        spaces = [f'{self.prefix}{table.namespaces[space]}/' for space in used.tolist()]
+        prefixes = [spaces[i // 2] + '-' * (i % 2) for i in range(2 * len(spaces))]
+        return Families(prefixes, 2 * place + (number < 0), np.abs(number))
+
+    def _name(self, row: int) -> str:
+        namespace = self.table.namespaces[self.table.namespace[row]]
+        return f'{self.prefix}{namespace}/{self.table.id[row]}'
+
+    def _refuse(self, row: int, reason: str) -> None:
+        self.refusals.append(Refusal(row, self._name(row), reason))
+
+    @staticmethod
+    def _fault(kind: int, action: int) -> str:
+        if action != ADD_OR_MODIFY:
+            return f'unknown marker action {action}'
+        type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
+        return f'marker type {kind} ({type_name}) is not a box, sphere or cylinder'
 
 
 def moved(shapes: Shapes, transform: Transform | None) -> Shapes:
@@ -219,8 +236,3 @@ def moved(shapes: Shapes, transform: Transform | None) -> Shapes:
         position=transform.points(shapes.position),
         orientation=transform.orientations(shapes.orientation),
     )
-
-
-def nanoseconds(time: Any) -> int:
-    """Return a builtin_interfaces Time or Duration in ns."""
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)

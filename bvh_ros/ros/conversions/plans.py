@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.markers import nanoseconds
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.frames import Transform
 from bvh_ros.scene import SceneHit
 

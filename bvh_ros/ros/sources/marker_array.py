@@ -4,15 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from visualization_msgs.msg import MarkerArray
 
+from bvh_ros.ros.cdr import definitions
+from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.conversions import markers
+from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.sources.source import Source
-from bvh_ros.scene import Numbered, Refusal
+from bvh_ros.ros.warm_up import Step
+from bvh_ros.scene import Families, Numbered, Refusal
 
 
 class MarkerArraySource(Source):
@@ -23,13 +28,25 @@ class MarkerArraySource(Source):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self._lists: set[str] = set()  # markers that are kept as lists of elements
+        other = definitions.difference(MarkerArray, decoder.DEFINITION)
+        self.raw = not other
+        if other:
+            self._node.get_logger().warning(
+                f"source '{self.name}': {other} is not defined here as the decoder knows it; "
+                'messages are read by rclpy, which takes several times as long'
+            )
+
+    def to_compile(self) -> Iterable[Step]:
+        """Return the decoder, where it is used."""
+        return [('decode markers', partial(decoder.read, decoder.EMPTY))] if self.raw else []
 
     def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
         """Follow the markers in order."""
+        columns = decoder.read(message) if self.raw else table(message.markers)
         steps, refusals = markers.steps(
-            message.markers, now=now, into_node=self.frames.into_node, prefix=self.settings.prefix
+            columns, now=now, into_node=self.frames.into_node, prefix=self.settings.prefix
         )
-        items = len(message.markers)
+        items = len(columns.id)
         for step in steps:
             if isinstance(step, markers.Update):
                 refusals += self._update(step)
@@ -38,7 +55,7 @@ class MarkerArraySource(Source):
                 refusals += self._replace_list(step)
             elif isinstance(step, markers.Delete):
                 self.scene.remove(self.name, step.names)
-                self._remove_lists(self._lists.intersection(step.names))
+                self._remove_lists(self._lists_among(step.names))
             else:
                 self._remove_namespace(step.namespace)
         return items, refusals
@@ -53,7 +70,7 @@ class MarkerArraySource(Source):
             self.name, step.names, step.shapes, stamp=step.stamp, expires=step.expires
         )
         # A list marker that became a single one; a refused update keeps the list.
-        changed = self._lists.intersection(step.names)
+        changed = self._lists_among(step.names)
         self._remove_lists(changed.difference(refusal.name for refusal in refusals))
         return refusals
 
@@ -71,6 +88,9 @@ class MarkerArraySource(Source):
             self._lists.add(step.name)
             self.scene.remove(self.name, [step.name])
         return refusals
+
+    def _lists_among(self, names: Families) -> set[str]:
+        return self._lists.intersection(names.texts()) if self._lists else set()
 
     def _remove_lists(self, names: set[str]) -> None:
         for name in names:

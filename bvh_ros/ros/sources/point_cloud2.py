@@ -10,7 +10,8 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.conversions import point_cloud2
-from bvh_ros.ros.conversions.markers import moved, nanoseconds
+from bvh_ros.ros.conversions.markers import moved
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.sources.source import Source
 from bvh_ros.scene import Numbered, Refusal
 

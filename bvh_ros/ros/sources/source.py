@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bvh_ros.ros.refusals import Refused
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.parameters import SourceSettings
+    from bvh_ros.ros.warm_up import Step
     from bvh_ros.scene import Refusal, Scene
 
 
@@ -45,9 +46,14 @@ class Source(ABC):
         self.skipped = 0  # points without a place
         self.spoke_at = 0  # ns on the node's clock
         self.has_spoken = False
+        self.raw = False  # whether messages come as their serialised bytes
         self._node = node
         self._clock = node.get_clock()
         self.subscription: FollowingSubscription | None = None
+
+    def to_compile(self) -> Iterable[Step]:
+        """Return what compiles the kernels that only this source uses."""
+        return ()
 
     def subscribe(self) -> None:
         """Begin to listen."""
@@ -59,6 +65,7 @@ class Source(ABC):
             depth=self.depth,
             transient_local=self.transient_local,
             follow=self.follows_publisher,
+            raw=self.raw,
         )
 
     def destroy(self) -> None:

@@ -48,6 +48,8 @@ class FollowingSubscription:
         Whether to ask for what was published earlier.
     follow : bool
         False keeps to the reliability first asked for.
+    raw : bool
+        True hands over the serialised bytes.
 
     Raises
     ------
@@ -65,10 +67,12 @@ class FollowingSubscription:
         depth: int,
         transient_local: bool = False,
         follow: bool = True,
+        raw: bool = False,
     ) -> None:
         self._node = node
         self._message_type = message_type
         self._callback = callback
+        self._raw = raw
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # the last policy on which a publisher did not match
         # The subscription is replaced outside of its own event's callback.
@@ -119,6 +123,7 @@ class FollowingSubscription:
             self.topic,
             self._callback,
             self.qos,
+            raw=self._raw,
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
             qos_overriding_options=overrides,
         )
