@@ -2,5 +2,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """Everything that talks to ROS: the node, its sources, its services.
 
-Nothing outside this folder, `client.py` and `demo.py` imports rclpy.
+Nothing outside this folder, `client/` and `demo.py` imports rclpy.
 """

@@ -11,6 +11,7 @@ from rclpy.exceptions import InvalidTopicNameException, ParameterException
 
 from bvh_ros.ros.diagnostics import Diagnostics
 from bvh_ros.ros.frames import Frames, listen_to_tf2
+from bvh_ros.ros.names import NamesPublisher
 from bvh_ros.ros.parameters import ConfigurationError, read_settings
 from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
@@ -109,6 +110,7 @@ class BvhServer:
             from bvh_ros.ros.batch import RayBatch
 
             yield RayBatch(node, world)
+        yield NamesPublisher(node, world.scene)
         yield Upkeep(node, world)
         yield Diagnostics(node, world, queries)
 

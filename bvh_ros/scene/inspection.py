@@ -5,6 +5,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
 from . import narrow_phase
@@ -52,13 +53,25 @@ class SceneInspection:
             group.name,
         )
 
-    def names(self) -> list[tuple[int, str]]:
-        """(node handle, name) of all obstacles, by handle."""
+    @property
+    def population(self) -> tuple[int, int]:
+        """Another one after each time that obstacles came or went."""
+        # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
+        return self._next_node_handle, len(self)
+
+    def handles(self) -> NDArray[np.int64]:
+        """Node handles of all obstacles, ascending."""
+        handles = self._columns.node_handle
+        return np.sort(handles[handles > 0])
+
+    def names(self, after: int = 0) -> list[tuple[int, str]]:
+        """(node handle, name) of the obstacles with a handle above `after`, by handle."""
         slots = self._columns.used()
-        handles = self._columns.node_handle[slots].tolist()
+        handles = self._columns.node_handle[slots]
+        first = int(np.searchsorted(handles, after, side='right'))
         return [
             (handle, self._registry.name(slot))
-            for handle, slot in zip(handles, slots.tolist(), strict=True)
+            for handle, slot in zip(handles[first:].tolist(), slots[first:].tolist(), strict=True)
         ]
 
     def name_of(self, handle: int) -> str:

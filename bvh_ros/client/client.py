@@ -1,0 +1,320 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`BvhClient`: the services and batches of one bvh node."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from nav_msgs.srv import GetPlan
+from numpy.typing import ArrayLike
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+
+from bvh_ros.client import plans
+from bvh_ros.client.batch import POLL, NameChannel, RayChannel, as_rays, handles_of
+from bvh_ros.client.errors import BvhTimeoutError
+from bvh_ros.client.plans import Hit
+from bvh_ros.client.waiting import Waiting
+from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
+
+NO_RAYS = np.empty((0, 3))
+PATIENCE = 0.2  # seconds for an answer to no rays
+
+Answer = TypeVar('Answer')
+
+
+class BvhClient:
+    """Calls the services of one bvh node.
+
+    The plain calls wait for the answer, whether the node is being spun in another thread or not
+    at all. They must not be used inside a callback of the same executor, which could then never
+    receive the answer: use the `_async` forms there.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Your node.
+    name : str
+        Name of the bvh node, with its namespace if that is not your own: `/robot1/bvh`.
+    timeout : float
+        Seconds that a plain call waits for its answer unless it is told otherwise.
+    """
+
+    def __init__(self, node: Node, name: str = 'bvh', *, timeout: float = 5.0) -> None:
+        self.node = node
+        self.name = name
+        self.timeout = timeout
+        # A group of their own: a callback that awaits an answer keeps the group it is in busy.
+        self._group = ReentrantCallbackGroup()
+        self._raycast = self._client('raycast')
+        self._raycast_all = self._client('raycast_all')
+        self._overlap = self._client('overlap')
+        self._waiting = Waiting(node)
+        self._batches: RayChannel | None = None
+        self._names: NameChannel | None = None
+
+    def wait_until_ready(self, timeout: float = 60.0) -> None:
+        """Wait until the node offers its services.
+
+        Raises
+        ------
+        BvhTimeoutError
+            If it does not in time; the first start on a machine compiles for about a minute.
+        """
+        deadline = time.monotonic() + timeout
+        clients = (self._raycast, self._raycast_all, self._overlap)
+        while not all(client.service_is_ready() for client in clients):
+            if time.monotonic() > deadline:
+                raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
+            time.sleep(POLL)
+
+    def raycast(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        radius: float = 0.0,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Hit | None:
+        """Return the first obstacle on the way from `start` to `end`, or None: the way is free.
+
+        Parameters
+        ----------
+        start, end : sequence of 2 or 3 floats
+            Metres; z is 0 if left out.
+        radius : float
+            Of a ball swept along the way; 0 is a thin ray.
+        frame_id : str
+            Frame of the coordinates, by default the node's.
+        timeout : float, optional
+            Seconds to wait for the answer.
+
+        Raises
+        ------
+        BvhError
+            If the node cannot answer, with its reason; BvhTimeoutError if it does not.
+        """
+        request = plans.request(start, end, radius, frame_id)
+        return plans.first_hit(self._call(self._raycast, request, timeout))
+
+    def raycast_all(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        radius: float = 0.0,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> list[Hit]:
+        """Return every obstacle on the way, nearest first; otherwise like `raycast`."""
+        request = plans.request(start, end, radius, frame_id)
+        return plans.all_hits(self._call(self._raycast_all, request, timeout))
+
+    def overlap(
+        self,
+        corner: Sequence[float],
+        opposite: Sequence[float],
+        orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        tolerance: float = 0.0,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> list[Hit]:
+        """Return every obstacle that touches a box, nearest to the box's centre first.
+
+        Parameters
+        ----------
+        corner, opposite : sequence of 2 or 3 floats
+            Opposite corners of the box; the same twice for a ball.
+        orientation : sequence of 4 floats
+            Directions of the box's axes as a quaternion x, y, z, w.
+        tolerance : float
+            Metres by which the box is grown all round, its corners rounded.
+        frame_id, timeout
+            As for `raycast`.
+
+        Raises
+        ------
+        BvhError
+            If the node cannot answer, with its reason; BvhTimeoutError if it does not.
+        """
+        request = plans.request(corner, opposite, tolerance, frame_id, orientation)
+        return plans.all_hits(self._call(self._overlap, request, timeout))
+
+    def raycast_async(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        radius: float = 0.0,
+        *,
+        frame_id: str = '',
+    ) -> Future:
+        """Ask as `raycast` does; return a future of its result, for use inside callbacks."""
+        return self._ask(
+            self._raycast, plans.request(start, end, radius, frame_id), plans.first_hit
+        )
+
+    def raycast_all_async(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        radius: float = 0.0,
+        *,
+        frame_id: str = '',
+    ) -> Future:
+        """Ask as `raycast_all` does; return a future of its result."""
+        return self._ask(
+            self._raycast_all, plans.request(start, end, radius, frame_id), plans.all_hits
+        )
+
+    def overlap_async(
+        self,
+        corner: Sequence[float],
+        opposite: Sequence[float],
+        orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        tolerance: float = 0.0,
+        *,
+        frame_id: str = '',
+    ) -> Future:
+        """Ask as `overlap` does; return a future of its result."""
+        request = plans.request(corner, opposite, tolerance, frame_id, orientation)
+        return self._ask(self._overlap, request, plans.all_hits)
+
+    def raycast_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        stamp: int | None = None,
+        timeout: float | None = None,
+    ) -> Hits:
+        """Return the first obstacles on n thin rays, by the node's topics `rays` and `ray_hits`.
+
+        Parameters
+        ----------
+        origins, directions : array_like, shape (n, 3)
+            The rays ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for the
+            point. Where both arrays are float32, rays and hits travel so, in half the bytes.
+        t_max : float or (n,) array_like
+            In units of the directions: metres if these are unit vectors.
+        mask : int or (n,) array_like
+            Only obstacles whose own mask has a bit in common are seen.
+        frame_id : str
+            Frame of rays and hits, by default the node's.
+        stamp : int, optional
+            Time (ns) to transform another frame at, by default now; also what tells the answer
+            from others, so it must not be used twice.
+        timeout : float, optional
+            Seconds to wait for the answer.
+
+        Returns
+        -------
+        Hits
+            `obstacles` (n,): node handles (see `names`), FREE or, for a row that cannot be
+            answered (NaN), UNANSWERED; `t` (n,); `points` and `normals` (n, 3).
+
+        Raises
+        ------
+        BvhError
+            If the node answers no row; BvhTimeoutError if it does not reply.
+        ValueError
+            If the arrays do not fit together.
+        """
+        rays = as_rays(origins, directions, t_max, mask)
+        timeout = self.timeout if timeout is None else timeout
+        self.wait_until_batches_are_ready(timeout)
+        channel = self._ray_channel()
+        answer = channel.ask(rays, frame_id, stamp)
+        if not self._waiting.until_done(answer, timeout):
+            channel.forget(answer)
+            raise BvhTimeoutError(f"'{self.name}/rays' did not answer within {timeout:g} s")
+        return answer.result()
+
+    def raycast_many_async(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        stamp: int | None = None,
+    ) -> Future:
+        """Ask as `raycast_many` does; return a future of its result.
+
+        Up to ten may be on the way. `wait_until_batches_are_ready` first: what is asked before the
+        node listens is lost.
+        """
+        rays = as_rays(origins, directions, t_max, mask)
+        return self._ray_channel().ask(rays, frame_id, stamp)
+
+    def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
+        """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""
+        channel, deadline = self._ray_channel(), time.monotonic() + timeout
+        channel.wait_until_found(timeout)
+        # That both are found here does not say that the node has found us.
+        while not channel.has_answered:
+            if time.monotonic() > deadline:
+                raise BvhTimeoutError(f"'{self.name}/rays' did not answer within {timeout:g} s")
+            nothing = channel.ask(as_rays(NO_RAYS, NO_RAYS, np.inf, EVERYTHING), '', None)
+            self._waiting.until_done(nothing, PATIENCE)
+            channel.forget(nothing)
+
+    def names(self, obstacles: Iterable[int], *, timeout: float | None = None) -> dict[int, str]:
+        """Return the names of node handles, as `raycast_many` returns them.
+
+        Handles that stand for no obstacle are left out. The node tells names at most once a
+        second; those of obstacles that have vanished since are missing after `timeout` seconds.
+        """
+        handles = handles_of(obstacles)
+        if self._names is None:
+            self._names = NameChannel(self.node, self.name, self._group)
+        answer = self._names.ask(handles)
+        self._waiting.until_done(answer, self.timeout if timeout is None else timeout)
+        self._names.forget(answer)
+        known = self._names.known
+        return {handle: known[handle] for handle in sorted(handles) if handle in known}
+
+    def _ray_channel(self) -> RayChannel:
+        if self._batches is None:  # who asks for single rays only opens no topics
+            self._batches = RayChannel(self.node, self.name, self._group)
+        return self._batches
+
+    def _client(self, service: str) -> Client:
+        return self.node.create_client(
+            GetPlan, f'{self.name}/{service}', callback_group=self._group
+        )
+
+    def _ask(
+        self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]
+    ) -> Future:
+        answer = Future(executor=self.node.executor)
+
+        def finish(reply: Future) -> None:
+            try:
+                answer.set_result(read(reply.result()))
+            except Exception as error:
+                answer.set_exception(error)
+
+        client.call_async(request).add_done_callback(finish)
+        return answer
+
+    def _call(
+        self, client: Client, request: GetPlan.Request, timeout: float | None
+    ) -> GetPlan.Response:
+        timeout = self.timeout if timeout is None else timeout
+        reply = client.call_async(request)
+        if not self._waiting.until_done(reply, timeout):
+            client.remove_pending_request(reply)
+            raise BvhTimeoutError(f'{client.srv_name} did not answer within {timeout:g} s')
+        return reply.result()
