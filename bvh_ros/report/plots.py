@@ -27,6 +27,16 @@ def lines(path: Path, curves: Mapping[str, Line], x_label: str, y_label: str, ti
     figure.savefig(path, dpi=160)
 
 
+def course(path: Path, curve: Line, x_label: str, y_label: str, title: str) -> None:
+    """Write a PNG of one quantity over plain axes, y from zero."""
+    figure, axes = _figure(title)
+    axes.plot(curve.x, curve.y)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    figure.savefig(path, dpi=160)
+
+
 def ratios(
     path: Path, groups: Mapping[str, Mapping[str, float]], x_label: str, title: str
 ) -> None:

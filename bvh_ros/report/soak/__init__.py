@@ -1,0 +1,84 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_report soak`: the node for half an hour under load, every answer checked, memory watched.
+
+The node, the publisher of a thousand moving boxes and this process, which asks, talk over ROS 2.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..page import Page
+from ..progress import Progress
+from .record import Record
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+ASKED = 100.0  # questions a second
+STEP = 5.0  # seconds between two moves of the progress bar
+
+
+class Soak(NamedTuple):
+    """The part of the report that lasts as long as it is told."""
+
+    minutes: float
+
+    def steps(self, _brief: bool) -> int:
+        """How often the progress bar will move."""
+        return max(1, int(60.0 * self.minutes / STEP))
+
+    def run(self, page: Page, progress: Progress, brief: bool) -> int:
+        """Soak; returns how many answers were wrong, and one more if memory grew."""
+        import rclpy
+
+        from bvh_ros.client import BvhClient
+        from bvh_ros.ros import running
+
+        namespace = running.keep_apart()
+        running.init()
+        try:
+            with (
+                (page.folder / 'soak_node.log').open('wb') as log,
+                running.running_node(namespace, log=log) as process,
+            ):
+                node = rclpy.create_node('soak', namespace=namespace)
+                running.wait_until_ready(BvhClient(node), process)
+                record = Record(process.pid)
+                with publishing(namespace):
+                    ask_on(node, record, progress, self.steps(brief))
+        finally:
+            rclpy.try_shutdown()
+        return record.write(page)
+
+
+def ask_on(node: 'Node', record: Record, progress: Progress, steps: int) -> None:
+    """Ask at an even pace."""
+    from .asking import Asker
+
+    asker = Asker(node, record.hear)
+    began = now = time.monotonic()
+    for step in range(1, steps + 1):
+        while now < began + step * STEP:
+            record.add(asker.ask(), now)
+            time.sleep(max(0.0, now + 1.0 / ASKED - time.monotonic()))
+            now = time.monotonic()
+        progress.say(record.in_short())
+        progress.step()
+
+
+@contextmanager
+def publishing(namespace: str) -> Iterator[None]:
+    """Publish the soak's world in a process of its own."""
+    from .publisher import __name__ as module
+
+    process = subprocess.Popen([sys.executable, '-m', module, namespace], start_new_session=True)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()

@@ -1,0 +1,96 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a soak has seen, and its verdict."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import plots
+from ..page import Page
+from ..tables import Cell, Table
+from .memory import Memory
+
+if TYPE_CHECKING:
+    from .asking import Answer
+
+FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
+SHOWN = 10  # wrong answers on the page
+
+
+class Record:
+    """Counts answers, and watches the memory of the node.
+
+    Parameters
+    ----------
+    pid : int
+        Process of the node.
+    """
+
+    def __init__(self, pid: int) -> None:
+        self.memory = Memory(pid)
+        self.faults: list[str] = []
+        self._frames: set[int] = set()
+        self._seconds: list[float] = []
+        self._told: dict[str, str] = {}
+        self._next_look = 0.0
+
+    def add(self, answer: 'Answer', now: float) -> None:
+        """One question was asked; look at the memory once a second."""
+        if now >= self._next_look:
+            self.memory.look()
+            self._next_look = now + 1.0
+        self._seconds.append(answer.took)
+        self._frames.add(answer.frame)
+        if answer.fault:
+            self.faults.append(answer.fault)
+
+    def hear(self, diagnostics: Any) -> None:
+        """Remember what the node says about its source of markers."""
+        for status in diagnostics.status:
+            if status.name.endswith('source markers'):
+                self._told = {pair.key: pair.value for pair in status.values}
+
+    def in_short(self) -> str:
+        """One line for the progress bar."""
+        return (
+            f'soak: {len(self._seconds)} answers, {len(self.faults)} wrong, '
+            f'{self.memory.last():.0f} MB'
+        )
+
+    def write(self, page: Page) -> int:
+        """Add a section to the page; returns the number of faults."""
+        memory, milliseconds = self.memory, 1e3 * np.array(self._seconds)
+        page.add('## Soak')
+        page.add(
+            'A thousand boxes, half of them turning, come and go at 30 Hz, published by a process '
+            'of its own. The answers to random rays, balls and boxes are held against brute force '
+            'on the frame that the reply says it knows of.'
+        )
+        rows: list[tuple[str, Cell]] = [
+            ('length [min]', memory.minutes()),
+            ('answers', len(self._seconds)),
+            ('wrong answers', len(self.faults)),
+            ('different frames asked about', len(self._frames)),
+            ('messages that the node took', self._told.get('messages', '')),
+            ('refused', self._told.get('refused', '')),
+            ('round trip, p50 [ms]', float(np.percentile(milliseconds, 50))),
+            ('round trip, p99 [ms]', float(np.percentile(milliseconds, 99))),
+            ('round trip, slowest [ms]', float(milliseconds.max())),
+            ('memory of the node after warm-up [MB]', memory.after_warm_up()),
+            ('memory at the end [MB]', memory.last()),
+            ('growth [MB an hour]', memory.growth()),
+        ]
+        page.table(Table('soak', ('', 'measured'), rows))
+        plots.course(
+            page.plot('soak_memory', 'Memory of the node over time'),
+            memory.curve(),
+            'minutes',
+            'MB',
+            'Resident memory of the node',
+        )
+        for fault in self.faults[:SHOWN]:
+            page.add(f'Wrong: {fault}')
+        leak = memory.growth() * memory.minutes() / 60.0 > FLAT * memory.after_warm_up()
+        page.add(f'**{len(self.faults)} wrong answers; memory {"grows" if leak else "is flat"}.**')
+        return len(self.faults) + leak
