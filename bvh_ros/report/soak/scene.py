@@ -48,10 +48,15 @@ class Scene(NamedTuple):
         leave = np.minimum(np.maximum(one, other).min(axis=1), 1.0)
         return np.where(self.present & (enter <= leave), enter, np.inf)
 
+    def closest(self, point: Floats) -> Floats:
+        """The point (n, 3) of each box that is closest to a point (3,)."""
+        x, y, z = np.clip(self.local(point - self.centre), -HALF, HALF).T
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return self.centre + np.column_stack((c * x - s * y, s * x + c * y, z))
+
     def distances(self, point: Floats) -> Floats:
         """Distance of each box from a point: 0 inside, inf for those that are away."""
-        outside = np.abs(self.local(point - self.centre)) - HALF
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
+        distance = np.linalg.norm(self.closest(point) - point, axis=1)
         return np.where(self.present, distance, np.inf)
 
     def gaps(self, centre: Floats, half: Floats) -> Floats:
