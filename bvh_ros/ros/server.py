@@ -140,7 +140,7 @@ class BvhServer:
             > 0.0,
             'batches of rays': settings.batch,
             'tf2': world.frames.lookup is not None,
-            'python-fcl until a turned or round shape is asked about': False,
+            'narrow phase until a turned or round shape comes': False,
         }
         on, off = (
             ', '.join(part for part in parts if parts[part] is used) for used in (True, False)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
-from . import narrow_phase
 from .columns import Columns
 from .groups import Groups
 from .registry import UNKNOWN, Registry
@@ -25,6 +24,7 @@ class SceneInspection:
     _registry: Registry
     _groups: Groups
     _next_node_handle: int
+    _any_shaped: bool
 
     def __len__(self) -> int:
         return len(self._tree)
@@ -94,7 +94,7 @@ class SceneInspection:
             'shaped': int(np.count_nonzero(self._columns.geometry['shaped'])),
             'mortal': int(np.count_nonzero(self._columns.expires)),
             'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
-            'narrow_phase': narrow_phase.loaded(),
+            'narrow_phase': self._any_shaped,
             'tree': tree,
         }
 

@@ -1,45 +1,102 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Turned boxes against boxes by python-fcl, which is imported when the first such pair comes."""
+"""Whether true shapes touch: the narrow phase, for any pair of kinds.
 
-import sys
-from typing import Any
+Every shape is a `core` grown by a radius: of a sphere the core is its centre. Growing by a
+tolerance is the same again, so corners come out round (the Minkowski sum with a ball). Two
+boxes are first asked for a separating plane; what that leaves open, GJK decides. Seen from above
+both work on the shadows of the cores, whose axes and centres have z = 0.
+
+**Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
+a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
+are apart, a half size, the tolerance) and the rounding of their positions. Axis-aligned boxes are
+decided exactly elsewhere, see `overlaps`.
+"""
+
+import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .box_query import BoxQuery
-from .shapes import Floats
+from ..tree.compiling import lean_kernel
+from ..tree.machine import stack_array
+from .contact import CYLINDER, SPHERE, rotate
+from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
+from .separation import separation
+
+SLACK = 2.0**-48
+ROUNDING = 2.0**-52
 
 
-def loaded() -> bool:
-    """Whether python-fcl has been imported."""
-    return 'fcl' in sys.modules
+@lean_kernel
+def largest_length(shape, origin):
+    """The largest coordinate or half size of a shape, seen from `origin`."""
+    largest = 0.0
+    for axis in range(3):
+        largest = max(largest, abs(shape.position[axis] - origin[axis]), shape.half[axis])
+    return largest
 
 
-def boxes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
-    """Whether boxes (records of `columns.GEOMETRY`) are within the query's tolerance of its box;
-    touching counts.
+@lean_kernel
+def farthest(one, other):
+    """The largest coordinate of two positions."""
+    largest = 0.0
+    for axis in range(3):
+        largest = max(largest, abs(one.position[axis]), abs(other.position[axis]))
+    return largest
+
+
+@lean_kernel
+def fill_core(shape, origin, exponent, planar, core):
+    """Fill in the core of a shape, seen from `origin` and times 2**-exponent; return (whether it
+    is round, radius by which it is grown).
     """
-    near = np.zeros(len(records), np.bool_)
-    if not len(records):
-        return near
-    import fcl
+    for axis in range(3):
+        core[HALF, axis] = math.ldexp(shape.half[axis], -exponent)
+        core[CENTRE, axis] = math.ldexp(shape.position[axis] - origin[axis], -exponent)
+        for row in range(3):
+            core[AXES + axis, row] = 1.0 if axis == row else 0.0
+        rotate(shape.orientation, core[AXES + axis], 1.0)
+    if planar:
+        for row in range(AXES, CORE_ROWS):
+            core[row, 2] = 0.0
+    radius = 0.0
+    if shape.kind == SPHERE:
+        radius = core[HALF, 0]
+        for axis in range(3):
+            core[HALF, axis] = 0.0
+    return shape.kind == CYLINDER, radius
 
-    # Seen from the query: far from the origin of the world differences keep their digits.
-    other = _solid(np.zeros(3), query.orientation, query.half)
-    for i, record in enumerate(records):
-        one = _solid(record['position'] - query.centre, record['orientation'], record['half'])
-        near[i] = fcl.collide(one, other) > 0
-        if not near[i] and query.tolerance > 0.0:
-            near[i] = fcl.distance(one, other) <= query.tolerance
-    return near
+
+@lean_kernel
+def near(one, other, tolerance, planar):
+    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other."""
+    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    origin = one.position
+    largest = max(largest_length(one, origin), largest_length(other, origin), tolerance)
+    exponent = math.frexp(largest)[1]
+    round_one, radius = fill_core(one, origin, exponent, planar, first)
+    round_other, other_radius = fill_core(other, origin, exponent, planar, second)
+    reach = radius + other_radius + math.ldexp(tolerance, -exponent)
+    slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
+    if not (round_one or round_other or planar):
+        gap, sure = separation(first, second, slack)
+        if gap > reach:
+            return False
+        if gap == 0.0 and sure:
+            return True
+    return gap_bounds(first, round_one, second, round_other, reach)[0] <= reach + slack
 
 
-def _solid(position: Floats, orientation: Floats, half: Floats) -> Any:
-    """A box of python-fcl."""
-    import fcl
+@lean_kernel
+def near_query(records, query, tolerance, planar, found):
+    """Fill in which shapes are near a query's shape."""
+    for i in range(records.shape[0]):
+        found[i] = near(records[i], query[0], tolerance, planar)
 
-    x, y, z, w = orientation.tolist()
-    placed = fcl.Transform(np.array([w, x, y, z]), position)
-    return fcl.CollisionObject(fcl.Box(*(2.0 * half).tolist()), placed)
+
+@lean_kernel
+def near_pairs(records, pairs, planar, found):
+    """Fill in which pairs (m, 2) of shapes touch."""
+    for i in range(pairs.shape[0]):
+        found[i] = near(records[pairs[i, 0]], records[pairs[i, 1]], 0.0, planar)

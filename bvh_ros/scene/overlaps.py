@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which obstacles touch a query box.
+"""Which obstacles touch a query shape, and which touch each other.
 
 Broad phase, exact decision between axis-aligned boxes, narrow phase for the others.
 """
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
 from . import narrow_phase, overlap_footprint, shapes
-from .box_query import BoxQuery
 from .columns import Columns
 from .footprint import footprints
+from .query_shape import QueryShape
 from .registry import Slots
 from .shapes import Floats, ShapeKind, Shapes
-from .solid_gap import box_cylinder_gap
 
 
 class Touching(NamedTuple):
@@ -31,8 +30,8 @@ class Touching(NamedTuple):
     normals: Floats
 
 
-def find(tree: DynamicBVH, columns: Columns, query: BoxQuery, mask: int) -> Touching:
-    """The obstacles whose distance from the query's box is at most its tolerance."""
+def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: int) -> Touching:
+    """The obstacles whose distance from the query's shape is at most its tolerance."""
     ndim = tree.ndim
     lo, hi = query.reach()
     slots = tree.overlap(lo[:ndim], hi[:ndim], mask) & SLOT_MASK
@@ -42,8 +41,11 @@ def find(tree: DynamicBVH, columns: Columns, query: BoxQuery, mask: int) -> Touc
     if query.tolerance > 0.0:
         touches[~narrow] = boxes_within(*corners(records[~narrow]), query, ndim)
     if narrow.any():
-        within = shapes_within if columns.footprint is None else footprints_within
-        touches[narrow] = within(records[narrow], query)
+        found = np.empty(np.count_nonzero(narrow), np.bool_)
+        narrow_phase.near_query(
+            records[narrow], query.solid, query.tolerance, columns.footprint is not None, found
+        )
+        touches[narrow] = found
     slots, records = slots[touches], records[touches]
     closest = closest_points if columns.footprint is None else closest_footprint_points
     points = closest(records, query.centre)
@@ -53,6 +55,20 @@ def find(tree: DynamicBVH, columns: Columns, query: BoxQuery, mask: int) -> Touc
     if columns.footprint is not None:
         points[:, 2] = query.height
     return Touching(slots, distances, points, normals)
+
+
+def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
+    """Slots (m, 2) of all obstacles that touch each other, the older of a pair first, sorted."""
+    pairs = tree.overlap_pairs(mask) & SLOT_MASK
+    narrow = columns.geometry['shaped'][pairs].any(axis=1)
+    if not narrow.any():
+        return pairs
+    touches = ~narrow
+    found = np.empty(np.count_nonzero(narrow), np.bool_)
+    planar = columns.footprint is not None
+    narrow_phase.near_pairs(columns.geometry, pairs[narrow], planar, found)
+    touches[narrow] = found
+    return pairs[touches]
 
 
 def corners(records: NDArray[np.void]) -> tuple[Floats, Floats]:
@@ -71,7 +87,7 @@ def lengths(vectors: Floats) -> Floats:
     return result
 
 
-def boxes_within(lo: Floats, hi: Floats, query: BoxQuery, ndim: int) -> NDArray[np.bool_]:
+def boxes_within(lo: Floats, hi: Floats, query: QueryShape, ndim: int) -> NDArray[np.bool_]:
     """Whether axis-aligned boxes are within the tolerance of an aligned query, as real arithmetic
     decides.
     """
@@ -91,41 +107,6 @@ def boxes_within(lo: Floats, hi: Floats, query: BoxQuery, ndim: int) -> NDArray[
             square += max(gap, Fraction(0)) ** 2
         near[row] = square <= limit
     return near
-
-
-def shapes_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
-    """Whether shapes are within the tolerance of the query."""
-    near = np.empty(len(records), np.bool_)
-    if query.is_point:
-        near[:] = lengths(query.centre - closest_points(records, query.centre)) <= query.tolerance
-        return near
-    box, sphere, cylinder = (np.flatnonzero(records['kind'] == kind) for kind in ShapeKind)
-    radii = records['half'][sphere, 0]
-    gaps = distances_to_query(records['position'][sphere], query)
-    near[sphere] = gaps <= radii + query.tolerance
-    near[cylinder] = cylinder_gaps(records[cylinder], query) <= query.tolerance
-    near[box] = narrow_phase.boxes_within(records[box], query)
-    return near
-
-
-def cylinder_gaps(records: NDArray[np.void], query: BoxQuery) -> Floats:
-    """Distances of cylinders from the query's box."""
-    gaps = np.empty(len(records))
-    if not len(records):
-        return gaps
-    frames = shapes.rotations(records['orientation']).transpose(0, 2, 1)
-    turns = frames @ shapes.rotations(query.orientation[None])[0]
-    centres = np.einsum('nij,nj->ni', frames, query.centre - records['position'])
-    for i in range(len(records)):
-        radius, _, half_height = records['half'][i]
-        gaps[i] = box_cylinder_gap(query.half, turns[i], centres[i], radius, half_height)
-    return gaps
-
-
-def distances_to_query(points: Floats, query: BoxQuery) -> Floats:
-    """Distances of points from the query's box (without its tolerance)."""
-    local = (points - query.centre) @ shapes.rotations(query.orientation[None])[0]
-    return lengths(np.maximum(np.abs(local) - query.half, 0.0))
 
 
 def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
@@ -158,16 +139,6 @@ def _footprints(records: NDArray[np.void]) -> NDArray[np.void]:
     sizes = records['half'] * 2.0
     solids = Shapes(records['kind'], records['position'], records['orientation'], sizes)
     return footprints(solids, np.ones(len(records), np.bool_))
-
-
-def footprints_within(records: NDArray[np.void], query: BoxQuery) -> NDArray[np.bool_]:
-    """`shapes_within` of what shapes and query look like from above."""
-    if query.is_point:
-        offsets = query.centre - closest_footprint_points(records, query.centre)
-        return np.asarray(lengths(offsets) <= query.tolerance)
-    box = Shapes.boxes(query.centre, query.half * 2.0, query.orientation[None])
-    rectangle = footprints(box, np.ones(1, np.bool_))[0]
-    return np.asarray(overlap_footprint.gaps(_footprints(records), rectangle) <= query.tolerance)
 
 
 def closest_footprint_points(records: NDArray[np.void], centre: Floats) -> Floats:

@@ -12,11 +12,11 @@ from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import ALL, SLOT_MASK
 from . import casting, overlaps
-from .box_query import box_query
 from .columns import Columns
+from .query_shape import QueryShape, box_query, shape_query
 from .registry import Registry, Slots
 from .results import NO_NODE, SceneHit
-from .shapes import Floats
+from .shapes import Floats, Shapes
 
 Masks = NDArray[np.uint32]
 
@@ -258,7 +258,34 @@ class SceneQueries:
         ValueError
             If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape.
         """
-        query = box_query(start, goal, orientation, tolerance, self.planar)
+        return self._touching(box_query(start, goal, orientation, tolerance, self.planar), mask)
+
+    def overlap_shape(
+        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL
+    ) -> list[SceneHit]:
+        """Return all obstacles that touch a shape of any kind; otherwise as `overlap`.
+
+        Parameters
+        ----------
+        shape : Shapes
+            One row. A planar scene sees it from above too.
+        tolerance, mask
+            As in `overlap`.
+        """
+        return self._touching(shape_query(shape, tolerance), mask)
+
+    def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
+        """Return the names of all obstacles that touch each other.
+
+        Each pair once, the older obstacle first; sorted by handle. `mask`: only obstacles with
+        ``categories & mask != 0`` are seen.
+        """
+        pairs = overlaps.find_pairs(self._tree, self._columns, mask)
+        return [
+            (self._registry.name(one), self._registry.name(two)) for one, two in pairs.tolist()
+        ]
+
+    def _touching(self, query: QueryShape, mask: int) -> list[SceneHit]:
         found = overlaps.find(self._tree, self._columns, query, mask)
         slots, distances, points, normals = found
         order = np.lexsort((self._columns.node_handle[slots], distances))

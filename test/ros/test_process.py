@@ -54,7 +54,7 @@ def test_ready_in_time_with_compiled_kernels(start_node):
 def test_start_up_line_says_what_is_on(start_node):
     world = start_node({'planar': True, 'margin': 0.5, 'frame_id': 'odom'})
     line = next(line for line in world.said().splitlines() if 'ready' in line)
-    for word in ("'odom'", '2D', 'margin of 0.5', 'MarkerArray', 'obstacles', 'python-fcl'):
+    for word in ("'odom'", '2D', 'margin of 0.5', 'MarkerArray', 'obstacles', 'narrow phase'):
         assert word in line
 
 

@@ -1,0 +1,213 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far two convex solids are apart, by the method of Gilbert, Johnson and Keerthi (1988).
+
+The distance of two solids is that of the origin from the set of all differences a - b of their
+points. GJK walks towards it on simplices (points, edges, triangles, tetrahedra) whose corners are
+support points: those of the set that are farthest along a direction. Each step gives two bounds:
+the point v of the simplex closest to the origin is a difference of two points of the solids, so
+they are no farther apart than |v|; and the whole set lies beyond the plane through the newest
+corner with normal v, so they are no nearer than v . corner / |v|.
+
+A `core` is a solid without its rounding: a box, of which a sphere keeps the centre and a capsule
+the axis, or a cylinder. Rows of `core`: half sizes; then the axes of its frame, one a row; then
+its centre.
+"""
+
+import math
+
+import numpy as np
+
+from ..tree.compiling import lean_kernel
+from ..tree.machine import stack_array
+
+MOST_STEPS = 100
+CONVERGED = 2.0**-48  # relative gap between the bounds' squares
+HALF, AXES, CENTRE = 0, 1, 4
+CORE_ROWS = 5
+
+
+@lean_kernel
+def dot(one, other):
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+@lean_kernel
+def support(core, round_core, way, sign, out):
+    """Add to `out` sign times the point of a core that is farthest along -sign * way."""
+    half = core[HALF]
+    across = 0.0
+    if round_core:
+        across = math.hypot(dot(core[AXES], way), dot(core[AXES + 1], way))
+    for axis in range(3):
+        along = -sign * dot(core[AXES + axis], way)
+        place = math.copysign(half[axis], along)
+        if round_core and axis < 2:
+            place = half[axis] * along / across if across > 0.0 else 0.0
+        for row in range(3):
+            out[row] += sign * place * core[AXES + axis, row]
+    for row in range(3):
+        out[row] += sign * core[CENTRE, row]
+
+
+@lean_kernel
+def on_edge(simplex, i, j, trial):
+    """Weights of the corners i and j at the edge's point closest to the origin."""
+    along, length = 0.0, 0.0
+    for axis in range(3):
+        step = simplex[j, axis] - simplex[i, axis]
+        along -= simplex[i, axis] * step
+        length += step * step
+    share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+    trial[:] = 0.0
+    trial[j] = share
+    trial[i] = 1.0 - share  # last: a point is an edge from itself to itself
+
+
+@lean_kernel
+def on_triangle(simplex, i, j, k, trial):
+    """The same on a triangle; false if the closest point is not over its inside."""
+    a, b, c = 0.0, 0.0, 0.0
+    for axis in range(3):
+        one = cross(simplex, j, k, axis)
+        two = cross(simplex, k, i, axis)
+        three = cross(simplex, i, j, axis)
+        normal = one + two + three
+        a, b, c = a + one * normal, b + two * normal, c + three * normal
+    total = a + b + c
+    if a < 0.0 or b < 0.0 or c < 0.0 or total == 0.0:
+        return False
+    trial[:] = 0.0
+    trial[i], trial[j], trial[k] = a / total, b / total, c / total
+    return True
+
+
+@lean_kernel
+def cross(simplex, i, j, axis):
+    """Component of the cross product of two corners."""
+    y, z = (axis + 1) % 3, (axis + 2) % 3
+    return simplex[i, y] * simplex[j, z] - simplex[i, z] * simplex[j, y]
+
+
+@lean_kernel
+def normal_part(simplex, i, j, k, axis):
+    """Component of the normal of three corners."""
+    y, z = (axis + 1) % 3, (axis + 2) % 3
+    return (simplex[j, y] - simplex[i, y]) * (simplex[k, z] - simplex[i, z]) - (
+        simplex[j, z] - simplex[i, z]
+    ) * (simplex[k, y] - simplex[i, y])
+
+
+@lean_kernel
+def holds_origin(simplex):
+    """Whether a tetrahedron does: seen from each corner, the origin is on the inner side."""
+    for i in range(4):
+        j, k, m = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
+        inner, here = 0.0, 0.0
+        for axis in range(3):
+            normal = normal_part(simplex, j, k, m, axis)
+            inner += normal * (simplex[i, axis] - simplex[j, axis])
+            here -= normal * simplex[j, axis]
+        if inner == 0.0 or (here < 0.0) != (inner < 0.0):
+            return False
+    return True
+
+
+@lean_kernel
+def drop_onto_plane(simplex, point):
+    """The closest point of a triangle along its normal, where the triangle is wider than far.
+
+    The weighted sum of its corners has a rounding error of their size: next to the origin that is
+    noise, while the direction of the normal is good to the last digits.
+    """
+    normal_square, height, longest = 0.0, 0.0, 0.0
+    for axis in range(3):
+        normal = normal_part(simplex, 0, 1, 2, axis)
+        normal_square += normal * normal
+        height += normal * simplex[2, axis]
+        for corner in range(3):
+            longest = max(longest, abs(simplex[corner, axis] - simplex[(corner + 1) % 3, axis]))
+    if normal_square > dot(point, point) * longest * longest:
+        for axis in range(3):
+            point[axis] = normal_part(simplex, 0, 1, 2, axis) * (height / normal_square)
+
+
+@lean_kernel
+def keep_closest(simplex, count, weights, trial, point):
+    """Of a simplex keep the corners of the part that is closest to the origin, and its point.
+
+    That part has the newest corner, the last. Return how many corners are left.
+    """
+    best, newest = np.inf, count - 1
+    for j in range(max(newest, 1)):
+        on_edge(simplex, newest, j, trial)
+        best = take_if_closer(simplex, count, weights, trial, point, best)
+        for k in range(j):
+            if on_triangle(simplex, newest, j, k, trial):
+                best = take_if_closer(simplex, count, weights, trial, point, best)
+    kept = 0
+    for corner in range(count):
+        if weights[corner] > 0.0:
+            for axis in range(3):
+                simplex[kept, axis] = simplex[corner, axis]
+            kept += 1
+    if kept == 3:
+        drop_onto_plane(simplex, point)
+    return kept
+
+
+@lean_kernel
+def take_if_closer(simplex, count, weights, trial, point, best):
+    """Let `trial` be the weights and fill `point` if that is closer than `best`."""
+    square = 0.0
+    for axis in range(3):
+        place = 0.0
+        for corner in range(count):
+            place += trial[corner] * simplex[corner, axis]
+        square += place * place
+    if square >= best:
+        return best
+    for corner in range(4):
+        weights[corner] = trial[corner]
+    for axis in range(3):
+        point[axis] = 0.0
+        for corner in range(count):
+            point[axis] += trial[corner] * simplex[corner, axis]
+    return square
+
+
+@lean_kernel
+def gap_bounds(one, round_one, other, round_other, limit):
+    """(low, high) around the distance of two cores; both 0 if they overlap.
+
+    Apart from rounding they are equal, unless one of them says already on which side of `limit`
+    the distance is.
+    """
+    simplex = stack_array(12, np.float64).reshape(4, 3)
+    weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
+    point = stack_array(3, np.float64)
+    for axis in range(3):
+        point[axis] = one[CENTRE, axis] - other[CENTRE, axis]
+    low, high, count = 0.0, np.inf, 0
+    for _ in range(MOST_STEPS):
+        corner = simplex[count]
+        corner[:] = 0.0
+        support(one, round_one, point, 1.0, corner)
+        support(other, round_other, point, -1.0, corner)
+        square, along = dot(point, point), dot(point, corner)
+        if square == 0.0:
+            return 0.0, 0.0
+        low = max(low, along / math.sqrt(square))
+        if low > limit or (count > 0 and square - along <= CONVERGED * square):
+            break
+        count += 1
+        if count == 4 and low <= 0.0 and holds_origin(simplex):
+            return 0.0, 0.0
+        count = keep_closest(simplex, count, weights, trial, point)
+        length = math.sqrt(dot(point, point))
+        if length >= high:
+            break
+        high = length
+        if high <= limit:
+            break
+    return min(low, high), high

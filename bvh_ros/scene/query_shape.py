@@ -1,0 +1,105 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The shape that an overlap query asks about."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..tree import checks
+from . import shapes
+from .columns import GEOMETRY
+from .shapes import Floats, Shapes
+
+
+class QueryShape(NamedTuple):
+    """A shape to be grown by `tolerance` all round; `lo`, `hi` bound the shape itself."""
+
+    solid: NDArray[np.void]
+    """(1,) of `columns.GEOMETRY`."""
+    tolerance: float
+    aligned: bool
+    """It is a box whose axes are the world's: `lo` and `hi` are its corners exactly."""
+    lo: Floats
+    hi: Floats
+    height: float
+    """Where the points of a planar scene are put."""
+
+    @property
+    def centre(self) -> Floats:
+        """Shape (3,)."""
+        centre: Floats = self.solid['position'][0]
+        return centre
+
+    def reach(self) -> tuple[Floats, Floats]:
+        """Bounds of the grown shape, rounded outwards, within the range of doubles."""
+        largest = np.finfo(np.float64).max
+        if self.tolerance == 0.0:
+            return self.lo, self.hi
+        with np.errstate(over='ignore'):
+            lo = np.nextafter(self.lo - self.tolerance, -np.inf)
+            hi = np.nextafter(self.hi + self.tolerance, np.inf)
+        return np.maximum(lo, -largest), np.minimum(hi, largest)
+
+
+def solids(form: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
+    """Records (n,) of canonical shapes."""
+    records = np.zeros(len(form.kind), GEOMETRY)
+    records['position'], records['orientation'] = form.position, form.orientation
+    records['half'] = form.size * 0.5
+    records['kind'], records['shaped'] = form.kind, shaped
+    return records
+
+
+def box_query(
+    start: ArrayLike, goal: ArrayLike, orientation: ArrayLike, tolerance: float, planar: bool
+) -> QueryShape:
+    """Check the arguments of `Scene.overlap`."""
+    first, second = checks.point('start', start, 3), checks.point('goal', goal, 3)
+    turn = shapes.unit_quaternions(checks.point('orientation', orientation, 4)[None])
+    reach = _tolerance(tolerance)
+    height = float(first[2])
+    if planar:
+        if turn[0, 0] != 0.0 or turn[0, 1] != 0.0:
+            raise ValueError('in a planar scene the orientation of a box must be about z only')
+        first[2] = second[2] = 0.0
+    with np.errstate(over='ignore'):
+        diagonal = second - first
+    if not np.isfinite(diagonal).all():
+        raise ValueError('the query box is larger than the largest double')
+    centre = first * 0.5 + second * 0.5
+    if shapes.maps_axes_to_axes(turn)[0] or not diagonal.any():
+        form = shapes.canonical(Shapes.boxes(centre, np.abs(diagonal)))[0]
+        corners = np.minimum(first, second), np.maximum(first, second)
+        return QueryShape(solids(form, np.zeros(1, np.bool_)), reach, True, *corners, height)
+    edges = np.abs(shapes.rotations(turn)[0].T @ diagonal)
+    form = Shapes.boxes(centre, edges, turn)
+    lo, hi = shapes.bounds(form, np.zeros(1, np.bool_))
+    return QueryShape(solids(form, np.ones(1, np.bool_)), reach, False, lo[0], hi[0], height)
+
+
+def shape_query(shape: Shapes, tolerance: float) -> QueryShape:
+    """Check the arguments of `Scene.overlap_shape`."""
+    given = shapes.as_shapes(shape)
+    if len(given.kind) != 1:
+        raise ValueError(f'shape must be one row of Shapes, not {len(given.kind)}')
+    reason = shapes.REASONS[shapes.faults(given)[0]]
+    form, aligned = shapes.canonical(given) if not reason else (given, np.zeros(1, np.bool_))
+    if not reason:
+        with np.errstate(over='ignore'):
+            lo, hi = shapes.bounds(form, aligned)
+        if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
+            reason = shapes.REASONS[shapes.TOO_LARGE]
+    if reason:
+        raise ValueError(f'shape cannot be used: {reason}')
+    height = float(form.position[0, 2])
+    solid = solids(form, ~aligned)
+    return QueryShape(solid, _tolerance(tolerance), bool(aligned[0]), lo[0], hi[0], height)
+
+
+def _tolerance(value: float) -> float:
+    tolerance = checks.limit('tolerance', value)
+    if np.isinf(tolerance):
+        raise ValueError('tolerance must be finite')
+    return tolerance
