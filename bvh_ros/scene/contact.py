@@ -23,7 +23,7 @@ from .ray_shapes import (
     length,
 )
 
-BOX, SPHERE, CYLINDER = range(3)  # ShapeKind, as a kernel can read it
+BOX, SPHERE, CYLINDER, CAPSULE = range(4)  # ShapeKind, as a kernel can read it
 
 
 @lean_kernel
@@ -79,6 +79,10 @@ def enter_shape(shape, lo, hi, ray, radius, t_max, work):
         for axis in range(3):
             low[axis] = -half[axis] if shape.shaped else lo[axis]
             high[axis] = half[axis] if shape.shaped else hi[axis]
+        if shape.kind == CAPSULE:  # a box without width, grown
+            radius += half[0]
+            low[0] = low[1] = high[0] = high[1] = 0.0
+            low[2], high[2] = half[0] - half[2], half[2] - half[0]
         if radius == 0.0:
             s, feature = enter_box(origin, way, low, high, reach)
         else:
@@ -97,12 +101,25 @@ def closest_point(shape, point, out):
         for axis in range(3):
             out[axis] = min(max(point[axis], -half[axis]), half[axis])
         return
-    far = length(point) if shape.kind == SPHERE else math.hypot(point[0], point[1])
-    shrink = half[0] / far if far > half[0] else 1.0
-    for axis in range(3):
-        out[axis] = point[axis] * shrink
     if shape.kind == CYLINDER:
-        out[2] = min(max(point[2], -half[2]), half[2])
+        far, level = math.hypot(point[0], point[1]), min(max(point[2], -half[2]), half[2])
+        out[2] = level
+    else:
+        level = axis_point(shape, point[2])
+        far = math.hypot(math.hypot(point[0], point[1]), point[2] - level)
+    shrink = half[0] / far if far > half[0] else 1.0
+    out[0], out[1] = point[0] * shrink, point[1] * shrink
+    if shape.kind != CYLINDER:
+        out[2] = level + (point[2] - level) * shrink if shrink < 1.0 else point[2]
+
+
+@lean_kernel
+def axis_point(shape, z):
+    """z of the closest point on a capsule's axis without its ends; of a sphere that is its
+    centre.
+    """
+    straight = shape.half[2] - shape.half[0]
+    return min(max(z, -straight), straight)
 
 
 @lean_kernel
@@ -131,8 +148,9 @@ def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
             for axis in range(3):
                 outward[axis] = -way[axis]
     elif feature == ROUND:
-        for axis in range(3 if shape.kind == SPHERE else 2):
-            outward[axis] = centre[axis]
+        outward[0], outward[1] = centre[0], centre[1]
+        if shape.kind != CYLINDER:
+            outward[2] = centre[2] - axis_point(shape, centre[2])
     else:
         outward[feature] = -math.copysign(1.0, way[feature])
         if shape.shaped:

@@ -3,9 +3,9 @@
 """Footprints: shapes seen from above, for planar scenes.
 
 A box casts a zonogon, the sum of three segments (its half axes seen from above): a rectangle if it
-stands upright, else up to six corners. A ball casts a disc; a cylinder that stands a disc, one
-that lies a rectangle, and one that leans an oval: an ellipse (its disc seen from above) drawn
-along a segment (its axis seen from above).
+stands upright, else up to six corners. A ball casts a disc; a capsule a disc drawn along a
+segment; a cylinder that stands a disc, one that lies a rectangle, and one that leans an oval: an
+ellipse (its disc seen from above) drawn along a segment (its axis seen from above).
 
            ____                 ________
           /    \\              (        )
@@ -58,8 +58,11 @@ def footprints(shapes: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
     axis = matrices[:, :, 2]
     slope = np.hypot(axis[:, 0], axis[:, 1])
     standing, lying = cylinder & (slope == 0.0), cylinder & (axis[:, 2] == 0.0)
+    capsule = kind == ShapeKind.CAPSULE
     generators[sphere | standing] = 0.0
-    some['radius'] = np.where(sphere | standing, half[:, 0], 0.0)
+    generators[capsule, :2] = 0.0
+    generators[capsule, 2] = axis[capsule, :2] * (half[capsule, 2:] - half[capsule, :1])
+    some['radius'] = np.where(sphere | standing | capsule, half[:, 0], 0.0)
     flat = np.flatnonzero(lying)
     across = np.stack([-axis[flat, 1], axis[flat, 0]], axis=1)
     generators[flat, 0], generators[flat, 1] = across * half[flat, :1], 0.0

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether true shapes touch: the narrow phase, for any pair of kinds.
 
-Every shape is a `core` grown by a radius: of a sphere the core is its centre. Growing by a
+Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a
+capsule its axis. Growing by a
 tolerance is the same again, so corners come out round (the Minkowski sum with a ball). Two
 boxes are first asked for a separating plane; what that leaves open, GJK decides. Seen from above
 both work on the shadows of the cores, whose axes and centres have z = 0.
@@ -19,7 +20,7 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
-from .contact import CYLINDER, SPHERE, rotate
+from .contact import CAPSULE, CYLINDER, SPHERE, rotate
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
 from .separation import separation
 
@@ -60,10 +61,10 @@ def fill_core(shape, origin, exponent, planar, core):
         for row in range(AXES, CORE_ROWS):
             core[row, 2] = 0.0
     radius = 0.0
-    if shape.kind == SPHERE:
+    if shape.kind == SPHERE or shape.kind == CAPSULE:
         radius = core[HALF, 0]
         for axis in range(3):
-            core[HALF, axis] = 0.0
+            core[HALF, axis] = max(core[HALF, axis] - radius, 0.0)
     return shape.kind == CYLINDER, radius
 
 

@@ -119,17 +119,28 @@ def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
     records = records[turned]
     matrices = shapes.rotations(records['orientation'])
     local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
-    half = records['half']
-    closest = np.clip(local, -half, half)
-    for kind, axes in ((ShapeKind.SPHERE, 3), (ShapeKind.CYLINDER, 2)):
-        rows = np.flatnonzero(records['kind'] == kind)
-        far = lengths(local[rows, :axes])
-        shrink = half[rows, 0] / np.maximum(far, half[rows, 0])
-        closest[rows, :axes] = local[rows, :axes] * shrink[:, None]
+    closest = closest_in_frames(records['kind'], records['half'], local)
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre
     return points
+
+
+def closest_in_frames(kind: NDArray[np.uint8], half: Floats, local: Floats) -> Floats:
+    """The same in the frame of each shape, where it lies at the origin."""
+    closest: Floats = np.clip(local, -half, half)
+    rows = np.flatnonzero(kind == ShapeKind.CYLINDER)
+    far = lengths(local[rows, :2])
+    closest[rows, :2] = local[rows, :2] * (half[rows, 0] / np.maximum(far, half[rows, 0]))[:, None]
+    rows = np.flatnonzero((kind == ShapeKind.SPHERE) | (kind == ShapeKind.CAPSULE))
+    axis = np.zeros((len(rows), 3))
+    straight = half[rows, 2] - half[rows, 0]
+    axis[:, 2] = np.clip(local[rows, 2], -straight, straight)
+    away, radius = local[rows] - axis, half[rows, :1]
+    far = lengths(away)[:, None]
+    on_surface = axis + away * (radius / np.maximum(far, radius))
+    closest[rows] = np.where(far > radius, on_surface, local[rows])
+    return closest
 
 
 # ---- seen from above

@@ -30,13 +30,15 @@ class ShapeKind(IntEnum):
     BOX = 0
     SPHERE = 1
     CYLINDER = 2
+    CAPSULE = 3
 
 
 class Shapes(NamedTuple):
     """Poses and sizes of n obstacles, one a row.
 
     Every shape is given by the box around it in its own frame: a sphere by its diameter three
-    times, a cylinder (axis: local z) by diameter, diameter, height.
+    times, a cylinder (axis: local z) by diameter, diameter, height, a capsule (axis: local z) by
+    diameter, diameter, length over all.
     """
 
     kind: NDArray[np.uint8]
@@ -76,14 +78,15 @@ class Shapes(NamedTuple):
 
 REASONS = (
     '',
-    'its kind is none of BOX, SPHERE and CYLINDER',
+    'its kind is none of BOX, SPHERE, CYLINDER and CAPSULE',
     'its position is not finite',
     'its orientation is not finite',
     'its size is not finite',
     'its size is negative',
     'the three sizes of a sphere must be equal (they are its diameter)',
-    'the sizes of a cylinder along x and y must be equal (they are its diameter)',
-    'a sphere or cylinder needs sizes above zero',
+    'the sizes of a cylinder or capsule along x and y must be equal (they are its diameter)',
+    'a sphere, cylinder or capsule needs sizes above zero',
+    'a capsule must be at least as long (size along z) as it is wide',
     'its bounds exceed the largest double',
 )
 (
@@ -96,6 +99,7 @@ REASONS = (
     NOT_ROUND,
     NOT_CIRCULAR,
     NO_SIZE,
+    TOO_SHORT,
     TOO_LARGE,
 ) = range(len(REASONS))
 
@@ -122,7 +126,7 @@ def faults(shapes: Shapes) -> NDArray[np.uint8]:
     """Index into `REASONS` of the first fault of each row, `FINE` where there is none."""
     kind, position, orientation, size = shapes
     code = np.zeros(len(kind), np.uint8)
-    box, sphere, cylinder = (kind == value for value in ShapeKind)
+    box, sphere, cylinder, capsule = (kind == value for value in ShapeKind)
 
     def refuse(bad: Any, reason: int) -> None:
         code[bad & (code == FINE)] = reason
@@ -137,10 +141,11 @@ def faults(shapes: Shapes) -> NDArray[np.uint8]:
     if size.size and not size.min() >= 0:
         refuse((size < 0).any(axis=1), NEGATIVE_SIZE)
     if not box.all():
-        refuse(~(box | sphere | cylinder), UNKNOWN_KIND)
+        refuse(~(box | sphere | cylinder | capsule), UNKNOWN_KIND)
         refuse(sphere & ((size[:, 0] != size[:, 1]) | (size[:, 0] != size[:, 2])), NOT_ROUND)
-        refuse(cylinder & (size[:, 0] != size[:, 1]), NOT_CIRCULAR)
-        refuse((sphere | cylinder) & ~(size > 0).all(axis=1), NO_SIZE)
+        refuse((cylinder | capsule) & (size[:, 0] != size[:, 1]), NOT_CIRCULAR)
+        refuse(~box & ~(size > 0).all(axis=1), NO_SIZE)
+        refuse(capsule & (size[:, 2] < size[:, 0]), TOO_SHORT)
     return code
 
 
@@ -229,4 +234,7 @@ def _reach(shapes: Shapes, rows: NDArray[np.int64]) -> Floats:
     # A disc of radius R reaches R sin(angle between its axis and the world's).
     sine = np.sqrt(np.square(axis[:, [1, 2, 0]]) + np.square(axis[:, [2, 0, 1]]))
     reach[cylinder] = half[cylinder][:, 2:] * np.abs(axis) + half[cylinder][:, :1] * sine
+    capsule = shapes.kind[rows] == ShapeKind.CAPSULE
+    radius = half[capsule][:, :1]
+    reach[capsule] = (half[capsule][:, 2:] - radius) * np.abs(matrices[capsule][:, :, 2]) + radius
     return reach

@@ -33,6 +33,10 @@ class Solid(NamedTuple):
             return np.linalg.norm(local - np.clip(local, -self.half, self.half), axis=1)
         if self.kind == ShapeKind.SPHERE:
             return np.maximum(np.linalg.norm(local, axis=1) - self.half[0], 0.0)
+        if self.kind == ShapeKind.CAPSULE:
+            straight = self.half[2] - self.half[0]
+            local[:, 2] -= np.clip(local[:, 2], -straight, straight)
+            return np.maximum(np.linalg.norm(local, axis=1) - self.half[0], 0.0)
         across = np.maximum(np.linalg.norm(local[:, :2], axis=1) - self.half[0], 0.0)
         return np.hypot(across, np.maximum(np.abs(local[:, 2]) - self.half[2], 0.0))
 
@@ -50,6 +54,8 @@ class Solid(NamedTuple):
             return np.abs(local) @ self.half
         if self.kind == ShapeKind.SPHERE:
             return np.full(local.shape[:-1], self.half[0])
+        if self.kind == ShapeKind.CAPSULE:
+            return self.half[0] + np.abs(local[..., 2]) * (self.half[2] - self.half[0])
         radial = np.hypot(local[..., 0], local[..., 1]) * self.half[0]
         return radial + np.abs(local[..., 2]) * self.half[2]
 
@@ -78,12 +84,13 @@ def solids(shapes: Shapes) -> list[Solid]:
 
 
 def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:
-    """Boxes (also flat ones), spheres and cylinders: unturned, by right angles, about z, free."""
-    kind = rng.integers(0, 3, count).astype(np.uint8)
+    """Shapes of all kinds, also flat boxes: unturned, by right angles, about z, free."""
+    kind = rng.integers(0, 4, count).astype(np.uint8)
     size = rng.uniform(0.05, 2.0, (count, 3))
     size[rng.random(count) < 0.1, 2] = 0.01
     size[kind != ShapeKind.BOX, 1] = size[kind != ShapeKind.BOX, 0]
     size[kind == ShapeKind.SPHERE, 2] = size[kind == ShapeKind.SPHERE, 0]
+    size[kind == ShapeKind.CAPSULE, 2] += size[kind == ShapeKind.CAPSULE, 0]
     turns = rng.normal(size=(count, 4)) * rng.uniform(0.1, 9.0, (count, 1))
     manner = rng.integers(0, 4, count)
     turns[manner == 0] = 0.0

@@ -33,10 +33,14 @@ def depth(kind: ShapeKind, local: list[Decimal], size: np.ndarray) -> Decimal:
         return min(h - abs(c) for h, c in zip(half, local, strict=True))
     if kind == ShapeKind.SPHERE:
         return half[0] - sum((c * c for c in local), Decimal(0)).sqrt()
+    if kind == ShapeKind.CAPSULE:
+        straight = half[2] - half[0]
+        local[2] -= min(max(local[2], -straight), straight)
+        return half[0] - sum((c * c for c in local), Decimal(0)).sqrt()
     return min(half[0] - (local[0] ** 2 + local[1] ** 2).sqrt(), half[2] - abs(local[2]))
 
 
-@pytest.mark.parametrize('kind', list(ShapeKind)[:3])
+@pytest.mark.parametrize('kind', list(ShapeKind))
 @pytest.mark.parametrize('scale', [1e-3, 1.0, 1e5])
 @pytest.mark.parametrize('offset', [0.0, 1e3])
 def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float) -> None:
@@ -49,6 +53,8 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
             size[1] = size[0]
         if kind == ShapeKind.SPHERE:
             size[2] = size[0]
+        if kind == ShapeKind.CAPSULE:
+            size[2] += size[0]
         position = (rng.uniform(-2, 2, 3) + offset) * scale
         turn = rng.normal(size=4)
         scene = Scene()

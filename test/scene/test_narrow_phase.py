@@ -70,7 +70,7 @@ def test_bounds_hold_the_distance_that_alternating_projections_find():
     apart = bounds[:, 0] > 0
     assert 100 < np.count_nonzero(apart) < 350
     assert bounds[apart, 1] == pytest.approx(expected[apart], abs=1e-6)
-    assert (bounds[:, 1] <= expected + 1e-12).all()
+    assert (bounds[:, 1] <= expected + 1e-10).all()  # on round rims GJK stops there
     assert np.diff(bounds, axis=1).max() < 1e-9
     assert expected[~apart].max() < 1e-3
 

@@ -55,6 +55,7 @@ def as_fcl(kind, position, quaternion, size, grown=0.0):
         ShapeKind.BOX: lambda: fcl.Box(*size),
         ShapeKind.SPHERE: lambda: fcl.Sphere(size[0] / 2 + grown),
         ShapeKind.CYLINDER: lambda: fcl.Cylinder(size[0] / 2, size[2]),
+        ShapeKind.CAPSULE: lambda: fcl.Capsule(size[0] / 2, size[2] - size[0]),
     }[kind]()
     return fcl.CollisionObject(shape, fcl.Transform(np.array([w, x, y, z]), np.asarray(position)))
 

@@ -55,6 +55,8 @@ def test_bounds_hold_the_shape_and_little_more():
             reach = np.abs(solid.matrix) @ solid.half
         elif solid.kind == ShapeKind.SPHERE:
             reach = solid.half
+        elif solid.kind == ShapeKind.CAPSULE:
+            reach = np.abs(solid.matrix[:, 2]) * (solid.half[2] - solid.half[0]) + solid.half[0]
         else:
             rim = np.hypot(solid.matrix[:, 0], solid.matrix[:, 1]) * solid.half[0]
             reach = np.abs(solid.matrix[:, 2]) * solid.half[2] + rim
