@@ -9,8 +9,11 @@ and the cross products of an axis of one with an axis of the other. Boxes are co
 
 import math
 
+import numpy as np
+
 from ..tree.compiling import lean_kernel
-from .gjk import AXES, CENTRE, HALF, dot
+from ..tree.machine import stack_array
+from .gjk import AXES, CENTRE, HALF
 
 NEARLY_PARALLEL = 2.0**-20  # cross products shorter than this have lost half their digits
 PARALLEL = 2.0**-48  # and here the axes of the boxes do all they could
@@ -22,47 +25,53 @@ def separation(one, other, slack):
     within `slack`; not `sure` if edges are so nearly parallel that their cross product says
     nothing. The boxes are at least `gap` apart.
     """
-    gap, sure = max(along_axes(one, other, slack), along_axes(other, one, slack)), True
-    if gap > 0.0:
-        return gap, sure
+    turn = stack_array(9, np.float64).reshape(3, 3)  # the other's axes seen from one, in columns
+    offset = stack_array(3, np.float64)
     for i in range(3):
+        offset[i] = 0.0
+        for row in range(3):
+            offset[i] += one[AXES + i, row] * (other[CENTRE, row] - one[CENTRE, row])
         for j in range(3):
-            across, apart = along_cross(one, other, i, j)
-            if apart > slack and across > PARALLEL:
-                return (apart - slack) / across, True
-            sure = sure and not PARALLEL < across < NEARLY_PARALLEL
-    return 0.0, sure
+            turn[i, j] = 0.0
+            for row in range(3):
+                turn[i, j] += one[AXES + i, row] * other[AXES + j, row]
+    gap = along_axes(one[HALF], other[HALF], turn, offset) - slack
+    if gap > 0.0:
+        return gap, True
+    return along_crosses(one[HALF], other[HALF], turn, offset, slack)
 
 
 @lean_kernel
-def along_axes(one, other, slack):
-    """The widest gap beyond `slack` along the axes of `one`."""
-    widest = 0.0
+def along_axes(half, other_half, turn, offset):
+    """The widest gap along the axes of either box."""
+    widest = -np.inf
     for i in range(3):
-        axis = one[AXES + i]
-        apart = abs(dot(axis, other[CENTRE]) - dot(axis, one[CENTRE])) - one[HALF, i]
+        apart, other_apart, along = abs(offset[i]) - half[i], -other_half[i], 0.0
         for j in range(3):
-            apart -= abs(dot(axis, other[AXES + j])) * other[HALF, j]
-        widest = max(widest, apart - slack)
+            apart -= abs(turn[i, j]) * other_half[j]
+            other_apart -= abs(turn[j, i]) * half[j]
+            along += turn[j, i] * offset[j]
+        widest = max(widest, apart, other_apart + abs(along))
     return widest
 
 
 @lean_kernel
-def along_cross(one, other, i, j):
-    """Length of the cross product of axis i of one and j of the other, and the gap along it, times
-    that length.
+def along_crosses(half, other_half, turn, offset, slack):
+    """`separation` along the cross products.
+
+    That of one's axis i and the other's axis j has, seen from one, the components 0, -turn[z, j]
+    and turn[y, j] on i and the two axes y, z that follow it.
     """
-    first, second = one[AXES + i], other[AXES + j]
-    square, offset, reach = 0.0, 0.0, 0.0
-    for row in range(3):
-        y, z = (row + 1) % 3, (row + 2) % 3
-        part = first[y] * second[z] - first[z] * second[y]
-        square += part * part
-        offset += part * (other[CENTRE, row] - one[CENTRE, row])
-    for k in range(3):
-        # (a_i x b_j) . a_k is, up to the sign, a_m . b_j with m the third of i, k, m.
-        if k != i:
-            reach += one[HALF, k] * abs(dot(one[AXES + 3 - i - k], second))
-        if k != j:
-            reach += other[HALF, k] * abs(dot(other[AXES + 3 - j - k], first))
-    return math.sqrt(square), abs(offset) - reach
+    sure = True
+    for i in range(3):
+        y, z = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            k, m = (j + 1) % 3, (j + 2) % 3
+            reach = half[y] * abs(turn[z, j]) + half[z] * abs(turn[y, j])
+            reach += other_half[k] * abs(turn[i, m]) + other_half[m] * abs(turn[i, k])
+            apart = abs(offset[z] * turn[y, j] - offset[y] * turn[z, j]) - reach - slack
+            across = math.sqrt(turn[y, j] * turn[y, j] + turn[z, j] * turn[z, j])
+            if apart > 0.0 and across > PARALLEL:
+                return apart / across, True
+            sure = sure and not PARALLEL < across < NEARLY_PARALLEL
+    return 0.0, sure
