@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept balls through the tree to the true shapes.
 
-Only scenes with other shapes than axis-aligned boxes, and balls, come here: thin rays among boxes
-are the tree's own. A ball of radius r can touch an obstacle only where its centre is in the
-obstacle's box grown by r, so every node is grown by r on the way.
+Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_casting`), come here:
+thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
+centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 
 `tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (records of
 `columns.GEOMETRY`, one a slot) and `prints` (of `footprint.FOOTPRINT`) one is None: numba drops a
@@ -93,19 +93,34 @@ def precedes(tree, solids, prints, ray, radius, one, another):
 
 
 @lean_kernel
-def cast(tree, solids, prints, radius, t_max, mask, skip_inside, every, scratch, hits, filled):
+def enter_obstacle(tree, solids, prints, slot, ray, radius, t_max, work):
+    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
+    lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
+    t, feature = np.inf, np.int64(INSIDE)
+    if solids is not None:
+        t, feature = enter_shape(solids[slot], lo, hi, ray, radius, t_max, work)
+    if prints is not None:
+        t, feature = enter_footprint(prints[slot], lo, hi, ray, radius, t_max, work)
+    return t, feature
+
+
+@lean_kernel
+def cast(
+    tree, solids, prints, radius, slack, t_max, mask, skip_inside, every, scratch, hits, filled
+):
     """Write the first hit, or every hit in no order, into hits from `filled` on.
 
     hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are
-    counted, not written.
+    counted, not written. For axis-aligned boxes the ball is larger by `slack`.
     """
-    nodes, tight, _, root = tree
+    nodes, _, _, root = tree
     ray, box, work, stack, entries = scratch
     slots, ts, features = hits
     if root == NONE or nodes[root].mask & mask == 0:
         return filled
     begin = filled
-    grow(nodes[root], radius, box)
+    grown = radius + max(slack, 0.0)
+    grow(nodes[root], grown, box)
     scale, wide = prepare_ray(ray, box[0], box[1])
     limit = traversal_distance(t_max, scale)
     stack[0], entries[0], top = root, enters(box[0], box[1], ray, limit, wide), 1
@@ -115,15 +130,11 @@ def cast(tree, solids, prints, radius, t_max, mask, skip_inside, every, scratch,
         if entry > limit * PAD + TINY or entry == np.inf:
             continue
         if not is_leaf(node):
-            top = push_children(nodes, node, mask, radius, limit, wide, scratch, top)
+            top = push_children(nodes, node, mask, grown, limit, wide, scratch, top)
             continue
         slot = node >> 1
-        lo, hi = leaf_box(nodes, tight, node)
-        t, feature = np.inf, np.int64(INSIDE)
-        if solids is not None:
-            t, feature = enter_shape(solids[slot], lo, hi, ray, radius, t_max, work)
-        if prints is not None:
-            t, feature = enter_footprint(prints[slot], lo, hi, ray, radius, t_max, work)
+        ball = radius + slack if plain(solids, prints, slot) else radius
+        t, feature = enter_obstacle(tree, solids, prints, slot, ray, ball, t_max, work)
         if t == np.inf or (skip_inside and feature == INSIDE):
             continue
         if not every and filled > begin:
@@ -140,7 +151,19 @@ def cast(tree, solids, prints, radius, t_max, mask, skip_inside, every, scratch,
 
 
 @lean_kernel
-def cast_rays(tree, solids, prints, rays, radius, skip_inside, every, scratch, found):
+def touch(tree, solids, prints, ray, radius, hits, j, work, point, normal):
+    """Fill in where hit j meets its obstacle, and the outward normal there."""
+    slots, ts, features = hits
+    slot, t, feature = slots[j], ts[j], features[j]
+    lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
+    if solids is not None:
+        contact(solids[slot], lo, hi, ray, t, feature, radius, work, point, normal)
+    if prints is not None:
+        touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
+
+
+@lean_kernel
+def cast_rays(tree, solids, prints, rays, skip_inside, every, scratch, found):
     """First hits, or every hit in no order, of many rays; return how many there are.
 
     rays = (origins, directions, t_max, masks); found = (offsets, slots, ts, features, points,
@@ -153,16 +176,11 @@ def cast_rays(tree, solids, prints, rays, radius, skip_inside, every, scratch, f
     for i in range(origins.shape[0]):
         aim(ray, origins[i], directions[i])
         filled = cast(
-            tree, solids, prints, radius, t_max[i], masks[i], skip_inside, every, scratch, hits,
-            offsets[i],
+            tree, solids, prints, 0.0, 0.0, t_max[i], masks[i], skip_inside, every, scratch,
+            hits, offsets[i],
         )  # fmt: skip
         for j in range(offsets[i], min(filled, slots.shape[0])):
-            slot, t, feature, point, normal = slots[j], ts[j], features[j], points[j], normals[j]
-            lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
-            if solids is not None:
-                contact(solids[slot], lo, hi, ray, t, feature, radius, work, point, normal)
-            if prints is not None:
-                touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
+            touch(tree, solids, prints, ray, 0.0, hits, j, work, points[j], normals[j])
         offsets[i + 1] = filled
     return offsets[-1]
 
@@ -171,7 +189,6 @@ def cast_all(
     tree: DynamicBVH,
     columns: Columns,
     rays: tuple[Floats, Floats, Floats, NDArray[np.uint32]],
-    radius: float,
     skip_inside: bool,
     every: bool,
 ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
@@ -189,7 +206,5 @@ def cast_all(
         slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
         points, normals = np.zeros((room, 3)), np.zeros((room, 3))
         found = (offsets, slots, ts, features, points, normals)
-        total = cast_rays(
-            tree._tree(), solids, prints, rays, radius, skip_inside, every, scratch, found
-        )
+        total = cast_rays(tree._tree(), solids, prints, rays, skip_inside, every, scratch, found)
     return offsets, slots[:total], ts[:total], points[:total], normals[:total]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import ALL, SLOT_MASK
-from . import casting, overlaps
+from . import ball_casting, casting, overlaps
 from .columns import Columns
 from .query_shape import QueryShape, box_query, shape_query
 from .registry import Registry, Slots
@@ -60,7 +60,8 @@ class SceneQueries:
             `t` is where the ray's point or the ball's centre is between start (0) and goal (1).
             `point` lies on the obstacle, `normal` leads from there to the ball's centre. An
             obstacle that contains the start is met at ``t = 0`` with a zero normal. Among
-            axis-aligned boxes a thin ray is decided exactly. Ties go to the smaller handle.
+            axis-aligned boxes it is decided exactly whether a ray or a ball touches, and which
+            obstacle is first. Ties go to the smaller handle.
 
         Raises
         ------
@@ -171,7 +172,7 @@ class SceneQueries:
         self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """The same against the true shapes."""
-        found = self._cast(starts, ways, 0.0, t_max, masks, skip_inside, False)
+        found = self._cast(starts, ways, t_max, masks, skip_inside, False)
         offsets, slots, ts, points, normals = found
         rows = np.asarray(np.flatnonzero(np.diff(offsets)), np.int64)
         return rows, slots, ts, points, normals
@@ -193,27 +194,34 @@ class SceneQueries:
         self,
         starts: Floats,
         ways: Floats,
-        radius: float,
         t_max: Floats,
         masks: Masks,
         skip_inside: bool,
         every: bool,
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """Offsets, slots, t, points and normals of swept balls against the true shapes."""
+        """Offsets, slots, t, points and normals of thin rays against the true shapes."""
         ndim = self._tree.ndim
         rays = starts[:, :ndim].copy(), ways[:, :ndim].copy(), t_max, masks
-        return casting.cast_all(self._tree, self._columns, rays, radius, bool(skip_inside), every)
+        return casting.cast_all(self._tree, self._columns, rays, bool(skip_inside), every)
 
     def _cast_one(
         self, origin: Floats, way: Floats, radius: float, mask: int, skip_inside: bool, every: bool
     ) -> list[SceneHit]:
-        masks = checks.masks(mask, 1)
-        found = self._cast(origin[None], way[None], radius, np.ones(1), masks, skip_inside, every)
-        _, slots, ts, points, normals = found
+        seen = checks.mask(mask)
+        if radius > 0.0:
+            slots, ts, points, normals = ball_casting.cast_ball(
+                self._tree, self._columns, origin, way, radius, seen, bool(skip_inside), every
+            )
+        else:
+            masks = checks.masks(seen, 1)
+            found = self._cast(origin[None], way[None], np.ones(1), masks, skip_inside, every)
+            _, slots, ts, points, normals = found
+            order = np.lexsort((self._columns.node_handle[slots], ts))
+            slots, ts, points, normals = slots[order], ts[order], points[order], normals[order]
         if self.planar:
             points[:, 2] = origin[2]
-        order = np.lexsort((self._columns.node_handle[slots], ts))
-        return [self._hit(int(slots[i]), float(ts[i]), points[i], normals[i]) for i in order]
+        hits = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
+        return [self._hit(*hit) for hit in hits]
 
     def _lift(self, vector: Floats, origin: Floats | None) -> Floats:
         """A planar vector in space: at the height of `origin`, or flat."""

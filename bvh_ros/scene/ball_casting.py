@@ -1,0 +1,193 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a swept ball meets; among axis-aligned boxes decided as real arithmetic decides.
+
+The closed form of `ray_shapes.enter_rounded_box` rounds: each offset of the origin from a face
+once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
+sum of lengths) leaves origin + s * way within 40 u L of the surface of the box grown by the radius
+(u = 2**-53, L the sum of the largest offsets, the length of the way and the radius). Nor can a box
+be missed, or met wrongly, that is not within 40 u L of being so. A ball smaller by the slack of
+128 u L therefore comes surely late, and one larger by it surely early:
+
+    ------|-----------|------------|----->  t        before `early` the box is surely not touched,
+        early         t          late               after `late` it surely was
+
+Two boxes whose brackets do not meet are in order. What the brackets leave open, `exact_balls`
+decides. Other shapes are met at their t, as computed.
+"""
+
+from functools import cmp_to_key
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..tree.compiling import lean_kernel
+from ..tree.dynamic_bvh import DynamicBVH
+from ..tree.nodes import DEEPEST, NONE
+from ..tree.slab import DIRECTION, INSIDE, ORIGIN, RAY_ROWS, aim
+from . import exact_balls, overlaps
+from .casting import cast, enter_obstacle, plain, touch
+from .columns import Columns
+from .exact_balls import START, Root
+from .ray_shapes import ROUND
+from .registry import Slots
+from .shapes import Floats
+
+SLACK = 2.0**-46
+LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
+EARLY, AT, LATE = range(3)
+
+
+@lean_kernel
+def slack_of(tree, ray, radius):
+    """By how much a larger ball is surely early, and a smaller one late."""
+    nodes, _, _, root = tree
+    total = radius
+    for axis in range(ray.shape[1]):
+        above = abs(nodes[root].hi[axis] - ray[ORIGIN, axis])
+        below = abs(nodes[root].lo[axis] - ray[ORIGIN, axis])
+        total += abs(ray[DIRECTION, axis]) + max(above, below)
+    return SLACK * total if radius > SMALL and total < LARGE else np.inf
+
+
+@lean_kernel
+def find(tree, solids, prints, radius, slack, mask, skip_inside, every, scratch, hits):
+    """Write what may be the first hit, or a hit, in no order; return how many there are, which may
+    be more than fit.
+    """
+    latest = 1.0
+    if not every and not skip_inside and slack < radius:
+        sure = cast(
+            tree, solids, prints, radius, -slack, 1.0, mask, False, False, scratch, hits, 0
+        )
+        if sure > 0:
+            latest = min(hits[1][0] * (1.0 + SLACK) + SMALL, 1.0)
+    return cast(tree, solids, prints, radius, slack, latest, mask, False, True, scratch, hits, 0)
+
+
+@lean_kernel
+def bracket(tree, solids, prints, radius, slack, scratch, slots, times, features):
+    """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
+    for i in range(slots.shape[0]):
+        doubt = slack if plain(solids, prints, slots[i]) else 0.0
+        for row in range(3):
+            ball = radius + (AT - row) * doubt if row != AT else radius
+            times[row, i], features[row, i] = np.inf, ROUND
+            if ball > 0.0:
+                times[row, i], features[row, i] = enter_obstacle(
+                    tree, solids, prints, slots[i], scratch[0], ball, 1.0, scratch[2]
+                )
+
+
+@lean_kernel
+def touch_all(tree, solids, prints, radius, scratch, hits, points, normals):
+    """Fill in points and normals of hits."""
+    for j in range(points.shape[0]):
+        touch(tree, solids, prints, scratch[0], radius, hits, j, scratch[2], points[j], normals[j])
+
+
+def cast_ball(
+    tree: DynamicBVH,
+    columns: Columns,
+    origin: Floats,
+    way: Floats,
+    radius: float,
+    mask: np.uint32,
+    skip_inside: bool,
+    every: bool,
+) -> tuple[Slots, Floats, Floats, Floats]:
+    """The first obstacle that a ball meets from `origin` to `origin + way`, or all in order, ties
+    by handle: slots, t, points and normals.
+    """
+    ndim = tree.ndim
+    arrays, prints = tree._tree(), columns.footprint
+    solids = columns.geometry if prints is None else None
+    scratch = (
+        np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
+    )  # fmt: skip
+    aim(scratch[0], origin[:ndim], way[:ndim])
+    slack = slack_of(arrays, scratch[0], radius) if arrays[3] != NONE else 0.0
+    count, room = 16, 0
+    while count > room:
+        room = count
+        hits = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+        count = find(
+            arrays, solids, prints, radius, slack, mask, skip_inside, every, scratch, hits
+        )
+    slots = hits[0][:count]
+    times, features = np.empty((3, count)), np.empty((3, count), np.int64)
+    bracket(arrays, solids, prints, radius, slack, scratch, slots, times, features)
+    slots, ts, met = _in_order(columns, slots, times, features, (origin, way, radius, ndim))
+    if skip_inside:
+        slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
+    if not every:
+        slots, ts, met = slots[:1], ts[:1], met[:1]
+    points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
+    touch_all(arrays, solids, prints, radius, scratch, (slots, ts, met), points, normals)
+    return slots, ts, points, normals
+
+
+Sweep = tuple[Floats, Floats, float, int]
+
+
+def _in_order(
+    columns: Columns, slots: Slots, times: Floats, features: NDArray[np.int64], sweep: Sweep
+) -> tuple[Slots, Floats, NDArray[np.int64]]:
+    """Those that are met, in order of their exact times, then handles: slots, t, features."""
+    order = np.lexsort((columns.node_handle[slots], times[AT]))
+    slots, times, features = slots[order], times[:, order], features[:, order]
+    ts, met = times[AT], features[AT]
+    open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
+    if not len(open_ones):
+        return slots, ts, met
+    roots = dict(zip(open_ones.tolist(), _exact(columns, slots[open_ones], sweep), strict=True))
+    order = _sorted(columns.node_handle[slots], ts, roots)
+    for row, root in roots.items():
+        if root is not None:
+            ts[row], met[row] = float(root), INSIDE if root is START else ROUND
+    return slots[order], np.maximum.accumulate(ts[order]), met[order]
+
+
+def _shaped(columns: Columns) -> NDArray[np.bool_]:
+    shaped: NDArray[np.bool_] = (
+        columns.geometry if columns.footprint is None else columns.footprint
+    )['shaped']
+    return shaped
+
+
+def _undecided(times: Floats, features: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Of hits that are sorted by t: which may not be any, or may belong elsewhere."""
+    early, late = times[EARLY], times[LATE]
+    inside = features[LATE] == INSIDE  # surely: all of those are tied at zero
+    doubtful: NDArray[np.bool_] = np.isinf(late) | ((features[EARLY] == INSIDE) & ~inside)
+    if len(late) > 1:
+        before = np.maximum.accumulate(np.where(inside, -np.inf, late))[:-1]
+        after = np.minimum.accumulate(np.where(inside, np.inf, early)[::-1])[::-1][1:]
+        doubtful[1:] |= ~inside[1:] & (early[1:] <= before)
+        doubtful[:-1] |= ~inside[:-1] & (late[:-1] >= after)
+    return doubtful
+
+
+def _exact(columns: Columns, slots: Slots, sweep: Sweep) -> list[Root | None]:
+    origin, way, radius, ndim = sweep
+    lows, highs = overlaps.corners(columns.geometry[slots])
+    boxes = zip(lows[:, :ndim].tolist(), highs[:, :ndim].tolist(), strict=True)
+    start, step = origin[:ndim].tolist(), way[:ndim].tolist()
+    return [exact_balls.first_touch(lo, hi, start, step, radius) for lo, hi in boxes]
+
+
+def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:
+    """Rows in order of their roots (else of ts), then handles, without those whose root is
+    None.
+    """
+
+    def compare(one: tuple[Root, int, int], other: tuple[Root, int, int]) -> int:
+        return exact_balls.compare(one[0], other[0]) or one[1] - other[1]
+
+    rows = []
+    for row, (handle, t) in enumerate(zip(handles.tolist(), ts.tolist(), strict=True)):
+        root = exact[row] if row in exact else exact_balls.rational(t)
+        if root is not None:
+            rows.append((root, handle, row))
+    return np.array([row for _, _, row in sorted(rows, key=cmp_to_key(compare))], np.int64)

@@ -1,0 +1,264 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Swept balls among axis-aligned boxes are decided as real arithmetic decides.
+
+The reference asks of a box only whether it has been touched by a time t, in rationals, and finds
+out which of two was touched first by halving the time until one has been touched and one has not.
+"""
+
+import math
+from fractions import Fraction
+from functools import cmp_to_key
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from tree.adversary import coordinates, nudge
+from tree.reference import effort
+
+from bvh_ros.scene import Scene, Shapes, exact_balls
+from bvh_ros.scene.ball_casting import _undecided
+from bvh_ros.scene.exact_balls import Root
+
+HALVINGS = 250  # two roots that agree in so many digits are equal: checked below
+
+
+class Sweep(NamedTuple):
+    start: list[float]
+    way: list[float]
+    radius: float
+
+
+def square_gap(lo, hi, sweep, t):
+    """Squared distance of the ball's centre from the box at t."""
+    total = Fraction(0)
+    for low, high, x, step in zip(lo, hi, sweep.start, sweep.way, strict=True):
+        place = Fraction(x) + t * Fraction(step)
+        total += max(Fraction(low) - place, place - Fraction(high), Fraction(0)) ** 2
+    return total
+
+
+def moments(lo, hi, sweep):
+    """Times between which the squared gap is one quadratic, and where each has its vertex."""
+    times = {Fraction(0), Fraction(1)}
+    for low, high, x, step in zip(lo, hi, sweep.start, sweep.way, strict=True):
+        if step != 0.0:
+            times |= {(Fraction(plane) - Fraction(x)) / Fraction(step) for plane in (low, high)}
+    times = sorted(t for t in times if 0 <= t <= 1)
+    for a, b in pairwise(times):
+        # A parabola through three points has its vertex where the chords' slopes say.
+        m = (a + b) / 2
+        first, second, third = (square_gap(lo, hi, sweep, t) for t in (a, m, b))
+        bend = first - 2 * second + third
+        if bend > 0:
+            vertex = m + (b - a) / 4 * (first - third) / bend
+            if a < vertex < b:
+                times.append(vertex)
+    return times
+
+
+def touched_by(lo, hi, sweep, times, t):
+    """Whether the ball touches the box at any time up to t."""
+    limit = Fraction(sweep.radius) ** 2
+    return any(square_gap(lo, hi, sweep, min(time, t)) <= limit for time in times)
+
+
+def order_of(one, other, sweep):
+    """-1, 0 or 1: which of two touched boxes is touched first. A box is (lo, hi, times)."""
+    low, high = Fraction(0), Fraction(1)
+    if touched_by(*one[:2], sweep, one[2], low) or touched_by(*other[:2], sweep, other[2], low):
+        high = low
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        by = [touched_by(*box[:2], sweep, box[2], middle) for box in (one, other)]
+        if by[0] != by[1]:
+            return -1 if by[0] else 1
+        low, high = (low, middle) if by[0] else (middle, high)
+    return 0
+
+
+def expected_rows(boxes, sweep, skip_inside):
+    """Rows of the boxes that are touched, first to last, ties by row."""
+    met = []
+    for row, (lo, hi) in enumerate(boxes):
+        times = moments(lo, hi, sweep)
+        inside = touched_by(lo, hi, sweep, [Fraction(0)], Fraction(0))
+        if touched_by(lo, hi, sweep, times, Fraction(1)) and not (inside and skip_inside):
+            met.append((row, (lo, hi, times)))
+
+    def compare(one, other):
+        return order_of(one[1], other[1], sweep) or one[0] - other[0]
+
+    return [row for row, _ in sorted(met, key=cmp_to_key(compare))]
+
+
+def adversarial_scene(rng, planar, scale, count=8):
+    """Boxes on lattices of halves, thirds and tenths; their corners as the tree has them."""
+    position = coordinates(rng, (count, 3), scale)
+    size = np.abs(coordinates(rng, (count, 3), scale))
+    scene = Scene(planar=planar, margin=rng.choice([0.0, 0.1 * scale]))
+    names = [str(row) for row in range(count)]
+    assert scene.update('test', names, Shapes.boxes(position, size), stamp=1) == []
+    lo, hi = scene._tree.boxes(scene._tree.ids())
+    return scene, list(zip(lo.tolist(), hi.tolist(), strict=True))
+
+
+def adversarial_sweep(rng, boxes, scale):
+    """A ball that comes, exactly or nearly, within its radius of a corner, an edge or a face."""
+    lo, hi = (np.array(side) for side in boxes[rng.integers(len(boxes))])
+    ndim = len(lo)
+    legs = np.zeros(3)
+    legs[rng.permutation(ndim)[:2]] = [(3, 4), (1, 0), (5, 12), (8, 6)][rng.integers(4)]
+    size = scale * rng.choice([1.0, 0.5, 0.1, 1 / 3])
+    radius = float(math.hypot(*legs) * size)
+    target = np.where(rng.random(ndim) < 0.5, lo, hi)
+    target = target + np.where(rng.random(ndim) < 0.5, 1, -1) * legs[:ndim] * size
+    way = rng.integers(-3, 4, ndim) * scale
+    if rng.random() < 0.5:  # grazes: across the line from the corner to the ball
+        way = np.roll(legs[:ndim], 1) * np.array([1.0, -1.0, 1.0][:ndim]) * scale
+    start = target - way * rng.choice([0.0, 0.5, 1.0])
+    start, way = nudge(rng, start, 0.1), nudge(rng, way, 0.1)
+    return Sweep(start.tolist(), way.tolist(), float(nudge(rng, np.array([radius]), 0.3)[0]))
+
+
+def ask(scene, sweep, **options):
+    """Names and times of all hits; the first hit must be the first of them."""
+    start = np.zeros(3)
+    start[: len(sweep.start)] = sweep.start
+    goal = start.copy()
+    goal[: len(sweep.way)] += sweep.way
+    hits = scene.raycast_all(start, goal, sweep.radius, **options)
+    first = scene.raycast(start, goal, sweep.radius, **options)
+    assert (first.name if first else None) == (hits[0].name if hits else None)
+    assert [hit.t for hit in hits] == sorted(hit.t for hit in hits)
+    way = (goal - start)[: len(sweep.start)].tolist()  # as the scene rounds it
+    return hits, sweep._replace(way=way)
+
+
+@pytest.mark.parametrize('scale', [1.0, 1e-3, 1e8, 1e-160, 1e150], ids='{:g}'.format)
+@pytest.mark.parametrize('planar', [False, True], ids=['3D', '2D'])
+def test_balls_are_decided_exactly(planar, scale):
+    rng = np.random.default_rng([21, planar, int(abs(math.log10(scale)))])
+    met = 0
+    for _ in range(effort(5, 100)):
+        scene, boxes = adversarial_scene(rng, planar, scale)
+        for _ in range(8):
+            skip_inside = bool(rng.random() < 0.3)
+            given = adversarial_sweep(rng, boxes, scale)
+            hits, sweep = ask(scene, given, skip_inside=skip_inside)
+            expected = expected_rows(boxes, sweep, skip_inside)
+            assert [int(hit.name) for hit in hits] == expected, sweep
+            met += len(hits)
+            for hit in hits:
+                assert_touches_at(boxes[int(hit.name)], sweep, hit.t)
+    assert met > 30
+
+
+def assert_touches_at(box, sweep, t):
+    """The reported t is one at which the ball touches, but for rounding; and 0 inside."""
+    limit, length = sweep.radius, sum(map(abs, (*sweep.start, *sweep.way, *box[0], *box[1])))
+    gap = square_gap(*box, sweep, Fraction(t))
+    slack = Fraction(2, 10**14) * (Fraction(length) + Fraction(limit))
+    assert gap <= (Fraction(limit) + slack) ** 2
+    inside = square_gap(*box, sweep, Fraction(0)) <= Fraction(limit) ** 2
+    assert (t == 0.0) == inside or t < 1e-13
+    if not inside:
+        assert gap >= max(Fraction(limit) - slack, Fraction(0)) ** 2
+
+
+CASES = {
+    # a box from lo to hi, a ball from the start along a way: does it touch, and when
+    'passes beside a face, touching': ((2, 1, 0), (4, 2, 1), (0, 0.5, 0), (9, 0, 0), 0.5, True),
+    'one ulp too small': (
+        (2, 1, 0), (4, 2, 1), (0, 0.5, 0), (9, 0, 0), math.nextafter(0.5, 0), False,
+    ),
+    'a corner by 3, 4, 5': ((3, 4, 0), (9, 9, 1), (0, 0, 0), (4, -3, 0), 5.0, True),
+    'tenths that are no tenths': ((0.3, 0.4, 0), (9, 9, 1), (0, 0, 0), (4, -3, 0), 0.5, None),
+    'reaches at the end': ((2, 0, 0), (4, 2, 1), (0, 1, 0), (1.5, 0, 0), 0.5, True),
+    'short by one ulp': (
+        (2, 0, 0), (4, 2, 1), (0, 1, 0), (math.nextafter(1.5, 0), 0, 0), 0.5, False,
+    ),
+    'stands still and touches': ((2, 0, 0), (4, 2, 1), (1.5, 1, 0), (0, 0, 0), 0.5, True),
+    'a ball below the rounding of its place': (
+        (1e6, 0, 0), (2e6, 2, 1), (0, 0, 0), (2e6, 0, 0), 1e-30, True,
+    ),
+    'and beside a face': ((1, 0, 0), (2, 2, 1), (0, -1e-30, 0), (9, 0, 0), 1e-30, True),
+    'and not quite': (
+        (1, 0, 0), (2, 2, 1), (0, -1e-30, 0), (9, 0, 0), math.nextafter(1e-30, 0), False,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('lo', 'hi', 'start', 'way', 'radius', 'touches'), CASES.values(), ids=CASES.keys()
+)
+def test_one_box(lo, hi, start, way, radius, touches):
+    scene = Scene()
+    low, high = np.array(lo, float), np.array(hi, float)
+    scene.update('test', ['0'], Shapes.boxes([(low + high) / 2], [high - low]), stamp=1)
+    box = tuple(side[0].tolist() for side in scene._tree.boxes(scene._tree.ids()))
+    hits, sweep = ask(scene, Sweep(list(start), list(way), radius))
+    exact = touched_by(*box, sweep, moments(*box, sweep), Fraction(1))
+    assert bool(hits) == exact
+    assert touches in (None, exact)
+
+
+def test_equal_times_go_to_the_older():
+    """Two corners at the same distance from the way, one nearer by an ulp or not."""
+    for lift, expected in ((0.0, ['a', 'b']), (2.0**-52, ['b', 'a'])):
+        scene = Scene()
+        shapes = Shapes.boxes([[4, 1.5 + lift, 0], [4, -1.5, 0]], [1, 1, 1])
+        scene.update('test', ['a', 'b'], shapes, stamp=1)
+        hits = scene.raycast_all([0, 0, 0], [9, 0, 0], 1.25)
+        assert [hit.name for hit in hits] == expected
+        assert hits[0].t == pytest.approx((3.5 - 0.75) / 9)
+
+
+def test_random_balls_need_no_exact_arithmetic():
+    """Else it would be slow; and adversarial ones do, else the tests above show nothing."""
+    brackets = np.array([[0.1, 0.3], [0.2, 0.4], [0.25, 0.5]])
+    features = np.full((3, 2), 3)
+    assert _undecided(brackets, features).tolist() == [False, False]
+    brackets[2, 0] = 0.35
+    assert _undecided(brackets, features).tolist() == [True, True]
+    brackets[2] = 0.2, np.inf
+    assert _undecided(brackets, features).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ('one', 'other', 'sign'),
+    [
+        ((5, 4), (3, 0), 0),
+        ((5, 2), (4, Fraction(1, 5)), 1),
+        ((5, 2), (5, 3), 1),
+        ((5, 3), (5, 2), -1),
+        ((7, 8), (6, 8), 1),
+        ((3, 2), (8, 49), 1),
+        ((1 + 10, 2 * 10**40), (1 + 10, 2 * 10**40 + 1), 1),
+    ],
+)
+def test_comparing_roots(one, other, sign):
+    a, b = (Root(Fraction(x), Fraction(y)) for x, y in (one, other))
+    assert exact_balls.compare(a, b) == sign
+    assert exact_balls.compare(b, a) == -sign
+
+
+def test_comparing_roots_against_many_digits():
+    """Random roots, and pairs that agree in 40 digits, against square roots of 200 digits."""
+    rng = np.random.default_rng(3)
+
+    def digits(root):
+        return root.middle - Fraction(math.isqrt(int(root.square * 10**400)), 10**200)
+
+    for _ in range(300):
+        p, q = (Fraction(int(x), 16) for x in rng.integers(1, 1000, 2))
+        one = Root(p, q)
+        near = one.middle - digits(one) + Fraction(int(rng.integers(-2, 3)), 10**40)
+        other = Root(p + 1, (near + 1) ** 2) if rng.random() < 0.7 else Root(q, p)
+        gap = digits(one) - digits(other)
+        sign = 0 if abs(gap) < Fraction(1, 10**190) else (1 if gap > 0 else -1)
+        if sign:
+            assert exact_balls.compare(one, other) == sign
+        if one.square < one.middle**2:
+            assert float(one) == pytest.approx(float(digits(one)), rel=4e-16)
