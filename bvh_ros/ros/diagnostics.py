@@ -1,87 +1,133 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`/diagnostics`: how the world and its sources are doing, once a second."""
+"""`/diagnostics`: how the world, its sources and the answers are doing, once a second."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from bvh_ros.ros.part import Part
+from bvh_ros.ros.survey import Survey, resident_bytes
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.services import QueryServices
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.timings import Timings
     from bvh_ros.ros.world import World
 
 PERIOD = 1.0  # seconds
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+STOPPED = '/clock stands still: no lifetime ends, and no source grows older'
 
 
 class Diagnostics(Part):
-    """Publishes one status for the world, one for the queries and one for each source."""
+    """Publishes a status for the world, for the queries of each view and for each source.
 
-    def __init__(self, node: Node, world: World, queries: QueryServices) -> None:
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    world : World
+    queries : sequence of QueryServices
+        One a view.
+    features : callable
+        Tells which parts are on and which are off.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        world: World,
+        queries: Sequence[QueryServices],
+        features: Callable[[], Mapping[str, bool]],
+    ) -> None:
         super().__init__(node)
-        self._name = node.get_fully_qualified_name()
+        self._name = node.get_fully_qualified_name().lstrip('/')
         self._clock = node.get_clock()
-        self._scene = world.scene
+        self._world = world
+        self._survey = Survey(world)
         self._queries = queries
-        self._sources = world.sources
+        self._features = features
         self._refused_before: dict[str, int] = {}
+        self._published_at = -1  # ns on the node's clock
         self._publisher = self.publisher(DiagnosticArray, '/diagnostics', 1)
         self.every(PERIOD, self.publish)
 
     def publish(self) -> None:
         """Publish the state as it is now."""
         now = self._clock.now()
+        figures, seen = self._survey.look()
         message = DiagnosticArray()
         message.header.stamp = now.to_msg()
         message.status = [
-            self._world(),
-            self._query_status(),
-            *(self._source(source, now.nanoseconds) for source in self._sources),
+            self._world_status(figures, now.nanoseconds),
+            *(self._query_status(queries, seen) for queries in self._queries),
+            *(self._source_status(source, now.nanoseconds) for source in self._world.sources),
         ]
+        self._published_at = now.nanoseconds
         self._publisher.publish(message)
 
-    def _world(self) -> DiagnosticStatus:
-        return self._status('world', OK, f'{len(self._scene)} obstacles', self._scene.stats())
-
-    def _query_status(self) -> DiagnosticStatus:
-        refused = self._queries.refused
-        level, text = self._refused_since('queries', refused.count, refused.last)
+    def _world_status(self, figures: Mapping[str, object], now: int) -> DiagnosticStatus:
+        scene, features = self._world.scene, self._features()
+        level, text = OK, f'{len(scene)} obstacles'
+        problem = self._world.problem(now)
+        if problem:
+            level, text = ERROR, problem
+        elif self._clock.ros_time_is_active and now == self._published_at:
+            level, text = WARN, STOPPED
         values = {
-            'answered': self._queries.answered,
+            'obstacles': len(scene),
+            **figures,
+            'expired': scene.expired,
+            'bytes of the process': resident_bytes(),
+            'on': ', '.join(name for name in features if features[name]),
+            'off': ', '.join(name for name in features if not features[name]),
+        }
+        return self._status('world', level, text, values)
+
+    def _query_status(self, queries: QueryServices, seen: Mapping[str, int]) -> DiagnosticStatus:
+        refused, view = queries.refused, queries.view.name
+        name = f'queries of {view}' if view else 'queries'
+        level, text = self._refused_since(name, refused.count, refused.last)
+        count = seen[view]
+        nothing = f'no obstacle matches the view {view}' if view and not count else 'answering'
+        values = {
+            'obstacles seen': count,
+            **_in_words(queries.timings, 'answers'),
             'refused': refused.count,
             'last reason': refused.last,
         }
-        return self._status('queries', level, text or 'answering', values)
+        return self._status(name, level, text or nothing, values)
 
-    def _source(self, source: Source, now: int) -> DiagnosticStatus:
+    def _source_status(self, source: Source, now: int) -> DiagnosticStatus:
         refused, subscription = source.refused, source.subscription
         level, text = self._refused_since(source.name, refused.count, refused.last)
-        problem = source.problem(now)
         values: dict[str, object] = {
             'messages': source.messages,
+            **_in_words(source.timings, 'updates'),
             'refused': refused.count,
             'last reason': refused.last,
             'points skipped': source.skipped,
         }
         if subscription is not None:
+            publishers = subscription.publishers()
             values['topic'] = subscription.topic
-            values['publishers'] = subscription.publishers()
+            values['publishers'] = publishers
             values['reliability'] = subscription.qos.reliability.name.lower()
+            if source.has_spoken and not publishers:
+                level, text = WARN, 'its publishers are gone; what they said is kept'
             if subscription.incompatible:
                 level = WARN
                 text = f'a publisher with incompatible {subscription.incompatible} is not heard'
-        if problem:
+        if problem := source.problem(now):
             level, text = ERROR, problem
-        return self._status(f'source {source.name}', level, text or 'receiving', values)
+        listening = 'receiving' if source.has_spoken else 'has not spoken yet'
+        return self._status(f'source {source.name}', level, text or listening, values)
 
     def _refused_since(self, who: str, count: int, last: str) -> tuple[bytes, str]:
         """Warn while something is being refused, not for ever after."""
@@ -93,9 +139,20 @@ class Diagnostics(Part):
         self, what: str, level: bytes, text: str, values: Mapping[str, object]
     ) -> DiagnosticStatus:
         return DiagnosticStatus(
-            name=f'{self._name.lstrip("/")}: {what}',
+            name=f'{self._name}: {what}',
             hardware_id='',
             level=level,
             message=text,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
+
+
+def _in_words(timings: Timings, what: str) -> dict[str, str]:
+    """Rate and durations since the last look; nan where nothing happened."""
+    summary = timings.look()
+    return {
+        f'{what} a second': f'{summary.rate:.1f}',
+        'p50 [ms]': f'{summary.median:.3f}',
+        'p99 [ms]': f'{summary.p99:.3f}',
+        'longest [ms]': f'{summary.longest:.3f}',
+    }

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.time import Time
 
 from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.parameters import ConfigurationError, TransformSettings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -40,6 +41,11 @@ class Transform(NamedTuple):
         back = self.rotation * (-1.0, -1.0, -1.0, 1.0)
         return Transform(-rotations.rotate(back, self.translation), back)
 
+    def after(self, first: Transform) -> Transform:
+        """Return the motion that does `first` and then this one."""
+        turn = rotations.normalised(rotations.multiply(self.rotation, first.rotation))
+        return Transform(self.points(first.translation), turn)
+
     def orientations(self, quaternions: ArrayLike) -> NDArray[np.float64]:
         """Return (..., 4) orientations in the node's frame."""
         return rotations.multiply(self.rotation, rotations.normalised(quaternions))
@@ -58,11 +64,23 @@ class Frames:
         The node's own frame.
     lookup : callable, optional
         Finds a transform; None where tf2_ros is not installed or not wanted.
+    fixed : sequence of TransformSettings
+        Frames whose places never change. They may stand on each other, and go before what
+        `lookup` says of the same frame.
+
+    Raises
+    ------
+    ConfigurationError
+        If fixed transforms contradict each other, or lead where there is nothing to stand on.
     """
 
-    def __init__(self, frame_id: str, lookup: Lookup | None = None) -> None:
+    def __init__(
+        self, frame_id: str, lookup: Lookup | None = None, fixed: Sequence[TransformSettings] = ()
+    ) -> None:
         self.frame_id = frame_id
         self.lookup = lookup
+        # For each fixed frame: the frame at the lower end of its chain, and how to get there.
+        self._fixed = {given.frame_id: self._foot(given, fixed) for given in fixed}
 
     def into_node(self, frame_id: str, stamp: int = 0) -> Transform | None:
         """Return the transform from `frame_id`, or None if that is the node's own frame.
@@ -74,11 +92,45 @@ class Frames:
         """
         if frame_id in ('', self.frame_id):
             return None
+        if frame_id in self._fixed:
+            foot, transform = self._fixed[frame_id]
+            below = self.into_node(foot, stamp)
+            return transform if below is None else below.after(transform)
         if self.lookup is None:
             raise FrameError(
                 f"frame '{frame_id}' is not '{self.frame_id}', and tf2_ros is not available here"
             )
         return self.lookup(self.frame_id, frame_id, stamp)
+
+    def _foot(
+        self, given: TransformSettings, fixed: Sequence[TransformSettings]
+    ) -> tuple[str, Transform]:
+        """Follow a chain of fixed transforms down to what is not one of them."""
+        parents = {one.frame_id: one for one in fixed}
+        if len(parents) < len(fixed):
+            twice = next(f for f in parents if sum(one.frame_id == f for one in fixed) > 1)
+            raise ConfigurationError(f"parameter 'transforms': frame '{twice}' is placed twice")
+        if self.frame_id in parents:
+            raise ConfigurationError(
+                f"parameter 'transforms': '{self.frame_id}' is the node's own frame; "
+                'it is placed nowhere'
+            )
+        transform, frame, seen = _transform(given), given.parent, {given.frame_id}
+        while frame in parents:
+            if frame in seen:
+                raise ConfigurationError(f"parameter 'transforms': '{frame}' stands on itself")
+            seen.add(frame)
+            transform, frame = _transform(parents[frame]).after(transform), parents[frame].parent
+        if frame != self.frame_id and self.lookup is None:
+            raise ConfigurationError(
+                f"parameter 'transforms': '{given.frame_id}' stands on '{frame}', which is not "
+                f"'{self.frame_id}', and tf2_ros is not available here"
+            )
+        return frame, transform
+
+
+def _transform(given: TransformSettings) -> Transform:
+    return Transform(np.array(given.xyz), rotations.normalised(given.xyzw))
 
 
 class Tf2:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,7 @@ from rclpy.exceptions import InvalidParameterValueException
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-Value = bool | int | float | str | list[str]
+Value = bool | int | float | str | list[str] | list[float]
 
 
 class ConfigurationError(ValueError):
@@ -55,6 +56,17 @@ NODE_OPTIONS = (
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option('batch', True, 'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits.'),
+    Option(
+        'views',
+        [''],
+        'Names of views: parts of the world, each with patterns of obstacle names and services of '
+        'its own.',
+    ),
+    Option(
+        'transforms',
+        [''],
+        'Names of transforms that never change; each has a parent, xyz and xyzw of its own.',
+    ),
     Option('use_tf', True, 'Transform other frames by tf2, where tf2_ros is installed.'),
 )
 SOURCE_OPTIONS = (
@@ -67,10 +79,28 @@ SOURCE_OPTIONS = (
         minimum=0.0,
     ),
 )
-# Later options and what rclpy itself declares: a source of such a name could not have options.
+VIEW_OPTIONS = (
+    Option('include', ['*'], 'Glob patterns of the obstacle names that the view shows.'),
+    Option('exclude', [''], 'Glob patterns of the obstacle names that it does not show.'),
+    Option('skip_inside', False, 'Rays ignore obstacles that they start in.'),
+)
+TRANSFORM_OPTIONS = (
+    Option('frame_id', '', 'The frame that is placed; empty: that of the name of the transform.'),
+    Option('parent', '', 'The frame in which it is placed; empty: that of the node.'),
+    Option('xyz', [0.0, 0.0, 0.0], 'Its origin in the parent, m.'),
+    Option('xyzw', [0.0, 0.0, 0.0, 1.0], 'Its orientation in the parent, a quaternion.'),
+)
+MOST_VIEWS = 31  # one bit each of a 32-bit mask; the first is for everything
+# Other options and what rclpy itself declares: a source or view of such a name could not have its
+# own.
 RESERVED_NAMES = (
     *(option.name for option in NODE_OPTIONS),
-    *('views', 'use_sim_time', 'qos_overrides', 'start_type_description_service'),
+    *('use_sim_time', 'qos_overrides', 'start_type_description_service'),
+)
+# What the node offers under its own name: `~/rays/raycast` beside `~/rays` would mislead.
+OFFERED_NAMES = (
+    *('raycast', 'raycast_all', 'overlap', 'clear', 'rebuild', 'validate', 'obstacles'),
+    *('rays', 'ray_hits', 'names', 'scene', 'tree', 'queries', 'virtual_scan'),
 )
 DEFAULT_SOURCE = 'markers'
 DEFAULT_TYPE = 'MarkerArray'
@@ -91,6 +121,26 @@ class SourceSettings:
 
 
 @dataclass(frozen=True)
+class ViewSettings:
+    """What one view was told."""
+
+    name: str
+    include: tuple[str, ...]
+    exclude: tuple[str, ...]
+    skip_inside: bool
+
+
+@dataclass(frozen=True)
+class TransformSettings:
+    """Where one frame lies in another, for ever."""
+
+    frame_id: str
+    parent: str
+    xyz: tuple[float, ...]  # m
+    xyzw: tuple[float, ...]  # of any length but zero
+
+
+@dataclass(frozen=True)
 class Settings:
     """What the node was told."""
 
@@ -101,6 +151,8 @@ class Settings:
     batch: bool
     use_tf: bool
     sources: tuple[SourceSettings, ...]
+    views: tuple[ViewSettings, ...]
+    transforms: tuple[TransformSettings, ...]
 
 
 def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings:
@@ -120,12 +172,22 @@ def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings
     values = {option.name: read(node, '', option) for option in NODE_OPTIONS}
     if not values['frame_id']:
         raise ConfigurationError("parameter 'frame_id' is empty")
-    # YAML cannot say "an empty list of strings" other than ['']
-    names = [name for name in values.pop('sources') if name]
-    _check_source_names(names)
-    sources = tuple(_read_source(node, name, types) for name in names)
-    _check_for_misspelt_options(node, names)
-    return Settings(**values, sources=sources)
+    names, views, transforms = (values.pop(key) for key in ('sources', 'views', 'transforms'))
+    _check_names('sources', names, RESERVED_NAMES)
+    _check_names('views', views, (*RESERVED_NAMES, *OFFERED_NAMES, *names))
+    _check_names('transforms', transforms, (*RESERVED_NAMES, *names, *views))
+    if len(views) > MOST_VIEWS:
+        raise ConfigurationError(
+            f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
+        )
+    settings = Settings(
+        **values,
+        sources=tuple(_read_source(node, name, types) for name in names),
+        views=tuple(_read_view(node, name) for name in views),
+        transforms=tuple(_read_transform(node, name, values['frame_id']) for name in transforms),
+    )
+    _check_for_misspelt_options(node, [*names, *views, *transforms])
+    return settings
 
 
 def read(node: Node, prefix: str, option: Option) -> Any:
@@ -152,10 +214,8 @@ def _checked(name: str, option: Option, value: Any) -> Any:
     """Return the value in its option's type or raise ConfigurationError."""
     default = option.default
     if isinstance(default, list):
-        value = [] if value is None else list(value) if _is_list(value) else value
-        good = isinstance(value, list) and all(isinstance(item, str) for item in value)
-        wanted = 'a list of strings'
-    elif isinstance(default, bool):
+        return _checked_list(name, default, value)
+    if isinstance(default, bool):
         good, wanted = isinstance(value, bool), 'true or false'
     elif isinstance(default, float):
         good, wanted = _is_number(value, (int, float)), 'a number'
@@ -173,6 +233,18 @@ def _checked(name: str, option: Option, value: Any) -> Any:
     if _is_number(value, (int, float)) and not option.minimum <= value <= option.maximum:
         raise _out_of_range(name, option)
     return value
+
+
+def _checked_list(name: str, default: Sequence[object], value: Any) -> list[Any]:
+    items = [] if value is None else list(value) if _is_list(value) else None
+    if isinstance(default[0], float):
+        if items is not None and all(_is_finite(item) for item in items):
+            return [float(item) for item in items]
+        raise ConfigurationError(f"parameter '{name}' must be finite numbers, not {value!r}")
+    if items is not None and all(isinstance(item, str) for item in items):
+        # YAML cannot say "an empty list of strings" other than ['']
+        return [item for item in items if item]
+    raise ConfigurationError(f"parameter '{name}' must be a list of strings, not {value!r}")
 
 
 def _out_of_range(name: str, option: Option) -> ConfigurationError:
@@ -203,30 +275,47 @@ def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -
     return SourceSettings(name=name, type=type_name, topic=topic, options=own, **shared)
 
 
-def _check_source_names(names: Sequence[str]) -> None:
+def _read_view(node: Node, name: str) -> ViewSettings:
+    values = {option.name: read(node, f'{name}.', option) for option in VIEW_OPTIONS}
+    include, exclude = tuple(values['include']), tuple(values['exclude'])
+    return ViewSettings(name, include, exclude, values['skip_inside'])
+
+
+def _read_transform(node: Node, name: str, frame_id: str) -> TransformSettings:
+    values = {option.name: read(node, f'{name}.', option) for option in TRANSFORM_OPTIONS}
+    xyz, xyzw = tuple(values['xyz']), tuple(values['xyzw'])
+    if len(xyz) != 3:
+        raise ConfigurationError(f"parameter '{name}.xyz' must be 3 numbers, not {len(xyz)}")
+    if len(xyzw) != 4 or not any(xyzw):
+        raise ConfigurationError(f"parameter '{name}.xyzw' must be 4 numbers that are not all 0")
+    return TransformSettings(values['frame_id'] or name, values['parent'] or frame_id, xyz, xyzw)
+
+
+def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> None:
     for name in names:
         if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
             raise ConfigurationError(
-                f"parameter 'sources': {name!r} is not a name (letters, digits and underscores)"
+                f"parameter '{parameter}': {name!r} is not a name "
+                '(letters, digits and underscores)'
             )
-        if name in RESERVED_NAMES:
+        if name in taken:
             raise ConfigurationError(
-                f"parameter 'sources': {name!r} is the name of another parameter"
+                f"parameter '{parameter}': {name!r} is the name of something else here"
             )
         if names.count(name) > 1:
-            raise ConfigurationError(f"parameter 'sources': {name!r} is there twice")
+            raise ConfigurationError(f"parameter '{parameter}': {name!r} is there twice")
 
 
-def _check_for_misspelt_options(node: Node, sources: Sequence[str]) -> None:
+def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
     """Refuse options that nobody reads: a misspelt `required` would make the world look safe."""
     declared = node.list_parameters([], 0).names
     for name in _overrides(node):
-        source = name.partition('.')[0]
-        if name in declared or source == 'qos_overrides':
+        owner = name.partition('.')[0]
+        if name in declared or owner == 'qos_overrides':
             continue
         near = difflib.get_close_matches(name, declared, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ''
-        if source in sources:
+        if owner in owners:
             raise ConfigurationError(f"there is no parameter '{name}'{hint}")
         node.get_logger().warning(f"parameter '{name}' is not one of this node{hint}")
 
@@ -238,6 +327,10 @@ def _overrides(node: Node) -> Sequence[str]:
 
 def _is_number(value: Any, types: tuple[type, ...]) -> bool:
     return isinstance(value, types) and not isinstance(value, bool)
+
+
+def _is_finite(value: Any) -> bool:
+    return _is_number(value, (int, float)) and math.isfinite(value)
 
 
 def _is_list(value: Any) -> bool:

@@ -7,8 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
-from rclpy.exceptions import InvalidTopicNameException, ParameterException
+from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from bvh_ros.ros.clock_jumps import ClockJumps
 from bvh_ros.ros.diagnostics import Diagnostics
 from bvh_ros.ros.frames import Frames, listen_to_tf2
 from bvh_ros.ros.names import NamesPublisher
@@ -16,6 +18,7 @@ from bvh_ros.ros.parameters import ConfigurationError, read_settings
 from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.upkeep import Upkeep
+from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.ros.world import World
 from bvh_ros.scene import Scene
@@ -57,12 +60,16 @@ class BvhServer:
         settings = read_settings(node, {name: t.options for name, t in SOURCE_TYPES.items()})
         self.settings = settings
         scene = Scene(
-            planar=settings.planar, margin=settings.margin, max_obstacles=settings.max_obstacles
+            planar=settings.planar,
+            margin=settings.margin,
+            max_obstacles=settings.max_obstacles,
+            categorise=Categoriser(settings.views) if settings.views else None,
         )
         self._tf2 = listen_to_tf2(node) if settings.use_tf else None
-        frames = Frames(settings.frame_id, self._tf2)
+        frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
-        self.world = World(settings, scene, frames, sources)
+        self.world = World(settings, scene, frames, sources, self._create_views())
+        self._clock_jumps = ClockJumps(node, self.world)
         self._parts: list[Destroyable] = []
 
     def compile(self) -> None:
@@ -103,16 +110,20 @@ class BvhServer:
     def _create_parts(self) -> Iterator[Destroyable]:
         """Create the parts that this configuration uses, a line each; the last ends first."""
         node, world = self.node, self.world
-        queries = QueryServices(node, world)
-        yield queries
+        queries: list[QueryServices] = []
+        for view in world.views:
+            queries.append(QueryServices(node, world, view))
+            yield queries[-1]
         yield TriggerServices(node, world)
         if self.settings.batch:
             from bvh_ros.ros.batch import RayBatch
 
-            yield RayBatch(node, world)
+            for view in world.views:
+                name = view.topic('').rstrip('/')
+                yield RayBatch(node, world, name, mask=view.mask, skip_inside=view.skip_inside)
         yield NamesPublisher(node, world.scene)
         yield Upkeep(node, world)
-        yield Diagnostics(node, world, queries)
+        yield Diagnostics(node, world, queries, self.features)
 
     def stop(self) -> None:
         """End all parts: no topic is heard and no service offered. The world stays as it is."""
@@ -122,6 +133,7 @@ class BvhServer:
     def destroy(self) -> None:
         """Leave nothing behind on the node but its parameters."""
         self.stop()
+        self._clock_jumps.destroy()
         if self._tf2 is not None:
             self._tf2.destroy()
 
@@ -134,14 +146,7 @@ class BvhServer:
             for source in world.sources
             if source.subscription is not None
         )
-        parts = {
-            '2D tree of footprints' if settings.planar else '3D tree': True,
-            f'margin of {settings.margin:g} m' if settings.margin else 'margin': settings.margin
-            > 0.0,
-            'batches of rays': settings.batch,
-            'tf2': world.frames.lookup is not None,
-            'narrow phase until a turned or round shape comes': False,
-        }
+        parts = self.features()
         on, off = (
             ', '.join(part for part in parts if parts[part] is used) for used in (True, False)
         )
@@ -150,12 +155,36 @@ class BvhServer:
             f'on: {on}; off: {off}'
         )
 
+    def features(self) -> dict[str, bool]:
+        """Tell which parts this configuration and scene use, in words."""
+        settings = self.settings
+        margin, views = settings.margin, len(settings.views)
+        return {
+            '2D tree of footprints' if settings.planar else '3D tree': True,
+            f'margin of {margin:g} m' if margin else 'margin': margin > 0.0,
+            f'{views} views' if views else 'views': views > 0,
+            'batches of rays': settings.batch,
+            'tf2': self._tf2 is not None,
+            'python-fcl until a turned or round shape is asked about': False,
+        }
+
     def _create_source(self, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:
         try:
             self.node.resolve_topic_name(settings.topic)  # better known before compiling
         except (RuntimeError, InvalidTopicNameException) as error:
             raise ConfigurationError(f"source '{settings.name}': {error}") from error
         return create_source(self.node, settings, scene, frames)
+
+    def _create_views(self) -> list[View]:
+        views = create_views(self.settings.views)
+        for view in views:
+            name = self.node.resolve_service_name(view.topic('raycast_all'))
+            try:
+                validate_full_topic_name(name, is_service=True)
+            except NameValidationException as error:
+                reason = str(error).partition('\n')[0]
+                raise ConfigurationError(f"view '{view.name}': {reason}") from error
+        return views
 
     @staticmethod
     def _subscribe(source: Source) -> None:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,12 @@ from std_srvs.srv import Trigger
 from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.part import Part
 from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.timings import Timings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.ros.views import View
     from bvh_ros.ros.world import World
     from bvh_ros.scene import Scene, SceneHit
 
@@ -24,7 +27,7 @@ Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
 
 
 class QueryServices(Part):
-    """Answers `~/raycast`, `~/raycast_all` and `~/overlap`, or says why it cannot.
+    """Answers `raycast`, `raycast_all` and `overlap` of a view, or says why it cannot.
 
     A request that cannot be answered never looks free: the reply holds one pose whose frame_id
     begins with `error: `.
@@ -34,46 +37,55 @@ class QueryServices(Part):
     node : rclpy.node.Node
     world : World
         Asked before each answer whether it is complete.
+    view : View
+        What these services see.
     """
 
-    def __init__(self, node: Node, world: World) -> None:
+    def __init__(self, node: Node, world: World, view: View) -> None:
         super().__init__(node)
-        self.refused = Refused(node.get_logger(), 'query')
-        self.answered = 0
+        self.view = view
+        self.refused = Refused(
+            node.get_logger(), f"query of '{view.name}'" if view.name else 'query'
+        )
+        self.timings = Timings()
         self._clock = node.get_clock()
         self._world = world
-        self._serve('~/raycast', self._raycast)
-        self._serve('~/raycast_all', self._raycast_all)
-        self._serve('~/overlap', self._overlap, oriented=True)
+        self._serve('raycast', self._raycast)
+        self._serve('raycast_all', self._raycast_all)
+        self._serve('overlap', self._overlap, oriented=True)
 
     def _serve(self, name: str, answer: Answer, *, oriented: bool = False) -> None:
         def callback(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
             self._reply(request, response, answer, oriented)
             return response
 
-        self.service(GetPlan, name, callback)
+        self.service(GetPlan, self.view.topic(name), callback)
 
-    @staticmethod
-    def _raycast(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
-        hit = scene.raycast(query.start, query.goal, query.tolerance)
+    def _raycast(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        view = self.view
+        hit = scene.raycast(query.start, query.goal, query.tolerance, view.mask, view.skip_inside)
         return () if hit is None else (hit,)
 
-    @staticmethod
-    def _raycast_all(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
-        return scene.raycast_all(query.start, query.goal, query.tolerance)
+    def _raycast_all(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        view = self.view
+        return scene.raycast_all(
+            query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        )
 
-    @staticmethod
-    def _overlap(scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
-        return scene.overlap(query.start, query.goal, query.orientation, query.tolerance)
+    def _overlap(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        return scene.overlap(
+            query.start, query.goal, query.orientation, query.tolerance, self.view.mask
+        )
 
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
+        began = time.perf_counter_ns()
         now = self._clock.now().nanoseconds
         plan, frames = response.plan, self._world.frames
         try:
             scene = self._world.at(now)
             query = plans.query(request, frames.into_node, oriented=oriented)
             plans.fill(plan, answer(scene, query), frames.frame_id, scene.newest)
-            self.answered += 1
+            self.timings.add(began)
             return
         except ValueError as error:
             reason = str(error)

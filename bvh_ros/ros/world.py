@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The world that every part of the node works on: scene, frames and sources."""
+"""The world that every part of the node works on: scene, frames, sources and views."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.parameters import Settings
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.views import View
     from bvh_ros.scene import Scene
 
 
@@ -28,6 +29,7 @@ class World:
     scene: Scene
     frames: Frames
     sources: Sequence[Source]
+    views: Sequence[View]  # that of everything first
 
     def at(self, now: int) -> Scene:
         """Return the scene as it is at `now` (ns on the node's clock): what is due has expired.
@@ -37,9 +39,23 @@ class World:
         IncompleteWorldError
             If a source is missing or silent for too long; an answer might look free.
         """
+        problem = self.problem(now)
+        if problem:
+            raise IncompleteWorldError(problem)
+        self.scene.expire(now)
+        return self.scene
+
+    def problem(self, now: int) -> str:
+        """Say why the world is incomplete, or return an empty text."""
         for source in self.sources:
             problem = source.problem(now)
             if problem:
-                raise IncompleteWorldError(problem)
-        self.scene.expire(now)
-        return self.scene
+                return problem
+        return ''
+
+    def shift(self, by: int, now: int) -> None:
+        """Follow the clock, which jumped by so many ns to `now`: ages and remaining lives stay."""
+        self.scene.shift_expiries(by)
+        self.scene.newest = min(self.scene.newest, now)
+        for source in self.sources:
+            source.spoke_at += by

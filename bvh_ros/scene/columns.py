@@ -67,8 +67,14 @@ class Columns:
         self.node_handle[slots] = 0
         self.geometry[slots] = UNTURNED
         self.expires[slots] = 0
+        self.categories[slots] = 0
         self.group[slots] = 0
         self.source[slots] = 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return sum(array.nbytes for array in vars(self).values() if array is not None)
 
     @property
     def any_shaped(self) -> bool:

@@ -92,11 +92,16 @@ class SceneInspection:
             'cost': tree['cost'],
             'sources': self._groups.by_source(),
             'shaped': int(np.count_nonzero(self._columns.geometry['shaped'])),
+            'bytes': self._columns.nbytes,
             'mortal': int(np.count_nonzero(self._columns.expires)),
             'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
             'narrow_phase': self._any_shaped,
             'tree': tree,
         }
+
+    def count(self, mask: int) -> int:
+        """Number of obstacles that a query with this mask can see."""
+        return int(np.count_nonzero(self._columns.categories & np.uint32(mask)))
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""

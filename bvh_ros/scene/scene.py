@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
+from collections.abc import Callable
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
@@ -20,6 +22,8 @@ from .shapes import Shapes, as_shapes
 from .updating import Refusal, Rows
 
 NEVER = np.iinfo(np.int64).max
+# From n names to their masks, of shape (n,).
+Categorise = Callable[[Families], NDArray[np.uint32]]
 
 
 class Scene(SceneQueries, SceneInspection):
@@ -37,6 +41,9 @@ class Scene(SceneQueries, SceneInspection):
         Fat boxes in the tree, m: small moves cost nothing. Answers do not depend on it.
     max_obstacles : int
         New obstacles beyond this number are refused.
+    categorise : callable, optional
+        Gives names their 32-bit masks. Asked once for each new obstacle whose update does not
+        bring its categories along; without it they are 1.
 
     Examples
     --------
@@ -52,7 +59,12 @@ class Scene(SceneQueries, SceneInspection):
     """
 
     def __init__(
-        self, *, planar: bool = False, margin: float = 0.0, max_obstacles: int = 1_000_000
+        self,
+        *,
+        planar: bool = False,
+        margin: float = 0.0,
+        max_obstacles: int = 1_000_000,
+        categorise: Categorise | None = None,
     ) -> None:
         if max_obstacles < 1:
             raise ValueError(f'max_obstacles must be at least 1, not {max_obstacles}')
@@ -60,6 +72,9 @@ class Scene(SceneQueries, SceneInspection):
         self.max_obstacles = max_obstacles
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
+        self.expired = 0
+        """How many obstacles `expire` has removed so far."""
+        self._categorise = categorise
         self._tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
         self._columns = Columns(planar)
         self._registry = Registry()
@@ -78,7 +93,7 @@ class Scene(SceneQueries, SceneInspection):
         *,
         stamp: ArrayLike,
         expires: ArrayLike = 0,
-        categories: ArrayLike = 1,
+        categories: ArrayLike | None = None,
     ) -> list[Refusal]:
         """Add or modify obstacles.
 
@@ -94,8 +109,9 @@ class Scene(SceneQueries, SceneInspection):
             Time of the data, ns.
         expires : int or (n,) array
             When they vanish on the caller's clock, ns, see `expire`; 0 is never.
-        categories : int or (n,) array
-            32-bit masks; a query sees an obstacle if its own mask has a bit in common.
+        categories : int or (n,) array, optional
+            32-bit masks; a query sees an obstacle if its own mask has a bit in common. None: known
+            obstacles keep theirs, new ones get what the scene's `categorise` says.
 
         Returns
         -------
@@ -120,7 +136,7 @@ class Scene(SceneQueries, SceneInspection):
         *,
         stamp: ArrayLike,
         expires: ArrayLike = 0,
-        categories: ArrayLike = 1,
+        categories: ArrayLike | None = None,
     ) -> list[Refusal]:
         """`update`, and remove the obstacles of this group that are not named. The group '' is all
         that the source owns.
@@ -137,7 +153,7 @@ class Scene(SceneQueries, SceneInspection):
         shapes: Shapes,
         stamp: ArrayLike,
         expires: ArrayLike,
-        categories: ArrayLike,
+        categories: ArrayLike | None,
         whole: bool,
     ) -> list[Refusal]:
         called, formed = as_families(names), updating.form(as_shapes(shapes))
@@ -192,8 +208,10 @@ class Scene(SceneQueries, SceneInspection):
         columns = self._columns
         handles = columns.tree_handle[rows.slot]
         self._tree.move_many(handles, rows.lo[:, : self._tree.ndim], rows.hi[:, : self._tree.ndim])
-        if (columns.categories[rows.slot] != rows.categories).any():
-            self._tree.set_masks(handles, rows.categories)
+        masks = rows.categories
+        if masks is not None and (columns.categories[rows.slot] != masks).any():
+            self._tree.set_masks(handles, masks)
+            columns.categories[rows.slot] = masks
         before = columns.group[rows.slot]
         self._write(rows, rows.slot, source, group)
         self._groups.leave(before)
@@ -202,11 +220,14 @@ class Scene(SceneQueries, SceneInspection):
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
         if not len(rows.row):
             return
-        ndim = self._tree.ndim
-        handles = self._tree.insert_many(rows.lo[:, :ndim], rows.hi[:, :ndim], rows.categories)
+        ndim, masks = self._tree.ndim, rows.categories
+        if masks is None and self._categorise is not None:
+            masks = self._categorise(names)
+        handles = self._tree.insert_many(rows.lo[:, :ndim], rows.hi[:, :ndim], masks)
         slots = handles & SLOT_MASK
         self._columns.grow(int(slots.max(initial=-1)) + 1)
         self._columns.tree_handle[slots] = handles
+        self._columns.categories[slots] = 1 if masks is None else masks
         self._columns.node_handle[slots] = np.arange(len(slots)) + self._next_node_handle
         self._next_node_handle += len(slots)
         self._registry.add(names, slots)
@@ -223,7 +244,6 @@ class Scene(SceneQueries, SceneInspection):
             geometry['shaped'][place] = rows.shaped
         if columns.footprint is not None:
             columns.footprint[place] = footprints(rows.shapes, rows.shaped)
-        columns.categories[place] = rows.categories
         columns.stamp[place] = rows.stamp
         columns.expires[place] = rows.expires
         mortal = rows.expires[rows.expires > 0]
@@ -281,9 +301,21 @@ class Scene(SceneQueries, SceneInspection):
             return 0
         expires = self._columns.expires
         removed = self._remove(np.flatnonzero((expires > 0) & (expires <= now)))
-        mortal = expires[expires > 0]
-        self._next_expiry = int(mortal.min()) if len(mortal) else NEVER
+        self.expired += removed
+        self._note_next_expiry()
         return removed
+
+    def shift_expiries(self, by: int) -> None:
+        """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""
+        expires = self._columns.expires
+        mortal = expires > 0
+        # Never 0, which is for ever.
+        expires[mortal] = np.maximum(expires[mortal] + by, 1)
+        self._note_next_expiry()
+
+    def _note_next_expiry(self) -> None:
+        mortal = self._columns.expires[self._columns.expires > 0]
+        self._next_expiry = int(mortal.min()) if len(mortal) else NEVER
 
     def rebuild(self) -> None:
         """Build the tree anew."""

@@ -60,7 +60,7 @@ class Rows(NamedTuple):
     shaped: NDArray[np.bool_]
     lo: Floats
     hi: Floats
-    categories: NDArray[np.uint32]
+    categories: NDArray[np.uint32] | None  # None: as they are, and as the scene says of new ones
     stamp: NDArray[np.int64]
     expires: NDArray[np.int64]
 
@@ -75,7 +75,7 @@ class Rows(NamedTuple):
             self.shaped[which],
             self.lo[which],
             self.hi[which],
-            self.categories[which],
+            None if self.categories is None else self.categories[which],
             self.stamp[which],
             self.expires[which],
         )
@@ -114,7 +114,7 @@ def examine(
     slots: Slots,
     owners: NDArray[np.int64],
     source: int,
-    columns: tuple[ArrayLike, ArrayLike, ArrayLike],
+    columns: tuple[ArrayLike, ArrayLike, ArrayLike | None],
 ) -> tuple[Rows, dict[int, str | int]]:
     """The rows to apply, and the reason of each refused row: a sentence, or the number of the
     source that owns its name. `columns` are stamps, expiries and categories, one for all or one a
@@ -126,7 +126,9 @@ def examine(
     count = given.total
     stamps = np.broadcast_to(np.asarray(columns[0], np.int64), (count,))
     lives = column('expires', columns[1], count, np.iinfo(np.int64).max)
-    masks = column('categories', columns[2], count, ALL).astype(np.uint32)
+    masks = None
+    if columns[2] is not None:
+        masks = column('categories', columns[2], count, ALL).astype(np.uint32)
     reasons: dict[int, str | int] = {**given.faults, **_name_faults(names)}
     known = slots != UNKNOWN
     if known.any():
@@ -142,7 +144,8 @@ def examine(
         row = given.row
     at = row if len(row) < count else slice(None)
     _, _, form, shaped, lo, hi, _ = given
-    found = Rows(row, slots[at], form, shaped, lo, hi, masks[at], stamps[at], lives[at])
+    masks = None if masks is None else masks[at]
+    found = Rows(row, slots[at], form, shaped, lo, hi, masks, stamps[at], lives[at])
     return found, reasons
 
 

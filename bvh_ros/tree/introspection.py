@@ -22,6 +22,7 @@ class Introspection(Arrays):
     sibling_search: str
     _serial: int
     _counters: dict[str, int]
+    _built: tuple[int, float]
 
     def __contains__(self, handle: object) -> bool:
         try:
@@ -95,6 +96,7 @@ class Introspection(Arrays):
             'ndim': self.ndim,
             'height': self.height,
             'cost': self.cost(),
+            'cost_when_built': self._built[1],  # at the last bulk build; 0 before the first
             'bytes': sum(array.nbytes for array in arrays),
             'snapshot_bytes': self._snapshot.nbytes if self._snapshot else 0,
             'margin': self.margin,

@@ -143,14 +143,21 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
     counter = itertools.count()
     worlds: list[World] = []
 
-    def start(parameters: dict[str, Any] | None = None, *, wait: bool = True) -> World:
+    def start(
+        parameters: dict[str, Any] | None = None,
+        *,
+        wait: bool = True,
+        module: str = 'node',
+        remap: str = '',
+    ) -> World:
         folder = tmp_path_factory.mktemp('node')
         namespace = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
         file = folder / 'parameters.yaml'
         # JSON is YAML
         file.write_text(json.dumps({'/**': {'ros__parameters': parameters or {}}}))
-        command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args']
+        command = [sys.executable, '-m', f'bvh_ros.ros.{module}', '--ros-args']
         command += ['-r', f'__ns:={namespace}', *(['--params-file', file] if parameters else [])]
+        command += ['-r', remap] if remap else []
         log = folder / 'log.txt'
         with log.open('wb') as output:
             process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
@@ -172,6 +179,32 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
 def world(start_node: Callable[..., World]) -> World:
     """A node without configuration, shared by the tests of a module."""
     return start_node()
+
+
+@pytest.fixture
+def diagnostics() -> Iterator[Callable[[World], dict[str, Any]]]:
+    """Listen to a node's diagnostics: the latest status of each of its parts, by short name."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    opened = []
+
+    def listen(world: World) -> dict[str, Any]:
+        seen: dict[str, Any] = {}
+        mine = f'{world.name.lstrip("/")}: '
+
+        def keep(message: Any) -> None:
+            for status in message.status:
+                if status.name.startswith(mine):
+                    seen[status.name.removeprefix(mine)] = status
+
+        subscription = world.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
+        opened.append((world.node, subscription))
+        world.until(lambda: seen)
+        return seen
+
+    yield listen
+    for node, subscription in opened:
+        node.destroy_subscription(subscription)
 
 
 # ---- messages

@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames: the node's own, transformed ones, and those that nobody knows."""
 
+import itertools
 import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.frames import FrameError, Frames, listen_to_tf2
+from bvh_ros.ros.parameters import ConfigurationError, TransformSettings
 
 
 class FakeBuffer:
@@ -66,3 +69,95 @@ def test_transform_by_tf2(tf2):
     assert np.allclose(transform.orientations([0, 0, 0, 0]), [0, 0, half, half])
     with pytest.raises(FrameError, match='mars does not exist'):
         frames.into_node('mars')
+
+
+# ---- fixed transforms
+
+QUARTER = (0.0, 0.0, 1.0, 1.0)  # about z, of any length
+HALF_ABOUT_X = (1.0, 0.0, 0.0, 0.0)
+TURNS = {
+    (0.0, 0.0, 0.0, 2.0): np.eye(3),
+    QUARTER: np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+    HALF_ABOUT_X: np.diag([1, -1, -1]),
+    (0.5, 0.5, 0.5, 0.5): np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]),  # x to y to z
+}
+
+
+def placed(frame_id, parent, xyz=(0.0, 0.0, 0.0), xyzw=(0.0, 0.0, 0.0, 1.0)):
+    return TransformSettings(frame_id, parent, xyz, xyzw)
+
+
+@pytest.mark.parametrize(('lower', 'upper'), [*itertools.product(TURNS, repeat=2)])
+def test_chains_of_fixed_transforms(lower, upper):
+    """Right angles and whole metres: known without rounding."""
+    base, lidar = np.array([1.0, 2.0, 3.0]), np.array([-4.0, 0.0, 8.0])
+    fixed = [placed('lidar', 'base', lidar, upper), placed('base', 'map', base, lower)]
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, -3.0]])
+    transform = Frames('map', None, fixed).into_node('lidar')
+    expected = (points @ TURNS[upper].T + lidar) @ TURNS[lower].T + base
+    assert np.allclose(transform.points(points), expected, rtol=0, atol=1e-14)
+    turned = rotations.rotate(transform.orientations(QUARTER), np.eye(3)).T
+    assert np.allclose(turned, TURNS[lower] @ TURNS[upper] @ TURNS[QUARTER], rtol=0, atol=1e-14)
+
+
+def test_a_fixed_transform_on_top_of_tf2(tf2):
+    fixed = [placed('lidar', 'base', (0.0, 0.0, 1.0)), placed('mast', 'mars')]
+    frames = Frames('map', listen_to_tf2('node'), fixed)
+    assert np.allclose(frames.into_node('lidar').points([1, 0, 0]), [1, 3, 4])
+    with pytest.raises(FrameError, match='mars does not exist'):
+        frames.into_node('mast')
+
+
+@pytest.mark.parametrize(
+    ('fixed', 'complaint'),
+    [
+        ([placed('a', 'a')], "'a' stands on itself"),
+        ([placed('a', 'b'), placed('b', 'c'), placed('c', 'a')], "'a' stands on itself"),
+        ([placed('a', 'b'), placed('b', 'c'), placed('c', 'b')], "'b' stands on itself"),
+        ([placed('a', 'map'), placed('a', 'b')], "'a' is placed twice"),
+        ([placed('map', 'a')], "'map' is the node's own frame"),
+        ([placed('a', 'b')], "'a' stands on 'b', which is not 'map', and tf2_ros is not"),
+    ],
+)
+def test_fixed_transforms_that_cannot_be(fixed, complaint):
+    with pytest.raises(ConfigurationError, match=complaint):
+        Frames('map', None, fixed)
+
+
+def test_fixed_transforms_over_ros(start_node, messages):
+    world = start_node(
+        {
+            'use_tf': False,
+            'transforms': ['lidar', 'base_link'],
+            'lidar.parent': 'base_link',
+            'lidar.xyz': [0, 0, 1],
+            'base_link.xyz': [10.0, 0.0, 0.0],
+            'base_link.xyzw': [0.0, 0.0, 1.0, 1.0],
+        }
+    )
+    world.markers(messages.marker(1, at=(5, 0, 0), frame='lidar'), messages.marker(2))
+    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    (pose,) = world.plan('raycast', (0, 0, 0), (9, 0, 0), frame='lidar').poses
+    at = pose.pose.position
+    assert np.allclose((at.x, at.y, at.z), (10.0, 4.5, 1.0), rtol=0, atol=1e-12)
+    assert world.names('raycast', (10, 0, 1), (10, 9, 1)) == ['a/1']
+    (error,) = world.names('raycast', (0, 0, 0), (9, 0, 0), frame='camera')
+    assert error.startswith("error: frame 'camera' is not 'map'")
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'complaint'),
+    [
+        ({'lidar.xyz': [1.0, 2.0]}, "'lidar.xyz' must be 3 numbers, not 2"),
+        ({'lidar.xyz': ['a', 'b', 'c']}, "'lidar.xyz' must be finite numbers"),
+        ({'lidar.xyz': [1.0, 2.0, float('nan')]}, "'lidar.xyz' must be finite numbers"),
+        ({'lidar.xyzw': [0.0, 0.0, 0.0, 0.0]}, "'lidar.xyzw' must be 4 numbers"),
+        ({'lidar.parent': 'lidar'}, "'lidar' stands on itself"),
+        ({'lidar.parrent': 'map'}, "did you mean 'lidar.parent'"),
+        ({'sources': ['lidar']}, "'lidar' is the name of something else"),
+    ],
+)
+def test_transforms_that_cannot_be_used_are_refused_at_start(start_node, parameters, complaint):
+    world = start_node({'use_tf': False, 'transforms': ['lidar'], **parameters}, wait=False)
+    assert world.process.wait(60) == 2
+    assert complaint in world.said()

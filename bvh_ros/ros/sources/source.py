@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.timings import Timings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -43,6 +45,7 @@ class Source(ABC):
         self.frames = frames
         self.refused = Refused(node.get_logger(), f"source '{settings.name}'")
         self.messages = 0
+        self.timings = Timings()  # of the steps in which messages are applied
         self.skipped = 0  # points without a place
         self.spoke_at = 0  # ns on the node's clock
         self.has_spoken = False
@@ -77,10 +80,11 @@ class Source(ABC):
 
     def receive(self, message: Any) -> None:
         """Apply one message; what cannot be used is counted and explained, never raised."""
-        now = self._clock.now().nanoseconds
+        now, began = self._clock.now().nanoseconds, time.perf_counter_ns()
         self.messages += 1
         try:
             items, refusals = self.apply(message, now)
+            self.timings.add(began)
         except ValueError as error:
             self.refused.add(str(error))
             return

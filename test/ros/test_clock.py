@@ -1,0 +1,132 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated time over ROS 2: lifetimes and ages follow /clock, whatever it does."""
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+
+from bvh_ros.scene import Scene, Shapes
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+
+class Simulation:
+    """A node that follows a /clock of this test."""
+
+    def __init__(self, world):
+        from rosgraph_msgs.msg import Clock
+
+        self.world = world
+        self._message = Clock
+        self._publisher = world.node.create_publisher(Clock, f'{world.namespace}/clock', 1)
+        world.until(lambda: self._publisher.get_subscription_count() > 0)
+
+    def at(self, seconds):
+        """Set the node's time, and wait until the node has it: error replies are stamped so."""
+        whole, rest = divmod(round(seconds * 1e9), 10**9)
+        self._publisher.publish(self._message(clock=Time(sec=whole, nanosec=rest)))
+        self.world.until(lambda: abs(self.now() - seconds) < 1e-6)
+
+    def now(self):
+        header = self.world.plan('raycast', (float('nan'), 0, 0), (1, 0, 0)).header
+        return header.stamp.sec + header.stamp.nanosec / 1e9
+
+    def destroy(self):
+        self.world.node.destroy_publisher(self._publisher)
+
+
+@pytest.fixture
+def simulate(start_node):
+    started = []
+
+    def start(**parameters):
+        world = start_node({'use_sim_time': True, **parameters}, remap='/clock:=clock')
+        started.append(Simulation(world))
+        return started[-1]
+
+    yield start
+    for simulation in started:
+        simulation.destroy()
+
+
+def answer(world):
+    """Names met along x, or the reason why there is no answer."""
+    return world.names('raycast_all', (-5, 0, 0), (50, 0, 0))
+
+
+def test_lifetimes_and_ages_follow_the_clock(simulate, messages):
+    simulation = simulate(**{'markers.max_age': 20.0})
+    world = simulation.world
+    simulation.at(100.0)
+    world.markers(
+        messages.marker(1, lifetime=5.0),
+        messages.marker(2, at=(3, 0, 0), lifetime=50.0),
+        messages.marker(3, at=(6, 0, 0)),
+    )
+    world.until(lambda: answer(world) == ['a/1', 'a/2', 'a/3'])
+
+    # A clock that stands still: no lifetime ends.
+    for _ in range(3):
+        world.executor.spin_once(0.1)
+    assert answer(world) == ['a/1', 'a/2', 'a/3']
+
+    simulation.at(104.999)
+    assert answer(world) == ['a/1', 'a/2', 'a/3']
+    simulation.at(105.0)
+    assert answer(world) == ['a/2', 'a/3']
+
+    # The simulation starts over, 5 s after the source spoke: 15 s are left until it is too old.
+    simulation.at(3.0)
+    assert answer(world) == ['a/2', 'a/3']
+    assert 'the clock jumped by -102.000 s' in world.said()
+    simulation.at(17.9)
+    assert answer(world) == ['a/2', 'a/3']
+    simulation.at(18.5)
+    assert answer(world) == [
+        "error: source 'markers' is silent for 20.5 s, longer than its max_age of 20 s"
+    ]
+    world.markers(messages.marker(3, at=(6, 0, 0)))
+    world.until(lambda: answer(world) == ['a/2', 'a/3'])
+    # 45 s of the second's life were left at the jump, at 3 s.
+    simulation.at(38.0)
+    world.markers(messages.marker(3, at=(6, 0, 0)))
+    world.until(lambda: answer(world) == ['a/2', 'a/3'])
+    simulation.at(47.999)
+    assert answer(world) == ['a/2', 'a/3']
+    simulation.at(48.0)
+    assert answer(world) == ['a/3']
+
+
+def test_a_clock_that_stands_still_is_said_in_diagnostics(simulate, diagnostics):
+    simulation = simulate()
+    simulation.at(10.0)
+    world = simulation.world
+    seen = diagnostics(world)
+    world.until(lambda: '/clock stands still' in seen['world'].message)
+    assert seen['world'].level == b'\x01'
+    ticks = iter(range(1000))
+
+    def recovered():
+        simulation.at(11.0 + next(ticks))
+        return seen['world'].level == b'\x00'
+
+    world.until(recovered)
+
+
+@pytest.mark.parametrize('by', [-(10**18), -7, 0, 5, 10**17])
+def test_shifted_lifetimes(by):
+    scene = Scene()
+    begin = 2 * 10**18
+    lives = np.array([0, 1, 10, 10**12])
+    boxes = Shapes.boxes(np.arange(12.0).reshape(4, 3), [0.5, 0.5, 0.5])
+    expires = np.where(lives > 0, begin + lives, 0)
+    scene.update('s', list('abcd'), boxes, stamp=begin, expires=expires)
+    scene.shift_expiries(by)
+    left = {'a', 'b', 'c', 'd'}
+    for life, name in ((1, 'b'), (10, 'c'), (10**12, 'd')):
+        assert scene.expire(begin + by + life - 1) == 0
+        assert scene.expire(begin + by + life) == 1
+        left.remove(name)
+        assert {name for _, name in scene.names()} == left
+    assert scene.expired == 3

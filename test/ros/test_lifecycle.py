@@ -1,0 +1,148 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The managed node, driven over its lifecycle services as Nav2's manager does it."""
+
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+
+OFFERED = {'raycast', 'raycast_all', 'overlap', 'clear', 'rebuild', 'validate'}
+COMPILING = 240.0  # seconds, where nothing is in the cache
+
+
+class Managed:
+    """A node and who manages it."""
+
+    def __init__(self, world):
+        self.world = world
+
+    def change(self, transition):
+        """Ask for a transition and return whether it succeeded."""
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.world.call('change_state', request, ChangeState, COMPILING).success
+
+    def state(self):
+        return self.world.call('get_state', GetState.Request(), GetState).current_state.id
+
+    def services(self):
+        """Names of the node's own services, without those that every managed node has."""
+        offered = self.world.node.get_service_names_and_types_by_node('bvh', self.world.namespace)
+        mine = f'{self.world.name}/'
+        return {name.removeprefix(mine) for name, _ in offered} & OFFERED
+
+    def subscribed(self):
+        return self.world.node.count_subscribers(f'{self.world.name}/obstacles') > 0
+
+    def until_services(self, expected):
+        self.world.until(lambda: self.services() == expected)
+        self.world.until(lambda: self.subscribed() == bool(expected))
+
+
+@pytest.fixture
+def manage(start_node):
+    def start(**parameters):
+        world = start_node(parameters, wait=False, module='lifecycle_node')
+        managed = Managed(world)
+        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED)
+        return managed
+
+    return start
+
+
+def test_a_life(manage, messages):
+    managed = manage(**{'markers.required': True})
+    world = managed.world
+    assert managed.services() == set()
+    assert not managed.subscribed()
+
+    assert managed.change(Transition.TRANSITION_CONFIGURE)
+    assert managed.state() == State.PRIMARY_STATE_INACTIVE
+    assert managed.services() == set()
+    assert not managed.subscribed()
+
+    assert managed.change(Transition.TRANSITION_ACTIVATE)
+    assert managed.state() == State.PRIMARY_STATE_ACTIVE
+    managed.until_services(OFFERED)
+    lives = [messages.marker(1), messages.marker(2, at=(3, 0, 0), lifetime=0.3)]
+    world.markers(*lives)
+    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+
+    # Paused: the world stays, lifetimes run on, and a required source has to speak again.
+    assert managed.change(Transition.TRANSITION_DEACTIVATE)
+    assert managed.state() == State.PRIMARY_STATE_INACTIVE
+    managed.until_services(set())
+    time.sleep(0.3)
+    assert managed.change(Transition.TRANSITION_ACTIVATE)
+    managed.until_services(OFFERED)
+    assert world.names('raycast', (-5, 0, 0), (5, 0, 0)) == [
+        "error: required source 'markers' has not spoken yet"
+    ]
+    world.markers(messages.marker(3, at=(6, 0, 0)))
+    world.until(lambda: world.everything() == {'a/1', 'a/3'})
+
+    # Cleaned up: the world is forgotten.
+    assert managed.change(Transition.TRANSITION_DEACTIVATE)
+    assert managed.change(Transition.TRANSITION_CLEANUP)
+    assert managed.state() == State.PRIMARY_STATE_UNCONFIGURED
+    assert managed.change(Transition.TRANSITION_CONFIGURE)
+    assert managed.change(Transition.TRANSITION_ACTIVATE)
+    managed.until_services(OFFERED)
+    world.markers(messages.marker(4))
+    world.until(lambda: world.everything() == {'a/4'})
+
+    assert managed.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert managed.state() == State.PRIMARY_STATE_FINALIZED
+    managed.until_services(set())
+    assert world.end() == 0
+
+
+def test_transitions_that_the_state_does_not_have_are_refused(manage):
+    managed = manage()
+    assert not managed.change(Transition.TRANSITION_ACTIVATE)
+    assert not managed.change(Transition.TRANSITION_DEACTIVATE)
+    assert not managed.change(99)
+    assert managed.change(Transition.TRANSITION_CONFIGURE)
+    assert not managed.change(Transition.TRANSITION_CONFIGURE)
+    assert managed.change(Transition.TRANSITION_ACTIVATE)
+    assert not managed.change(Transition.TRANSITION_ACTIVATE)
+    assert managed.state() == State.PRIMARY_STATE_ACTIVE
+    assert managed.world.names('raycast', (0, 0, 0), (1, 0, 0)) == []
+    assert managed.change(Transition.TRANSITION_DEACTIVATE)
+    assert not managed.change(Transition.TRANSITION_DEACTIVATE)
+    assert managed.state() == State.PRIMARY_STATE_INACTIVE
+    assert managed.world.end() == 0
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'complaint'),
+    [
+        ({'margin': -1.0}, "parameter 'margin' must be at least 0"),
+        ({'sources': ['boxes']}, "parameter 'boxes.type' must be one of"),
+        ({'views': ['overlap']}, "'overlap' is the name of something else here"),
+        ({'markers.topic': 'no topic'}, "source 'markers'"),
+    ],
+)
+def test_a_configuration_that_cannot_be_used_leaves_the_node_unconfigured(
+    manage, parameters, complaint
+):
+    managed = manage(**parameters)
+    for _ in range(2):
+        assert not managed.change(Transition.TRANSITION_CONFIGURE)
+        assert managed.state() == State.PRIMARY_STATE_UNCONFIGURED
+    assert managed.world.said().count(complaint) == 2
+    assert managed.world.end() == 0
+
+
+def test_a_qos_override_that_makes_no_sense_keeps_the_node_inactive(manage):
+    topic = 'qos_overrides./x.subscription.reliability'
+    managed = manage(**{'markers.topic': '/x', topic: 'certainly'})
+    assert managed.change(Transition.TRANSITION_CONFIGURE)
+    assert not managed.change(Transition.TRANSITION_ACTIVATE)
+    assert managed.state() == State.PRIMARY_STATE_INACTIVE
+    assert managed.services() == set()
+    assert "source 'markers'" in managed.world.said()
