@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import sys
 
+from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from bvh_ros.ros.node import run
+from bvh_ros.ros.node import RCLError, run
 from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 
@@ -28,6 +29,19 @@ class BvhLifecycleNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__('bvh')
         self._server: BvhServer | None = None
+        # In Jazzy a transition that the state does not have ends the node (ros2/rclpy#1209).
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._change_state_or_refuse
+
+    def _change_state_or_refuse(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        try:
+            return self._change_state(request, response)
+        except RCLError as error:
+            self.get_logger().error(f'transition refused: {error}')
+            response.success = False
+            return response
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read the parameters and compile; what cannot be used leaves the node unconfigured."""

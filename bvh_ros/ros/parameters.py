@@ -191,8 +191,10 @@ def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings
 
 
 def read(node: Node, prefix: str, option: Option) -> Any:
-    """Declare one parameter and return its value."""
+    """Return the value of a parameter; declare it, unless an earlier life of the node did."""
     name = prefix + option.name
+    if node.has_parameter(name):
+        return _checked(name, option, node.get_parameter(name).value)
     descriptor = ParameterDescriptor(
         description=option.description, read_only=True, dynamic_typing=True
     )

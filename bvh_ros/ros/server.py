@@ -21,7 +21,7 @@ from bvh_ros.ros.upkeep import Upkeep
 from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.ros.world import World
-from bvh_ros.scene import Scene
+from bvh_ros.scene import Scene, narrow_phase
 from bvh_ros.tree import compiling
 
 if TYPE_CHECKING:
@@ -59,18 +59,29 @@ class BvhServer:
         self.node = node
         settings = read_settings(node, {name: t.options for name, t in SOURCE_TYPES.items()})
         self.settings = settings
+        self._parts: list[Destroyable] = []
+        self._ends: list[Destroyable] = []  # what lives as long as the world
+        self._tf2 = listen_to_tf2(node) if settings.use_tf else None
+        if self._tf2 is not None:
+            self._ends.append(self._tf2)
+        try:
+            self.world = self._create_world()
+        except ConfigurationError:
+            self.destroy()
+            raise
+        self._ends.append(ClockJumps(node, self.world))
+
+    def _create_world(self) -> World:
+        settings = self.settings
         scene = Scene(
             planar=settings.planar,
             margin=settings.margin,
             max_obstacles=settings.max_obstacles,
             categorise=Categoriser(settings.views) if settings.views else None,
         )
-        self._tf2 = listen_to_tf2(node) if settings.use_tf else None
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
-        self.world = World(settings, scene, frames, sources, self._create_views())
-        self._clock_jumps = ClockJumps(node, self.world)
-        self._parts: list[Destroyable] = []
+        return World(settings, scene, frames, sources, self._create_views())
 
     def compile(self) -> None:
         """Compile the kernels that this configuration needs."""
@@ -133,9 +144,8 @@ class BvhServer:
     def destroy(self) -> None:
         """Leave nothing behind on the node but its parameters."""
         self.stop()
-        self._clock_jumps.destroy()
-        if self._tf2 is not None:
-            self._tf2.destroy()
+        while self._ends:
+            self._ends.pop().destroy()
 
     def in_words(self) -> str:
         """Say what is served and which parts this scene uses."""
@@ -158,14 +168,14 @@ class BvhServer:
     def features(self) -> dict[str, bool]:
         """Tell which parts this configuration and scene use, in words."""
         settings = self.settings
-        margin, views = settings.margin, len(settings.views)
+        margin, views, fcl = settings.margin, len(settings.views), narrow_phase.loaded()
         return {
             '2D tree of footprints' if settings.planar else '3D tree': True,
             f'margin of {margin:g} m' if margin else 'margin': margin > 0.0,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
             'tf2': self._tf2 is not None,
-            'python-fcl until a turned or round shape is asked about': False,
+            'python-fcl' if fcl else 'python-fcl until turned boxes are compared': fcl,
         }
 
     def _create_source(self, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:

@@ -96,9 +96,11 @@ class Categoriser:
     def __call__(self, names: Families) -> Masks:
         """Return the masks of n names, shape (n,)."""
         masks = np.empty(len(names), np.uint32)
-        order = np.lexsort((names.numbers == BARE, names.family))
-        family, bare = names.family[order], names.numbers[order] == BARE
-        changes = np.flatnonzero((np.diff(family) != 0) | (np.diff(bare) != 0)) + 1
+        if not len(names):
+            return masks
+        kind = 2 * names.family + (names.numbers == BARE)
+        order = np.argsort(kind, kind='stable')
+        changes = np.flatnonzero(np.diff(kind[order])) + 1
         for rows in np.split(order, changes):
             prefix, numbers = names.prefixes[names.family[rows[0]]], names.numbers[rows]
             masks[rows] = (

@@ -41,17 +41,19 @@ class World:
 
     # ---- services
 
-    def call(self, name: str, request: Any) -> Any:
+    def call(
+        self, name: str, request: Any, kind: type | None = None, timeout: float = TIMEOUT
+    ) -> Any:
         """Call a service of the node and return its reply."""
         from nav_msgs.srv import GetPlan
         from std_srvs.srv import Trigger
 
         if name not in self._clients:
-            kind = GetPlan if isinstance(request, GetPlan.Request) else Trigger
+            kind = kind or (GetPlan if isinstance(request, GetPlan.Request) else Trigger)
             self._clients[name] = self.node.create_client(kind, f'{self.name}/{name}')
             self.until(self._clients[name].service_is_ready)
         future = self._clients[name].call_async(request)
-        deadline = time.monotonic() + TIMEOUT
+        deadline = time.monotonic() + timeout
         while not future.done():
             assert time.monotonic() < deadline, f'{name} does not answer'
             self.executor.spin_once(TIMEOUT)
