@@ -302,7 +302,7 @@ def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> 
             )
         if name in taken:
             raise ConfigurationError(
-                f"parameter '{parameter}': {name!r} is the name of something else here"
+                f"parameter '{parameter}': {name!r} is the name of another parameter, source, view or service"
             )
         if names.count(name) > 1:
             raise ConfigurationError(f"parameter '{parameter}': {name!r} is there twice")

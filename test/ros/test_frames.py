@@ -154,7 +154,7 @@ def test_fixed_transforms_over_ros(start_node, messages):
         ({'lidar.xyzw': [0.0, 0.0, 0.0, 0.0]}, "'lidar.xyzw' must be 4 numbers"),
         ({'lidar.parent': 'lidar'}, "'lidar' stands on itself"),
         ({'lidar.parrent': 'map'}, "did you mean 'lidar.parent'"),
-        ({'sources': ['lidar']}, "'lidar' is the name of something else"),
+        ({'sources': ['lidar']}, "'lidar' is the name of another"),
     ],
 )
 def test_transforms_that_cannot_be_used_are_refused_at_start(start_node, parameters, complaint):

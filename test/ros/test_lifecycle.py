@@ -123,7 +123,7 @@ def test_transitions_that_the_state_does_not_have_are_refused(manage):
     [
         ({'margin': -1.0}, "parameter 'margin' must be at least 0"),
         ({'sources': ['boxes']}, "parameter 'boxes.type' must be one of"),
-        ({'views': ['overlap']}, "'overlap' is the name of something else here"),
+        ({'views': ['overlap']}, "'overlap' is the name of another parameter"),
         ({'markers.topic': 'no topic'}, "source 'markers'"),
     ],
 )

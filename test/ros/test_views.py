@@ -190,9 +190,9 @@ def incomplete(start_node):
     [
         ({'views': ['1st']}, "'1st' is not a name"),
         ({'views': ['a/b']}, "'a/b' is not a name"),
-        ({'views': ['markers']}, "'markers' is the name of something else here"),
-        ({'views': ['raycast']}, "'raycast' is the name of something else here"),
-        ({'views': ['margin']}, "'margin' is the name of something else here"),
+        ({'views': ['markers']}, "'markers' is the name of another parameter"),
+        ({'views': ['raycast']}, "'raycast' is the name of another parameter"),
+        ({'views': ['margin']}, "'margin' is the name of another parameter"),
         ({'views': ['a', 'a']}, "'a' is there twice"),
         ({'views': [f'v{i}' for i in range(32)]}, 'names 32 views; there can be 31'),
         ({'views': ['a'], 'a.includes': ['x']}, "no parameter 'a.includes'; did you mean"),

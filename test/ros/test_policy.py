@@ -1,0 +1,105 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The SROS 2 policy grants what the nodes do, and nothing else."""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+POLICY = Path(__file__).parents[2] / 'config' / 'bvh_policy.xml'
+# What sros2's schema allows of the elements used: attributes (those that must be there first),
+# and children.
+SCHEMA = {
+    'policy': (('version',), (), 'enclaves'),
+    'enclaves': ((), (), 'enclave'),
+    'enclave': (('path',), (), 'profiles'),
+    'profiles': ((), ('type',), 'profile'),
+    'profile': (('ns', 'node'), (), 'topics services'),
+    'topics': ((), ('publish', 'subscribe'), 'topic'),
+    'services': ((), ('reply', 'request'), 'service'),
+    'topic': ((), (), ''),
+    'service': ((), (), ''),
+}
+GRANTS = ('publish', 'subscribe', 'reply', 'request')
+
+
+@pytest.fixture(scope='module')
+def policy():
+    return ElementTree.parse(POLICY).getroot()
+
+
+def test_the_policy_has_the_form_that_sros2_reads(policy):
+    assert policy.tag == 'policy'
+    assert policy.get('version') == '0.2.0'
+    for element in policy.iter():
+        needed, possible, children = SCHEMA[element.tag]
+        assert set(needed) <= set(element.keys()) <= {*needed, *possible}, element.tag
+        assert {child.tag for child in element} <= set(children.split()), element.tag
+        if children:
+            assert len(element), f'{element.tag} is empty'
+            assert not (element.text or '').strip(), element.tag
+        else:
+            assert element.text == element.text.strip() != ''
+        for kind in set(GRANTS) & set(element.keys()):
+            assert element.get(kind) in ('ALLOW', 'DENY')
+
+
+def granted(policy, enclave, name):
+    """What an enclave allows, with its node called `name`: kind of right to names."""
+    (profile,) = policy.findall(f"enclaves/enclave[@path='{enclave}']/profiles/profile")
+    rights = {kind: [] for kind in GRANTS}
+    for block in profile:
+        for kind in GRANTS:
+            if block.get(kind) == 'ALLOW':
+                rights[kind] += [item.text.replace('~', name) for item in block]
+    for names in rights.values():
+        assert len(set(names)) == len(names), 'a right is given twice'
+    return {kind: set(names) for kind, names in rights.items()}
+
+
+def used(world):
+    """What a running node does, as the graph tells."""
+    node, ns = world.node, world.namespace
+    return {
+        'publish': {n for n, _ in node.get_publisher_names_and_types_by_node('bvh', ns)},
+        'subscribe': {n for n, _ in node.get_subscriber_names_and_types_by_node('bvh', ns)},
+        'reply': {n for n, _ in node.get_service_names_and_types_by_node('bvh', ns)},
+        'request': {n for n, _ in node.get_client_names_and_types_by_node('bvh', ns)},
+    }
+
+
+def check(policy, enclave, world):
+    expected = granted(policy, enclave, world.name)
+    try:
+        world.until(lambda: used(world) == expected)
+    except AssertionError:
+        assert used(world) == expected  # says what differs
+        raise
+
+
+def test_the_node_is_granted_what_it_does(policy, world):
+    check(policy, '/bvh/node', world)
+
+
+def test_the_managed_node_is_granted_what_it_does(policy, start_node):
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    world = start_node(wait=False, module='lifecycle_node')
+    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert world.call('change_state', request, ChangeState, 240.0).success
+    check(policy, '/bvh/lifecycle_node', world)
+
+
+def test_a_client_may_ask_and_nothing_else(policy):
+    node = granted(policy, '/bvh/node', '/bvh')
+    client = granted(policy, '/bvh/client', '/bvh_client')
+    assert client['request'] == {'/bvh/raycast', '/bvh/raycast_all', '/bvh/overlap'}
+    assert client['request'] <= node['reply']
+    shared = {'/rosout', '/parameter_events'}
+    assert client['publish'] - shared == {'/bvh/rays'} <= node['subscribe']
+    assert client['subscribe'] <= node['publish']
