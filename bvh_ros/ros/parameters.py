@@ -302,7 +302,8 @@ def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> 
             )
         if name in taken:
             raise ConfigurationError(
-                f"parameter '{parameter}': {name!r} is the name of another parameter, source, view or service"
+                f"parameter '{parameter}': {name!r} is the name of another parameter, source, "
+                'view, service or topic'
             )
         if names.count(name) > 1:
             raise ConfigurationError(f"parameter '{parameter}': {name!r} is there twice")
