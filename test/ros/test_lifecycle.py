@@ -134,7 +134,7 @@ def test_a_configuration_that_cannot_be_used_leaves_the_node_unconfigured(
     for _ in range(2):
         assert not managed.change(Transition.TRANSITION_CONFIGURE)
         assert managed.state() == State.PRIMARY_STATE_UNCONFIGURED
-    assert managed.world.said().count(complaint) == 2
+    managed.world.until(lambda: managed.world.said().count(complaint) == 2)
     assert managed.world.end() == 0
 
 
