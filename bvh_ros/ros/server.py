@@ -21,7 +21,7 @@ from bvh_ros.ros.upkeep import Upkeep
 from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.ros.world import World
-from bvh_ros.scene import Scene, narrow_phase
+from bvh_ros.scene import Scene
 from bvh_ros.tree import compiling
 
 if TYPE_CHECKING:
@@ -168,14 +168,17 @@ class BvhServer:
     def features(self) -> dict[str, bool]:
         """Tell which parts this configuration and scene use, in words."""
         settings = self.settings
-        margin, views, fcl = settings.margin, len(settings.views), narrow_phase.loaded()
+        margin, views = settings.margin, len(settings.views)
+        shaped = self.world.scene.any_shaped
         return {
             '2D tree of footprints' if settings.planar else '3D tree': True,
             f'margin of {margin:g} m' if margin else 'margin': margin > 0.0,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
             'tf2': self._tf2 is not None,
-            'python-fcl' if fcl else 'python-fcl until turned boxes are compared': fcl,
+            'narrow phase'
+            if shaped
+            else 'narrow phase until a turned or round shape comes': shaped,
         }
 
     def _create_source(self, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:

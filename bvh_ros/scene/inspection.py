@@ -32,6 +32,11 @@ class SceneInspection:
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self._registry.slot(name) != UNKNOWN
 
+    @property
+    def any_shaped(self) -> bool:
+        """Whether anything is more than an axis-aligned box, and needs a narrow phase."""
+        return self._any_shaped
+
     def get(self, name: str) -> Obstacle:
         """What is known of one obstacle. KeyError if there is none of this name."""
         slot = self._registry.slot(name)
