@@ -6,6 +6,7 @@ from .names import Families, Numbered
 from .results import NO_NODE, Obstacle, SceneHit
 from .scene import Scene
 from .shapes import ShapeKind, Shapes
+from .slicing import Part
 from .updating import Refusal
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     'Families',
     'Numbered',
     'Obstacle',
+    'Part',
     'Refusal',
     'Scene',
     'SceneHit',

@@ -41,6 +41,7 @@ class Columns:
         self.expires = np.empty(0, np.int64)
         self.source = np.empty(0, np.int64)
         self.group = np.empty(0, np.int64)
+        self.shadow = np.empty(0, np.bool_)  # where an obstacle was, see slicing.py
 
     def grow(self, count: int) -> None:
         """Make room for the slots below `count`, at least doubling."""
@@ -56,6 +57,12 @@ class Columns:
         self.tree_handle[old:] = FREE
         self.geometry[old:] = UNTURNED
 
+    def copy(self, slots: Slots, copies: Slots) -> None:
+        """Write to some slots what others hold."""
+        for array in vars(self).values():
+            if array is not None:
+                array[copies] = array[slots]
+
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""
         slots = np.flatnonzero(self.tree_handle != FREE)
@@ -70,6 +77,7 @@ class Columns:
         self.categories[slots] = 0
         self.group[slots] = 0
         self.source[slots] = 0
+        self.shadow[slots] = False
 
     @property
     def nbytes(self) -> int:

@@ -27,7 +27,7 @@ class SceneInspection:
     _any_shaped: bool
 
     def __len__(self) -> int:
-        return len(self._tree)
+        return len(self._registry)
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and self._registry.slot(name) != UNKNOWN
@@ -67,11 +67,12 @@ class SceneInspection:
     def handles(self) -> NDArray[np.int64]:
         """Node handles of all obstacles, ascending."""
         handles = self._columns.node_handle
-        return np.sort(handles[handles > 0])
+        return np.sort(handles[(handles > 0) & ~self._columns.shadow])
 
     def names(self, after: int = 0) -> list[tuple[int, str]]:
         """(node handle, name) of the obstacles with a handle above `after`, by handle."""
         slots = self._columns.used()
+        slots = slots[~self._columns.shadow[slots]]
         handles = self._columns.node_handle[slots]
         first = int(np.searchsorted(handles, after, side='right'))
         return [
@@ -112,8 +113,12 @@ class SceneInspection:
         """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""
         self._tree.validate()
         slots = self._columns.used()
-        if not np.array_equal(self._columns.tree_handle[slots], self._tree.ids()):
+        handles = self._columns.tree_handle
+        if not np.array_equal(np.sort(handles[slots]), self._tree.ids()):
             raise RuntimeError('the tree and the columns hold different obstacles')
+        slots = slots[~self._columns.shadow[slots]]
+        if (np.diff(handles[slots]) <= 0).any():
+            raise RuntimeError('node handles do not ascend with those of the tree')
         if len(self._registry) != len(slots):
             raise RuntimeError(f'{len(self._registry)} names for {len(slots)} obstacles')
         for slot in slots.tolist():

@@ -56,11 +56,15 @@ def add_slots(table, prefix_of, number_of, seed, slots):
 
 @lean_kernel
 def discard_slots(table, prefix_of, number_of, seed, slots):
-    """Take slots out whose names are in the table."""
+    """Take out those of the slots that are in the table; return how many these are."""
     mask = table.shape[0] - 1
+    count = 0
     for slot in slots:
         gap = _place(table, prefix_of, number_of, seed, prefix_of[slot], number_of[slot])
+        if table[gap] != slot:
+            continue
         table[gap] = EMPTY
+        count += 1
         place = (gap + 1) & mask
         while table[place] != EMPTY:
             other = table[place]
@@ -71,3 +75,4 @@ def discard_slots(table, prefix_of, number_of, seed, slots):
                 table[place] = EMPTY
                 gap = place
             place = (place + 1) & mask
+    return count

@@ -48,7 +48,7 @@ class Families(NamedTuple):
         """All names as strings."""
         return map(self.text, range(len(self)))
 
-    def take(self, rows: Integers) -> 'Families':
+    def take(self, rows: Integers | slice) -> 'Families':
         """The names of some rows."""
         return Families(self.prefixes, self.family[rows], self.numbers[rows])
 

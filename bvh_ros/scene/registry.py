@@ -77,15 +77,22 @@ class Registry:
         self._count += len(slots)
         add_slots(*self._hashed(), slots)
 
+    def copy(self, slots: Slots, copies: Slots) -> None:
+        """Call further slots the same; their names still lead to the first ones."""
+        self._grow(int(copies.max(initial=-1)) + 1)
+        self._prefix_of[copies] = self._prefix_of[slots]
+        self._number_of[copies] = self._number_of[slots]
+        for prefix, count in tally(self._prefix_of[slots]).items():
+            self._members[prefix] += count
+
     def discard(self, slots: Slots) -> None:
         """Forget the names of slots in use."""
         if not len(slots):
             return
-        discard_slots(*self._hashed(), slots)
+        self._count -= discard_slots(*self._hashed(), slots)
         for prefix, count in tally(self._prefix_of[slots]).items():
             self._leave(prefix, count)
         self._prefix_of[slots] = _NOBODY
-        self._count -= len(slots)
 
     def in_namespace(self, namespace: str) -> Slots:
         """Slots of the names `namespace`/x, where x has no slash: a/b/7 is not in a."""
@@ -130,5 +137,6 @@ class Registry:
         self._prefix_of = np.concatenate([self._prefix_of, more])
         self._number_of = np.concatenate([self._number_of, more])
         places = 1 << (_LOAD * len(self._prefix_of) - 1).bit_length()
+        entered = self._table[self._table != EMPTY]
         self._table = np.full(max(places, 16), EMPTY, np.int64)
-        add_slots(*self._hashed(), np.flatnonzero(self._prefix_of))
+        add_slots(*self._hashed(), entered)

@@ -19,6 +19,7 @@ from .queries import SceneQueries
 from .registry import UNKNOWN, Registry, Slots
 from .results import LAST_NODE_HANDLE
 from .shapes import Shapes, as_shapes
+from .slicing import Part, SlicedUpdates
 from .updating import Refusal, Rows
 
 NEVER = np.iinfo(np.int64).max
@@ -26,7 +27,7 @@ NEVER = np.iinfo(np.int64).max
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
 
-class Scene(SceneQueries, SceneInspection):
+class Scene(SceneQueries, SceneInspection, SlicedUpdates):
     """Obstacles that come and go, and the questions about them.
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
@@ -125,7 +126,7 @@ class Scene(SceneQueries, SceneInspection):
         OverflowError
             If the node handles of this run are used up; nothing is changed then.
         """
-        return self._apply(source, '', names, shapes, stamp, expires, categories, False)
+        return self._apply(source, '', Part(names, shapes, stamp, expires, categories), False)
 
     def replace(
         self,
@@ -143,30 +144,25 @@ class Scene(SceneQueries, SceneInspection):
 
         A refused row counts as named: its obstacle stays.
         """
-        return self._apply(source, group, names, shapes, stamp, expires, categories, True)
+        return self._apply(source, group, Part(names, shapes, stamp, expires, categories), True)
 
     def _apply(
-        self,
-        source: str,
-        group: str,
-        names: Names,
-        shapes: Shapes,
-        stamp: ArrayLike,
-        expires: ArrayLike,
-        categories: ArrayLike | None,
-        whole: bool,
+        self, source: str, group: str, part: Part, whole: bool, named: list[Slots] | None = None
     ) -> list[Refusal]:
-        called, formed = as_families(names), updating.form(as_shapes(shapes))
+        """Apply rows. With `named` they are a slice of an update: what they name is added to it,
+        and what moves leaves a shadow.
+        """
+        called = as_families(part.names)
+        formed = updating.form(as_shapes(part.shapes))
         if len(called) != formed.total:
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
         slots = self._registry.find(called)
         owner = self._groups.source(source)
-        columns = stamp, expires, categories
         rows, reasons = updating.examine(
-            called, formed, slots, self._columns.source, owner, columns
+            called, formed, slots, self._columns.source, owner, part[2:]
         )
-        named = slots[slots != UNKNOWN]
-        stale = self._members(source, group, named) if whole else named[:0]
+        present = slots[slots != UNKNOWN]
+        stale = self._members(source, group, present) if whole else present[:0]
         new = rows.slot == UNKNOWN
         room = self.max_obstacles - len(self) + len(stale)
         for row in rows.row[new][room:].tolist():
@@ -177,9 +173,13 @@ class Scene(SceneQueries, SceneInspection):
                 f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
             )
         self._remove(stale)
+        if named is not None:
+            self._leave_shadows(known)
         self._move(known, source, group)
-        self._insert(added, called.take(added.row), source, group)
-        self.newest = int(np.max(stamp if whole else rows.stamp, initial=self.newest))
+        inserted = self._insert(added, called.take(added.row), source, group)
+        if named is not None:
+            named += [present, inserted]
+        self.newest = int(np.max(part.stamp if whole else rows.stamp, initial=self.newest))
         self._any_shaped = self._columns.any_shaped
         return [
             Refusal(row, called.text(row), self._sentence(reasons[row])) for row in sorted(reasons)
@@ -216,10 +216,10 @@ class Scene(SceneQueries, SceneInspection):
         self._write(rows, rows.slot, source, group)
         self._groups.leave(before)
 
-    def _insert(self, rows: Rows, names: Families, source: str, group: str) -> None:
+    def _insert(self, rows: Rows, names: Families, source: str, group: str) -> Slots:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
         if not len(rows.row):
-            return
+            return rows.slot
         ndim, masks = self._tree.ndim, rows.categories
         if masks is None and self._categorise is not None:
             masks = self._categorise(names)
@@ -232,6 +232,7 @@ class Scene(SceneQueries, SceneInspection):
         self._next_node_handle += len(slots)
         self._registry.add(names, slots)
         self._write(rows, slots, source, group)
+        return slots
 
     def _write(self, rows: Rows, slots: Slots, source: str, group: str) -> None:
         columns, place = self._columns, as_index(slots)
@@ -256,7 +257,7 @@ class Scene(SceneQueries, SceneInspection):
         if len(slots):
             self._tree.remove_many(self._columns.tree_handle[slots])
             self._registry.discard(slots)
-            self._groups.leave(self._columns.group[slots])
+            self._groups.leave(self._columns.group[slots[~self._columns.shadow[slots]]])
             self._columns.forget(slots)
             self._any_shaped = self._columns.any_shaped
         return len(slots)

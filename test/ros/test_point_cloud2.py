@@ -10,6 +10,23 @@ import pytest
 
 from bvh_ros.ros.conversions import point_cloud2
 
+
+def boxes_of(message, *, voxel):
+    """All boxes of a cloud; in parts they are the same."""
+    cloud = point_cloud2.BoxCloud(message, voxel=voxel)
+    (whole,) = cloud.parts(max(cloud.total, 1))
+    for length in (1, 2, 5):
+        parts = list(cloud.parts(length))
+        assert sum(part.skipped for part in parts) == whole.skipped
+        for name in ('numbers', 'deleted'):
+            joined = np.concatenate([getattr(part, name) for part in parts])
+            assert np.array_equal(joined, getattr(whole, name))
+        for number, column in enumerate(whole.shapes):
+            joined = np.concatenate([part.shapes[number] for part in parts])
+            assert np.array_equal(joined, column, equal_nan=True)
+    return SimpleNamespace(**whole._asdict(), by_id=cloud.by_id, refusals=cloud.refusals)
+
+
 CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 
 
@@ -52,7 +69,7 @@ def test_every_layout(kind, big, padding, row_padding, height):
     message = cloud(
         XYZ, kind=kind, big=big, padding=padding, row_padding=row_padding, height=height
     )
-    boxes = point_cloud2.boxes(message, voxel=0.25)
+    boxes = boxes_of(message, voxel=0.25)
     assert np.array_equal(boxes.shapes.position, np.column_stack(list(XYZ.values())))
     assert (boxes.shapes.size == 0.25).all()
     assert not boxes.shapes.orientation.any()
@@ -67,14 +84,14 @@ def test_sizes_and_orientations_of_mixed_types():
         {'x': [0, 1], 'y': [0, 1], 'z': [0, 1], **sizes, **turns},
         kinds={'x': 'f8', 'sx': 'u1', 'sy': 'i2', 'qz': 'i1'},
     )
-    shapes = point_cloud2.boxes(message, voxel=0.25).shapes
+    shapes = boxes_of(message, voxel=0.25).shapes
     assert np.array_equal(shapes.size, [[1, 3, 5], [2, 4, 6]])
     assert np.array_equal(shapes.orientation, [[0, 0, 1, 0], [1, 0, 0, 0]])
 
 
 def test_nan_points_are_skipped_and_counted():
     message = cloud({'x': [1, math.nan, 3], 'y': [1, 1, 1], 'z': [1, 1, math.nan]})
-    boxes = point_cloud2.boxes(message, voxel=0.1)
+    boxes = boxes_of(message, voxel=0.1)
     assert boxes.skipped == 2
     assert boxes.numbers.tolist() == [0]  # rows keep their numbers
 
@@ -82,7 +99,7 @@ def test_nan_points_are_skipped_and_counted():
 def test_ids_update_and_delete():
     sizes = {'sx': [1, math.nan, 1], 'sy': [1, 1, 1], 'sz': [1, 1, 1]}
     columns = {'x': [0, math.nan, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], **sizes, 'id': [7, 8, 9]}
-    boxes = point_cloud2.boxes(cloud(columns, kinds={'id': 'u4'}), voxel=0.1)
+    boxes = boxes_of(cloud(columns, kinds={'id': 'u4'}), voxel=0.1)
     assert boxes.by_id
     assert boxes.numbers.tolist() == [7, 9]
     assert boxes.deleted.tolist() == [8]
@@ -92,7 +109,7 @@ def test_ids_update_and_delete():
 @pytest.mark.parametrize('kind', ['u1', 'i4', 'u4', 'f4', 'f8'])
 def test_the_last_of_equal_ids_counts(kind):
     columns = {'x': [0, 1, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], 'id': [5, 6, 5]}
-    boxes = point_cloud2.boxes(cloud(columns, kinds={'id': kind}), voxel=0.1)
+    boxes = boxes_of(cloud(columns, kinds={'id': kind}), voxel=0.1)
     assert boxes.numbers.tolist() == [6, 5]
     assert boxes.shapes.position[:, 0].tolist() == [1, 2]
     assert [refusal.row for refusal in boxes.refusals] == [0]
@@ -101,7 +118,7 @@ def test_the_last_of_equal_ids_counts(kind):
 def test_ids_that_are_no_whole_numbers_are_refused():
     ids = [0.5, math.nan, math.inf, -3.0, 1e300]
     columns = {'x': range(5), 'y': range(5), 'z': range(5), 'id': ids}
-    boxes = point_cloud2.boxes(cloud(columns, kind='f8'), voxel=0.1)
+    boxes = boxes_of(cloud(columns, kind='f8'), voxel=0.1)
     assert boxes.numbers.tolist() == [-3]
     assert [refusal.row for refusal in boxes.refusals] == [0, 1, 2, 4]
 
@@ -139,16 +156,16 @@ def changed(**values):
 )
 def test_a_cloud_that_contradicts_itself_is_refused(message, reason):
     with pytest.raises(ValueError, match=reason):
-        point_cloud2.boxes(message, voxel=0.1)
+        boxes_of(message, voxel=0.1)
 
 
 @pytest.mark.parametrize('fields', [[], [field('x', 0, 7)]])
 def test_an_empty_cloud_has_no_boxes(fields):
     message = changed(width=0, data=b'', row_step=0, fields=fields)
-    assert len(point_cloud2.boxes(message, voxel=0.1).numbers) == 0
+    assert len(boxes_of(message, voxel=0.1).numbers) == 0
 
 
 def test_other_fields_do_not_matter():
     message = changed()
     message.fields += [field('rgb', 10_000, 99, count=7), field('rgb', 0, 7)]
-    assert len(point_cloud2.boxes(message, voxel=0.1).numbers) == 6
+    assert len(boxes_of(message, voxel=0.1).numbers) == 6

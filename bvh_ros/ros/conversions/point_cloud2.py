@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,18 +19,16 @@ ORIENTATION = ('qx', 'qy', 'qz', 'qw')
 
 
 class Boxes(NamedTuple):
-    """The boxes of one cloud."""
+    """Some of the boxes of a cloud."""
 
     numbers: NDArray[np.int64]  # (n,) row in the cloud, or id
     shapes: Shapes  # (n,)
     deleted: NDArray[np.int64]  # ids whose size is NaN
-    by_id: bool  # has ids: updates these; otherwise replaces everything
     skipped: int  # points with a NaN coordinate
-    refusals: list[Refusal]
 
 
-def boxes(cloud: Any, *, voxel: float) -> Boxes:
-    """Read the boxes of a cloud.
+class BoxCloud:
+    """The boxes of a cloud, all at once or in parts.
 
     Parameters
     ----------
@@ -44,34 +43,55 @@ def boxes(cloud: Any, *, voxel: float) -> Boxes:
     ValueError
         If the cloud contradicts itself; nothing of it can be trusted then.
     """
-    n = cloud.width * cloud.height
-    points = structured(cloud, (*CENTRE, *SIZE, *ORIENTATION, 'id'))
-    names = points.dtype.names or ()
-    by_id = 'id' in names
-    if n == 0:
-        return _nothing(by_id)
-    has_size = all_or_none(names, SIZE)
-    has_orientation = all_or_none(names, ORIENTATION)
-    if not all_or_none(names, CENTRE):
-        raise ValueError('the cloud has no fields x, y, z')
-    centre = columns(points, CENTRE)
-    size = columns(points, SIZE) if has_size else np.full((n, 3), voxel)
-    turn = columns(points, ORIENTATION) if has_orientation else np.zeros((n, 4))
-    numbers = np.arange(n, dtype=np.int64)
-    deleted = np.empty(0, dtype=np.int64)
-    usable = np.ones(n, dtype=bool)
-    refusals: list[Refusal] = []
-    if by_id:
-        numbers, usable, refusals = _ids(points['id'].ravel())
-        gone = usable & np.isnan(size).any(axis=1)
-        deleted = numbers[gone]
-        usable &= ~gone
-    unknown = usable & np.isnan(centre).any(axis=1)
-    rows = np.flatnonzero(usable & ~unknown)
-    shapes = Shapes(
-        np.full(len(rows), ShapeKind.BOX, dtype=np.uint8), centre[rows], turn[rows], size[rows]
-    )
-    return Boxes(numbers[rows], shapes, deleted, by_id, int(unknown.sum()), refusals)
+
+    def __init__(self, cloud: Any, *, voxel: float) -> None:
+        points = structured(cloud, (*CENTRE, *SIZE, *ORIENTATION, 'id'))
+        names = points.dtype.names or ()
+        self._points = points.ravel()
+        self._voxel = voxel
+        self.total = len(self._points)
+        self.by_id = 'id' in names
+        """Updates these ids; otherwise replaces everything."""
+        self.refusals: list[Refusal] = []
+        self._ids: NDArray[np.int64] | None = None
+        self._good: NDArray[np.bool_] | None = None
+        if not self.total:
+            return
+        self._has_size = all_or_none(names, SIZE)
+        self._has_orientation = all_or_none(names, ORIENTATION)
+        if not all_or_none(names, CENTRE):
+            raise ValueError('the cloud has no fields x, y, z')
+        if self.by_id:
+            self._ids, self._good, self.refusals = _ids(self._points['id'])
+
+    def parts(self, length: int) -> Iterator[Boxes]:
+        """Read the boxes in parts of at most `length` rows; at least one part."""
+        if not self.total:
+            nothing = np.empty(0, dtype=np.int64)
+            yield Boxes(nothing, Shapes.boxes(np.empty((0, 3)), np.empty((0, 3))), nothing, 0)
+        for begin in range(0, self.total, length):
+            yield self._rows(begin, min(begin + length, self.total))
+
+    def _rows(self, begin: int, end: int) -> Boxes:
+        points, n = self._points[begin:end], end - begin
+        centre = columns(points, CENTRE)
+        size = columns(points, SIZE) if self._has_size else np.full((n, 3), self._voxel)
+        turn = columns(points, ORIENTATION) if self._has_orientation else np.zeros((n, 4))
+        numbers = np.arange(begin, end, dtype=np.int64)
+        deleted = np.empty(0, dtype=np.int64)
+        usable = np.ones(n, dtype=bool)
+        if self._ids is not None and self._good is not None:
+            numbers, usable = self._ids[begin:end], self._good[begin:end]
+            gone = usable & np.isnan(size).any(axis=1)
+            deleted = numbers[gone]
+            usable = usable & ~gone
+        known = ~np.isnan(centre).any(axis=1)
+        skipped = int((usable & ~known).sum())
+        usable = usable & known
+        shapes = Shapes(np.full(n, ShapeKind.BOX, dtype=np.uint8), centre, turn, size)
+        if not usable.all():
+            numbers, shapes = numbers[usable], shapes.take(usable)
+        return Boxes(numbers, shapes, deleted, skipped)
 
 
 def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[Refusal]]:
@@ -97,17 +117,11 @@ def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], li
 def _last_of_each(ids: NDArray[np.int64], good: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """Return which rows are the last of their id, or None if no id repeats."""
     rows = np.flatnonzero(good)
+    if (np.diff(ids[rows]) > 0).all():
+        return None
     unique, first_from_behind = np.unique(ids[rows][::-1], return_index=True)
     if len(unique) == len(rows):
         return None
     last = np.zeros(len(ids), dtype=bool)
     last[rows[::-1][first_from_behind]] = True
     return last
-
-
-def _nothing(by_id: bool) -> Boxes:
-    empty = np.empty(0, dtype=np.int64)
-    shapes = Shapes(
-        np.empty(0, dtype=np.uint8), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3))
-    )
-    return Boxes(empty, shapes, empty, by_id, 0, [])

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable
 from functools import partial
 from typing import Any
 
@@ -15,9 +15,11 @@ from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
-from bvh_ros.ros.sources.source import Source
+from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.ros.warm_up import Step
-from bvh_ros.scene import Families, Numbered, Refusal
+from bvh_ros.scene import Families, Numbered, Part, Refusal
+
+Slices = Generator[None, None, list[Refusal]]
 
 
 class MarkerArraySource(Source):
@@ -40,7 +42,7 @@ class MarkerArraySource(Source):
         """Return the decoder, where it is used."""
         return [('decode markers', partial(decoder.read, decoder.EMPTY))] if self.raw else []
 
-    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
+    def apply(self, message: Any, now: int) -> Applying:
         """Follow the markers in order."""
         columns = decoder.read(message) if self.raw else table(message.markers)
         steps, refusals = markers.steps(
@@ -49,10 +51,10 @@ class MarkerArraySource(Source):
         items = len(columns.id)
         for step in steps:
             if isinstance(step, markers.Update):
-                refusals += self._update(step)
+                refusals += yield from self._update(step)
             elif isinstance(step, markers.ReplaceList):
                 items += len(step.shapes.kind)
-                refusals += self._replace_list(step)
+                refusals += yield from self._replace_list(step)
             elif isinstance(step, markers.Delete):
                 self.scene.remove(self.name, step.names)
                 self._remove_lists(self._lists_among(step.names))
@@ -65,25 +67,21 @@ class MarkerArraySource(Source):
         super().forget()
         self._lists.clear()
 
-    def _update(self, step: markers.Update) -> list[Refusal]:
-        refusals = self.scene.update(
-            self.name, step.names, step.shapes, stamp=step.stamp, expires=step.expires
+    def _update(self, step: markers.Update) -> Slices:
+        part = Part(step.names, step.shapes, step.stamp, step.expires)
+        refusals = yield from self.scene.in_slices(
+            self.name, '', len(step.names), part.cut, whole=False
         )
         # A list marker that became a single one; a refused update keeps the list.
         changed = self._lists_among(step.names)
         self._remove_lists(changed.difference(refusal.name for refusal in refusals))
         return refusals
 
-    def _replace_list(self, step: markers.ReplaceList) -> list[Refusal]:
+    def _replace_list(self, step: markers.ReplaceList) -> Slices:
         n = len(step.shapes.kind)
-        refusals = self.scene.replace(
-            self.name,
-            step.name,
-            Numbered(step.name + '#', np.arange(n)),
-            step.shapes,
-            stamp=step.stamp,
-            expires=step.expires,
-        )
+        names = Numbered(step.name + '#', np.arange(n))
+        part = Part(names, step.shapes, step.stamp, step.expires)
+        refusals = yield from self.scene.in_slices(self.name, step.name, n, part.cut, whole=True)
         if step.name not in self._lists:
             self._lists.add(step.name)
             self.scene.remove(self.name, [step.name])

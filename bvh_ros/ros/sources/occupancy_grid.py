@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,8 @@ from bvh_ros.ros.conversions import occupancy_grid
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parameters import ConfigurationError
-from bvh_ros.ros.sources.source import Source
-from bvh_ros.scene import Numbered, Refusal
+from bvh_ros.ros.sources.source import Applying, Source
+from bvh_ros.scene import Numbered, Part
 
 
 class OccupancyGridSource(Source):
@@ -32,7 +31,7 @@ class OccupancyGridSource(Source):
         if options['z_min'] > options['z_max']:
             raise ConfigurationError(f"parameter '{self.name}.z_min' is above '{self.name}.z_max'")
 
-    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
+    def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes."""
         options = self.settings.options
         shapes = occupancy_grid.boxes(
@@ -46,4 +45,5 @@ class OccupancyGridSource(Source):
         shapes = moved(shapes, self.frames.into_node(message.header.frame_id, stamp))
         n = len(shapes.kind)
         names = Numbered(f'{self.settings.prefix}{self.name}#', np.arange(n))
-        return n, self.scene.replace(self.name, '', names, shapes, stamp=stamp or now)
+        part = Part(names, shapes, stamp or now)
+        return n, (yield from self.scene.in_slices(self.name, '', n, part.cut, whole=True))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from sensor_msgs.msg import PointCloud2
@@ -12,8 +12,8 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.conversions import point_cloud2
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.sources.source import Source
-from bvh_ros.scene import Numbered, Refusal
+from bvh_ros.ros.sources.source import Applying, Source
+from bvh_ros.scene import Numbered, Part
 
 
 class PointCloud2Source(Source):
@@ -21,19 +21,25 @@ class PointCloud2Source(Source):
 
     message_type = PointCloud2
 
-    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
+    def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes, or update and delete by id."""
-        boxes = point_cloud2.boxes(message, voxel=self.settings.options['voxel'])
+        cloud = point_cloud2.BoxCloud(message, voxel=self.settings.options['voxel'])
         stamp = nanoseconds(message.header.stamp)
-        shapes = moved(boxes.shapes, self.frames.into_node(message.header.frame_id, stamp))
-        stamp = stamp or now
+        transform = self.frames.into_node(message.header.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'
-        names = Numbered(prefix, boxes.numbers)
-        self.skipped += boxes.skipped
-        if boxes.by_id:
-            self.scene.remove(self.name, Numbered(prefix, boxes.deleted))
-            refusals = self.scene.update(self.name, names, shapes, stamp=stamp)
-        else:
-            refusals = self.scene.replace(self.name, '', names, shapes, stamp=stamp)
-        refusals = [*boxes.refusals, *refusals]
-        return len(boxes.numbers) + len(boxes.refusals), refusals
+        items = len(cloud.refusals)
+
+        def parts(length: int) -> Iterator[Part]:
+            nonlocal items
+            for boxes in cloud.parts(length):
+                self.skipped += boxes.skipped
+                items += len(boxes.numbers)
+                if len(boxes.deleted):
+                    self.scene.remove(self.name, Numbered(prefix, boxes.deleted))
+                names = Numbered(prefix, boxes.numbers)
+                yield Part(names, moved(boxes.shapes, transform), stamp or now)
+
+        refusals = yield from self.scene.in_slices(
+            self.name, '', cloud.total, parts, whole=not cloud.by_id
+        )
+        return items, [*cloud.refusals, *refusals]

@@ -4,22 +4,29 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
+from bvh_ros.scene import Refusal
 
 if TYPE_CHECKING:
+    from rclpy.guard_condition import GuardCondition
     from rclpy.node import Node
 
     from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.warm_up import Step
-    from bvh_ros.scene import Refusal, Scene
+    from bvh_ros.scene import Scene
+
+Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
+SLICE = 0.01  # seconds after which others get a turn
+DONE = object()
 
 
 class Source(ABC):
@@ -52,7 +59,10 @@ class Source(ABC):
         self.raw = False  # whether messages come as their serialised bytes
         self._node = node
         self._clock = node.get_clock()
+        self.longest_slice = 0.0  # s that nobody else had a turn
         self.subscription: FollowingSubscription | None = None
+        self._work: Iterator[None] | None = None  # the message that is being applied
+        self._turn: GuardCondition | None = None
 
     def to_compile(self) -> Iterable[Step]:
         """Return what compiles the kernels that only this source uses."""
@@ -60,6 +70,7 @@ class Source(ABC):
 
     def subscribe(self) -> None:
         """Begin to listen."""
+        self._turn = self._node.create_guard_condition(self._go_on)
         self.subscription = FollowingSubscription(
             self._node,
             self.message_type,
@@ -76,14 +87,39 @@ class Source(ABC):
         if self.subscription is not None:
             self.subscription.destroy()
             self.subscription = None
+        if self._turn is not None:
+            self._node.destroy_guard_condition(self._turn)
+            self._turn = None
+        self.finish()
         self.has_spoken = self.has_spoken and not self.settings.required
 
     def receive(self, message: Any) -> None:
-        """Apply one message; what cannot be used is counted and explained, never raised."""
-        now, began = self._clock.now().nanoseconds, time.perf_counter_ns()
+        """Begin to apply a message; what is left of the one before is applied first."""
+        self.finish()
         self.messages += 1
+        self._work = self._applying(message, self._clock.now().nanoseconds)
+        self._go_on()
+
+    def finish(self) -> None:
+        """Apply what is left of a message at once."""
+        while self._work is not None:
+            self._go_on(math.inf)
+
+    def _go_on(self, limit: float = SLICE) -> None:
+        """Apply until so many seconds are over, and go on after others had their turn."""
+        began = time.perf_counter()
+        while self._work is not None and time.perf_counter() - began < limit:
+            if next(self._work, DONE) is DONE:
+                self._work = None
+        self.longest_slice = max(self.longest_slice, time.perf_counter() - began)
+        if self._work is not None and self._turn is not None:
+            self._turn.trigger()
+
+    def _applying(self, message: Any, now: int) -> Iterator[None]:
+        """Apply one message; what cannot be used is counted and explained, never raised."""
+        began = time.perf_counter_ns()
         try:
-            items, refusals = self.apply(message, now)
+            items, refusals = yield from self.apply(message, now)
             self.timings.add(began)
         except ValueError as error:
             self.refused.add(str(error))
@@ -96,8 +132,8 @@ class Source(ABC):
             self.spoke_at, self.has_spoken = now, True
 
     @abstractmethod
-    def apply(self, message: Any, now: int) -> tuple[int, Sequence[Refusal]]:
-        """Bring a message into the scene.
+    def apply(self, message: Any, now: int) -> Applying:
+        """Bring a message into the scene; yield between slices of what takes long.
 
         Returns
         -------
@@ -112,6 +148,7 @@ class Source(ABC):
 
     def forget(self) -> None:
         """Start over, after the scene was cleared: a required source must speak again."""
+        self._work = None
         self.has_spoken = False
 
     def problem(self, now: int) -> str:

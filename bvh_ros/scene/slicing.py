@@ -1,0 +1,154 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A very large update in slices, between which the scene can be asked.
+
+A half applied update must not open a gap: the third point of one cloud may stand where the
+seventh stands in the next. So what moves leaves a shadow where it was, and all shadows go, with
+whatever the update does not name, only when the whole update is in. Until then the world holds
+what either message says, never less.
+"""
+
+from collections.abc import Callable, Generator, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..tree.dynamic_bvh import DynamicBVH
+from ..tree.nodes import SLOT_MASK
+from .columns import Columns
+from .groups import Groups
+from .names import Names, as_families
+from .registry import Registry, Slots
+from .shapes import Shapes
+from .updating import Refusal, Rows
+
+# Fewer rows than this are applied at once: that takes less time than slices and their shadows,
+# and nobody waits for long. So is what comes into a scene of fewer obstacles than this, where
+# the tree is built in bulk.
+AT_ONCE = 100_000
+SLICE = 4096  # rows, about 10 ms
+
+
+class Part(NamedTuple):
+    """Some rows of an update, as for `Scene.update`."""
+
+    names: Names
+    shapes: Shapes
+    stamp: ArrayLike
+    expires: ArrayLike = 0
+    categories: ArrayLike | None = None
+
+    def cut(self, length: int) -> Iterator['Part']:
+        """The same in parts of at most so many rows."""
+        names, total = as_families(self.names), len(self.shapes.kind)
+        columns: list[Any] = [
+            column if column is None else np.broadcast_to(np.asarray(column), (total,))
+            for column in self[2:]
+        ]
+        for begin in range(0, max(total, 1), length):
+            rows = slice(begin, begin + length)
+            shapes = self.shapes.take(rows)
+            rest: list[Any] = [None if column is None else column[rows] for column in columns]
+            yield Part(names.take(rows), shapes, *rest)
+
+
+class SlicedUpdates:
+    """Updates that pause."""
+
+    max_obstacles: int
+    _tree: DynamicBVH
+    _columns: Columns
+    _registry: Registry
+    _groups: Groups
+    _apply: Callable[..., list[Refusal]]
+    _members: Callable[[str, str, Slots], Slots]
+    _remove: Callable[[Slots], int]
+    __len__: Callable[[], int]
+
+    def in_slices(
+        self,
+        source: str,
+        group: str,
+        total: int,
+        parts: Callable[[int], Iterator[Part]],
+        *,
+        whole: bool,
+    ) -> Generator[None, None, list[Refusal]]:
+        """Apply `total` rows and pause now and then; return the refusals at the end.
+
+        Parameters
+        ----------
+        source, group : str
+            As for `replace`.
+        total : int
+            Number of rows.
+        parts : callable
+            Makes the parts, of at most so many rows each; the next is made when the one before
+            is applied.
+        whole : bool
+            `replace`, and not only `update`.
+
+        Raises
+        ------
+        ValueError, OverflowError
+            As `update`; what is applied by then stays.
+        """
+        length = SLICE if self._is_large(source, group, total, whole) else max(total, 1)
+        if length >= total:
+            (part,) = parts(length)
+            return self._apply(source, group, part, whole)
+        refusals: list[Refusal] = []
+        named: list[Slots] = []
+        row = 0
+        try:
+            for part in parts(length):
+                for refusal in self._apply(source, group, part, False, named):
+                    refusals.append(refusal._replace(row=row + refusal.row))
+                row += len(part.shapes.kind)
+                yield
+            yield from self._remove_in_slices(
+                self._members(source, group, np.concatenate(named))
+                if whole
+                else self._shadows(source)
+            )
+        finally:
+            self._remove(self._shadows(source))
+        return refusals
+
+    def _is_large(self, source: str, group: str, total: int, whole: bool) -> bool:
+        if min(total, len(self)) < AT_ONCE:
+            return False
+        # With less room it has to be known first what goes, to know what may come.
+        others = len(self) - len(self._members(source, group, np.empty(0, np.int64)))
+        return not whole or others + total <= self.max_obstacles
+
+    def _remove_in_slices(self, slots: Slots) -> Iterator[None]:
+        handles = self._columns.tree_handle[slots]
+        for begin in range(0, len(slots), SLICE):
+            end = begin + SLICE
+            # Meanwhile some may have expired, and others may have their slots.
+            there = self._columns.tree_handle[slots[begin:end]] == handles[begin:end]
+            self._remove(slots[begin:end][there])
+            yield
+
+    def _shadows(self, source: str) -> Slots:
+        mine = self._columns.source == self._groups.source(source)
+        return np.flatnonzero(self._columns.shadow & mine)
+
+    def _leave_shadows(self, rows: Rows) -> None:
+        """Copies of the obstacles that are about to move, of the same names and handles, that stay
+        where they are.
+        """
+        columns, ndim = self._columns, self._tree.ndim
+        lo, hi = self._tree.boxes(columns.tree_handle[rows.slot])
+        stays = (lo == rows.lo[:, :ndim]).all(axis=1) & (hi == rows.hi[:, :ndim]).all(axis=1)
+        moves = ~stays | rows.shaped | columns.geometry['shaped'][rows.slot]
+        slots = rows.slot[moves]
+        handles = self._tree.insert_many(lo[moves], hi[moves], columns.categories[slots])
+        copies = handles & SLOT_MASK
+        columns.grow(int(copies.max(initial=-1)) + 1)
+        columns.copy(slots, copies)
+        columns.tree_handle[copies] = handles
+        columns.shadow[copies] = True
+        self._registry.copy(slots, copies)

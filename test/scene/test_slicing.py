@@ -1,0 +1,119 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A large update in slices ends as at once, and on the way nothing looks free that is not."""
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes, slicing
+
+PLACES = 120  # where boxes may stand, on a line
+
+
+@pytest.fixture(autouse=True)
+def small_slices(monkeypatch):
+    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
+    monkeypatch.setattr(slicing, 'SLICE', 7)
+
+
+def random_part(random, stamp, shaped):
+    """Some numbers, each at a place of its own; some rows are bad, some of the shapes round."""
+    count = random.integers(20, 90)
+    position = np.zeros((count, 3))
+    position[:, 0] = random.permutation(PLACES)[:count]
+    size = np.full((count, 3), 0.9)
+    size[random.random(count) < 0.05] = np.nan
+    kind = random.choice([ShapeKind.BOX, ShapeKind.SPHERE], count) if shaped else [0] * count
+    shapes = Shapes(np.array(kind, np.uint8), position, np.zeros((count, 4)), size)
+    return Part(Numbered('c#', np.sort(random.permutation(100)[:count])), shapes, stamp)
+
+
+def occupied(scene):
+    hits = scene.raycast_all([-1, 0, 0], [PLACES, 0, 0])
+    return {round(hit.point[0] + 0.45) for hit in hits}
+
+
+def state(scene):
+    return [
+        (o.name, o.kind, o.position.tolist(), o.size.tolist(), o.stamp, o.handle)
+        for o in (scene.get(name) for _, name in scene.names())
+    ]
+
+
+def pausing(work):
+    """None at every pause, then the refusals."""
+    yield (yield from work)
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('shaped', [False, True])
+@pytest.mark.parametrize('whole', [False, True])
+def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
+    random = np.random.default_rng([whole, shaped, planar])
+    sliced, at_once = Scene(planar=planar), Scene(planar=planar)
+    pauses = 0
+    for stamp in range(1, 12):
+        part = random_part(random, stamp, shaped)
+        before = occupied(sliced)
+        update = at_once.replace if whole else at_once.update
+        group = [''] if whole else []
+        expected = update('s', *group, *part[:2], stamp=stamp)
+        after = occupied(at_once)
+        work = sliced.in_slices('s', '', len(part.shapes.kind), part.cut, whole=whole)
+        for refusals in pausing(work):
+            if refusals is not None:
+                assert refusals == expected
+                break
+            pauses += 1
+            assert before & after <= occupied(sliced) <= before | after
+            sliced.validate()
+            assert len({handle for handle, _ in sliced.names()}) == len(sliced)
+        assert state(sliced) == state(at_once)
+        assert occupied(sliced) == after
+        sliced.validate()
+        assert len(sliced) == len(at_once)
+    assert pauses > 50
+
+
+def test_what_happens_between_slices_is_not_undone():
+    random = np.random.default_rng(5)
+    scene = Scene()
+    shapes = Shapes.boxes(random.uniform(0, 9, (60, 3)), [1, 1, 1])
+    names = Numbered('c#', np.arange(60))
+    scene.update('s', names, shapes, stamp=1, expires=50)
+    part = Part(names, shapes._replace(position=shapes.position + 20), 2)
+    work = scene.in_slices('s', '', 60, part.cut, whole=True)
+    next(work), next(work)
+    assert scene.expire(60) == 60  # those not yet renewed, and the shadows of the others
+    scene.update('t', Numbered('d#', np.arange(40)), shapes.take(slice(40)), stamp=3)
+    assert len(list(work)) > 5
+    assert len(scene) == 100
+    scene.validate()
+    assert not scene.overlap([-1, -1, -1], [0, 0, 0])
+
+
+def test_clearing_ends_an_update():
+    scene = Scene()
+    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
+    names = Numbered('c#', np.arange(60))
+    scene.update('s', names, shapes, stamp=1)
+    moved = Part(names, shapes._replace(position=shapes.position + 20), 2)
+    for end in (scene.clear, lambda: None):
+        work = scene.in_slices('s', '', 60, moved.cut, whole=True)
+        next(work), next(work)
+        end()
+        work.close()
+        scene.validate()
+        assert len(scene) == (0 if end == scene.clear else 60)
+        scene.update('s', names, shapes, stamp=3)
+
+
+def test_without_room_for_both_it_is_applied_at_once():
+    scene = Scene(max_obstacles=60)
+    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (70, 3)), [1, 1, 1])
+    scene.update('s', Numbered('c#', np.arange(50)), shapes.take(slice(50)), stamp=1)
+    part = Part(Numbered('c#', np.arange(70)), shapes, 2)
+    with pytest.raises(StopIteration) as end:
+        next(scene.in_slices('s', '', 70, part.cut, whole=True))
+    assert [refusal.name for refusal in end.value.value] == [f'c#{k}' for k in range(60, 70)]
+    assert len(scene) == 60
