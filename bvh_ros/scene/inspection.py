@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tree.arrays import Ids
 from ..tree.dynamic_bvh import DynamicBVH
 from .columns import Columns
 from .groups import Groups
 from .registry import UNKNOWN, Registry
 from .results import LAST_NODE_HANDLE, Obstacle
-from .shapes import ShapeKind
+from .shapes import Floats, ShapeKind, Shapes
 
 
 class SceneInspection:
@@ -86,6 +87,28 @@ class SceneInspection:
         if handle <= 0 or not len(slots):
             raise KeyError(f'no obstacle has the node handle {handle}')
         return self._registry.name(int(slots[0]))
+
+    def sources(self) -> list[str]:
+        """The sources that ever had an obstacle."""
+        return list(self._groups.by_source())
+
+    def shapes_of(self, source: str, most: int) -> Shapes:
+        """Shapes of the first obstacles of a source, by handle."""
+        slots = self._columns.used()
+        mine = slots[self._columns.source[slots] == self._groups.source(source)][:most]
+        geometry = self._columns.geometry[mine]
+        return Shapes(
+            geometry['kind'], geometry['position'], geometry['orientation'], geometry['half'] * 2.0
+        )
+
+    def tree_levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
+        """lo, hi and depth of the tree's boxes from depth `first` to `last`; the root's is 0."""
+        return self._tree.levels(first, last, most)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats] | None:
+        """Smallest box around all obstacles, as (lo, hi); None if there is none."""
+        return self._tree.bounds
 
     def stats(self) -> dict[str, Any]:
         """Sizes, the tree's shape, and which parts this scene uses."""

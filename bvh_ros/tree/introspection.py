@@ -68,6 +68,34 @@ class Introspection(Arrays):
         root = int(self._state[ROOT])
         return 0 if root == NONE else int(self._heights[root])
 
+    def levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
+        """Boxes (as queries see them, with margin) of the nodes from depth `first` to `last`.
+
+        Parameters
+        ----------
+        first, last : int
+            Depths; the root has 0.
+        most : int
+            No more than so many boxes, the upper ones first.
+
+        Returns
+        -------
+        lo, hi : (m, ndim) arrays
+        depths : (m,)
+        """
+        root = int(self._state[ROOT])
+        here = np.array([] if root == NONE else [root], np.int64)
+        nodes, depths, depth = [here[:0]], [here[:0]], 0
+        while len(here) and depth <= last and sum(map(len, nodes)) < most:
+            if depth >= first:
+                nodes.append(here)
+                depths.append(np.full(len(here), depth))
+            inner = self._nodes[here[here & 1 == 1]]
+            here = np.concatenate((inner['left'], inner['right'])).astype(np.int64)
+            depth += 1
+        records = self._nodes[np.concatenate(nodes)[:most]]
+        return records['lo'], records['hi'], np.concatenate(depths)[:most]
+
     def cost(self) -> float:
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of
         inner nodes if that is zero.
