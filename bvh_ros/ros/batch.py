@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.frames import Transform
+    from bvh_ros.ros.query_drawing import QueryDrawing
+    from bvh_ros.ros.views import View
     from bvh_ros.ros.world import World
     from bvh_ros.scene import Scene
 
@@ -39,32 +41,22 @@ class RayBatch(Part):
     node : rclpy.node.Node
     world : World
         Asked before each answer whether it is complete.
-    name : str
-        Of the topics: `name`/rays and `name`/ray_hits.
-    mask : int
-        Only obstacles with ``categories & mask & mask of the row != 0`` are seen.
-    skip_inside : bool
-        Ignore obstacles in which a ray starts.
+    view : View
+        What these rays see, of that what each row's mask asks for, and the name of the topics.
+    drawing : QueryDrawing
+        Is told of rays and hits while somebody looks.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        world: World,
-        name: str = '~',
-        *,
-        mask: int = ray_clouds.EVERYTHING,
-        skip_inside: bool = False,
-    ) -> None:
+    def __init__(self, node: Node, world: World, view: View, drawing: QueryDrawing) -> None:
         super().__init__(node)
-        self.refused = Refused(node.get_logger(), f'{name}/rays')
+        self.view = view
+        self.refused = Refused(node.get_logger(), view.topic('rays'))
         self.answered = 0  # rays
         self._world = world
-        self._mask = np.uint32(mask)
-        self._skip_inside = skip_inside
-        self._publisher = self.publisher(PointCloud2, f'{name}/ray_hits', DEPTH)
+        self._drawing = drawing
+        self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
         subscription = FollowingSubscription(
-            node, PointCloud2, f'{name}/rays', self.receive, depth=DEPTH
+            node, PointCloud2, view.topic('rays'), self.receive, depth=DEPTH
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)
@@ -85,7 +77,11 @@ class RayBatch(Part):
         stamp = nanoseconds(request.header.stamp)
         transform = self._world.frames.into_node(request.header.frame_id, stamp)
         rays = ray_clouds.rays(request)
-        hits = self._answer(scene, rays if transform is None else moved(transform, rays))
+        if transform is not None:
+            rays = moved(transform, rays)
+        hits = self._answer(scene, rays)
+        if self._drawing.is_watched:
+            self._drawing.add_rays(rays, hits)
         if transform is not None:
             hits = moved_back(transform, hits)
         return ray_clouds.hits_cloud(hits, request.height, request.width, rays.real)
@@ -102,11 +98,11 @@ class RayBatch(Part):
         return hits
 
     def _cast(self, scene: Scene, rays: Rays) -> Hits:
-        masks = rays.masks & self._mask
-        found = scene.raycast_many(
-            rays.origins, rays.directions, rays.t_max, masks, self._skip_inside
+        view = self.view
+        masks = rays.masks & np.uint32(view.mask)
+        return Hits(
+            *scene.raycast_many(rays.origins, rays.directions, rays.t_max, masks, view.skip_inside)
         )
-        return Hits(*found)
 
     def _refusal(self, request: PointCloud2, reason: str) -> PointCloud2:
         height, width = ray_clouds.rows_of(request)

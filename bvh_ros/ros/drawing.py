@@ -24,7 +24,7 @@ from bvh_ros.scene import ShapeKind, Shapes
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.parameters import DrawSettings
+    from bvh_ros.ros.part_settings import DrawSettings
     from bvh_ros.ros.world import World
 
 MOST_SINGLES = 500  # markers of a single shape; with thousands of them RViz crawls
@@ -149,9 +149,7 @@ def obstacles(
         elif len(some.kind):
             corners = outlines.triangles(some)
             yield (
-                Drawing(
-                    Marker.TRIANGLE_LIST, (1, 1, 1), colour, namespace, points=corners
-                ),
+                Drawing(Marker.TRIANGLE_LIST, (1, 1, 1), colour, namespace, points=corners),
                 len(some.kind),
             )
 
@@ -176,6 +174,4 @@ def _sign(text: str, lo: outlines.Floats, hi: outlines.Floats) -> Drawing:
     size = float((hi - lo).max())
     lo, hi = (np.append(corner, 0.0)[:3] for corner in (lo, hi))
     place = ((lo + hi) * 0.5 + (0.0, 0.0, (hi - lo)[2] * 0.5 + LETTERS * size)).tolist()
-    return Drawing(
-        Marker.TEXT_VIEW_FACING, (0.0, 0.0, LETTERS * size), position=place, text=text
-    )
+    return Drawing(Marker.TEXT_VIEW_FACING, (0.0, 0.0, LETTERS * size), position=place, text=text)

@@ -153,9 +153,12 @@ class Settings:
     sources: tuple[SourceSettings, ...]
     views: tuple[ViewSettings, ...]
     transforms: tuple[TransformSettings, ...]
+    groups: Mapping[str, Mapping[str, Any]]  # options of parts: group -> option -> value
 
 
-def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings:
+def read_settings(
+    node: Node, types: Mapping[str, Sequence[Option]], groups: Mapping[str, Sequence[Option]]
+) -> Settings:
     """Declare and read all parameters.
 
     Parameters
@@ -163,6 +166,8 @@ def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings
     node : rclpy.node.Node
     types : mapping of str to sequence of Option
         The source types there are, with the options of each.
+    groups : mapping of str to sequence of Option
+        What else has options of its own.
 
     Raises
     ------
@@ -173,9 +178,10 @@ def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings
     if not values['frame_id']:
         raise ConfigurationError("parameter 'frame_id' is empty")
     names, views, transforms = (values.pop(key) for key in ('sources', 'views', 'transforms'))
-    _check_names('sources', names, RESERVED_NAMES)
-    _check_names('views', views, (*RESERVED_NAMES, *OFFERED_NAMES, *names))
-    _check_names('transforms', transforms, (*RESERVED_NAMES, *names, *views))
+    reserved = (*RESERVED_NAMES, *groups)
+    _check_names('sources', names, reserved)
+    _check_names('views', views, (*reserved, *OFFERED_NAMES, *names))
+    _check_names('transforms', transforms, (*reserved, *names, *views))
     if len(views) > MOST_VIEWS:
         raise ConfigurationError(
             f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
@@ -185,8 +191,12 @@ def read_settings(node: Node, types: Mapping[str, Sequence[Option]]) -> Settings
         sources=tuple(_read_source(node, name, types) for name in names),
         views=tuple(_read_view(node, name) for name in views),
         transforms=tuple(_read_transform(node, name, values['frame_id']) for name in transforms),
+        groups={
+            group: {option.name: read(node, f'{group}.', option) for option in options}
+            for group, options in groups.items()
+        },
     )
-    _check_for_misspelt_options(node, [*names, *views, *transforms])
+    _check_for_misspelt_options(node, [*names, *views, *transforms, *groups])
     return settings
 
 

@@ -12,9 +12,12 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.clock_jumps import ClockJumps
 from bvh_ros.ros.diagnostics import Diagnostics
+from bvh_ros.ros.drawing import SceneDrawing, TreeDrawing
 from bvh_ros.ros.frames import Frames, listen_to_tf2
 from bvh_ros.ros.names import NamesPublisher
 from bvh_ros.ros.parameters import ConfigurationError, read_settings
+from bvh_ros.ros.part_settings import GROUPS, draw_settings, scan_settings
+from bvh_ros.ros.query_drawing import QueryDrawing
 from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.upkeep import Upkeep
@@ -57,8 +60,10 @@ class BvhServer:
 
     def __init__(self, node: Node) -> None:
         self.node = node
-        settings = read_settings(node, {name: t.options for name, t in SOURCE_TYPES.items()})
-        self.settings = settings
+        types = {name: kind.options for name, kind in SOURCE_TYPES.items()}
+        self.settings = settings = read_settings(node, types, GROUPS)
+        self._draw = draw_settings(settings.groups['draw'])
+        self._scan = scan_settings(settings.groups['virtual_scan'])
         self._parts: list[Destroyable] = []
         self._ends: list[Destroyable] = []  # what lives as long as the world
         self._tf2 = listen_to_tf2(node) if settings.use_tf else None
@@ -95,7 +100,7 @@ class BvhServer:
             planar=self.settings.planar,
             margin=self.settings.margin,
             kinds=kinds,
-            batch=self.settings.batch,
+            batch=self.settings.batch or bool(self._scan.pose_topic),
             more=[step for source in self.world.sources for step in source.to_compile()],
             log=log,
         )
@@ -121,20 +126,36 @@ class BvhServer:
     def _create_parts(self) -> Iterator[Destroyable]:
         """Create the parts that this configuration uses, a line each; the last ends first."""
         node, world = self.node, self.world
+        drawing = QueryDrawing(node, world, self._draw)
+        yield drawing
         queries: list[QueryServices] = []
         for view in world.views:
-            queries.append(QueryServices(node, world, view))
+            queries.append(QueryServices(node, world, view, drawing))
             yield queries[-1]
         yield TriggerServices(node, world)
         if self.settings.batch:
             from bvh_ros.ros.batch import RayBatch
 
             for view in world.views:
-                name = view.topic('').rstrip('/')
-                yield RayBatch(node, world, name, mask=view.mask, skip_inside=view.skip_inside)
+                yield RayBatch(node, world, view, drawing)
+        if self._scan.pose_topic:
+            from bvh_ros.ros.virtual_scan import VirtualScan
+
+            yield VirtualScan(node, world, self._scan, self._scanning_view())
         yield NamesPublisher(node, world.scene)
+        yield SceneDrawing(node, world, self._draw)
+        yield TreeDrawing(node, world, self._draw)
         yield Upkeep(node, world)
         yield Diagnostics(node, world, queries, self.features)
+
+    def _scanning_view(self) -> View:
+        """Return the view that the virtual scan is configured with."""
+        for view in self.world.views:
+            if view.name == self._scan.view:
+                return view
+        raise ConfigurationError(
+            f"'virtual_scan.view' is '{self._scan.view}', no view of this node"
+        )
 
     def stop(self) -> None:
         """End all parts: no topic is heard and no service offered. The world stays as it is."""
@@ -175,6 +196,7 @@ class BvhServer:
             f'margin of {margin:g} m' if margin else 'margin': margin > 0.0,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
+            'virtual scan': bool(self._scan.pose_topic),
             'tf2': self._tf2 is not None,
             'narrow phase'
             if shaped

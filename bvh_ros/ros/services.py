@@ -19,6 +19,7 @@ from bvh_ros.ros.timings import Timings
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.ros.query_drawing import QueryDrawing
     from bvh_ros.ros.views import View
     from bvh_ros.ros.world import World
     from bvh_ros.scene import Scene, SceneHit
@@ -39,9 +40,11 @@ class QueryServices(Part):
         Asked before each answer whether it is complete.
     view : View
         What these services see.
+    drawing : QueryDrawing
+        Is told of questions and answers while somebody looks.
     """
 
-    def __init__(self, node: Node, world: World, view: View) -> None:
+    def __init__(self, node: Node, world: World, view: View, drawing: QueryDrawing) -> None:
         super().__init__(node)
         self.view = view
         self.refused = Refused(
@@ -50,6 +53,7 @@ class QueryServices(Part):
         self.timings = Timings()
         self._clock = node.get_clock()
         self._world = world
+        self._drawing = drawing
         self._serve('raycast', self._raycast)
         self._serve('raycast_all', self._raycast_all)
         self._serve('overlap', self._overlap, oriented=True)
@@ -84,7 +88,10 @@ class QueryServices(Part):
         try:
             scene = self._world.at(now)
             query = plans.query(request, frames.into_node, oriented=oriented)
-            plans.fill(plan, answer(scene, query), frames.frame_id, scene.newest)
+            hits = answer(scene, query)
+            plans.fill(plan, hits, frames.frame_id, scene.newest)
+            if self._drawing.is_watched:
+                self._drawing.add_query(query, hits, is_box=oriented)
             self.timings.add(began)
             return
         except ValueError as error:

@@ -24,6 +24,9 @@ HEADER = bytes((0, int(sys.byteorder == 'little'), 0, 0))
 ORIGIN = (0.0, 0.0, 0.0)
 
 
+Vector = Sequence[float] | NDArray[np.float64]
+
+
 def _no_points() -> NDArray[np.float64]:
     return np.empty((0, 3))
 
@@ -33,11 +36,11 @@ class Drawing:
     """What a marker needs to be drawn; the rest of its fields is zero."""
 
     kind: int  # Marker.CUBE_LIST and so on
-    scale: Sequence[float]
+    scale: Vector
     colour: Sequence[float] = WHITE  # red, green, blue, alpha: 0 to 1
     namespace: str = ''
-    position: Sequence[float] = ORIGIN
-    orientation: Sequence[float] = IDENTITY
+    position: Vector = ORIGIN
+    orientation: Vector = IDENTITY
     points: NDArray[np.float64] = field(default_factory=_no_points)  # (n, 3)
     colours: NDArray[np.float32] | None = None  # (n, 4), one a point
     text: str = ''
