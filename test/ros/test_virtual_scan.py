@@ -1,0 +1,171 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scanner in a world of boxes against brute force, over ROS 2."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from geometry_msgs.msg import PoseStamped
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import LaserScan, PointCloud2
+
+from bvh_ros.ros.conversions import scans
+from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.part_settings import SCAN_OPTIONS, scan_settings
+
+BOXES = 60
+RNG = np.random.default_rng(3)
+CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
+SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
+LOW, HIGH = CENTRE - SIZE / 2, CENTRE + SIZE / 2
+DEFAULTS = {option.name: option.default for option in SCAN_OPTIONS}
+SCAN = {'virtual_scan.pose_topic': 'scanner', 'virtual_scan.range_max': 8.0}
+
+
+def settings(**given):
+    return scan_settings({**DEFAULTS, **given})
+
+
+def first_distances(place, directions, range_max):
+    with np.errstate(divide='ignore'):
+        one, other = (LOW - place) / directions[:, None], (HIGH - place) / directions[:, None]
+    enter = np.maximum(np.minimum(one, other).max(axis=2), 0.0)
+    leave = np.maximum(one, other).min(axis=2)
+    distance = np.where(enter <= leave, enter, np.inf).min(axis=1)
+    return np.where(distance <= range_max, distance, np.inf)
+
+
+def pose(place, turn=(0, 0, 0, 1), frame='map'):
+    stamped = PoseStamped()
+    stamped.header.frame_id = frame
+    stamped.header.stamp.sec = 77
+    at, q = stamped.pose.position, stamped.pose.orientation
+    at.x, at.y, at.z = map(float, place)
+    q.x, q.y, q.z, q.w = map(float, turn)
+    return stamped
+
+
+class Scanner:
+    """Moves the scanner and hears what it measures."""
+
+    def __init__(self, world, kind):
+        self.world, self.scans = world, []
+        world.node.create_subscription(kind, f'{world.name}/virtual_scan', self.scans.append, 10)
+
+    def at(self, *given, **more):
+        """Publish a pose until a scan comes: the first may be before the node has found us."""
+        self.scans.clear()
+        self.world.publish('scanner', pose(*given, **more))
+        self.world.until(lambda: self.scans or self.world.publish('scanner', pose(*given, **more)))
+        return self.scans[-1]
+
+
+def fill(world, messages):
+    world.markers(*(messages.marker(i, CENTRE[i], SIZE[i]) for i in range(BOXES)))
+    world.until(lambda: len(world.everything()) == BOXES)
+
+
+def test_a_laser_scan_equals_brute_force(start_node, messages):
+    increment = 0.01
+    more = {'virtual_scan.angle_increment': increment, 'virtual_scan.range_min': 0.5}
+    world = start_node({**SCAN, **more, 'markers.required': True})
+    scanner = Scanner(world, LaserScan)
+    missing = scanner.at((0, 0, 0))
+    assert np.isnan(missing.ranges).all()
+    fill(world, messages)
+    for _ in range(5):
+        place, turn = RNG.uniform(-5, 5, 3), Rotation.random(random_state=RNG.integers(99))
+        scan = scanner.at(place, turn.as_quat())
+        assert (scan.header.frame_id, scan.header.stamp.sec) == ('laser', 77)
+        assert len(scan.ranges) == 629
+        angles = scan.angle_min + np.arange(629) * scan.angle_increment
+        assert angles[-1] == pytest.approx(scan.angle_max, abs=1e-6)
+        local = np.column_stack((np.cos(angles), np.sin(angles), np.zeros(629)))
+        distances = first_distances(place, turn.apply(local), scan.range_max)
+        expected = np.where(distances < 0.5, -np.inf, distances)
+        assert np.allclose(scan.ranges, expected, rtol=1e-6)
+        assert np.isfinite(scan.ranges).any()
+    assert np.isnan(scanner.at((0, math.nan, 0)).ranges).all()
+    assert np.isnan(scanner.at((0, 0, 0), frame='mars').ranges).all()
+
+
+def test_a_cloud_of_rings_sees_what_its_view_shows(start_node, messages):
+    rings = {'type': 'PointCloud2', 'channels': 4, 'elevation_min': -0.4, 'elevation_max': 0.5}
+    more = {'angle_min': -1.0, 'angle_max': 1.0, 'angle_increment': 0.02, 'rate': 50.0}
+    own = {f'virtual_scan.{name}': value for name, value in {**rings, **more}.items()}
+    views = {'views': ['lidar'], 'lidar.exclude': ['robot/*'], 'virtual_scan.view': 'lidar'}
+    world = start_node({**SCAN, **own, **views})
+    fill(world, messages)
+    world.markers(messages.marker(1, (1, 1, 1), (3, 3, 3), ns='robot'))
+    place, turn = np.array((1.0, 1.0, 1.0)), Rotation.from_euler('zyx', (0.5, 0.1, -0.2))
+    cloud = Scanner(world, PointCloud2).at(place, turn.as_quat())
+    assert (cloud.height, cloud.width, cloud.header.frame_id) == (4, 101, 'laser')
+    kinds = {7: '<f4', 6: '<u4'}
+    dtype = [(field.name, kinds[field.datatype]) for field in cloud.fields]
+    rows = np.frombuffer(cloud.data, dtype)
+    angles, rises = -1.0 + 0.02 * np.arange(101), np.linspace(-0.4, 0.5, 4)
+    local = np.array(
+        [
+            (math.cos(rise) * math.cos(a), math.cos(rise) * math.sin(a), math.sin(rise))
+            for rise in rises
+            for a in angles
+        ]
+    )
+    expected = first_distances(place, turn.apply(local), 8.0)
+    assert np.allclose(rows['t'], expected, rtol=1e-4)
+    hit = np.isfinite(expected)
+    assert 0.1 < hit.mean() < 1.0
+    points = np.column_stack([rows[name] for name in 'xyz'])
+    assert np.allclose(points[hit], expected[hit, None] * local[hit], atol=1e-3)
+    assert np.isnan(points[~hit]).all()
+    assert (rows['obstacle'][~hit] == FREE).all()
+    assert (rows['obstacle'][hit] <= BOXES).all()
+
+
+@pytest.mark.parametrize(
+    ('obstacle', 't', 'expected'),
+    [
+        (FREE, math.inf, math.inf),
+        (UNANSWERED, math.nan, math.nan),
+        (7, 0.0, -math.inf),
+        (7, 0.49, -math.inf),
+        (7, 0.5, 0.5),
+        (7, 3.0, 3.0),
+    ],
+)
+def test_ranges_as_rep_117_wants_them(obstacle, t, expected):
+    measured = scans.ranges(np.array([obstacle], np.uint32), np.array([t]), 0.5)
+    assert np.array_equal(measured, [expected], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ('first', 'last', 'step', 'count'),
+    [(-math.pi, math.pi, math.pi / 180, 361), (0, 1, 0.1, 11), (0, 0, 1, 1), (0, 1, 0.3, 4)],
+)
+def test_the_directions_of_a_ring(first, last, step, count):
+    pattern = scans.pattern(settings(angle_min=first, angle_max=last, angle_increment=step))
+    assert len(pattern.angles) == count
+    assert np.allclose(pattern.angles, first + step * np.arange(count), atol=1e-5)
+    assert np.allclose(np.linalg.norm(pattern.directions, axis=1), 1.0, rtol=1e-15)
+    assert not pattern.directions[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    'given',
+    [
+        {'angle_min': 1.0, 'angle_max': 0.0},
+        {'range_min': 2.0, 'range_max': 1.0},
+        {'elevation_min': 0.1},
+        {'channels': 2},
+        {'frame_id': ''},
+        {'angle_increment': 1e-6},
+    ],
+)
+def test_settings_that_contradict_each_other(given):
+    with pytest.raises(ConfigurationError, match='virtual_scan'):
+        settings(**given)
