@@ -5,6 +5,8 @@
 Each checks its input, asks the tree or a kernel, and names what was found.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -181,14 +183,14 @@ class SceneQueries:
         self, start: ArrayLike, goal: ArrayLike, radius: float
     ) -> tuple[Floats, Floats, float]:
         origin, end = checks.point('start', start, 3), checks.point('goal', goal, 3)
-        with np.errstate(over='ignore'):
-            direction = end - origin
-        if not np.isfinite(direction).all():
+        # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
+        way = [b - a for a, b in zip(origin.tolist(), end.tolist(), strict=True)]
+        if not all(map(math.isfinite, way)):
             raise ValueError('the segment from start to goal is longer than the largest double')
         radius = checks.limit('radius', radius)
-        if np.isinf(radius):
+        if math.isinf(radius):
             raise ValueError('radius must be finite')
-        return origin, direction, radius
+        return origin, np.array(way), radius
 
     def _cast(
         self,

@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from std_msgs.msg import Header
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.times import nanoseconds
@@ -81,35 +81,31 @@ def fill(plan: Path, hits: Iterable[SceneHit], frame_id: str, newest: int) -> No
     newest : int
         Time of the newest update that the answer knows of, ns.
     """
-    plan.header.frame_id = frame_id
-    plan.header.stamp = time(newest)
-    poses = []
-    for hit in hits:
-        normal = hit.normal
-        turn = rotations.from_normal(float(normal[0]), float(normal[1]), float(normal[2]))
-        poses.append(_pose(hit.name, hit.stamp, _vector(hit.point), turn))
-    plan.poses = poses
+    _set_header(plan.header, frame_id, newest)
+    plan.poses = [
+        _pose(hit.name, hit.stamp, hit.point.tolist(), rotations.from_normal(*hit.normal.tolist()))
+        for hit in hits
+    ]
 
 
 def fill_error(plan: Path, request: Any, reason: str, frame_id: str, now: int) -> None:
     """Write the reply that never looks free: one pose at `start` whose name says what is wrong."""
-    plan.header.frame_id = frame_id
-    plan.header.stamp = time(now)
+    _set_header(plan.header, frame_id, now)
     at = request.start.pose.position
     place = tuple(c if math.isfinite(c) else 0.0 for c in (at.x, at.y, at.z))
-    plan.poses = [_pose(ERROR + reason, now, _vector(place), rotations.IDENTITY)]
+    plan.poses = [_pose(ERROR + reason, now, place, rotations.IDENTITY)]
 
 
-def time(stamp: int) -> Time:
-    """Return ns as a builtin_interfaces Time."""
-    seconds, rest = divmod(stamp, 1_000_000_000)
-    return Time(sec=seconds, nanosec=rest)
+def _set_header(header: Header, frame_id: str, stamp: int) -> None:
+    header.frame_id = frame_id
+    header.stamp.sec, header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
-def _pose(name: str, stamp: int, place: Vector, turn: rotations.Quaternion) -> PoseStamped:
+def _pose(
+    name: str, stamp: int, place: Sequence[float], turn: rotations.Quaternion
+) -> PoseStamped:
     stamped = PoseStamped()
-    stamped.header.frame_id = name
-    stamped.header.stamp = time(stamp)
+    _set_header(stamped.header, name, stamp)
     position, orientation = stamped.pose.position, stamped.pose.orientation
     position.x, position.y, position.z = place
     orientation.x, orientation.y, orientation.z, orientation.w = turn
