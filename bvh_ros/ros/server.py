@@ -213,10 +213,10 @@ class BvhServer:
     def _create_views(self) -> list[View]:
         views = create_views(self.settings.views)
         for view in views:
-            name = self.node.resolve_service_name(view.topic('raycast_all'))
             try:
+                name = self.node.resolve_service_name(view.topic('raycast_all'))
                 validate_full_topic_name(name, is_service=True)
-            except NameValidationException as error:
+            except (RuntimeError, NameValidationException) as error:
                 reason = str(error).partition('\n')[0]
                 raise ConfigurationError(f"view '{view.name}': {reason}") from error
         return views

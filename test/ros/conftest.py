@@ -184,6 +184,26 @@ def world(start_node: Callable[..., World]) -> World:
 
 
 @pytest.fixture
+def configure(ros: Any) -> Iterator[Callable[[dict[str, Any]], Any]]:
+    """Read parameters as the node does at start, in this process: a server that does not serve."""
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+
+    from bvh_ros.ros.server import BvhServer
+
+    nodes = []
+
+    def start(parameters: dict[str, Any]) -> BvhServer:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        nodes.append(Node('configured', parameter_overrides=overrides))
+        return BvhServer(nodes[-1])
+
+    yield start
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.fixture
 def diagnostics() -> Iterator[Callable[[World], dict[str, Any]]]:
     """Listen to a node's diagnostics: the latest status of each of its parts, by short name."""
     from diagnostic_msgs.msg import DiagnosticArray
