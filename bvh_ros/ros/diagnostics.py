@@ -110,6 +110,7 @@ class Diagnostics(Part):
         values: dict[str, object] = {
             'messages': source.messages,
             **_in_words(source.timings, 'updates'),
+            'longest slice of an update [ms]': f'{1e3 * source.longest_slice:.3f}',
             'refused': refused.count,
             'last reason': refused.last,
             'points skipped': source.skipped,

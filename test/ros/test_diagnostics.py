@@ -63,6 +63,7 @@ def test_sources(busy, diagnostics):
     assert (markers['messages'], markers['refused']) == ('1', '1')
     assert 'negative' in markers['last reason']
     assert (markers['publishers'], markers['reliability']) == ('1', 'reliable')
+    assert float(markers['longest slice of an update [ms]']) > 0.0
     assert seen['source boxes'].level == OK
 
 
