@@ -17,6 +17,7 @@ decides. Other shapes are met at their t, as computed.
 """
 
 from functools import cmp_to_key
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +87,16 @@ def touch_all(tree, solids, prints, radius, scratch, hits, points, normals):
         touch(tree, solids, prints, scratch[0], radius, hits, j, scratch[2], points[j], normals[j])
 
 
+class Sweep(NamedTuple):
+    """What is asked for, for exact arithmetic."""
+
+    origin: list[float]
+    way: list[float]
+    radius: float
+    skip_inside: bool
+    every: bool
+
+
 def cast_ball(
     tree: DynamicBVH,
     columns: Columns,
@@ -118,7 +129,8 @@ def cast_ball(
     slots = hits[0][:count]
     times, features = np.empty((3, count)), np.empty((3, count), np.int64)
     bracket(arrays, solids, prints, radius, slack, scratch, slots, times, features)
-    slots, ts, met = _in_order(columns, slots, times, features, (origin, way, radius, ndim))
+    sweep = Sweep(origin[:ndim].tolist(), way[:ndim].tolist(), radius, skip_inside, every)
+    slots, ts, met = _in_order(columns, slots, times, features, sweep)
     if skip_inside:
         slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
     if not every:
@@ -126,9 +138,6 @@ def cast_ball(
     points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
     touch_all(arrays, solids, prints, radius, scratch, (slots, ts, met), points, normals)
     return slots, ts, points, normals
-
-
-Sweep = tuple[Floats, Floats, float, int]
 
 
 def _in_order(
@@ -141,7 +150,7 @@ def _in_order(
     open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
     if not len(open_ones):
         return slots, ts, met
-    roots = dict(zip(open_ones.tolist(), _exact(columns, slots[open_ones], sweep), strict=True))
+    roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
     order = _sorted(columns.node_handle[slots], ts, roots)
     for row, root in roots.items():
         if root is not None:
@@ -169,12 +178,25 @@ def _undecided(times: Floats, features: NDArray[np.int64]) -> NDArray[np.bool_]:
     return doubtful
 
 
-def _exact(columns: Columns, slots: Slots, sweep: Sweep) -> list[Root | None]:
-    origin, way, radius, ndim = sweep
+def _exact(
+    columns: Columns, slots: Slots, early: Floats, rows: Slots, sweep: Sweep
+) -> dict[int, Root | None]:
+    """When the boxes of some rows are touched; None where never, or surely after the first that
+    is, if that is all that is asked for.
+    """
     lows, highs = overlaps.corners(columns.geometry[slots])
-    boxes = zip(lows[:, :ndim].tolist(), highs[:, :ndim].tolist(), strict=True)
-    start, step = origin[:ndim].tolist(), way[:ndim].tolist()
-    return [exact_balls.first_touch(lo, hi, start, step, radius) for lo, hi in boxes]
+    ndim, latest = len(sweep.origin), np.inf
+    roots: dict[int, Root | None] = {}
+    for row in rows[np.argsort(early[rows])].tolist():
+        roots[row] = None
+        if early[row] > latest:
+            continue
+        lo, hi = lows[row, :ndim].tolist(), highs[row, :ndim].tolist()
+        root = exact_balls.first_touch(lo, hi, sweep.origin, sweep.way, sweep.radius)
+        roots[row] = root
+        if root is not None and not sweep.every and not (sweep.skip_inside and root is START):
+            latest = min(latest, float(root) * (1.0 + SLACK))
+    return roots
 
 
 def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:

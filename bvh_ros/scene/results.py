@@ -20,9 +20,8 @@ class SceneHit(NamedTuple):
     handle: int
     """Node handle, 1 to 2^31 - 1, not reused while the scene lives."""
     t: float
-    """Rays: 0 at the start, 1 at the goal. Overlaps.
-
-    Distance of `point` from the query's centre, m.
+    """Rays: 0 at the start, 1 at the goal. Overlaps and nearest: distance of `point` from the
+    query's centre, m.
     """
     point: NDArray[np.float64]
     """Shape (3,), m: where a ray meets the obstacle or a swept ball touches it.

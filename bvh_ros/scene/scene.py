@@ -11,11 +11,11 @@ from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
 from . import updating
 from .columns import Columns, as_index
+from .distance_queries import DistanceQueries
 from .footprint import footprints
 from .groups import NOBODY, Groups
 from .inspection import SceneInspection
 from .names import Families, Names, as_families
-from .queries import SceneQueries
 from .registry import UNKNOWN, Registry, Slots
 from .results import LAST_NODE_HANDLE
 from .shapes import Shapes, as_shapes
@@ -27,7 +27,7 @@ NEVER = np.iinfo(np.int64).max
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
 
-class Scene(SceneQueries, SceneInspection, SlicedUpdates):
+class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
     """Obstacles that come and go, and the questions about them.
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
