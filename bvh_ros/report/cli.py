@@ -9,13 +9,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from . import error, peers, speed, stability
+from . import error, features, peers, speed, stability
 from .page import Page
 from .progress import Progress
 from .soak import Soak
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
-PARTS = {'error': error, 'peers': peers, 'speed': speed, 'stability': stability}
+PARTS = {
+    'error': error,
+    'features': features,
+    'peers': peers,
+    'speed': speed,
+    'stability': stability,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -44,6 +50,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         'part',
         choices=[*PARTS, 'all', 'soak'],
         help='error: how wrong each way of answering is, against its time; '
+        'features: what each part costs when it is on, and when it is off; '
         'peers: other libraries on the same work; '
         'speed: growth, calls, policies, searches, cold start; '
         'stability: extreme and stiff cases; exits with 1 if one fails; '
