@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the queries need of a tree: its arrays, and the snapshot that batches of rays share."""
 
+import functools
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
@@ -16,18 +18,32 @@ from .nodes import COUNT, NONE, ROOT
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
+PIECES_A_THREAD = 4
+
 
 def in_threads(work: Callable[[int, int], Any], count: int, threads: int) -> list[Any]:
-    """Do work(start, stop) over `count` rows in as many pieces as threads.
+    """Do work(start, stop) over `count` rows, shared among so many threads; results in the order
+    of the rows.
 
-    Kernels release the GIL.
+    Kernels release the GIL. There are more pieces than threads, and whoever is done takes the
+    next: a thread that the machine interrupts then does not hold up the others.
     """
     threads = max(1, min(checks.whole('threads', threads, 1), count))
     if threads == 1:
         return [work(0, count)]
-    edges = [count * i // threads for i in range(threads + 1)]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, edges[:-1], edges[1:]))
+    pieces = min(PIECES_A_THREAD * threads, count)
+    edges = [count * i // pieces for i in range(pieces + 1)]
+    return list(_workers(threads).map(work, edges[:-1], edges[1:]))
+
+
+@functools.cache
+def _workers(threads: int) -> ThreadPoolExecutor:
+    """Kept for the life of the process: starting threads costs as much as casting 1,000 rays."""
+    return ThreadPoolExecutor(threads, 'bvh_ros')
+
+
+if hasattr(os, 'register_at_fork'):  # a child has the pool, but not its threads
+    os.register_at_fork(after_in_child=_workers.cache_clear)
 
 
 class Arrays:

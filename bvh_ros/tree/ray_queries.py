@@ -5,14 +5,11 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, ordering, ray_hits, raycasting, wide, wide_raycasting
+from . import checks, ray_hits, raycasting, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, EXACT_RAYS, RAYS
 from .results import RayHit, RayHits
 from .slab import RAY_ROWS
-
-# Sizes from which sorting a batch pays, measured: the tree no longer fits the nearest cache.
-SORT_FROM_BOXES, SORT_FROM_RAYS = 2_000, 1_000
 
 
 class RayQueries(Arrays):
@@ -217,9 +214,10 @@ class RayQueries(Arrays):
         slots, ts, axes = np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
         rays = starts, ways, reaches, seen, bool(skip_inside)
         snapshot = self._snapshot_for(count)
-        left, exact = np.arange(count), 0
-        if snapshot is not None:
-            order = self._coherent(snapshot, starts, ways)
+        exact = 0
+        if snapshot is None:
+            left = np.arange(count)
+        else:
             marks = np.empty(count, np.bool_)
 
             def cast(start: int, stop: int) -> int:
@@ -230,7 +228,8 @@ class RayQueries(Arrays):
                     np.empty((RAY_ROWS, self.ndim)),
                     *rays,
                     mode == raycasting.ANY,
-                    order[start:stop],
+                    start,
+                    stop,
                     slots,
                     ts,
                     axes,
@@ -261,19 +260,6 @@ class RayQueries(Arrays):
         with self._lock:
             self._state[RAYS] += rays
             self._state[EXACT_RAYS] += exact
-
-    def _coherent(self, snapshot: wide.Snapshot, starts: Floats, ways: Floats) -> Ids:
-        """The order to cast rays in: sorted where a tree larger than the near caches makes
-        neighbours share what they load.
-        """
-        count = len(starts)
-        order = np.arange(count)
-        if len(self) >= SORT_FROM_BOXES and count >= SORT_FROM_RAYS:
-            keys, spare = np.empty(count, np.int64), np.empty(count, np.int64)
-            ordering.coherent_order(
-                starts, ways, snapshot.center, snapshot.per_length, keys, order, spare
-            )
-        return order
 
     def _every(
         self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool

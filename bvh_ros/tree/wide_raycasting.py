@@ -238,18 +238,24 @@ def cast_rows(
     masks,
     skip_inside,
     any_hit,
-    order,
+    start,
+    stop,
     slots,
     ts,
     axes,
     left_over,
 ):
-    """Cast the rays of `order`; those not suited are marked in `left_over`. `ray` is scratch."""
+    """Cast the rays [start, stop); those not suited are marked in `left_over`. `ray` is scratch.
+
+    In the order given: sorting them first (by octant and cell) makes neighbours share nodes, but
+    gathering rays and scattering answers costs more than that saves, measured from 1,000 to
+    100,000 boxes.
+    """
     ndim = origins.shape[1]
     stack, stack_entry = stack_array(DEEPEST_WIDE, np.int32), stack_array(DEEPEST_WIDE, np.float32)
     entries = stack_array(WIDTH, np.float32)
     exact = np.int64(0)
-    for i in order:
+    for i in range(start, stop):
         aim(ray, origins[i], directions[i])
         suited, largest = fill_ray(ray, center, per_length, ndim)
         left_over[i] = not suited

@@ -4,6 +4,8 @@
 something lazily.
 """
 
+import multiprocessing
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
@@ -94,3 +96,21 @@ def test_the_first_batch_after_a_change_from_many_threads() -> None:
             answers = list(pool.map(batch, range(THREADS)))
             expected = [-1 if hit is None else hit.id for hit in map(alone.raycast, ORIGINS, WAYS)]
             assert answers == [expected] * THREADS
+
+
+@pytest.mark.skipif(not hasattr(os, 'fork'), reason='this system does not fork')
+@pytest.mark.filterwarnings('ignore:.*fork')
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    """A child inherits the list of worker threads, but not the threads: it must not wait for
+    them.
+    """
+    lo = np.random.default_rng(3).uniform(0, 50, (500, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    tree.raycast_many(ORIGINS, WAYS, threads=2)
+    child = multiprocessing.get_context('fork').Process(
+        target=tree.raycast_many, args=(ORIGINS, WAYS), kwargs={'threads': 2}, daemon=True
+    )
+    child.start()
+    child.join(30)
+    child.kill()
+    assert child.exitcode == 0
