@@ -25,6 +25,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.questions import Question, Table
+from bvh_ros.ros import large_messages
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
 
 DURATION = 15.0  # seconds of the warehouse
@@ -205,6 +206,7 @@ def main(args: Sequence[str] | None = None) -> int:
     where = f'{namespace}/bvh on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
     print(f'starting the node {where}', flush=True)
     frames = warehouse() if options.replay is None else replay(options.replay)
+    large_messages.enable()
     init()
     try:
         node = rclpy.create_node('bvh_demo', namespace=namespace)

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from . import error, features, peers, speed, stability
+from . import error, features, intake, peers, speed, stability
 from .page import Page
 from .progress import Progress
 from .soak import Soak
@@ -41,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parts(options: argparse.Namespace) -> Sequence[Any]:
     if options.part == 'soak':
         return [Soak(options.minutes)]
+    if options.part == 'intake':
+        return [intake]
     return list(PARTS.values()) if options.part == 'all' else [PARTS[options.part]]
 
 
@@ -48,12 +50,13 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
     parser.add_argument(
         'part',
-        choices=[*PARTS, 'all', 'soak'],
+        choices=[*PARTS, 'all', 'intake', 'soak'],
         help='error: how wrong each way of answering is, against its time; '
         'features: what each part costs when it is on, and when it is off; '
         'peers: other libraries on the same work; '
         'speed: growth, calls, policies, searches, cold start; '
         'stability: extreme and stiff cases; exits with 1 if one fails; '
+        'intake: from a published message to the first answer, over ROS 2; '
         'soak: a node under load over ROS 2, exits with 1 if an answer is wrong or memory grows',
     )
     parser.add_argument(

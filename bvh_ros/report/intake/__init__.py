@@ -1,0 +1,196 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_report intake`: how soon what is published can be asked about, and who waits for it.
+
+The node, this process, and under load a publisher, talk over real ROS 2.
+"""
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..page import Page
+from ..progress import Progress
+from ..tables import Cell, Table
+from ..timing import seconds
+
+if TYPE_CHECKING:
+    from bvh_ros.client import BvhClient
+
+REPEATS = 7
+MARKERS, BOXES, MANY = 10_000, 100_000, 1_000_000
+BRIEF = 50  # times fewer in brief
+LOADED = 10.0  # seconds of questions under load
+LOADS = (
+    ('nothing', '', 0, 0.0),
+    ('30 Hz x 10,000 markers', 'markers', 10_000, 30.0),
+    ('30 Hz x 10,000 boxes, PointCloud2', 'cloud', 10_000, 30.0),
+    ('0.2 Hz x 1,000,000 boxes, PointCloud2', 'cloud', MANY, 0.2),
+)
+CASES = (
+    ('MarkerArray', MARKERS, 'obstacles', False),
+    ('PointCloud2', BOXES, 'boxes', False),
+    ('PointCloud2 with id', BOXES, 'boxes_by_id', True),
+)
+
+
+def steps(brief: bool) -> int:
+    """How often the progress bar will move."""
+    return len(CASES) + (1 if brief else len(LOADS))
+
+
+def run(page: Page, progress: Progress, brief: bool) -> None:
+    """Measure over ROS 2 with the profile for large messages."""
+    import rclpy
+
+    from bvh_ros.client import BvhClient
+    from bvh_ros.ros import large_messages, running
+
+    namespace = running.keep_apart()
+    large_messages.enable()
+    running.init()
+    parameters = {
+        'sources': ['markers', 'boxes', 'by_id'],
+        'boxes': {'type': 'PointCloud2', 'topic': '~/boxes'},
+        'by_id': {'type': 'PointCloud2', 'topic': '~/boxes_by_id'},
+        'max_obstacles': 2 * MANY,
+    }
+    try:
+        with (
+            (page.folder / 'intake_node.log').open('wb') as log,
+            running.running_node(namespace, parameters, log=log) as process,
+        ):
+            node = rclpy.create_node('intake', namespace=namespace)
+            client = BvhClient(node, timeout=60.0)
+            running.wait_until_ready(client, process)
+            page.add('## Intake')
+            page.table(_usable(client, progress, brief))
+            page.table(_loaded(client, f'{namespace}/bvh', progress, brief))
+    finally:
+        rclpy.try_shutdown()
+
+
+def _usable(client: 'BvhClient', progress: Progress, brief: bool) -> Table:
+    rows: list[list[Cell]] = []
+    for name, count, topic, by_id in CASES:
+        count = count // BRIEF if brief else count
+        progress.say(f'intake: {count:,} in a {name}')
+        raws, message_type, peer, peer_name = _work(count, name, by_id)
+        first, later = _until_usable(client, topic, message_type, raws, brief)
+        peer()
+        alone = statistics.median(seconds(peer) for _ in range(1 if brief else REPEATS))
+        rows.append([name, count, first * 1e3, later * 1e3, peer_name, alone * 1e3, later / alone])
+        progress.step()
+    header = ('message', 'boxes', 'ms, first message', 'ms, a later one', 'beside')
+    return Table('intake', (*header, 'ms', 'ratio'), rows)
+
+
+def _work(count: int, name: str, by_id: bool) -> tuple[list[bytes], Any, Callable[[], Any], str]:
+    """Two messages, their type, and the work that they are compared with."""
+    from rclpy.serialization import deserialize_message, serialize_message
+    from sensor_msgs.msg import PointCloud2
+    from visualization_msgs.msg import MarkerArray
+
+    from bvh_ros import DynamicBVH
+
+    from . import messages
+
+    if name == 'MarkerArray':
+        raws = [messages.marker_array(count, side) for side in (0, 1)]
+        return raws, MarkerArray, lambda: deserialize_message(raws[0], MarkerArray), 'rclpy alone'
+    raws = [serialize_message(messages.cloud(count, side, by_id=by_id)) for side in (0, 1)]
+    lo = messages.centres(count, 0) - messages.EDGE / 2
+    hi = lo + messages.EDGE
+    return raws, PointCloud2, lambda: DynamicBVH.from_boxes(lo, hi), 'from_boxes'
+
+
+def _until_usable(
+    client: 'BvhClient', topic: str, message_type: Any, raws: Sequence[bytes], brief: bool
+) -> tuple[float, float]:
+    """Seconds from publishing to the first answer that shows it: the first time, and later."""
+    from . import messages
+
+    node = client.node
+    publisher = node.create_publisher(message_type, f'bvh/{topic}', 2)
+    while publisher.get_subscription_count() == 0:
+        time.sleep(0.01)
+    time.sleep(1.0)  # until the node has matched it, too
+    took = []
+    for turn in range(2 if brief else REPEATS + 1):
+        side = turn % 2
+        x, y = messages.BEACON_X, messages.SIDES[side]
+        began = time.perf_counter()
+        publisher.publish(raws[side])
+        while client.raycast((x, y, -2.0), (x, y, 2.0)) is None:
+            pass
+        took.append(time.perf_counter() - began)
+        time.sleep(0.2)
+    node.destroy_publisher(publisher)
+    _clear(client)
+    return took[0], statistics.median(took[1:])
+
+
+def _clear(client: 'BvhClient') -> None:
+    """Empty the world."""
+    import rclpy
+    from std_srvs.srv import Trigger
+
+    node = rclpy.create_node('intake_clear')  # the client spins its own
+    trigger = node.create_client(Trigger, f'{client.node.get_namespace()}/bvh/clear')
+    trigger.wait_for_service()
+    rclpy.spin_until_future_complete(node, trigger.call_async(Trigger.Request()))
+    node.destroy_node()
+
+
+def _loaded(client: 'BvhClient', name: str, progress: Progress, brief: bool) -> Table:
+    rows: list[list[Cell]] = []
+    for what, kind, count, rate in LOADS[: 1 if brief else None]:
+        progress.say(f'intake: questions beside {what}')
+        topic = f'{name}/{"obstacles" if kind == "markers" else "boxes"}'
+        with _publishing(topic, kind, count, rate):
+            times = np.array(_ask(client, kind, 1.0 if brief else LOADED)) * 1e3
+        rows.append([what, len(times), *np.percentile(times, (50, 99, 100)).tolist()])
+        _clear(client)
+        progress.step()
+    return Table(
+        'intake_latency',
+        ('beside', 'questions', 'ms, raycast p50', 'ms, p99', 'ms, slowest'),
+        rows,
+    )
+
+
+def _ask(client: 'BvhClient', kind: str, duration: float) -> list[float]:
+    """Times of raycasts, 200 a second, once the first message is in."""
+    from . import messages
+
+    x = messages.BEACON_X
+    while kind and client.raycast((x, -9.0, 0.0), (x, 9.0, 0.0)) is None:
+        time.sleep(0.05)
+    times = []
+    began = time.perf_counter()
+    while (now := time.perf_counter()) < began + duration:
+        client.raycast((0.0, 50.0, 50.0), (100.0, 50.0, 50.0))
+        times.append(time.perf_counter() - now)
+        time.sleep(max(0.0, now + 0.005 - time.perf_counter()))
+    return times
+
+
+@contextmanager
+def _publishing(topic: str, kind: str, count: int, rate: float) -> Iterator[None]:
+    """Publish in a process of its own."""
+    if not kind:
+        yield
+        return
+    command = [sys.executable, '-m', f'{__name__}.publisher', topic, kind, str(count), str(rate)]
+    process = subprocess.Popen(command, start_new_session=True)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
