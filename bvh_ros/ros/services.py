@@ -51,6 +51,7 @@ class QueryServices(Part):
             node.get_logger(), f"query of '{view.name}'" if view.name else 'query'
         )
         self.timings = Timings()
+        self._replies = plans.Replies()
         self._clock = node.get_clock()
         self._world = world
         self._drawing = drawing
@@ -89,7 +90,7 @@ class QueryServices(Part):
             scene = self._world.at(now)
             query = plans.query(request, frames.into_node, oriented=oriented)
             hits = answer(scene, query)
-            plans.fill(plan, hits, frames.frame_id, scene.newest)
+            self._replies.fill(plan, hits, frames.frame_id, scene.newest)
             if self._drawing.is_watched:
                 self._drawing.add_query(query, hits, is_box=oriented)
             self.timings.add(began)

@@ -92,7 +92,7 @@ def test_reply():
         SceneHit('a/2', 2, 0.6, np.array((4.0, 5.0, 6.0)), np.zeros(3), 6 * 10**9 + 7),
     ]
     plan = Path()
-    plans.fill(plan, hits, 'map', 9 * 10**9 + 1)
+    plans.Replies().fill(plan, hits, 'map', 9 * 10**9 + 1)
     assert plan.header.frame_id == 'map'
     assert (plan.header.stamp.sec, plan.header.stamp.nanosec) == (9, 1)
     first, second = plan.poses
@@ -101,6 +101,22 @@ def test_reply():
     assert (first.pose.orientation.z, first.pose.orientation.w) == (1, 0)
     assert (second.header.stamp.sec, second.header.stamp.nanosec) == (6, 7)
     assert second.pose.orientation.w == 1
+
+
+def test_replies_of_any_length_one_after_the_other():
+    """Poses are used again: nothing of an earlier reply may show."""
+    replies = plans.Replies()
+    for count in (1, 40, 0, 3, 16, 17, 1):
+        hits = [
+            SceneHit(f'{count}/{i}', i, 0.0, np.full(3, 100.0 * count + i), np.zeros(3), i * 10**9)
+            for i in range(count)
+        ]
+        plan = Path()
+        replies.fill(plan, hits, 'map', 0)
+        assert [pose.header.frame_id for pose in plan.poses] == [hit.name for hit in hits]
+        assert [pose.header.stamp.sec for pose in plan.poses] == list(range(count))
+        assert [pose.pose.position.z for pose in plan.poses] == [hit.point[2] for hit in hits]
+        assert len({id(pose) for pose in plan.poses}) == count
 
 
 def test_an_error_never_looks_free_and_has_no_nan():

@@ -17,6 +17,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.frames import Transform
 from bvh_ros.scene import SceneHit
 
+KEPT = 16  # poses; a first hit needs one
 ERROR = 'error: '  # begins the frame_id of a reply that is no answer
 
 Vector = tuple[float, float, float]
@@ -68,24 +69,36 @@ def query(
     return Query(start, goal, turn, tolerance)
 
 
-def fill(plan: Path, hits: Iterable[SceneHit], frame_id: str, newest: int) -> None:
-    """Write the answer to a query into a Path.
+class Replies:
+    """Writes answers into Paths, with PoseStamped objects that are used again and again.
 
-    Parameters
-    ----------
-    plan : nav_msgs.msg.Path
-    hits : iterable of SceneHit
-        One pose each, in this order.
-    frame_id : str
-        The node's frame.
-    newest : int
-        Time of the newest update that the answer knows of, ns.
+    To make one takes 10 us, as long as the ray itself. rclpy has sent a reply before it calls
+    anybody again.
     """
-    _set_header(plan.header, frame_id, newest)
-    plan.poses = [
-        _pose(hit.name, hit.stamp, hit.point.tolist(), rotations.from_normal(*hit.normal.tolist()))
-        for hit in hits
-    ]
+
+    def __init__(self) -> None:
+        self._kept = [PoseStamped() for _ in range(KEPT)]
+
+    def fill(self, plan: Path, hits: Sequence[SceneHit], frame_id: str, newest: int) -> None:
+        """Write the answer to a query into a Path.
+
+        Parameters
+        ----------
+        plan : nav_msgs.msg.Path
+        hits : sequence of SceneHit
+            One pose each, in this order.
+        frame_id : str
+            The node's frame.
+        newest : int
+            Time of the newest update that the answer knows of, ns.
+        """
+        _set_header(plan.header, frame_id, newest)
+        poses = self._kept[: len(hits)]
+        poses += [PoseStamped() for _ in range(len(hits) - len(poses))]
+        for pose, hit in zip(poses, hits, strict=True):
+            turn = rotations.from_normal(*hit.normal.tolist())
+            _set_pose(pose, hit.name, hit.stamp, hit.point.tolist(), turn)
+        plan.poses = poses
 
 
 def fill_error(plan: Path, request: Any, reason: str, frame_id: str, now: int) -> None:
@@ -93,7 +106,9 @@ def fill_error(plan: Path, request: Any, reason: str, frame_id: str, now: int) -
     _set_header(plan.header, frame_id, now)
     at = request.start.pose.position
     place = tuple(c if math.isfinite(c) else 0.0 for c in (at.x, at.y, at.z))
-    plan.poses = [_pose(ERROR + reason, now, place, rotations.IDENTITY)]
+    pose = PoseStamped()
+    _set_pose(pose, ERROR + reason, now, place, rotations.IDENTITY)
+    plan.poses = [pose]
 
 
 def _set_header(header: Header, frame_id: str, stamp: int) -> None:
@@ -101,15 +116,13 @@ def _set_header(header: Header, frame_id: str, stamp: int) -> None:
     header.stamp.sec, header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
-def _pose(
-    name: str, stamp: int, place: Sequence[float], turn: rotations.Quaternion
-) -> PoseStamped:
-    stamped = PoseStamped()
+def _set_pose(
+    stamped: PoseStamped, name: str, stamp: int, place: Sequence[float], turn: rotations.Quaternion
+) -> None:
     _set_header(stamped.header, name, stamp)
     position, orientation = stamped.pose.position, stamped.pose.orientation
     position.x, position.y, position.z = place
     orientation.x, orientation.y, orientation.z, orientation.w = turn
-    return stamped
 
 
 def _position(what: str, stamped: Any) -> Vector:
