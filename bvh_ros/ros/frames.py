@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.time import Time
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.parameters import ConfigurationError, TransformSettings
+from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.parameters import TransformSettings
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -17,7 +17,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from bvh_ros.ros.node import RCLError, run
-from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE

@@ -13,7 +13,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from bvh_ros.ros.interrupts import Interrupts
-from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 
 WRONG_CONFIGURATION = 2  # exit code

@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from bvh_ros.ros.parameters import ConfigurationError, Option
+from bvh_ros.ros.option import ConfigurationError, Option
 
 LASER_SCAN, POINT_CLOUD = 'LaserScan', 'PointCloud2'
 MOST_RAYS = 1_000_000  # of one scan

@@ -15,7 +15,8 @@ from bvh_ros.ros.diagnostics import Diagnostics
 from bvh_ros.ros.drawing import SceneDrawing, TreeDrawing
 from bvh_ros.ros.frames import Frames, listen_to_tf2
 from bvh_ros.ros.names import NamesPublisher
-from bvh_ros.ros.parameters import ConfigurationError, read_settings
+from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.parameters import read_settings
 from bvh_ros.ros.part_settings import GROUPS, draw_settings, scan_settings
 from bvh_ros.ros.query_drawing import QueryDrawing
 from bvh_ros.ros.services import QueryServices, TriggerServices

@@ -12,7 +12,8 @@ import pytest
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.frames import FrameError, Frames, listen_to_tf2
-from bvh_ros.ros.parameters import ConfigurationError, TransformSettings
+from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.parameters import TransformSettings
 
 
 class FakeBuffer:

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.parameters import ConfigurationError, ViewSettings
+from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.parameters import ViewSettings
 from bvh_ros.ros.views import Categoriser, create_views
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.scene.names import as_families

@@ -15,7 +15,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 
 from bvh_ros.ros.conversions import scans
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
-from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.part_settings import SCAN_OPTIONS, scan_settings
 
 BOXES = 60

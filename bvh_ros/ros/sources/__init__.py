@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.parameters import Option, SourceSettings
+from bvh_ros.ros.option import Option
+from bvh_ros.ros.parameters import SourceSettings
 from bvh_ros.scene import ShapeKind
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from nav_msgs.msg import OccupancyGrid
 from bvh_ros.ros.conversions import occupancy_grid
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parameters import ConfigurationError
+from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
 
