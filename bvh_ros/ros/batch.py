@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.part import Part
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.timings import Timings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -51,7 +53,9 @@ class RayBatch(Part):
         super().__init__(node)
         self.view = view
         self.refused = Refused(node.get_logger(), view.topic('rays'))
+        self.what = f'rays of {view.name}' if view.name else 'rays'
         self.answered = 0  # rays
+        self.timings = Timings()
         self._world = world
         self._drawing = drawing
         self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
@@ -63,6 +67,7 @@ class RayBatch(Part):
 
     def receive(self, request: PointCloud2) -> None:
         """Answer one cloud."""
+        began = time.perf_counter_ns()
         try:
             reply = self._reply(request)
         except ValueError as error:
@@ -71,6 +76,7 @@ class RayBatch(Part):
             reply = self._refusal(request, f'internal error: {error!r}')
         reply.header = request.header
         self._publisher.publish(reply)
+        self.timings.add(began)
 
     def _reply(self, request: PointCloud2) -> PointCloud2:
         scene = self._world.at(self.node.get_clock().now().nanoseconds)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
@@ -15,6 +15,7 @@ from bvh_ros.ros.survey import Survey, resident_bytes
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.ros.refusals import Refused
     from bvh_ros.ros.services import QueryServices
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.timings import Timings
@@ -26,6 +27,15 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 STOPPED = '/clock stands still: no lifetime ends, and no source grows older'
 
 
+class Answerer(Protocol):
+    """What answers rays by the thousand."""
+
+    what: str
+    refused: Refused
+    answered: int  # rays
+    timings: Timings
+
+
 class Diagnostics(Part):
     """Publishes a status for the world, for the queries of each view and for each source.
 
@@ -35,6 +45,8 @@ class Diagnostics(Part):
     world : World
     queries : sequence of QueryServices
         One a view.
+    answerers : sequence of Answerer
+        Whatever else answers.
     features : callable
         Tells which parts are on and which are off.
     """
@@ -44,6 +56,7 @@ class Diagnostics(Part):
         node: Node,
         world: World,
         queries: Sequence[QueryServices],
+        answerers: Sequence[Answerer],
         features: Callable[[], Mapping[str, bool]],
     ) -> None:
         super().__init__(node)
@@ -52,6 +65,7 @@ class Diagnostics(Part):
         self._world = world
         self._survey = Survey(world)
         self._queries = queries
+        self._answerers = answerers
         self._features = features
         self._refused_before: dict[str, int] = {}
         self._published_at = -1  # ns on the node's clock
@@ -67,6 +81,7 @@ class Diagnostics(Part):
         message.status = [
             self._world_status(figures, now.nanoseconds),
             *(self._query_status(queries, seen) for queries in self._queries),
+            *(self._answerer_status(answerer) for answerer in self._answerers),
             *(self._source_status(source, now.nanoseconds) for source in self._world.sources),
         ]
         self._published_at = now.nanoseconds
@@ -103,6 +118,17 @@ class Diagnostics(Part):
             'last reason': refused.last,
         }
         return self._status(name, level, text or nothing, values)
+
+    def _answerer_status(self, answerer: Answerer) -> DiagnosticStatus:
+        refused = answerer.refused
+        level, text = self._refused_since(answerer.what, refused.count, refused.last)
+        values = {
+            **_in_words(answerer.timings, 'answers'),
+            'rays answered': answerer.answered,
+            'rays refused': refused.count,
+            'last reason': refused.last,
+        }
+        return self._status(answerer.what, level, text or 'answering', values)
 
     def _source_status(self, source: Source, now: int) -> DiagnosticStatus:
         refused, subscription = source.refused, source.subscription

@@ -31,8 +31,10 @@ from bvh_ros.tree import compiling
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.ros.batch import RayBatch
     from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.virtual_scan import VirtualScan
 
 
 class Destroyable(Protocol):
@@ -134,6 +136,19 @@ class BvhServer:
             queries.append(QueryServices(node, world, view, drawing))
             yield queries[-1]
         yield TriggerServices(node, world)
+        answerers: list[RayBatch | VirtualScan] = []
+        for answerer in self._create_answerers(drawing):
+            answerers.append(answerer)
+            yield answerer
+        yield NamesPublisher(node, world.scene)
+        yield SceneDrawing(node, world, self._draw)
+        yield TreeDrawing(node, world, self._draw)
+        yield Upkeep(node, world)
+        yield Diagnostics(node, world, queries, answerers, self.features)
+
+    def _create_answerers(self, drawing: QueryDrawing) -> Iterator[RayBatch | VirtualScan]:
+        """Create what answers many rays at once; who does without imports none of it."""
+        node, world = self.node, self.world
         if self.settings.batch:
             from bvh_ros.ros.batch import RayBatch
 
@@ -142,12 +157,10 @@ class BvhServer:
         if self._scan.pose_topic:
             from bvh_ros.ros.virtual_scan import VirtualScan
 
-            yield VirtualScan(node, world, self._scan, self._scanning_view())
-        yield NamesPublisher(node, world.scene)
-        yield SceneDrawing(node, world, self._draw)
-        yield TreeDrawing(node, world, self._draw)
-        yield Upkeep(node, world)
-        yield Diagnostics(node, world, queries, self.features)
+            try:
+                yield VirtualScan(node, world, self._scan, self._scanning_view())
+            except (RuntimeError, InvalidTopicNameException, ParameterException) as error:
+                raise ConfigurationError(f"'virtual_scan.pose_topic': {error}") from error
 
     def _scanning_view(self) -> View:
         """Return the view that the virtual scan is configured with."""

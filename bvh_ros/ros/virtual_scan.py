@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from bvh_ros.ros.part import Part
 from bvh_ros.ros.part_settings import LASER_SCAN
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.timings import Timings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -51,7 +53,10 @@ class VirtualScan(Part):
 
     def __init__(self, node: Node, world: World, settings: ScanSettings, view: View) -> None:
         super().__init__(node)
-        self.refused = Refused(node.get_logger(), 'virtual scan')
+        self.what = 'virtual scan'
+        self.refused = Refused(node.get_logger(), self.what)
+        self.answered = 0  # rays
+        self.timings = Timings()
         self._world = world
         self._settings = settings
         self._view = view
@@ -81,20 +86,23 @@ class VirtualScan(Part):
     def _scan(self, pose: PoseStamped, stamp: int) -> None:
         if not self._publisher.get_subscription_count():
             return
+        began = time.perf_counter_ns()
         now = self.node.get_clock().now()
         place = Transform(np.zeros(3), np.array(rotations.IDENTITY))
         hits = Hits.unanswered(len(self._pattern.directions))
         try:
             place = self._place(pose)
             hits = self._measure(self._world.at(now.nanoseconds), place)
+            self.answered += len(hits.t)
         except ValueError as error:
-            self.refused.add(str(error))
+            self.refused.add(str(error), len(hits.t))
         except Exception as error:  # whatever went wrong, the way must not look free
-            self.refused.add(f'internal error: {error!r}')
+            self.refused.add(f'internal error: {error!r}', len(hits.t))
         scan = self._message(hits, place)
         frame = self._settings.frame_id or self._world.frames.frame_id
         scan.header = Header(frame_id=frame, stamp=pose.header.stamp if stamp else now.to_msg())
         self._publisher.publish(scan)
+        self.timings.add(began)
 
     def _place(self, stamped: PoseStamped) -> Transform:
         """Return the way from the scanner's frame into the node's."""

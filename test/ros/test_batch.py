@@ -8,6 +8,7 @@ from array import array
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -118,10 +119,14 @@ def first_hits(origins, directions, t_max=math.inf):
     return box, t.min(axis=1)
 
 
-@pytest.fixture(scope='module')
-def filled(world, messages):
+def fill(world, messages):
     world.markers(*(messages.marker(i, CENTRE[i], SIZE[i]) for i in range(BOXES)))
     world.until(lambda: len(world.everything()) == BOXES)
+
+
+@pytest.fixture(scope='module')
+def filled(world, messages):
+    fill(world, messages)
     return world
 
 
@@ -296,6 +301,36 @@ def test_an_incomplete_world(start_node, messages):
     rows = table(asker.ask(down))  # from above, z says nothing
     assert rows['obstacle'].tolist() == [1, FREE]
     assert (rows['t'][0], rows['x'][0], rows['z'][0], rows['nx'][0]) == (1.5, 1.5, 1.5, -1)
+
+
+def test_rays_and_hits_in_a_frame_of_their_own(start_node, messages):
+    place, turn = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.8, 2.0))
+    lidar = {'lidar.xyz': place.tolist(), 'lidar.xyzw': turn.as_quat().tolist()}
+    world = start_node({'transforms': ['lidar'], **lidar})
+    fill(world, messages)
+    origins, directions = random_rays()
+    local = turn.inv().apply(origins - place), turn.inv().apply(directions)
+    reply = Asker(world).ask(rays_cloud(rays(*local)), frame='lidar')
+    rows, (box, t) = table(reply), first_hits(origins, directions)
+    assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
+    hit = box >= 0
+    assert np.allclose(rows['t'][hit], t[hit], rtol=1e-9)
+    points = turn.apply(stacked(rows, XYZ)[hit]) + place
+    assert np.allclose(points, origins[hit] + t[hit, None] * directions[hit], atol=1e-9)
+    normals = turn.apply(stacked(rows, NORMAL)[hit & (t > 0)])
+    assert np.allclose(np.sort(np.abs(normals), axis=1), (0, 0, 1), atol=1e-12)
+    assert ((normals * directions[hit & (t > 0)]).sum(axis=1) < 0).all()
+
+
+def test_what_was_refused_is_in_diagnostics(asker, diagnostics):
+    asker.ask(lacking('x'))
+    seen = diagnostics(asker.world)
+
+    def told():
+        return {pair.key: pair.value for pair in seen['rays'].values} if 'rays' in seen else {}
+
+    asker.world.until(lambda: 'but not x' in told().get('last reason', ''))
+    assert int(told()['rays refused']) >= 3
 
 
 def test_without_batches(start_node):
