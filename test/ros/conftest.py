@@ -38,6 +38,7 @@ class World:
         self.log = log
         self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
+        self._statuses: dict[str, Any] | None = None
 
     # ---- services
 
@@ -101,6 +102,27 @@ class World:
             assert time.monotonic() < deadline, f'still not true; the node says:\n{self.said()}'
             self.executor.spin_once(0.005)
 
+    def status(self, what: str) -> Any:
+        """The next status on /diagnostics of this part of the node: its level, text and values."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        if self._statuses is None:
+            self.node.create_subscription(DiagnosticArray, '/diagnostics', self._keep, 10)
+        self._statuses = {}
+        self.until(lambda: what in self._statuses)
+        return self._statuses[what]
+
+    def _keep(self, message: Any) -> None:
+        from types import SimpleNamespace
+
+        beginning = f'{self.name.lstrip("/")}: '
+        for status in message.status:
+            if status.name.startswith(beginning):
+                values = {pair.key: pair.value for pair in status.values}
+                self._statuses[status.name[len(beginning) :]] = SimpleNamespace(
+                    level=status.level, message=status.message, values=values
+                )
+
     # ---- process
 
     def said(self) -> str:
@@ -151,9 +173,11 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         wait: bool = True,
         module: str = 'node',
         remap: str = '',
+        namespace: str = '',
     ) -> World:
         folder = tmp_path_factory.mktemp('node')
-        namespace = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
+        own = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
+        namespace = namespace or own
         file = folder / 'parameters.yaml'
         # JSON is YAML
         file.write_text(json.dumps({'/**': {'ros__parameters': parameters or {}}}))

@@ -10,6 +10,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from rclpy.serialization import deserialize_message
+
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
@@ -56,7 +58,7 @@ class Source(ABC):
         self.skipped = 0  # points without a place
         self.spoke_at = 0  # ns on the node's clock
         self.has_spoken = False
-        self.raw = False  # whether messages come as their serialised bytes
+        self.raw = False  # whether `apply` takes a message as its serialised bytes
         self._node = node
         self._clock = node.get_clock()
         self.longest_slice = 0.0  # s that nobody else had a turn
@@ -79,7 +81,7 @@ class Source(ABC):
             depth=self.depth,
             transient_local=self.transient_local,
             follow=self.follows_publisher,
-            raw=self.raw,
+            raw=True,  # rclpy would drop what it cannot deserialise without telling us
         )
 
     def destroy(self) -> None:
@@ -93,11 +95,11 @@ class Source(ABC):
         self.finish()
         self.has_spoken = self.has_spoken and not self.settings.required
 
-    def receive(self, message: Any) -> None:
+    def receive(self, serialised: bytes) -> None:
         """Begin to apply a message; what is left of the one before is applied first."""
         self.finish()
         self.messages += 1
-        self._work = self._applying(message, self._clock.now().nanoseconds)
+        self._work = self._applying(serialised, self._clock.now().nanoseconds)
         self._go_on()
 
     def finish(self) -> None:
@@ -115,11 +117,11 @@ class Source(ABC):
         if self._work is not None and self._turn is not None:
             self._turn.trigger()
 
-    def _applying(self, message: Any, now: int) -> Iterator[None]:
+    def _applying(self, serialised: bytes, now: int) -> Iterator[None]:
         """Apply one message; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
         try:
-            items, refusals = yield from self.apply(message, now)
+            items, refusals = yield from self.apply(self._read(serialised), now)
             self.timings.add(began)
         except ValueError as error:
             self.refused.add(str(error))
@@ -130,6 +132,15 @@ class Source(ABC):
         self.refused.add_rows(refusals)
         if items == 0 or len(refusals) < items:
             self.spoke_at, self.has_spoken = now, True
+
+    def _read(self, serialised: bytes) -> Any:
+        if self.raw:
+            return serialised
+        try:
+            return deserialize_message(serialised, self.message_type)
+        except Exception as error:  # of several classes, none of which rclpy names
+            name = self.message_type.__name__
+            raise ValueError(f'{len(serialised)} bytes are no {name}: {error}') from error
 
     @abstractmethod
     def apply(self, message: Any, now: int) -> Applying:

@@ -1,0 +1,155 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that die and come back, come late, or do not fit together."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from bvh_ros.client import BvhClient, BvhTimeoutError
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+UP, DOWN = (0, 0, 9), (0, 0, -9)
+BACK_WITHIN = 60.0  # seconds
+
+
+@contextmanager
+def publisher_process(world, number):
+    script = Path(__file__).with_name('steady_publisher.py')
+    command = [sys.executable, str(script), f'{world.name}/obstacles', str(number)]
+    process = subprocess.Popen(command)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_publisher_is_killed_and_another_comes(start_node):
+    world = start_node()
+    first = {f'publisher1/{i}' for i in range(200)}
+    second = {f'publisher2/{i}' for i in range(200)}
+    with publisher_process(world, 1) as process:
+        world.until(lambda: world.everything() == first)
+        process.send_signal(signal.SIGKILL)
+    assert world.everything() == first  # nothing good is lost
+    with publisher_process(world, 2):
+        world.until(lambda: world.everything() == first | second, timeout=BACK_WITHIN)
+        before = world.plan('overlap', (-1e3,) * 3, (1e3,) * 3).header.stamp
+        world.until(lambda: world.plan('overlap', (-1e3,) * 3, (1e3,) * 3).header.stamp != before)
+    assert world.trigger('validate').success
+    assert world.status('source markers').values['refused'] == '0'
+
+
+@pytest.fixture
+def client_of():
+    """A client on a node of its own, which nobody else spins."""
+    nodes = []
+
+    def make(world):
+        nodes.append(rclpy.create_node('waiting_client'))
+        return BvhClient(nodes[-1], world.name)
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+def test_the_node_is_killed_while_clients_wait_and_comes_back(start_node, messages, client_of):
+    world = start_node()
+    world.markers(messages.marker(1))
+    world.until(lambda: world.everything() == {'a/1'})
+    client = client_of(world)
+    assert client.raycast(UP, DOWN).name == 'a/1'
+
+    world.process.send_signal(signal.SIGSTOP)  # it takes the request, and will never answer
+    raised = []
+    waiting = threading.Thread(target=lambda: raised.append(timeout_of(client)))
+    waiting.start()
+    time.sleep(0.3)
+    world.process.kill()
+    world.process.wait()
+    waiting.join()
+    assert 'did not answer within 1 s' in str(raised[0])
+
+    back = start_node(namespace=world.namespace)
+    back.markers(messages.marker(2))
+    deadline = time.monotonic() + BACK_WITHIN
+    while True:  # the same client; a timeout as long as the dead node is still announced
+        try:
+            hit = client.raycast(UP, DOWN, timeout=1.0)
+        except BvhTimeoutError:
+            hit = None
+        if hit is not None:
+            break
+        assert time.monotonic() < deadline
+    assert hit.name == 'a/2'
+
+
+def timeout_of(client):
+    with pytest.raises(BvhTimeoutError) as caught:
+        client.raycast(UP, DOWN, timeout=1.0)
+    return caught.value
+
+
+def test_two_namespaces(start_node, messages):
+    one, other = start_node(), start_node()
+    one.markers(messages.marker(1))
+    other.markers(messages.marker(1, (50, 0, 0)), messages.marker(2, (60, 0, 0)))
+    one.until(lambda: one.everything() == {'a/1'})
+    other.until(lambda: other.everything() == {'a/1', 'a/2'})
+    assert one.names('raycast', UP, DOWN) == ['a/1']
+    assert other.names('raycast', UP, DOWN) == []
+    assert one.trigger('clear').success
+    assert one.everything() == set()
+    assert other.everything() == {'a/1', 'a/2'}
+    assert one.end() == 0
+    assert other.everything() == {'a/1', 'a/2'}
+
+
+def grid_of(*cells):
+    grid = OccupancyGrid()
+    grid.info.width, grid.info.height, grid.info.resolution = len(cells), 1, 1.0
+    grid.data = list(cells)
+    return grid
+
+
+FLOOR = {'sources': ['floor'], 'floor': {'type': 'OccupancyGrid', 'topic': 'map'}}
+
+
+def test_the_node_joins_late(start_node, ros):
+    namespace = '/late_joiner'
+    publisher = ros[0].create_publisher(OccupancyGrid, f'{namespace}/map', LATCHED)
+    publisher.publish(grid_of(100))
+    time.sleep(0.5)
+    world = start_node(
+        {**FLOOR, 'floor': {**FLOOR['floor'], 'required': True}}, namespace=namespace
+    )
+    world.until(lambda: world.everything() == {'floor#0'})
+    ros[0].destroy_publisher(publisher)
+
+
+def test_a_publisher_whose_qos_does_not_fit_is_said_in_diagnostics(start_node):
+    world = start_node(FLOOR)
+    volatile = world.node.create_publisher(OccupancyGrid, f'{world.namespace}/map', 1)
+    world.until(lambda: 'not heard' in world.status('source floor').message)
+    assert world.status('source floor').level == DiagnosticStatus.WARN
+    assert 'DURABILITY' in world.status('source floor').message
+    assert 'a publisher is not heard' in world.said()
+    volatile.publish(grid_of(100, 100))
+    world.publish('map', grid_of(0, 100), qos=LATCHED)  # another one is
+    world.until(lambda: world.everything() == {'floor#0'})
+    world.node.destroy_publisher(volatile)
