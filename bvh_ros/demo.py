@@ -14,7 +14,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +35,7 @@ PRINT_EVERY = 1.0  # seconds between the answers that are printed; all are count
 MARKER_TYPES = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER}
 EVERYWHERE = ((-1e6, -1e6, -1e6), (1e6, 1e6, 1e6))
 Vector = tuple[float, float, float]
+Play = Callable[[Node, BvhClient], Table]
 
 
 class Thing(NamedTuple):
@@ -90,7 +92,7 @@ def _circling(t: float, which: int) -> Vector:
     return (10.0 + 5.0 * math.cos(angle), 2.5 * math.sin(angle), 0.9)
 
 
-def replay(path: Path) -> Iterator[Frame]:
+def tracks(path: Path) -> Iterator[Frame]:
     """Vehicles of a track file: columns frame, t_s, id, cx ... cz, sx ... sz, yaw, type.
 
     The questions are those of the vehicle that stays longest.
@@ -186,7 +188,15 @@ def play(frames: Iterable[Frame], speed: float, node: Node, client: BvhClient) -
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_demo', description=(__doc__ or '').split('\n')[0])
-    parser.add_argument('--replay', type=Path, metavar='FILE.csv', help='play this track file')
+    parser.add_argument(
+        '--replay',
+        type=Path,
+        metavar='PATH',
+        help='play a ROS 2 bag (folder, .mcap or .db3) or a track file (.csv)',
+    )
+    parser.add_argument(
+        '--topic', default='', help='of the bag; default: the one with most messages'
+    )
     parser.add_argument('--speed', type=float, default=1.0, help='times real time (default 1)')
     parser.add_argument(
         '--domain', type=int, help='ROS_DOMAIN_ID (default: $ROS_DOMAIN_ID, else one of its own)'
@@ -194,28 +204,41 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(args)
     if not (math.isfinite(options.speed) and options.speed > 0.0):
         parser.error('--speed must be more than 0')
-    if options.replay is not None and not options.replay.is_file():
-        parser.error(f'there is no file {options.replay}')
+    if options.replay is not None and not options.replay.exists():
+        parser.error(f'there is no file or folder {options.replay}')
+    if options.topic and (options.replay is None or options.replay.suffix == '.csv'):
+        parser.error('--topic is for bags')
     return options
+
+
+def _show(options: argparse.Namespace, namespace: str) -> tuple[dict[str, object], Play]:
+    """The node's parameters, and what to play to it."""
+    path, speed = options.replay, options.speed
+    if path is None or path.suffix == '.csv':
+        return {}, partial(play, warehouse() if path is None else tracks(path), speed)
+    from bvh_ros import bags, replay
+
+    recording = bags.find(path, options.topic)
+    return replay.parameters(recording, namespace), partial(replay.play, recording, speed)
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the demo; return 0 if every question was answered."""
     options = _arguments(args)
     namespace = keep_apart(options.domain)
-    where = f'{namespace}/bvh on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
-    print(f'starting the node {where}', flush=True)
-    frames = warehouse() if options.replay is None else replay(options.replay)
-    large_messages.enable()
-    init()
     try:
+        parameters, play_to = _show(options, namespace)
+        where = f'{namespace}/bvh on ROS_DOMAIN_ID={os.environ["ROS_DOMAIN_ID"]}'
+        print(f'starting the node {where}', flush=True)
+        large_messages.enable()
+        init()
         node = rclpy.create_node('bvh_demo', namespace=namespace)
         client = BvhClient(node)
-        with running_node(namespace) as process:
+        with running_node(namespace, parameters) as process:
             began = time.monotonic()
             wait_until_ready(client, process)
             print(f'ready after {time.monotonic() - began:.1f} s')
-            table = play(frames, options.speed, node, client)
+            table = play_to(node, client)
     except KeyboardInterrupt:
         return 130
     except (BvhTimeoutError, RuntimeError) as error:

@@ -1,0 +1,221 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of recorded scenes through the demo: real traffic, a building and a map."""
+
+import csv
+import re
+import subprocess
+import sys
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+pytest.importorskip('rosbags', reason='rosbags is not installed')
+
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import serialize_message
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from bvh_ros import bags
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+[/#]\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
+MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
+NEVER = QosTime(0, 0)
+LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    *(NEVER, NEVER, QosLiveliness.AUTOMATIC, NEVER, False),
+)
+
+
+def write(path, topics, *, storage=MCAP, qos=()):
+    """A bag with these topics: name -> list of (seconds, message)."""
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        for topic, messages in topics.items():
+            package, kind = (
+                type(messages[0][1]).__module__.split('.')[0],
+                type(messages[0][1]).__name__,
+            )
+            connection = writer.add_connection(
+                topic, f'{package}/msg/{kind}', typestore=JAZZY, offered_qos_profiles=qos
+            )
+            for seconds, message in messages:
+                writer.write(
+                    connection, 10**18 + int(seconds * 1e9), bytes(serialize_message(message))
+                )
+    return path
+
+
+def traffic(shared_data, frames, frame_id='odom'):
+    """The first frames of a track file."""
+    rows = defaultdict(list)
+    with (shared_data / 'commonroad_ngsim' / 'USA_Peach-4_8_T-1.csv').open(newline='') as file:
+        for row in csv.DictReader(file):
+            rows[float(row['t_s'])].append(row)
+    return [
+        (t, MarkerArray(markers=[vehicle(row, frame_id) for row in rows[t]]))
+        for t in list(rows)[:frames]
+    ]
+
+
+def vehicle(row, frame_id):
+    marker = Marker(ns='car', id=int(row['id']), type=Marker.CUBE)
+    marker.header.frame_id = frame_id
+    at, turn, size = marker.pose.position, marker.pose.orientation, marker.scale
+    at.x, at.y, at.z = float(row['cx']), float(row['cy']), float(row['cz'])
+    turn.z, turn.w = float(row['qz']), float(row['qw'])
+    size.x, size.y, size.z = float(row['sx']), float(row['sy']), float(row['sz'])
+    return marker
+
+
+def building(shared_data):
+    """72,153 cubes as one cloud."""
+    file = shared_data / 'octomap_fr079' / 'occupied_voxels.csv'
+    table = np.loadtxt(file, delimiter=',', skiprows=1)[:, (0, 1, 2, 3, 3, 3)].astype('<f4')
+    cloud = PointCloud2(height=1, width=len(table), point_step=24, row_step=24 * len(table))
+    cloud.header.frame_id = 'map'
+    cloud.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate(('x', 'y', 'z', 'sx', 'sy', 'sz'))
+    ]
+    cloud.data.frombytes(table.tobytes())
+    return [(0.0, cloud)], len(table)
+
+
+def floor(shared_data):
+    """The map of occupied cells."""
+    file = shared_data / 'willow_garage_map' / 'occupied_cells.csv'
+    cells = np.loadtxt(file, delimiter=',', skiprows=1)
+    columns, rows = np.rint(cells[:, :2] / 0.1 - 0.5).astype(int).T
+    values = np.zeros((rows.max() + 1, columns.max() + 1), np.int8)
+    values[rows, columns] = 100
+    grid = OccupancyGrid(data=values.ravel().tolist())
+    grid.info.height, grid.info.width = values.shape
+    grid.info.resolution = 0.1
+    return [(0.0, grid)]
+
+
+def demo(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'bvh_ros.demo', *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+
+
+def played(*arguments):
+    """The output of a demo that ended well, and how many rows its table has."""
+    result = demo(*arguments)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert 'Traceback' not in result.stderr
+    assert '0 errors' in result.stdout
+    return result.stdout, sum(bool(ROW.match(line)) for line in result.stdout.splitlines())
+
+
+def test_markers_in_their_own_frame_at_another_pace(shared_data, tmp_path):
+    frames = traffic(shared_data, 41)
+    text = [(t, String(data='x')) for t, _ in frames * 3]
+    path = write(tmp_path / 'bag', {'/chatter': text, '/tracks': frames})
+    output, rows = played('--replay', path, '--speed', '2')
+    assert '/tracks (MarkerArray): 41 messages in 4.0 s' in output
+    assert f'{len(frames[0][1].markers)} obstacles between' in output
+    assert rows >= 6
+    took = float(re.search(r'41 messages in (\d+\.\d) s;', output)[1])
+    assert took >= 2.0
+    assert re.search(r'  car/\d', output)
+
+
+def test_a_cloud_in_a_bare_file(shared_data, tmp_path):
+    messages, count = building(shared_data)
+    path = write(tmp_path / 'bag', {'/boxes': messages, '/tracks': traffic(shared_data, 1)})
+    (path,) = path.glob('*.mcap')
+    output, rows = played('--replay', path, '--topic', '/boxes')
+    assert f'{count} obstacles between' in output
+    assert 'not played: /tracks' in output
+    assert 'replay#' in output
+    assert rows == 3
+
+
+def test_a_latched_map_in_sqlite(shared_data, tmp_path):
+    path = write(tmp_path / 'bag', {'/map': floor(shared_data)}, storage=SQLITE, qos=[LATCHED])
+    assert bags.find(path).transient_local
+    output, rows = played('--replay', path)
+    assert '/map (OccupancyGrid): 1 messages' in output
+    assert 'replay#' in output
+    assert rows == 3
+
+
+def test_bags_that_cannot_be_played(tmp_path):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'noise.mcap').write_bytes(b'\x89noise' * 100)
+    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0')
+    chatter = write(tmp_path / 'chatter', {'/chatter': [(0.0, String(data='x'))]})
+    for path, topic, reason in (
+        (tmp_path / 'folder', '', 'is no ROS 2 bag'),
+        (tmp_path / 'noise.mcap', '', 'is no ROS 2 bag'),
+        (tmp_path / 'old.bag', '', 'ROS 1 bag.*rosbags-convert'),
+        (chatter, '', 'no topic of type MarkerArray, PointCloud2, OccupancyGrid, but /chatter'),
+        (chatter, '/tracks', r'no topic /tracks .* but /chatter \(std_msgs/msg/String\)'),
+    ):
+        with pytest.raises(bags.BagError, match=reason):
+            bags.find(path, topic)
+    result = demo('--replay', chatter)
+    assert result.returncode == 1
+    assert result.stderr.startswith('bvh_demo: the bag has no topic of type')
+    assert 'Traceback' not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (('--replay', '/nowhere'), 'there is no file or folder'),
+        (('--topic', '/a'), '--topic is for bags'),
+    ],
+)
+def test_arguments_that_make_no_sense(arguments, reason):
+    result = demo(*arguments)
+    assert result.returncode == 2
+    assert reason in result.stderr
+
+
+def test_a_recording_without_obstacles_is_said_to_be_one(tmp_path, monkeypatch):
+    from bvh_ros import replay
+
+    class Nobody:
+        def overlap(self, *_, **__):
+            return []
+
+    monkeypatch.setattr(replay, 'ARRIVES_WITHIN', 0.2)
+    with pytest.raises(bags.BagError, match='brought no obstacle'):
+        replay._ask_at_the_end(Nobody(), None, None, 0.0)
+
+
+def test_another_definition_of_a_type_is_refused(tmp_path):
+    from rosbags.typesys import get_types_from_msg
+
+    other = get_typestore(Stores.EMPTY)
+    other.register(get_types_from_msg('int32 cells', 'nav_msgs/msg/OccupancyGrid'))
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=MCAP) as writer:
+        connection = writer.add_connection('/map', 'nav_msgs/msg/OccupancyGrid', typestore=other)
+        writer.write(connection, 1, b'\x00\x01\x00\x00\x07\x00\x00\x00')
+    with pytest.raises(bags.BagError, match='another definition'):
+        bags.find(tmp_path / 'bag')
