@@ -25,7 +25,7 @@ from bvh_ros.ros.upkeep import Upkeep
 from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.ros.world import World
-from bvh_ros.scene import Scene
+from bvh_ros.scene import Scene, ShapeKind
 from bvh_ros.tree import compiling
 
 if TYPE_CHECKING:
@@ -80,16 +80,21 @@ class BvhServer:
         self._ends.append(ClockJumps(node, self.world))
 
     def _create_world(self) -> World:
-        settings = self.settings
+        settings, kinds = self.settings, self._kinds()
         scene = Scene(
             planar=settings.planar,
             margin=settings.margin,
             max_obstacles=settings.max_obstacles,
             categorise=Categoriser(settings.views) if settings.views else None,
+            meshes=ShapeKind.MESH in kinds,
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
         return World(settings, scene, frames, sources, self._create_views())
+
+    def _kinds(self) -> set[ShapeKind]:
+        """Return the shapes that the sources can bring."""
+        return {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
 
     def compile(self) -> None:
         """Compile the kernels that this configuration needs."""
@@ -98,7 +103,7 @@ class BvhServer:
             log(
                 'first start on this machine: compiling, about a minute; later starts take seconds'
             )
-        kinds = {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
+        kinds = self._kinds()
         warm_up(
             planar=self.settings.planar,
             margin=self.settings.margin,

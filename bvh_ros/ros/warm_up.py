@@ -47,7 +47,9 @@ def warm_up(
     log : callable
         Takes a line about the progress, when there is something to wait for.
     """
-    steps = [*_steps(Scene(planar=planar, margin=margin), sorted(kinds)), *more]
+    kinds = sorted(kinds)
+    scene = Scene(planar=planar, margin=margin, meshes=ShapeKind.MESH in kinds)
+    steps = [*_steps(scene, kinds), *more]
     if batch:
         steps.append(('batches of rays', lambda: _batches(Scene(planar=planar, margin=margin))))
     for number, (name, call) in enumerate(steps, 1):
@@ -90,8 +92,13 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
         *_queries(scene, start, goal, 'boxes'),
     ]
     for kind in kinds:
+        if kind == ShapeKind.MESH:  # compiled with the others, so that any will do
+            continue
         steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
-    return [*steps, *_rays(scene, start, goal, 'turned and round shapes')]
+    what = 'turned and round shapes'
+    yaw = (0.0, 0.0, 0.2, 0.9)
+    overlap = partial(scene.overlap, (0.0, 0.0, 0.0), (9.0, 9.0, 9.0), yaw)
+    return [*steps, *_rays(scene, start, goal, what), (f'overlap, {what}', overlap)]
 
 
 def _rays(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:

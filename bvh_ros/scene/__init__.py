@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
+from .meshes import Mesh
 from .names import Families, Numbered
 from .results import NO_NODE, Obstacle, SceneHit
 from .scene import Scene
@@ -12,6 +13,7 @@ from .updating import Refusal
 __all__ = [
     'NO_NODE',
     'Families',
+    'Mesh',
     'Numbered',
     'Obstacle',
     'Part',

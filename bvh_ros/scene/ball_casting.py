@@ -112,7 +112,7 @@ def cast_ball(
     """
     ndim = tree.ndim
     arrays, prints = tree._tree(), columns.footprint
-    solids = columns.geometry if prints is None else None
+    solids = columns.solids()
     scratch = (
         np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
         np.empty(DEEPEST, np.int64), np.empty(DEEPEST),

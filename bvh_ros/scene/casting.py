@@ -69,7 +69,7 @@ def push_children(nodes, node, mask, radius, limit, wide, scratch, top):
 def plain(solids, prints, slot):
     """Whether an obstacle is an axis-aligned box."""
     if solids is not None:
-        return not solids[slot].shaped
+        return not solids[0][slot].shaped
     if prints is not None:
         return not prints[slot].shaped
     return True
@@ -98,7 +98,7 @@ def enter_obstacle(tree, solids, prints, slot, ray, radius, t_max, work):
     lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
     t, feature = np.inf, np.int64(INSIDE)
     if solids is not None:
-        t, feature = enter_shape(solids[slot], lo, hi, ray, radius, t_max, work)
+        t, feature = enter_shape(solids[0][slot], solids[1], lo, hi, ray, radius, t_max, work)
     if prints is not None:
         t, feature = enter_footprint(prints[slot], lo, hi, ray, radius, t_max, work)
     return t, feature
@@ -157,7 +157,8 @@ def touch(tree, solids, prints, ray, radius, hits, j, work, point, normal):
     slot, t, feature = slots[j], ts[j], features[j]
     lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
     if solids is not None:
-        contact(solids[slot], lo, hi, ray, t, feature, radius, work, point, normal)
+        records, hulls = solids
+        contact(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
     if prints is not None:
         touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
 
@@ -194,7 +195,7 @@ def cast_all(
 ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
     """`cast_rays` with room for what it finds: offsets, slots, t, points and normals."""
     prints = columns.footprint
-    solids = columns.geometry if prints is None else None
+    solids = columns.solids()
     count, ndim = rays[0].shape
     scratch = (
         np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),

@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .footprint import FOOTPRINT
+from .meshes import Hulls, MeshStore
 from .registry import Slots
+from .shapes import ShapeKind, Shapes
 
 FREE = -1
 
@@ -19,6 +21,7 @@ GEOMETRY = np.dtype(
         ('half', np.float64, (3,)),
         ('kind', np.uint8),
         ('shaped', np.bool_),
+        ('mesh', np.int32),  # in what alignment leaves free
     ],
     align=True,
 )
@@ -31,7 +34,7 @@ UNTURNED['orientation'] = (0.0, 0.0, 0.0, 1.0)
 class Columns:
     """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not FREE."""
 
-    def __init__(self, planar: bool) -> None:
+    def __init__(self, planar: bool, meshes: bool = False) -> None:
         self.tree_handle = np.empty(0, np.int64)
         self.node_handle = np.empty(0, np.int64)
         self.geometry = np.empty(0, GEOMETRY)
@@ -42,6 +45,8 @@ class Columns:
         self.source = np.empty(0, np.int64)
         self.group = np.empty(0, np.int64)
         self.shadow = np.empty(0, np.bool_)  # where an obstacle was, see slicing.py
+        self.meshes = MeshStore()
+        self._expects_meshes = meshes
 
     def grow(self, count: int) -> None:
         """Make room for the slots below `count`, at least doubling."""
@@ -50,7 +55,7 @@ class Columns:
             return
         capacity = max(count, 2 * old)
         for name, array in vars(self).items():
-            if array is not None:
+            if isinstance(array, np.ndarray):
                 bigger = np.zeros(capacity, array.dtype)
                 bigger[:old] = array
                 setattr(self, name, bigger)
@@ -60,8 +65,42 @@ class Columns:
     def copy(self, slots: Slots, copies: Slots) -> None:
         """Write to some slots what others hold."""
         for array in vars(self).values():
-            if array is not None:
+            if isinstance(array, np.ndarray):
                 array[copies] = array[slots]
+        for slot in self._with_meshes(copies):
+            self.meshes.take(self.meshes[int(self.geometry['mesh'][slot])])
+
+    def solids(self) -> tuple[NDArray[np.void], Hulls | None] | None:
+        """Geometry and `hulls`; None where the scene is planar and has footprints."""
+        return (self.geometry, self.hulls()) if self.footprint is None else None
+
+    def hulls(self) -> Hulls | None:
+        """The meshes for the kernels; None without any: what is None is not compiled."""
+        return self.meshes.hulls if len(self.meshes) or self._expects_meshes else None
+
+    def write_shaped(self, slots: Slots, shapes: Shapes, shaped: NDArray[np.bool_]) -> None:
+        """What only shapes that need a narrow phase have."""
+        numbers = []
+        if shapes.mesh is not None:
+            for row in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
+                numbers.append((slots[row], self.meshes.take(shapes.mesh[row])))
+        self._release_meshes(slots)  # afterwards: what only moves is never forgotten
+        place, geometry = as_index(slots), self.geometry
+        geometry['orientation'][place] = shapes.orientation
+        geometry['kind'][place] = shapes.kind
+        geometry['shaped'][place] = shaped
+        for slot, number in numbers:
+            geometry['mesh'][slot] = number
+
+    def _with_meshes(self, slots: Slots) -> list[int]:
+        if not len(self.meshes):
+            return []
+        with_meshes: list[int] = slots[self.geometry['kind'][slots] == ShapeKind.MESH].tolist()
+        return with_meshes
+
+    def _release_meshes(self, slots: Slots) -> None:
+        for slot in self._with_meshes(slots):
+            self.meshes.release(int(self.geometry['mesh'][slot]))
 
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""
@@ -72,6 +111,7 @@ class Columns:
         """Mark slots as free. What scans whole columns must not find them."""
         self.tree_handle[slots] = FREE
         self.node_handle[slots] = 0
+        self._release_meshes(slots)
         self.geometry[slots] = UNTURNED
         self.expires[slots] = 0
         self.categories[slots] = 0

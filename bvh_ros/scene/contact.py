@@ -13,6 +13,7 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
+from .hull import FACE, MESH, closest_on_hull, enter_mesh, vertex_span
 from .ray_shapes import (
     ROUND,
     enter_box,
@@ -56,7 +57,7 @@ def to_frame(shape, ray, local):
 
 
 @lean_kernel
-def enter_shape(shape, lo, hi, ray, radius, t_max, work):
+def enter_shape(shape, hulls, lo, hi, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
 
     t is in units of the ray's direction.
@@ -68,7 +69,11 @@ def enter_shape(shape, lo, hi, ray, radius, t_max, work):
     origin, way, low, high = work[0], work[1], work[2], work[3]
     reach = t_max * total
     half = shape.half
-    if shape.kind == SPHERE:
+    s, feature = np.inf, np.int64(INSIDE)
+    if shape.kind == MESH:
+        if hulls is not None:
+            s, feature = enter_mesh(hulls, shape, origin, way, radius, reach, low)
+    elif shape.kind == SPHERE:
         s, feature = enter_sphere(origin, way, half[0] + radius, reach)
     elif shape.kind == CYLINDER:
         if radius == 0.0:
@@ -91,12 +96,17 @@ def enter_shape(shape, lo, hi, ray, radius, t_max, work):
 
 
 @lean_kernel
-def closest_point(shape, point, out):
+def closest_point(shape, hulls, point, out):
     """The point of a shape at the origin of its frame that is closest to `point`.
 
     `point` itself inside.
     """
     half = shape.half
+    if shape.kind == MESH:
+        if hulls is not None:
+            first, stop = vertex_span(hulls, shape)
+            closest_on_hull(hulls.vertices[first:stop], point, out)
+        return
     if shape.kind == BOX:
         for axis in range(3):
             out[axis] = min(max(point[axis], -half[axis]), half[axis])
@@ -123,7 +133,7 @@ def axis_point(shape, z):
 
 
 @lean_kernel
-def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
+def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
     """Fill in the obstacle's point that is met at t, and the outward normal.
 
     Zero if the start lies in the obstacle.
@@ -138,7 +148,7 @@ def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
         closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
         outward[axis] = 0.0
     if shape.shaped:
-        closest_point(shape, centre, closest)
+        closest_point(shape, hulls, centre, closest)
     if feature == INSIDE or radius > 0.0:
         for axis in range(3):
             outward[axis] = centre[axis] - closest[axis]
@@ -147,6 +157,11 @@ def contact(shape, lo, hi, ray, t, feature, radius, work, point, normal):
         ):  # the ball is smaller than the rounding of its place
             for axis in range(3):
                 outward[axis] = -way[axis]
+    elif feature >= FACE:
+        if hulls is not None:
+            face = hulls.spans[shape.mesh, 2] + feature - FACE
+            for axis in range(3):
+                outward[axis] = hulls.planes[face, axis]
     elif feature == ROUND:
         outward[0], outward[1] = centre[0], centre[1]
         if shape.kind != CYLINDER:

@@ -10,8 +10,9 @@ they are no farther apart than |v|; and the whole set lies beyond the plane thro
 corner with normal v, so they are no nearer than v . corner / |v|.
 
 A `core` is a solid without its rounding: a box, of which a sphere keeps the centre and a capsule
-the axis, or a cylinder. Rows of `core`: half sizes; then the axes of its frame, one a row; then
-its centre.
+the axis, a cylinder, or a mesh. Rows of `core`: half sizes (of a mesh the factor of its vertices,
+thrice); then the axes of its frame, one a row; then its centre. `hull` are the vertices of a mesh,
+no rows for other cores, and None where there are no meshes at all.
 """
 
 import math
@@ -33,9 +34,12 @@ def dot(one, other):
 
 
 @lean_kernel
-def support(core, round_core, way, sign, out):
+def support(core, round_core, hull, way, sign, out):
     """Add to `out` sign times the point of a core that is farthest along -sign * way."""
     half = core[HALF]
+    if hull is not None and hull.shape[0] > 0:
+        support_hull(core, hull, way, sign, out)
+        return
     across = 0.0
     if round_core:
         across = math.hypot(dot(core[AXES], way), dot(core[AXES + 1], way))
@@ -48,6 +52,22 @@ def support(core, round_core, way, sign, out):
             out[row] += sign * place * core[AXES + axis, row]
     for row in range(3):
         out[row] += sign * core[CENTRE, row]
+
+
+@lean_kernel
+def support_hull(core, hull, way, sign, out):
+    """`support` of a mesh: the farthest of its vertices."""
+    x, y, z = dot(core[AXES], way), dot(core[AXES + 1], way), dot(core[AXES + 2], way)
+    farthest, best = np.inf, 0
+    for vertex in range(hull.shape[0]):
+        along = sign * (x * hull[vertex, 0] + y * hull[vertex, 1] + z * hull[vertex, 2])
+        if along < farthest:
+            farthest, best = along, vertex
+    for row in range(3):
+        place = 0.0
+        for axis in range(3):
+            place += hull[best, axis] * core[AXES + axis, row]
+        out[row] += sign * (place * core[HALF, 0] + core[CENTRE, row])
 
 
 @lean_kernel
@@ -177,23 +197,23 @@ def take_if_closer(simplex, count, weights, trial, point, best):
 
 
 @lean_kernel
-def gap_bounds(one, round_one, other, round_other, limit):
+def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, point):
     """(low, high) around the distance of two cores; both 0 if they overlap.
 
     Apart from rounding they are equal, unless one of them says already on which side of `limit`
-    the distance is.
+    the distance is (NaN: it is asked for itself). `point` becomes the shortest vector found from
+    the other core to this one.
     """
     simplex = stack_array(12, np.float64).reshape(4, 3)
     weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
-    point = stack_array(3, np.float64)
     for axis in range(3):
         point[axis] = one[CENTRE, axis] - other[CENTRE, axis]
     low, high, count = 0.0, np.inf, 0
     for _ in range(MOST_STEPS):
         corner = simplex[count]
         corner[:] = 0.0
-        support(one, round_one, point, 1.0, corner)
-        support(other, round_other, point, -1.0, corner)
+        support(one, round_one, hull, point, 1.0, corner)
+        support(other, round_other, other_hull, point, -1.0, corner)
         square, along = dot(point, point), dot(point, corner)
         if square == 0.0:
             return 0.0, 0.0

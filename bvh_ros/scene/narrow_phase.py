@@ -22,6 +22,7 @@ from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from .contact import CAPSULE, CYLINDER, SPHERE, rotate
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
+from .hull import MESH, vertex_span
 from .separation import separation
 
 SLACK = 2.0**-48
@@ -52,7 +53,7 @@ def fill_core(shape, origin, exponent, planar, core):
     is round, radius by which it is grown).
     """
     for axis in range(3):
-        core[HALF, axis] = math.ldexp(shape.half[axis], -exponent)
+        core[HALF, axis] = math.ldexp(1.0 if shape.kind == MESH else shape.half[axis], -exponent)
         core[CENTRE, axis] = math.ldexp(shape.position[axis] - origin[axis], -exponent)
         for row in range(3):
             core[AXES + axis, row] = 1.0 if axis == row else 0.0
@@ -69,7 +70,7 @@ def fill_core(shape, origin, exponent, planar, core):
 
 
 @lean_kernel
-def near(one, other, tolerance, planar):
+def near(one, hulls, other, other_hulls, tolerance, planar):
     """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other."""
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
@@ -80,24 +81,34 @@ def near(one, other, tolerance, planar):
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
     reach = radius + other_radius + math.ldexp(tolerance, -exponent)
     slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
-    if not (round_one or round_other or planar):
+    boxes = not (round_one or one.kind == MESH or round_other or other.kind == MESH)
+    if boxes and not planar:
         gap, sure = separation(first, second, slack)
         if gap > reach:
             return False
         if gap == 0.0 and sure:
             return True
-    return gap_bounds(first, round_one, second, round_other, reach)[0] <= reach + slack
+    point = stack_array(3, np.float64)
+    if hulls is None:
+        low, _ = gap_bounds(first, round_one, None, second, round_other, None, reach, point)
+        return low <= reach + slack
+    start, stop = vertex_span(hulls, one)
+    hull = hulls.vertices[start:stop]
+    start, stop = vertex_span(other_hulls, other)
+    other_hull = other_hulls.vertices[start:stop]
+    low, _ = gap_bounds(first, round_one, hull, second, round_other, other_hull, reach, point)
+    return low <= reach + slack
 
 
 @lean_kernel
-def near_query(records, query, tolerance, planar, found):
+def near_query(records, hulls, query, query_hulls, tolerance, planar, found):
     """Fill in which shapes are near a query's shape."""
     for i in range(records.shape[0]):
-        found[i] = near(records[i], query[0], tolerance, planar)
+        found[i] = near(records[i], hulls, query[0], query_hulls, tolerance, planar)
 
 
 @lean_kernel
-def near_pairs(records, pairs, planar, found):
+def near_pairs(records, hulls, pairs, planar, found):
     """Fill in which pairs (m, 2) of shapes touch."""
     for i in range(pairs.shape[0]):
-        found[i] = near(records[pairs[i, 0]], records[pairs[i, 1]], 0.0, planar)
+        found[i] = near(records[pairs[i, 0]], hulls, records[pairs[i, 1]], hulls, 0.0, planar)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
-from . import narrow_phase, overlap_footprint, shapes
+from . import hull, narrow_phase, overlap_footprint, shapes
 from .columns import Columns
 from .footprint import footprints
+from .meshes import NO_HULLS, MeshStore
 from .query_shape import QueryShape
 from .registry import Slots
 from .shapes import Floats, ShapeKind, Shapes
@@ -42,13 +43,17 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: int) -> To
         touches[~narrow] = boxes_within(*corners(records[~narrow]), query, ndim)
     if narrow.any():
         found = np.empty(np.count_nonzero(narrow), np.bool_)
+        hulls = columns.hulls(), query.hulls
+        if hulls != (None, None):
+            hulls = hulls[0] or NO_HULLS, hulls[1] or NO_HULLS
+        planar = columns.footprint is not None
         narrow_phase.near_query(
-            records[narrow], query.solid, query.tolerance, columns.footprint is not None, found
+            records[narrow], hulls[0], query.solid, hulls[1], query.tolerance, planar, found
         )
         touches[narrow] = found
     slots, records = slots[touches], records[touches]
     closest = closest_points if columns.footprint is None else closest_footprint_points
-    points = closest(records, query.centre)
+    points = closest(records, columns.meshes, query.centre)
     offsets = query.centre - points
     distances = lengths(offsets)
     normals = offsets / np.where(distances > 0.0, distances, 1.0)[:, None]
@@ -66,7 +71,7 @@ def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
     touches = ~narrow
     found = np.empty(np.count_nonzero(narrow), np.bool_)
     planar = columns.footprint is not None
-    narrow_phase.near_pairs(columns.geometry, pairs[narrow], planar, found)
+    narrow_phase.near_pairs(columns.geometry, columns.hulls(), pairs[narrow], planar, found)
     touches[narrow] = found
     return pairs[touches]
 
@@ -109,7 +114,7 @@ def boxes_within(lo: Floats, hi: Floats, query: QueryShape, ndim: int) -> NDArra
     return near
 
 
-def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
+def closest_points(records: NDArray[np.void], meshes: MeshStore, centre: Floats) -> Floats:
     """The point of each shape closest to `centre`; the centre itself where it lies inside."""
     lo, hi = corners(records)
     points = np.clip(centre, lo, hi)
@@ -120,6 +125,9 @@ def closest_points(records: NDArray[np.void], centre: Floats) -> Floats:
     matrices = shapes.rotations(records['orientation'])
     local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
     closest = closest_in_frames(records['kind'], records['half'], local)
+    for row in np.flatnonzero(records['kind'] == ShapeKind.MESH).tolist():
+        vertices = meshes[int(records['mesh'][row])].vertices
+        hull.closest_on_hull(vertices, local[row], closest[row])
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre
@@ -152,7 +160,9 @@ def _footprints(records: NDArray[np.void]) -> NDArray[np.void]:
     return footprints(solids, np.ones(len(records), np.bool_))
 
 
-def closest_footprint_points(records: NDArray[np.void], centre: Floats) -> Floats:
+def closest_footprint_points(
+    records: NDArray[np.void], meshes: MeshStore, centre: Floats
+) -> Floats:
     """`closest_points` seen from above; z is that of the centre."""
     points = np.clip(centre, *corners(records))
     points[:, 2] = centre[2]

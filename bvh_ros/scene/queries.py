@@ -282,7 +282,7 @@ class SceneQueries:
         tolerance, mask
             As in `overlap`.
         """
-        return self._touching(shape_query(shape, tolerance), mask)
+        return self._touching(shape_query(shape, tolerance, self.planar), mask)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
         """Return the names of all obstacles that touch each other.

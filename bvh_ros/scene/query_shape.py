@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from . import shapes
 from .columns import GEOMETRY
-from .shapes import Floats, Shapes
+from .meshes import Hulls, MeshStore
+from .shapes import Floats, ShapeKind, Shapes
 
 
 class QueryShape(NamedTuple):
@@ -23,6 +24,8 @@ class QueryShape(NamedTuple):
     """It is a box whose axes are the world's: `lo` and `hi` are its corners exactly."""
     lo: Floats
     hi: Floats
+    hulls: Hulls | None
+    """Of a mesh."""
     height: float
     """Where the points of a planar scene are put."""
 
@@ -72,19 +75,21 @@ def box_query(
     if shapes.maps_axes_to_axes(turn)[0] or not diagonal.any():
         form = shapes.canonical(Shapes.boxes(centre, np.abs(diagonal)))[0]
         corners = np.minimum(first, second), np.maximum(first, second)
-        return QueryShape(solids(form, np.zeros(1, np.bool_)), reach, True, *corners, height)
+        return QueryShape(solids(form, np.zeros(1, np.bool_)), reach, True, *corners, None, height)
     edges = np.abs(shapes.rotations(turn)[0].T @ diagonal)
     form = Shapes.boxes(centre, edges, turn)
     lo, hi = shapes.bounds(form, np.zeros(1, np.bool_))
-    return QueryShape(solids(form, np.ones(1, np.bool_)), reach, False, lo[0], hi[0], height)
+    return QueryShape(solids(form, np.ones(1, np.bool_)), reach, False, lo[0], hi[0], None, height)
 
 
-def shape_query(shape: Shapes, tolerance: float) -> QueryShape:
+def shape_query(shape: Shapes, tolerance: float, planar: bool) -> QueryShape:
     """Check the arguments of `Scene.overlap_shape`."""
     given = shapes.as_shapes(shape)
     if len(given.kind) != 1:
         raise ValueError(f'shape must be one row of Shapes, not {len(given.kind)}')
     reason = shapes.REASONS[shapes.faults(given)[0]]
+    if planar and given.kind[0] == ShapeKind.MESH:
+        reason = shapes.REASONS[shapes.SOLID_ONLY]
     form, aligned = shapes.canonical(given) if not reason else (given, np.zeros(1, np.bool_))
     if not reason:
         with np.errstate(over='ignore'):
@@ -95,7 +100,12 @@ def shape_query(shape: Shapes, tolerance: float) -> QueryShape:
         raise ValueError(f'shape cannot be used: {reason}')
     height = float(form.position[0, 2])
     solid = solids(form, ~aligned)
-    return QueryShape(solid, _tolerance(tolerance), bool(aligned[0]), lo[0], hi[0], height)
+    store = MeshStore()
+    if form.mesh is not None and form.mesh[0] is not None:
+        solid['mesh'] = store.take(form.mesh[0])
+    hulls = store.hulls if len(store) else None
+    reach = _tolerance(tolerance)
+    return QueryShape(solid, reach, bool(aligned[0]), lo[0], hi[0], hulls, height)
 
 
 def _tolerance(value: float) -> float:

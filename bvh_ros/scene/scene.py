@@ -45,6 +45,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
     categorise : callable, optional
         Gives names their 32-bit masks. Asked once for each new obstacle whose update does not
         bring its categories along; without it they are 1.
+    meshes : bool
+        Expect meshes: else the first one makes the kernels of the queries compile anew.
 
     Examples
     --------
@@ -66,6 +68,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         margin: float = 0.0,
         max_obstacles: int = 1_000_000,
         categorise: Categorise | None = None,
+        meshes: bool = False,
     ) -> None:
         if max_obstacles < 1:
             raise ValueError(f'max_obstacles must be at least 1, not {max_obstacles}')
@@ -77,7 +80,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         """How many obstacles `expire` has removed so far."""
         self._categorise = categorise
         self._tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
-        self._columns = Columns(planar)
+        self._columns = Columns(planar, meshes and not planar)
         self._registry = Registry()
         self._groups = Groups()
         self._next_node_handle = 1
@@ -153,7 +156,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         and what moves leaves a shadow.
         """
         called = as_families(part.names)
-        formed = updating.form(as_shapes(part.shapes))
+        formed = updating.form(as_shapes(part.shapes), self.planar)
         if len(called) != formed.total:
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
         slots = self._registry.find(called)
@@ -240,9 +243,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         geometry['position'][place] = rows.shapes.position
         geometry['half'][place] = rows.shapes.size * 0.5
         if rows.shaped.any() or geometry['shaped'][place].any():
-            geometry['orientation'][place] = rows.shapes.orientation
-            geometry['kind'][place] = rows.shapes.kind
-            geometry['shaped'][place] = rows.shaped
+            columns.write_shaped(slots, rows.shapes, rows.shaped)
         if columns.footprint is not None:
             columns.footprint[place] = footprints(rows.shapes, rows.shaped)
         columns.stamp[place] = rows.stamp

@@ -5,11 +5,14 @@
 What is legal, one canonical form, and the boxes that bound them.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from .meshes import Mesh
 
 Floats = NDArray[np.float64]
 
@@ -31,6 +34,7 @@ class ShapeKind(IntEnum):
     SPHERE = 1
     CYLINDER = 2
     CAPSULE = 3
+    MESH = 4
 
 
 class Shapes(NamedTuple):
@@ -38,7 +42,8 @@ class Shapes(NamedTuple):
 
     Every shape is given by the box around it in its own frame: a sphere by its diameter three
     times, a cylinder (axis: local z) by diameter, diameter, height, a capsule (axis: local z) by
-    diameter, diameter, length over all.
+    diameter, diameter, length over all. A mesh has the size of its `Mesh`, and the position is
+    that of its triangles' frame.
     """
 
     kind: NDArray[np.uint8]
@@ -49,11 +54,14 @@ class Shapes(NamedTuple):
     """(n, 4) quaternions x, y, z, w. Zero is the identity; others need not be of unit length."""
     size: Floats
     """(n, 3) full edge lengths along the shape's own axes, m."""
+    mesh: NDArray[np.object_] | None = None
+    """(n,) a `Mesh` in the rows of kind MESH; None if there are no such rows."""
 
     def take(self, rows: Any) -> 'Shapes':
         """Some of the rows."""
         return Shapes(
-            self.kind[rows], self.position[rows], self.orientation[rows], self.size[rows]
+            *(self.kind[rows], self.position[rows], self.orientation[rows], self.size[rows]),
+            None if self.mesh is None else self.mesh[rows],
         )
 
     @classmethod
@@ -75,10 +83,20 @@ class Shapes(NamedTuple):
             kind, centres, turns, np.broadcast_to(np.asarray(size, np.float64), centres.shape)
         )
 
+    @classmethod
+    def of_meshes(
+        cls, meshes: Sequence[Mesh], position: ArrayLike, orientation: ArrayLike | None = None
+    ) -> 'Shapes':
+        """Convex meshes; without `orientation` (n, 4) unturned."""
+        rows = cls.boxes(position, np.array([mesh.size for mesh in meshes]), orientation)
+        held = np.empty(len(meshes), object)
+        held[:] = meshes
+        return rows._replace(kind=np.full(len(meshes), ShapeKind.MESH, np.uint8), mesh=held)
+
 
 REASONS = (
     '',
-    'its kind is none of BOX, SPHERE, CYLINDER and CAPSULE',
+    'its kind is none of BOX, SPHERE, CYLINDER, CAPSULE and MESH',
     'its position is not finite',
     'its orientation is not finite',
     'its size is not finite',
@@ -87,7 +105,9 @@ REASONS = (
     'the sizes of a cylinder or capsule along x and y must be equal (they are its diameter)',
     'a sphere, cylinder or capsule needs sizes above zero',
     'a capsule must be at least as long (size along z) as it is wide',
+    'a mesh needs its Mesh and the size of it (see Shapes.of_meshes)',
     'its bounds exceed the largest double',
+    'a planar scene takes no meshes',
 )
 (
     FINE,
@@ -100,7 +120,9 @@ REASONS = (
     NOT_CIRCULAR,
     NO_SIZE,
     TOO_SHORT,
+    NO_MESH,
     TOO_LARGE,
+    SOLID_ONLY,
 ) = range(len(REASONS))
 
 
@@ -119,14 +141,15 @@ def as_shapes(shapes: Shapes) -> Shapes:
     if kind.dtype.kind not in 'iu' and count:
         raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
     known = (kind >= 0) & (kind < len(ShapeKind))
-    return Shapes(np.where(known, kind, 255).astype(np.uint8), position, orientation, size)
+    kinds = np.where(known, kind, 255).astype(np.uint8)
+    return Shapes(kinds, position, orientation, size, shapes.mesh)
 
 
 def faults(shapes: Shapes) -> NDArray[np.uint8]:
     """Index into `REASONS` of the first fault of each row, `FINE` where there is none."""
-    kind, position, orientation, size = shapes
+    kind, position, orientation, size, _ = shapes
     code = np.zeros(len(kind), np.uint8)
-    box, sphere, cylinder, capsule = (kind == value for value in ShapeKind)
+    box, sphere, cylinder, capsule, mesh = (kind == value for value in ShapeKind)
 
     def refuse(bad: Any, reason: int) -> None:
         code[bad & (code == FINE)] = reason
@@ -141,25 +164,40 @@ def faults(shapes: Shapes) -> NDArray[np.uint8]:
     if size.size and not size.min() >= 0:
         refuse((size < 0).any(axis=1), NEGATIVE_SIZE)
     if not box.all():
-        refuse(~(box | sphere | cylinder | capsule), UNKNOWN_KIND)
+        refuse(~(box | sphere | cylinder | capsule | mesh), UNKNOWN_KIND)
         refuse(sphere & ((size[:, 0] != size[:, 1]) | (size[:, 0] != size[:, 2])), NOT_ROUND)
         refuse((cylinder | capsule) & (size[:, 0] != size[:, 1]), NOT_CIRCULAR)
-        refuse(~box & ~(size > 0).all(axis=1), NO_SIZE)
+        refuse(~(box | mesh) & ~(size > 0).all(axis=1), NO_SIZE)
+        refuse(_without_mesh(shapes, mesh), NO_MESH)
         refuse(capsule & (size[:, 2] < size[:, 0]), TOO_SHORT)
     return code
+
+
+def _without_mesh(shapes: Shapes, mesh: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows of kind MESH that hold no `Mesh`, or not its size."""
+    without = mesh.copy()
+    for row in np.flatnonzero(mesh & (shapes.mesh is not None)).tolist():
+        held = None if shapes.mesh is None else shapes.mesh[row]
+        without[row] = held is None or not np.array_equal(held.size, shapes.size[row])
+    return without
 
 
 def canonical(shapes: Shapes) -> tuple[Shapes, NDArray[np.bool_]]:
     """Unit quaternions, and the mask of axis-aligned boxes.
 
     A box whose rotation maps axes to axes becomes the same box unturned, its sizes exchanged. A
-    sphere loses its rotation.
+    sphere loses its rotation. A mesh gets the position of the middle of its box.
     """
-    kind, position, orientation, size = shapes
+    kind, position, orientation, size, mesh = shapes
+    if mesh is not None:
+        position = position.copy()
+        for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
+            turn = rotations(unit_quaternions(orientation[row : row + 1]))[0]
+            position[row] += turn @ mesh[row].centre
     if not orientation[:, :3].any():  # clouds and plain markers: nothing is turned
         unturned = np.zeros((len(kind), 4))
         unturned[:, 3] = 1.0
-        return Shapes(kind, position, unturned, size), kind == ShapeKind.BOX
+        return Shapes(kind, position, unturned, size, mesh), kind == ShapeKind.BOX
     orientation = unit_quaternions(orientation)
     aligned = maps_axes_to_axes(orientation) & (kind == ShapeKind.BOX)
     # Entries within rounding of -1, 0 and 1: made so, their products with the sizes are exact.
@@ -167,7 +205,7 @@ def canonical(shapes: Shapes) -> tuple[Shapes, NDArray[np.bool_]]:
     size = size.copy()
     size[aligned] = np.einsum('nij,nj->ni', permutation, size[aligned])
     orientation[aligned | (kind == ShapeKind.SPHERE)] = (0.0, 0.0, 0.0, 1.0)
-    return Shapes(kind, position, orientation, size), aligned
+    return Shapes(kind, position, orientation, size, mesh), aligned
 
 
 def unit_quaternions(orientation: Floats) -> Floats:
@@ -216,6 +254,11 @@ def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     turned = np.flatnonzero(~aligned)
     half[turned] = _reach(shapes, turned)
     lo, hi = shapes.position - half, shapes.position + half
+    if shapes.mesh is not None:
+        for row in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
+            places = shapes.mesh[row].vertices @ rotations(shapes.orientation[row : row + 1])[0].T
+            lo[row] = shapes.position[row] + places.min(axis=0)
+            hi[row] = shapes.position[row] + places.max(axis=0)
     pad = (np.abs(shapes.position[turned]) + half[turned]) * OUTWARD + 5e-324
     lo[turned] -= pad
     hi[turned] += pad

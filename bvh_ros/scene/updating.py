@@ -14,7 +14,7 @@ from ..tree.nodes import ALL
 from . import shapes
 from .names import BARE, Families, last_of_each
 from .registry import UNKNOWN, Slots
-from .shapes import Floats, Shapes
+from .shapes import Floats, ShapeKind, Shapes
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
 
@@ -91,10 +91,12 @@ def column(name: str, value: ArrayLike, count: int, largest: int) -> NDArray[np.
     return np.broadcast_to(array.astype(np.int64), (count,))
 
 
-def form(given: Shapes) -> Formed:
+def form(given: Shapes, planar: bool) -> Formed:
     """Look at shapes alone: nothing here depends on the world."""
     count = len(given.kind)
     code = shapes.faults(given)
+    if planar:
+        code[(code == shapes.FINE) & (given.kind == ShapeKind.MESH)] = shapes.SOLID_ONLY
     faults = {int(row): shapes.REASONS[code[row]] for row in np.flatnonzero(code)}
     row = np.flatnonzero(code == shapes.FINE)
     form, aligned = shapes.canonical(given if len(row) == count else given.take(row))

@@ -20,6 +20,10 @@ def core(half, turn=None, centre=(0, 0, 0)):
     return np.vstack([half, axes, centre]).astype(float)
 
 
+def bounds_of(box, cylinder):
+    return gap_bounds(box, False, None, cylinder, True, None, math.nan, np.empty(3))
+
+
 @pytest.mark.parametrize(
     ('half', 'centre', 'expected'),
     [
@@ -38,7 +42,7 @@ def core(half, turn=None, centre=(0, 0, 0)):
 )
 def test_distances_of_a_box_and_a_cylinder(half, centre, expected):
     """A cylinder of radius 1 and half height 2."""
-    low, high = gap_bounds(core(half, None, centre), False, core((1, 1, 2)), True, math.nan)
+    low, high = bounds_of(core(half, None, centre), core((1, 1, 2)))
     assert (low, high) == pytest.approx((expected, expected), abs=1e-13)
 
 
@@ -63,7 +67,7 @@ def test_bounds_hold_the_distance_that_alternating_projections_find():
     expected = alternating_projections(half, turn, centre, radius, height)
     bounds = np.array(
         [
-            gap_bounds(core(a, t, c), False, core((r, r, h)), True, math.nan)
+            bounds_of(core(a, t, c), core((r, r, h)))
             for a, t, c, r, h in zip(half, turn, centre, radius, height, strict=True)
         ]
     )

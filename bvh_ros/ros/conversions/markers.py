@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.marker_table import Integers, MarkerTable
 from bvh_ros.ros.frames import FrameError, Transform
-from bvh_ros.scene import Families, Refusal, ShapeKind, Shapes
+from bvh_ros.scene import Families, Mesh, Refusal, ShapeKind, Shapes
 
 # visualization_msgs/msg/Marker
 ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
 SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
 LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
+TRIANGLES = 11
 TYPE_NAMES = (
     *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
     *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
@@ -64,7 +65,7 @@ class DeleteAll(NamedTuple):
 Step = Update | ReplaceList | Delete | DeleteAll
 
 # What a row asks for; consecutive rows of the first two become one step.
-SINGLE, REMOVAL, LISTED, SWEEP, NOTHING = range(5)
+SINGLE, REMOVAL, LISTED, MESH, SWEEP, NOTHING = range(6)
 
 
 class Reading(NamedTuple):
@@ -123,6 +124,7 @@ class _Reader:
         add = action == ADD_OR_MODIFY
         wish[add & np.isin(kind, list(SINGLE_SHAPES))] = SINGLE
         wish[add & np.isin(kind, list(LISTED_SHAPES))] = LISTED
+        wish[add & (kind == TRIANGLES)] = MESH
         wish[action == DELETE] = REMOVAL
         wish[action == DELETE_ALL] = SWEEP
         for row in np.flatnonzero(wish == NOTHING).tolist():
@@ -141,6 +143,8 @@ class _Reader:
             self.steps.append(Delete(self._names(rows)))
         elif wish == LISTED:
             self._list(int(rows[0]))
+        elif wish == MESH:
+            self._mesh(rows)
         else:
             namespace = self.table.namespaces[self.table.namespace[rows[0]]]
             self.steps.append(DeleteAll(self.prefix + namespace if namespace else None))
@@ -148,7 +152,25 @@ class _Reader:
     def _update(self, rows: Integers) -> None:
         table = self.table
         kind = _KINDS[table.type[rows]]
-        shapes = Shapes(kind, table.position[rows], table.orientation[rows], table.scale[rows])
+        size = table.scale[rows]
+        self._place(rows, Shapes(kind, table.position[rows], table.orientation[rows], size))
+
+    def _mesh(self, rows: Integers) -> None:
+        """The triangles of one marker, three points each; scale multiplies them."""
+        row, table = int(rows[0]), self.table
+        points = table.points(row) * table.scale[row]
+        if len(points) % 3 or not len(points):
+            self._refuse(row, f'{len(points)} points are not triangles')
+            return
+        try:
+            mesh = Mesh(points.reshape(-1, 3, 3))
+        except ValueError as error:
+            self._refuse(row, str(error))
+            return
+        self._place(rows, Shapes.of_meshes([mesh], table.position[rows], table.orientation[rows]))
+
+    def _place(self, rows: Integers, shapes: Shapes) -> None:
+        """Make a step of shapes that are given in the frames of their markers."""
         known = self._into_node(rows, shapes)
         if not known.all():
             rows, shapes = rows[known], shapes.take(known)
@@ -225,7 +247,9 @@ class _Reader:
         if action != ADD_OR_MODIFY:
             return f'unknown marker action {action}'
         type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
-        return f'marker type {kind} ({type_name}) is not a box, sphere or cylinder'
+        return (
+            f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'
+        )
 
 
 def moved(shapes: Shapes, transform: Transform | None) -> Shapes:

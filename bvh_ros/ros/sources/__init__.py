@@ -35,7 +35,7 @@ SOURCE_TYPES = {
     'MarkerArray': SourceType(
         'bvh_ros.ros.sources.marker_array',
         'MarkerArraySource',
-        (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER),
+        (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH),
         (),
     ),
     'PointCloud2': SourceType(
