@@ -6,9 +6,10 @@ Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_cas
 thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 
-`tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (records of
-`columns.GEOMETRY`, one a slot) and `prints` (of `footprint.FOOTPRINT`) one is None: numba drops a
-branch that asks for what is None, so that a planar scene compiles none of the solid shapes.
+`tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (a pair:
+records of `columns.GEOMETRY`, one a slot, and the `meshes.Hulls`, or None) and `prints` (records
+of `footprint.FOOTPRINT`) one is None: numba drops a branch that asks for what is None, so that a
+planar scene compiles none of the solid shapes, and a scene without meshes nothing of theirs.
 """
 
 import numpy as np

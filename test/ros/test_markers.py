@@ -12,9 +12,9 @@ from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.conversions.markers import Delete, DeleteAll, ReplaceList, Update
 from bvh_ros.ros.frames import FrameError, Transform
-from bvh_ros.scene import ShapeKind
+from bvh_ros.scene import Scene, ShapeKind
 
-ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH = 0, 1, 2, 3, 6, 7, 10
+ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
 NOW = 1_000_000_000_000
 
 
@@ -148,11 +148,50 @@ def test_lists_have_elements_in_the_markers_frame():
     assert len(empty.shapes.kind) == 0
 
 
+CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+TETRAHEDRON = [CORNERS[i] for face in ((0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)) for i in face]
+
+
+def test_triangles_become_a_mesh_in_the_frame_of_the_marker():
+    """Scale multiplies the points; the frame is half a turn about z and 10 m away."""
+    array = (
+        marker(1),
+        marker(
+            2,
+            'n',
+            TRIANGLES,
+            points=TETRAHEDRON,
+            scale=(1, 2, 3),
+            at=(1, 0, 5),
+            frame='turned',
+            stamp=7,
+        ),
+    )
+    (_, step), refusals = steps(*array)
+    assert refusals == []
+    assert names_of(step) == ['n/2']
+    assert step.shapes.kind.tolist() == [ShapeKind.MESH]
+    assert step.shapes.size.tolist() == [[1, 2, 3]]
+    assert step.shapes.mesh[0].centre.tolist() == [0.5, 1, 1.5]
+    assert step.stamp.tolist() == [7]
+    scene = Scene()
+    assert scene.update('test', step.names, step.shapes, stamp=1) == []
+    hit = scene.raycast((8.9, -0.2, 9), (8.9, -0.2, 0))
+    # At (0.1, 0.2) in the marker's frame the face x + y / 2 + z / 3 = 1 is 2.4 m high.
+    assert np.allclose(hit.point, (8.9, -0.2, 7.4))
+
+
 @pytest.mark.parametrize(
     ('bad', 'reason'),
     [
         (marker(shape=ARROW), 'ARROW'),
         (marker(shape=MESH), 'MESH_RESOURCE'),
+        (marker(shape=TRIANGLES), '0 points are not triangles'),
+        (marker(shape=TRIANGLES, points=TETRAHEDRON[:-1]), '11 points are not triangles'),
+        (marker(shape=TRIANGLES, points=TETRAHEDRON[:-3]), 'not closed'),
+        (marker(shape=TRIANGLES, points=[*TETRAHEDRON[:-1], (0, math.nan, 0)]), 'not finite'),
+        (marker(shape=TRIANGLES, points=TETRAHEDRON, scale=(1, 1, 0)), 'no area'),
+        (marker(shape=TRIANGLES, points=TETRAHEDRON, frame='nowhere'), 'no transform'),
         (marker(shape=99), 'unknown'),
         (marker(shape=-1), 'unknown'),
         (marker(action=1), 'unknown marker action 1'),

@@ -224,4 +224,4 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert len(store) == 0
     assert scene._columns.hulls() is None
     assert scene.get('0').kind == ShapeKind.BOX
-    assert math.isclose(scene.raycast((0, 0, -5), (0, 0.5, 5)).t, 0.45)
+    assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
