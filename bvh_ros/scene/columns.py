@@ -122,7 +122,7 @@ class Columns:
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return sum(array.nbytes for array in vars(self).values() if array is not None)
+        return sum(a.nbytes for a in vars(self).values() if isinstance(a, np.ndarray))
 
     @property
     def any_shaped(self) -> bool:

@@ -42,7 +42,7 @@ def _measured(columns: Columns, slots: Slots, point: Floats) -> Touching:
     """How far obstacles are from a point; seen from above in a planar scene."""
     planar = columns.footprint is not None
     closest = closest_footprint_points if planar else closest_points
-    points = closest(columns.geometry[slots], point)
+    points = closest(columns.geometry[slots], columns.meshes, point)
     offsets = point - points
     distances = lengths(offsets)
     normals = offsets / np.where(distances > 0.0, distances, 1.0)[:, None]
