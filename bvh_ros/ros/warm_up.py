@@ -16,6 +16,7 @@ from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
+ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
 TURNED = (0.1, 0.2, 0.3, 0.9)
 SLOW = 0.5  # seconds: a step that takes longer was not in the cache
 
@@ -95,10 +96,7 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
         if kind == ShapeKind.MESH:  # compiled with the others, so that any will do
             continue
         steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
-    what = 'turned and round shapes'
-    yaw = (0.0, 0.0, 0.2, 0.9)
-    overlap = partial(scene.overlap, (0.0, 0.0, 0.0), (9.0, 9.0, 9.0), yaw)
-    return [*steps, *_rays(scene, start, goal, what), (f'overlap, {what}', overlap)]
+    return [*steps, *_queries(scene, start, goal, 'turned and round shapes')]
 
 
 def _rays(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:
@@ -114,6 +112,14 @@ def _queries(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]
     return [
         *_rays(scene, start, goal, what),
         (f'overlap, {what}', lambda: scene.overlap((0.0, 0.0, 0.0), (9.0, 9.0, 9.0))),
+        (
+            f'overlap of a turned box, {what}',
+            lambda: scene.overlap((0.0, 0.0, 0.0), (9.0, 9.0, 9.0), ABOUT_Z, 0.5),
+        ),
+        (
+            f'overlap of a ball, {what}',
+            lambda: scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0),
+        ),
     ]
 
 
