@@ -11,7 +11,8 @@ both work on the shadows of the cores, whose axes and centres have z = 0.
 **Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
 a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
 are apart, a half size, the tolerance) and the rounding of their positions. Axis-aligned boxes are
-decided exactly elsewhere, see `overlaps`.
+decided exactly elsewhere, see `overlaps`. Beside a cylinder GJK sometimes stops early: there a gap
+below 1e-6 of the size may count as touching.
 """
 
 import math
