@@ -183,7 +183,12 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         if named is not None:
             named += [present, inserted]
         self.newest = int(np.max(part.stamp if whole else rows.stamp, initial=self.newest))
-        self._any_shaped = self._columns.any_shaped
+        # All columns are looked at only where the last shape may have gone; not for every slice.
+        self._any_shaped = (
+            named is not None or self._columns.any_shaped
+            if self._any_shaped
+            else bool(known.shaped.any() or added.shaped.any())
+        )
         return [
             Refusal(row, called.text(row), self._sentence(reasons[row])) for row in sorted(reasons)
         ]
@@ -260,7 +265,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
             self._registry.discard(slots)
             self._groups.leave(self._columns.group[slots[~self._columns.shadow[slots]]])
             self._columns.forget(slots)
-            self._any_shaped = self._columns.any_shaped
+            self._any_shaped = self._any_shaped and self._columns.any_shaped
         return len(slots)
 
     def remove(self, source: str, names: Names) -> int:
