@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, ARROW = 2, 3, 6, 7, 0
+SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, ARROW, TRIANGLE_LIST = 2, 3, 6, 7, 0, 11
 DELETE, DELETE_ALL = 2, 3
 
 
@@ -132,3 +132,20 @@ def test_order_within_one_message(clean):
     )
     holds(world, 'a/3')
     assert world.names('raycast', (3, 0, -9), (3, 0, 9)) == ['a/3']
+
+
+def test_a_list_of_triangles_is_one_solid(clean):
+    world, marker = clean
+    corners = [(0, 0, 0), (2, 0, 0), (0, 2, 0), (0, 0, 2)]
+    faces = ((0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2))
+    points = [corners[i] for face in faces for i in face]
+    world.markers(marker(1, (20, 0, 0), type=TRIANGLE_LIST, points=points))
+    holds(world, 'a/1')
+    hit = world.plan('raycast', (20.5, 0.5, 9), (20.5, 0.5, -9)).poses[0]
+    assert math.isclose(hit.pose.position.z, 1.0, abs_tol=1e-9)
+    assert world.names('raycast', (21.2, 1.2, 9), (21.2, 1.2, -9)) == []  # in its box, beside it
+    assert world.names('raycast', (21.2, 1.2, 9), (21.2, 1.2, -9), tolerance=0.5) == ['a/1']
+    assert world.names('overlap', (20.1, 0.1, 0.1), (20.2, 0.2, 0.2)) == ['a/1']  # inside
+    world.markers(marker(1, (20, 0, 0), type=TRIANGLE_LIST, points=points[:-3]))  # open: refused
+    world.markers(marker(2, (9, 0, 0)))
+    holds(world, 'a/1', 'a/2')
