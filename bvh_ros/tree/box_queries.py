@@ -7,11 +7,15 @@ are nearest to a point.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import boxcasting, checks, overlapping, proximity
+from . import boxcasting, checks, ordering, overlapping, packets, proximity
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, ROOT, box_dtype
 from .results import RayHit
 from .slab import RAY_ROWS
+
+# Batches of points dense enough for eight neighbours to share their way, measured: as many points
+# a box, and at least so many points.
+PACKETS_PER_BOX, LEAST_PACKETS = 1 / 4, 64
 
 
 class BoxQueries(Arrays):
@@ -151,5 +155,12 @@ class BoxQueries(Arrays):
             checks.masks(mask, count),
         )
         slots, distances = np.empty((count, k), np.int64), np.empty((count, k))
-        proximity.nearest_many(*self._tree(), where, k, reaches, seen, slots, distances)
+        asked = k, reaches, seen, slots, distances
+        if len(self) and count >= max(PACKETS_PER_BOX * len(self), LEAST_PACKETS):
+            keys, order, spare = np.empty((3, count), np.int64)
+            root = self._nodes[self._state[ROOT]]
+            ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
+            packets.nearest_packets(*self._tree(), where, order, *asked)
+        else:
+            proximity.nearest_many(*self._tree(), where, *asked)
         return self._to_handles(slots), distances

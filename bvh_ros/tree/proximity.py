@@ -39,8 +39,14 @@ def distance(lo, hi, point):
     return math.ldexp(math.sqrt(total), exponent)
 
 
+@inlined
+def pruning_limit(reach):
+    """What the squared distance of a node's box may be if a box within `reach` can lie in it."""
+    return reach * reach * PAD * PAD + TINY
+
+
 @lean_kernel
-def _keep(slots, distances, handles, count, k, slot, gap):
+def keep(slots, distances, handles, count, k, slot, gap):
     """Put (slot, gap) in its place among the k best so far; return how many there are now."""
     if count == k:
         if gap > distances[k - 1] or (
@@ -77,7 +83,7 @@ def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, di
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], squares[0], top = root, 0.0, 1
     count = 0
-    limit = max_distance * max_distance * PAD * PAD + TINY
+    limit = pruning_limit(max_distance)
     while top > 0:
         top -= 1
         node = stack[top]
@@ -100,9 +106,9 @@ def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, di
         lo, hi = leaf_box(nodes, tight, node)
         gap = distance(lo, hi, point)
         if gap <= max_distance:
-            count = _keep(slots, distances, handles, count, k, node >> 1, gap)
+            count = keep(slots, distances, handles, count, k, node >> 1, gap)
             if count == k:
-                limit = distances[k - 1] * distances[k - 1] * PAD * PAD + TINY
+                limit = pruning_limit(distances[k - 1])
     return count
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tree.adversary import coordinates
+from tree.adversary import MIXED, SCALES, coordinates, some_boxes
 from tree.reference import LARGEST
 
 from bvh_ros import ALL, DynamicBVH
@@ -66,6 +66,33 @@ def test_as_brute_force(ndim: int, margin: float, k: int) -> None:
             handles[order].tolist(),
             np.sqrt(squares[order]).tolist(),
         ]
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+@pytest.mark.parametrize('k', [1, 3, 90])
+def test_a_dense_batch_is_answered_as_point_by_point(ndim: int, scale: float, k: int) -> None:
+    """Batches go down the tree eight points at a time, single points do not; 77 is no multiple of
+    eight, and some points are outside, far away, masked off or within reach of nothing.
+    """
+    rng = np.random.default_rng([ndim, SCALES.index(scale), k])
+    lo, hi = some_boxes(rng, 80, ndim, scale)
+    masks = rng.choice([0, 1, 2, 3], 80).astype(np.uint32)
+    tree = DynamicBVH.from_boxes(lo, hi, mask=masks)
+    points = np.concatenate(
+        [some_boxes(rng, 70, ndim, scale)[1], coordinates(rng, (7, ndim), 1.0)]
+    )
+    points[rng.choice(77, 5)] *= 0.0
+    reaches = rng.choice([0.0, float(np.median(abs(points))), math.inf], 77)
+    seen = rng.choice([0, 1, 2, ALL], 77, p=[0.1, 0.2, 0.2, 0.5]).astype(np.uint32)
+    ids, distances = tree.nearest_many(points, k, reaches, seen)
+    for row in range(77):
+        alone = tree.nearest(points[row], k, float(reaches[row]), int(seen[row]))
+        found = int(np.count_nonzero(ids[row] >= 0))
+        assert [ids[row, :found].tolist(), distances[row, :found].tolist()] == [
+            a.tolist() for a in alone
+        ]
+        assert (distances[row, found:] == math.inf).all()
 
 
 @pytest.mark.parametrize('options', [{'margin': 5.0}, {'sibling_search': 'branch_and_bound'}])

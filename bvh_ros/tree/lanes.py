@@ -1,0 +1,109 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Eight float64 lanes at once, for queries that share their way through the tree.
+
+Comparisons and differences are the same doubles as one by one: nothing here is a filter that needs
+a pad.
+"""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+EIGHT = 8
+
+_DOUBLE, _BYTE = ir.DoubleType(), ir.IntType(8)
+_VECTOR = ir.VectorType(_DOUBLE, EIGHT)
+
+
+def _index(number: int) -> Any:
+    return ir.Constant(ir.IntType(64), number)
+
+
+def _splat(builder: Any, scalar: Any) -> Any:
+    lane = ir.IntType(32)
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(lane, 0))
+    lanes = ir.Constant(ir.VectorType(lane, EIGHT), [0] * EIGHT)
+    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), lanes)
+
+
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
+
+
+def _field(context: Any, builder: Any, kind: Any, records: Any, row: Any, name: str) -> Any:
+    """Pointer to the doubles of a field of records[row]."""
+    start = builder.bitcast(_data(context, builder, kind, records), _BYTE.as_pointer())
+    offset = builder.mul(row, _index(kind.dtype.size))
+    place = builder.gep(start, [builder.add(offset, _index(kind.dtype.offset(name)))])
+    return builder.bitcast(place, _DOUBLE.as_pointer())
+
+
+def _load8(builder: Any, doubles: Any, at: Any) -> Any:
+    place = builder.bitcast(builder.gep(doubles, [at]), _VECTOR.as_pointer())
+    return builder.load(place, align=8)
+
+
+def _load_all(builder: Any, doubles: Any, at: Any) -> Any:
+    """One double in all lanes."""
+    return _splat(builder, builder.load(builder.gep(doubles, [at])))
+
+
+def _bits(builder: Any, truths: Any) -> Any:
+    return builder.zext(builder.bitcast(truths, ir.IntType(EIGHT)), ir.IntType(32))
+
+
+def _larger(builder: Any, a: Any, b: Any) -> Any:
+    return builder.select(builder.fcmp_ordered('>', a, b), a, b)
+
+
+@intrinsic
+def gap_squares8(typingctx, nodes, node, points, squares, at):
+    """squares[at:at + 8] = squared distances of eight points (ndim rows of eight) from the box of
+    a node.
+    """
+    axes = range(nodes.dtype.typeof('lo').shape[0])
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind, _, points_kind, squares_kind, _ = signature.args
+        nodes, node, points, squares, at = args
+        lo = _field(context, builder, kind, nodes, node, 'lo')
+        hi = _field(context, builder, kind, nodes, node, 'hi')
+        points = _data(context, builder, points_kind, points)
+        total = None
+        for axis in axes:
+            point = _load8(builder, points, _index(axis * EIGHT))
+            below = builder.fsub(_load_all(builder, lo, _index(axis)), point)
+            above = builder.fsub(point, _load_all(builder, hi, _index(axis)))
+            gap = _larger(builder, _larger(builder, below, above), ir.Constant(_VECTOR, [0.0] * 8))
+            square = builder.fmul(gap, gap)
+            total = square if total is None else builder.fadd(total, square)
+        place = builder.gep(_data(context, builder, squares_kind, squares), [at])
+        builder.store(total, builder.bitcast(place, _VECTOR.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    return types.void(nodes, node, points, squares, at), codegen
+
+
+@intrinsic
+def at_most8(typingctx, values, at, limits):
+    """Bit mask of the lanes in which values[at:at + 8] <= limits[:8]."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        values = _load8(builder, _data(context, builder, signature.args[0], args[0]), args[1])
+        limits = _load8(builder, _data(context, builder, signature.args[2], args[2]), _index(0))
+        return _bits(builder, builder.fcmp_ordered('<=', values, limits))
+
+    return types.uint32(values, at, limits), codegen
+
+
+@intrinsic
+def count_bits(typingctx, bits):
+    """How many bits are set."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.ctpop(args[0])
+
+    return types.uint32(bits), codegen
