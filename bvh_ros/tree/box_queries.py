@@ -7,9 +7,9 @@ are nearest to a point.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import boxcasting, checks, ordering, overlapping, packets, proximity
+from . import blocks, boxcasting, checks, ordering, overlapping, packets, proximity
 from .arrays import Arrays, Floats, Ids, in_threads
-from .nodes import ALL, ROOT, box_dtype
+from .nodes import ALL, NONE, ROOT, aligned_empty, box_dtype
 from .results import RayHit
 from .slab import RAY_ROWS
 
@@ -58,12 +58,16 @@ class BoxQueries(Arrays):
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
         sorted.
         """
+        seen = checks.mask(mask)
+        packed = aligned_empty(blocks.blocks_needed(len(self)), blocks.block_dtype(self.ndim))
+        top = blocks.pack(*self._boxes_only(), seen, packed) if len(self) else NONE
+        if top == NONE:
+            return np.empty((0, 2), np.int64)
         slots = np.empty(max(4 * len(self), 64), np.int64)
-        tree = self._nodes, self._heights, self._tight, int(self._state[ROOT]), checks.mask(mask)
-        count = overlapping.overlap_pairs(*tree, slots)
+        count = blocks.touching_pairs(packed, top, slots)
         if count > len(slots):
             slots = np.empty(count, np.int64)
-            overlapping.overlap_pairs(*tree, slots)
+            blocks.touching_pairs(packed, top, slots)
         slots = slots[:count]
         pairs = np.sort(self._handles[slots].reshape(-1, 2), axis=1)
         return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

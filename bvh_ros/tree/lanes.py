@@ -107,3 +107,32 @@ def count_bits(typingctx, bits):
         return builder.ctpop(args[0])
 
     return types.uint32(bits), codegen
+
+
+@intrinsic
+def touching8(typingctx, blocks, block, others, other, lane):
+    """Bit mask of the eight boxes of a block that touch the box in one lane of another block.
+
+    A block's fields `lo` and `hi` hold ndim rows of eight; NaN touches nothing.
+    """
+    axes = range(blocks.dtype.typeof('lo').shape[0])
+    types_of = types.uint32(blocks, types.int64, others, types.int64, types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind, other_kind = signature.args[0], signature.args[2]
+        blocks, block, others, other, lane = args
+        lo = _field(context, builder, kind, blocks, block, 'lo')
+        hi = _field(context, builder, kind, blocks, block, 'hi')
+        other_lo = _field(context, builder, other_kind, others, other, 'lo')
+        other_hi = _field(context, builder, other_kind, others, other, 'hi')
+        touch = ir.Constant(ir.VectorType(ir.IntType(1), EIGHT), [1] * EIGHT)
+        for axis in axes:
+            row, at = _index(axis * EIGHT), builder.add(lane, _index(axis * EIGHT))
+            low, high = _load8(builder, lo, row), _load8(builder, hi, row)
+            below = _load_all(builder, other_hi, at)
+            above = _load_all(builder, other_lo, at)
+            touch = builder.and_(touch, builder.fcmp_ordered('<=', low, below))
+            touch = builder.and_(touch, builder.fcmp_ordered('>=', high, above))
+        return _bits(builder, touch)
+
+    return types_of, codegen

@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes against the tree, and the tree against itself. Closed boxes: touching counts. Comparisons
-of doubles, so all of it is exact.
+"""Boxes against the tree. Closed boxes: touching counts. Comparisons of doubles, so all of it is
+exact.
 """
 
 import numpy as np
@@ -9,8 +9,6 @@ import numpy as np
 from .compiling import inlined, kernel, lean_kernel
 from .machine import stack_array
 from .nodes import DEEPEST, NONE, is_leaf, leaf_box
-
-PAIR_STACK = 8 * DEEPEST  # two nodes a pair, and at most two pairs a level of either tree
 
 
 @kernel
@@ -73,49 +71,3 @@ def overlap_many(nodes, tight, root, queries, masks, start, stop, sizes):
         sizes[i] = end - count
         count = end
     return found[:count]
-
-
-@lean_kernel
-def overlap_pairs(nodes, heights, tight, root, mask, found):
-    """Write all pairs of touching boxes as slots, flat: the tree against itself, two nodes at a
-    time; return how many numbers.
-
-    As `overlap`, a return beyond the array's end says how large it should have been.
-    """
-    count = 0
-    if root == NONE:
-        return count
-    stack = stack_array(PAIR_STACK, np.int64)
-    stack[0], stack[1], top = root, root, 2
-    while top > 0:
-        top -= 2
-        a, b = stack[top], stack[top + 1]
-        if nodes[a].mask & mask == 0 or nodes[b].mask & mask == 0:
-            continue
-        if a == b:
-            if not is_leaf(a):
-                left, right = np.int64(nodes[a].left), np.int64(nodes[a].right)
-                stack[top], stack[top + 1], stack[top + 2] = left, right, left
-                stack[top + 3], stack[top + 4], stack[top + 5] = left, right, right
-                top += 6
-            continue
-        if not touch(nodes[a].lo, nodes[a].hi, nodes[b].lo, nodes[b].hi):
-            continue
-        if heights[a] < heights[b]:
-            a, b = b, a
-        if not is_leaf(a):
-            stack[top], stack[top + 1], stack[top + 2], stack[top + 3] = (
-                nodes[a].left,
-                b,
-                nodes[a].right,
-                b,
-            )
-            top += 4
-            continue
-        a_lo, a_hi = leaf_box(nodes, tight, a)
-        b_lo, b_hi = leaf_box(nodes, tight, b)
-        if touch(a_lo, a_hi, b_lo, b_hi):
-            if count + 2 <= found.shape[0]:
-                found[count], found[count + 1] = a >> 1, b >> 1
-            count += 2
-    return count
