@@ -7,9 +7,10 @@ from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.nodes import ALL
-from . import nearness
+from . import clearance, nearness
 from .queries import SceneQueries
-from .results import SceneHit
+from .registry import UNKNOWN
+from .results import Clearance, SceneHit
 
 
 class DistanceQueries(SceneQueries):
@@ -58,3 +59,24 @@ class DistanceQueries(SceneQueries):
         slots, distances = found.slots.tolist(), found.distances.tolist()
         rows = zip(slots, distances, found.points, found.normals, strict=True)
         return [self._hit(*row) for row in rows]
+
+    def clearance(self, name: str) -> Clearance | None:
+        """Return how far an obstacle is from the nearest other one, ties by handle; None if there
+        is no other.
+
+        Both by their true shapes; in a planar scene seen from above, the points at the height of
+        the obstacle's centre. Two shapes that are no farther apart than their positions are
+        rounded touch, see `narrow_phase`. KeyError if there is no obstacle of this name.
+        """
+        slot = self._registry.slot(name)
+        if slot == UNKNOWN:
+            raise KeyError(name)
+        found = clearance.nearest_other(self._tree, self._columns, slot)
+        if found is None:
+            return None
+        return Clearance(
+            found.distance,
+            self._registry.name(found.slot),
+            int(self._columns.node_handle[found.slot]),
+            *found.points,
+        )

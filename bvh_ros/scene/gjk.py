@@ -119,8 +119,11 @@ def normal_part(simplex, i, j, k, axis):
 
 
 @lean_kernel
-def holds_origin(simplex):
-    """Whether a tetrahedron does: seen from each corner, the origin is on the inner side."""
+def holds_origin(simplex, weights):
+    """Whether a tetrahedron does: seen from each corner, the origin is on the inner side.
+
+    Fill in the weights of the corners that make the origin.
+    """
     for i in range(4):
         j, k, m = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
         inner, here = 0.0, 0.0
@@ -130,7 +133,20 @@ def holds_origin(simplex):
             here -= normal * simplex[j, axis]
         if inner == 0.0 or (here < 0.0) != (inner < 0.0):
             return False
+        weights[i] = here / inner
     return True
+
+
+@lean_kernel
+def weigh(simplex, count, weights, point):
+    """Where `point` has room for it: fill in the point of the first core, from the corners'
+    weights.
+    """
+    if point.shape[0] == 6:
+        for axis in range(3, 6):
+            point[axis] = 0.0
+            for corner in range(count):
+                point[axis] += weights[corner] * simplex[corner, axis]
 
 
 @lean_kernel
@@ -165,10 +181,11 @@ def keep_closest(simplex, count, weights, trial, point):
         for k in range(j):
             if on_triangle(simplex, newest, j, k, trial):
                 best = take_if_closer(simplex, count, weights, trial, point, best)
+    weigh(simplex, count, weights, point)
     kept = 0
     for corner in range(count):
         if weights[corner] > 0.0:
-            for axis in range(3):
+            for axis in range(6):
                 simplex[kept, axis] = simplex[corner, axis]
             kept += 1
     if kept == 3:
@@ -202,9 +219,12 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
 
     Apart from rounding they are equal, unless one of them says already on which side of `limit`
     the distance is (NaN: it is asked for itself). `point` becomes the shortest vector found from
-    the other core to this one.
+    the other core to this one; if it has six components, the last three where that ends, a point
+    of this core (if they overlap, of both).
+
+    Rows of the simplex: the corner, and the point of this core in it.
     """
-    simplex = stack_array(12, np.float64).reshape(4, 3)
+    simplex = stack_array(24, np.float64).reshape(4, 6)
     weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
     for axis in range(3):
         point[axis] = one[CENTRE, axis] - other[CENTRE, axis]
@@ -212,7 +232,9 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
     for _ in range(MOST_STEPS):
         corner = simplex[count]
         corner[:] = 0.0
-        support(one, round_one, hull, point, 1.0, corner)
+        support(one, round_one, hull, point, 1.0, corner[3:])
+        for axis in range(3):
+            corner[axis] = corner[3 + axis]
         support(other, round_other, other_hull, point, -1.0, corner)
         square, along = dot(point, point), dot(point, corner)
         if square == 0.0:
@@ -221,7 +243,8 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
         if low > limit or (count > 0 and square - along <= CONVERGED * square):
             break
         count += 1
-        if count == 4 and low <= 0.0 and holds_origin(simplex):
+        if count == 4 and low <= 0.0 and holds_origin(simplex, weights):
+            weigh(simplex, count, weights, point)
             return 0.0, 0.0
         count = keep_closest(simplex, count, weights, trial, point)
         length = math.sqrt(dot(point, point))

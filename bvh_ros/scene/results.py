@@ -37,6 +37,23 @@ class SceneHit(NamedTuple):
     """Last update of the obstacle, ns."""
 
 
+class Clearance(NamedTuple):
+    """How far an obstacle is from the nearest other one."""
+
+    distance: float
+    """m; 0 if they touch."""
+    name: str
+    """Of the other obstacle."""
+    handle: int
+    """Node handle of the other."""
+    point: NDArray[np.float64]
+    """Shape (3,), m: the point of the obstacle that is closest to the other; of both if they
+    touch.
+    """
+    other_point: NDArray[np.float64]
+    """Shape (3,), m: the point of the other that is closest."""
+
+
 class Obstacle(NamedTuple):
     """What the scene knows of one obstacle.
 

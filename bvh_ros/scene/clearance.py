@@ -1,0 +1,140 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far an obstacle is from the nearest other one, by their true shapes.
+
+No two shapes are nearer than their boxes. So some neighbour's distance bounds the search: only
+boxes within it are looked at, nearest first, until the next box is farther than the best shape.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..tree.compiling import lean_kernel
+from ..tree.dynamic_bvh import DynamicBVH
+from ..tree.machine import stack_array
+from ..tree.nodes import SLOT_MASK
+from .columns import Columns
+from .gjk import CENTRE, CORE_ROWS, gap_bounds
+from .hull import vertex_span
+from .narrow_phase import ROUNDING, SLACK, farthest, fill_core, largest_length
+from .overlaps import corners, lengths
+from .registry import Slots
+from .shapes import Floats
+
+ROUNDED = 1.0 + 2.0**-40  # no computed distance is off by as much
+MORE = 4
+
+
+class Neighbour(NamedTuple):
+    """The nearest other obstacle."""
+
+    distance: float
+    slot: int
+    points: Floats
+    """Shape (2, 3): the obstacle's point, and the other's."""
+
+
+@lean_kernel
+def gap(one, other, hulls, planar, points):
+    """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
+    one.
+    """
+    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    way = stack_array(6, np.float64)  # from the other to this one; then where that ends
+    origin = one.position
+    exponent = math.frexp(max(largest_length(one, origin), largest_length(other, origin)))[1]
+    round_one, radius = fill_core(one, origin, exponent, planar, first)
+    round_other, other_radius = fill_core(other, origin, exponent, planar, second)
+    slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
+    for axis in range(3):
+        way[3 + axis] = first[CENTRE, axis]
+    if hulls is None:
+        apart = gap_bounds(first, round_one, None, second, round_other, None, np.nan, way)[1]
+    else:
+        start, stop = vertex_span(hulls, one)
+        hull = hulls.vertices[start:stop]
+        start, stop = vertex_span(hulls, other)
+        apart = gap_bounds(
+            first, round_one, hull, second, round_other, hulls.vertices[start:stop], np.nan, way
+        )[1]
+    grown = radius + other_radius
+    touching = apart <= grown + slack
+    share = radius / apart if apart > 0.0 else 0.0
+    if touching:
+        share = radius / grown if grown > 0.0 else 0.0
+    other_share = share if touching else 1.0 - other_radius / apart
+    for axis in range(3):
+        points[0, axis] = way[3 + axis] - share * way[axis]
+        points[1, axis] = way[3 + axis] - other_share * way[axis]
+        for row in range(2):
+            points[row, axis] = math.ldexp(points[row, axis], exponent) + origin[axis]
+    return 0.0 if touching else math.ldexp(apart - grown, exponent)
+
+
+def nearest_other(tree: DynamicBVH, columns: Columns, slot: int) -> Neighbour | None:
+    """The obstacle nearest to that of a slot, ties by handle; None if it is alone."""
+    lo, hi = (side[0] for side in tree.boxes([int(columns.tree_handle[slot])]))
+    some = _some_other(tree, columns, slot, lo * 0.5 + hi * 0.5)
+    if some is None:
+        return None
+    best = _measured(columns, slot, some, tree.ndim)
+    reach = np.nextafter(best.distance * ROUNDED, np.inf)
+    with np.errstate(over='ignore'):
+        largest = np.finfo(np.float64).max
+        near = tree.overlap(np.maximum(lo - reach, -largest), np.minimum(hi + reach, largest))
+    slots = near & SLOT_MASK
+    slots = slots[columns.node_handle[slots] != columns.node_handle[slot]]
+    low, high = tree.boxes(columns.tree_handle[slots])
+    gaps = lengths(np.maximum(np.maximum(low - hi, lo - high), 0.0))
+    for i in np.lexsort((columns.node_handle[slots], gaps)).tolist():
+        if gaps[i] > best.distance * ROUNDED:
+            break
+        found = _measured(columns, slot, int(slots[i]), tree.ndim)
+        if _rank(columns, found) < _rank(columns, best):
+            best = found
+    return best
+
+
+def _rank(columns: Columns, found: Neighbour) -> tuple[float, int]:
+    return found.distance, int(columns.node_handle[found.slot])
+
+
+def _some_other(tree: DynamicBVH, columns: Columns, slot: int, point: Floats) -> int | None:
+    """A slot near a point that holds another obstacle."""
+    asked, handle = 2, columns.node_handle[slot]
+    while True:
+        slots: Slots = tree.nearest(point, asked)[0] & SLOT_MASK
+        others = slots[columns.node_handle[slots] != handle]
+        if len(others):
+            return int(others[0])
+        if len(slots) < asked:
+            return None
+        asked *= MORE
+
+
+def _measured(columns: Columns, slot: int, other: int, ndim: int) -> Neighbour:
+    """How far two obstacles are apart."""
+    records, planar = columns.geometry[[slot, other]], ndim == 2
+    points = np.empty((2, 3))
+    if records['shaped'].any():
+        distance = gap(records[0], records[1], columns.hulls(), planar, points)
+    else:
+        distance = _box_gap(records, ndim, points)
+    if planar:
+        points[:, 2] = records['position'][0, 2]
+    return Neighbour(float(distance), other, points)
+
+
+def _box_gap(records: NDArray[np.void], ndim: int, points: Floats) -> float:
+    """`gap` of two axis-aligned boxes: between their faces, and in the middle where they face
+    each other.
+    """
+    lo, hi = corners(records)
+    low, high = lo.max(axis=0), hi.min(axis=0)  # of what they have in common, if low <= high
+    middle = low * 0.5 + high * 0.5
+    points[:] = np.where(low <= high, middle, np.where(lo >= low, lo, hi))
+    return float(lengths(np.maximum(low - high, 0.0)[None, :ndim])[0])
