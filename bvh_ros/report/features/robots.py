@@ -123,8 +123,8 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
             rows.append(row)
     page.add(
         'Each robot in a recorded world, in pairs of columns: everything in 3D with the shapes as '
-        'they are, then configured as the row says. What is not configured is neither imported '
-        'nor compiled, so the rest of the advice costs nothing to follow or not, but for topics.'
+        'they are, then configured as the row says. Kernels of what is not configured are not '
+        'compiled, and its topics not subscribed.'
     )
     header = ['robot', 'obstacles', 'configure']
     for name in ('us an obstacle, update', 'us, raycast', 's, start', 'MB, memory'):
