@@ -228,6 +228,8 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
     weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
     for axis in range(3):
         point[axis] = one[CENTRE, axis] - other[CENTRE, axis]
+    if dot(point, point) == 0.0:  # any way will do: the centre of a mesh need not lie in it
+        point[0] = 1.0
     low, high, count = 0.0, np.inf, 0
     for _ in range(MOST_STEPS):
         corner = simplex[count]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene.reference import random_shapes, solids
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
 
 def reach(solid, normal):
@@ -91,6 +91,20 @@ def test_axis_aligned_boxes_exactly():
     found = scene.clearance('a')
     assert (found.distance, found.name) == (0.0, 'b')
     assert found.point.tolist() == found.other_point.tolist() == [1, 0.25, 0.25]
+
+
+def test_meshes_apart_in_one_box():
+    """Two corners cut off a cube: the middle of their boxes is the same, and lies in neither."""
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = corner[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    meshes = [Mesh(faces), Mesh(1.0 - faces)]
+    scene = Scene()
+    scene.update('test', ['a', 'b'], Shapes.of_meshes(meshes, np.zeros((2, 3))), stamp=1)
+    assert scene.overlap_pairs() == []
+    found = scene.clearance('a')
+    assert found.distance == pytest.approx(1 / np.sqrt(3))
+    assert found.point.sum() == pytest.approx(1)
+    assert found.other_point.sum() == pytest.approx(2)
 
 
 def test_seen_from_above():
