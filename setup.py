@@ -9,18 +9,26 @@ from setuptools import find_packages, setup
 
 NAME = 'bvh_ros'
 
-SHAPES = ['python-fcl>=0.7.0.6']
+FCL = ['python-fcl>=0.7.0.6']
 # One set that was tested together: these wheels must match each other.
 ROS = [
     'ros-jazzy-rclpy==7.1.6',
     'ros-jazzy-common-interfaces==5.3.6',
     'ros-jazzy-rmw-fastrtps-cpp==8.4.3',
-    *SHAPES,
 ]
 BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
-PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *SHAPES]
-TEST = ['pytest>=7', 'pytest-timeout>=2', 'hypothesis>=6.80', 'scipy>=1.10', *ROS, *BAGS, *REPORT]
+PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *FCL]
+TEST = [
+    'pytest>=7',
+    'pytest-timeout>=2',
+    'hypothesis>=6.80',
+    'scipy>=1.10',
+    *FCL,
+    *ROS,
+    *BAGS,
+    *REPORT,
+]
 
 setup(
     name=NAME,
@@ -43,14 +51,7 @@ setup(
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=['numpy>=1.24', 'numba>=0.59'],
-    extras_require={
-        'shapes': SHAPES,
-        'ros': ROS,
-        'bags': BAGS,
-        'report': REPORT,
-        'peers': PEERS,
-        'test': TEST,
-    },
+    extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'test': TEST},
     entry_points={
         'console_scripts': [
             'bvh_node = bvh_ros.ros.node:main',
