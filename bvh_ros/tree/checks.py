@@ -65,6 +65,15 @@ def floats(name: str, value: ArrayLike) -> Floats:
         raise ValueError(f'{name} must be real numbers: {error}') from None
 
 
+def _floats_to_read(name: str, value: ArrayLike) -> Floats:
+    """The same array type, but the caller's memory where that is of it: for kernels that read
+    every row once.
+    """
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.carray:
+        return value
+    return floats(name, value)
+
+
 def point(name: str, value: ArrayLike, ndim: int) -> Floats:
     """A finite point or vector of shape (ndim,)."""
     array = floats(name, value)
@@ -78,16 +87,32 @@ def point(name: str, value: ArrayLike, ndim: int) -> Floats:
 
 def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
     """Finite points or vectors of shape (n, ndim); n is `count` where given."""
-    array = floats(name, value)
+    array = _rows(name, floats(name, value), ndim, count)
+    finite(name, array)
+    return array
+
+
+def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+    """As `points`, neither copied nor known to be finite: that is left to who reads them, and to
+    `finite`.
+    """
+    return _rows(name, _floats_to_read(name, value), ndim, count)
+
+
+def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:
     if array.ndim == 1 and array.size == 0:
         array = array.reshape(0, ndim)
     if array.ndim != 2 or array.shape[1] != ndim or (count is not None and len(array) != count):
-        rows = 'n' if count is None else count
-        raise ValueError(f'{name} must have shape ({rows}, {ndim}), not {array.shape}')
+        wanted = 'n' if count is None else count
+        raise ValueError(f'{name} must have shape ({wanted}, {ndim}), not {array.shape}')
+    return array
+
+
+def finite(name: str, array: Floats) -> None:
+    """Refuse rows that are not finite."""
     row = _first_not_finite(array)
     if row >= 0:
         raise ValueError(f'{name} must be finite: row {row} is {array[row].tolist()}')
-    return array
 
 
 def boxes(

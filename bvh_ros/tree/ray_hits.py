@@ -1,14 +1,14 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From slots and axes to what the caller reads: handles, points and normals."""
+"""Rays in, and out what the caller reads: handles, points and normals."""
 
 import numpy as np
 
-from .compiling import lean_kernel
+from .compiling import inlined, lean_kernel
 from .machine import stack_array
 from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
-from .raycasting import raycast
-from .slab import EXACT, INSIDE, aim
+from .raycasting import ANY, raycast
+from .slab import DIRECTION, EXACT, INSIDE, aim
 
 
 @lean_kernel
@@ -73,13 +73,73 @@ def raycast_one(
     return slots[0], ts[0]
 
 
+@inlined
+def of_row(values, i):
+    """The value of row i; where there is but one, it is for all."""
+    return values[i if values.shape[0] > 1 else 0]
+
+
+@inlined
+def write_hit(handles, ray, slot, t, axis, i, ids, ts, normals):
+    """Row i of a batch's answer; axis INSIDE where slot is NONE."""
+    ids[i], ts[i] = NONE, t
+    if slot != NONE:
+        ids[i] = handles[slot]
+    for k in range(normals.shape[1]):
+        normals[i, k] = 0.0
+    if axis != INSIDE:
+        normals[i, axis] = -1.0 if ray[DIRECTION, axis] > 0.0 else 1.0
+
+
 @lean_kernel
-def describe(handles, slots, axes, directions, normals):
-    """Turn slots into handles in place, and write the normals of the faces entered."""
-    for i in range(slots.shape[0]):
-        for k in range(directions.shape[1]):
-            normals[i, k] = 0.0
-        if slots[i] >= 0:
-            slots[i] = handles[slots[i]]
-            if axes[i] != INSIDE:
-                normals[i, axes[i]] = -1.0 if directions[i, axes[i]] > 0.0 else 1.0
+def raycast_rows(
+    nodes,
+    tight,
+    handles,
+    root,
+    ray,
+    origins,
+    directions,
+    t_max,
+    masks,
+    skip_inside,
+    mode,
+    rows,
+    ids,
+    ts,
+    normals,
+):
+    """First hits (CLOSEST) of the rays of `rows`, or to any (ANY) no more than an id; NONE where
+    there is none. `ray` is scratch.
+    """
+    exact = np.int64(0)
+    slots, distances, axes = (
+        stack_array(1, np.int64),
+        stack_array(1, np.float64),
+        stack_array(1, np.int64),
+    )
+    for i in rows:
+        aim(ray, origins[i], directions[i])
+        reach, seen = of_row(t_max, i), of_row(masks, i)
+        slots[0], distances[0], axes[0] = NONE, np.inf, INSIDE
+        raycast(
+            nodes,
+            tight,
+            handles,
+            root,
+            ray,
+            reach,
+            seen,
+            skip_inside,
+            mode,
+            slots,
+            distances,
+            axes,
+            0,
+        )
+        exact += np.int64(ray[EXACT, 0])
+        if mode == ANY:
+            ids[i] = slots[0]
+        else:
+            write_hit(handles, ray, slots[0], distances[0], axes[0], i, ids, ts, normals)
+    return exact

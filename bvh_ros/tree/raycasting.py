@@ -108,51 +108,6 @@ def is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_a
     return order < 0 or (order == 0 and handles[slot] < handles[other])
 
 
-@lean_kernel
-def raycast_rows(
-    nodes,
-    tight,
-    handles,
-    root,
-    ray,
-    origins,
-    directions,
-    t_max,
-    masks,
-    skip_inside,
-    mode,
-    rows,
-    slots,
-    ts,
-    axes,
-):
-    """First (CLOSEST) or any hit (ANY) of the rays of `rows`; slot NONE and t inf where there is
-    none. `ray` is scratch.
-    """
-    exact = np.int64(0)
-    for i in rows:
-        aim(ray, origins[i], directions[i])
-        filled = raycast(
-            nodes,
-            tight,
-            handles,
-            root,
-            ray,
-            t_max[i],
-            masks[i],
-            skip_inside,
-            mode,
-            slots[i : i + 1],
-            ts[i : i + 1],
-            axes[i : i + 1],
-            0,
-        )
-        if filled == 0:
-            slots[i], ts[i], axes[i] = NONE, np.inf, INSIDE
-        exact += np.int64(ray[EXACT, 0])
-    return exact
-
-
 @kernel
 def raycast_every_row(
     nodes, tight, handles, root, origins, directions, t_max, masks, skip_inside, offsets

@@ -70,10 +70,19 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
     places = len(nodes) // 2
     least, shares = np.empty((places, WIDTH), np.float32), np.empty((places, WIDTH), np.uint8)
     count = plan_collapse(nodes, root, least, shares)
-    planes = np.empty(count * 2 * WIDTH * nodes['lo'].shape[1], np.float32)
+    planes = _on_cache_lines(count * 2 * WIDTH * nodes['lo'].shape[1])
     kids, masks = np.empty(count * WIDTH, np.int32), np.empty(count * WIDTH, np.uint32)
     collapse(nodes, root, shares, center, per_length, planes, kids, masks)
     return Snapshot(planes, kids, masks, center, per_length)
+
+
+def _on_cache_lines(count: int) -> NDArray[np.float32]:
+    """Floats that begin where a cache line of 64 bytes does, as numpy's need not: sixteen that lie
+    across two lines take two reads, a tenth of a ray among 1,000 boxes.
+    """
+    room = np.empty(count + 15, np.float32)
+    start = -room.ctypes.data % 64 // 4
+    return room[start : start + count]
 
 
 @kernel

@@ -21,6 +21,7 @@ import numpy as np
 from .compiling import inlined, lean_kernel
 from .machine import WIDTH, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
+from .ray_hits import of_row, write_hit
 from .raycasting import is_before
 from .slab import (
     DIRECTION,
@@ -83,16 +84,17 @@ def settle_axis(lo, hi, ray, t_max, t, entered):
 
 @inlined
 def fill_ray(ray, center, per_length, ndim):
-    """Write inverses; return (suited, largest component of the direction)."""
-    largest, farthest, smallest = 0.0, 0.0, np.inf
+    """Write inverses; return (suited, largest component of the direction). What is not finite is
+    not suited: NaN is in no range.
+    """
+    suited, largest = True, 0.0
     for axis in range(ndim):
         direction = abs(ray[DIRECTION, axis])
+        distance = abs(ray[ORIGIN, axis] - center[axis]) * per_length
+        suited &= distance < FARTHEST_ORIGIN and (direction == 0.0 or 1e-290 < direction < 1e200)
         largest = max(largest, direction)
-        smallest = min(smallest, direction if direction > 0.0 else np.inf)
-        farthest = max(farthest, abs(ray[ORIGIN, axis] - center[axis]) * per_length)
         ray[INVERSE, axis] = 1.0 / ray[DIRECTION, axis]
-    suited = 1e-200 < largest < 1e200 and smallest > 1e-290 and farthest < FARTHEST_ORIGIN
-    return suited and 1e-290 < largest * per_length < 1e290, largest
+    return suited and largest > 1e-200 and 1e-290 < largest * per_length < 1e290, largest
 
 
 @inlined
@@ -240,12 +242,13 @@ def cast_rows(
     any_hit,
     start,
     stop,
-    slots,
+    ids,
     ts,
-    axes,
+    normals,
     left_over,
 ):
-    """Cast the rays [start, stop); those not suited are marked in `left_over`. `ray` is scratch.
+    """First hits of the rays [start, stop), or of any hit no more than an id; those not suited are
+    marked in `left_over`, some of which may not be finite. `ray` is scratch.
 
     In the order given: sorting them first (by octant and cell) makes neighbours share nodes, but
     gathering rays and scattering answers costs more than that saves, measured from 1,000 to
@@ -261,6 +264,7 @@ def cast_rows(
         left_over[i] = not suited
         if not suited:
             continue
+        reach, seen = of_row(t_max, i), of_row(masks, i)
         slot, t, axis = cast(
             planes,
             kids,
@@ -272,23 +276,27 @@ def cast_rows(
             handles,
             ray,
             largest,
-            t_max[i],
-            masks[i],
+            reach,
+            seen,
             skip_inside,
             any_hit,
             stack,
             stack_entry,
             entries,
         )
+        if any_hit:
+            ids[i] = slot
+            exact += np.int64(ray[EXACT, 0])
+            continue
         if slot == NONE:
             t = np.inf
         elif axis == INSIDE:
             t = 0.0
         else:
             lo, hi = leaf_box(nodes, tight, 2 * slot)
-            axis = settle_axis(lo, hi, ray, t_max[i], t, axis)
+            axis = settle_axis(lo, hi, ray, reach, t, axis)
             plane = near_plane(lo, hi, ray, axis)
             t = plane_distance(plane, ray[ORIGIN, axis], ray[DIRECTION, axis])
-        slots[i], axes[i], ts[i] = slot, axis, t
+        write_hit(handles, ray, slot, t, axis, i, ids, ts, normals)
         exact += np.int64(ray[EXACT, 0])
     return exact

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree import raycasting, wide_raycasting
+from ...tree import ray_hits, raycasting, wide_raycasting
 from ...tree.slab import INSIDE, INVERSE, ORIGIN
 from ..scenes import Boxes, Rays
 
@@ -70,9 +70,9 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 
 @cache
 def binary_kernel() -> Any:
-    """`raycasting.raycast_rows` without the exact decision."""
+    """`ray_hits.raycast_rows` without the exact decision."""
     one = rewired(raycasting.raycast, meets=_plain_meets, is_before=_plain_is_before)
-    return rewired(raycasting.raycast_rows, raycast=one)
+    return rewired(ray_hits.raycast_rows, raycast=one)
 
 
 @cache
@@ -88,12 +88,12 @@ def wide_kernel() -> Any:
 @contextmanager
 def replaced(cast_rows: Any, raycast_rows: Any) -> Iterator[None]:
     """Batches of rays go through other kernels."""
-    kept = wide_raycasting.cast_rows, raycasting.raycast_rows
-    wide_raycasting.cast_rows, raycasting.raycast_rows = cast_rows, raycast_rows
+    kept = wide_raycasting.cast_rows, ray_hits.raycast_rows
+    wide_raycasting.cast_rows, ray_hits.raycast_rows = cast_rows, raycast_rows
     try:
         yield
     finally:
-        wide_raycasting.cast_rows, raycasting.raycast_rows = kept
+        wide_raycasting.cast_rows, ray_hits.raycast_rows = kept
 
 
 def rounded_decisions() -> Any:
