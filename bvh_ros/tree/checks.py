@@ -16,6 +16,7 @@ from .nodes import ALL, SLOT_MASK
 Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
+FLOAT64 = np.dtype(np.float64)
 
 
 @kernel
@@ -57,10 +58,12 @@ def floats(name: str, value: ArrayLike) -> Floats:
     the caller's memory.
     """
     try:
-        array = np.array(value)
+        array = np.array(value, order='C')
+        if array.dtype is FLOAT64:  # much the most common: not worth two more calls
+            return array
         if array.dtype.kind == 'c':
             raise TypeError('they are complex')
-        return array.astype(np.float64, order='C', copy=False)
+        return array.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f'{name} must be real numbers: {error}') from None
 

@@ -121,21 +121,23 @@ def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, 
 @inlined
 def _is_near(nodes, leaf, lo, hi):
     """Whether a box is still about where its leaf is in the tree: its centre within the
-    grandparent's box made twice as large.
+    grandparent, or moved by no more than its own edges.
 
-    Refitted in place, such a box widens its ancestors by no more than they are wide. Of uniform
-    boxes that move by up to an edge 40 % leave the grandparent's box and none leaves twice that.
+    Of uniform boxes that move by up to an edge 40 % leave the grandparent's box. Refitted in
+    place, such a one widens its ancestors by no more than its own size.
     """
     parent = np.int64(nodes[leaf].parent)
     if parent == NONE or nodes[parent].parent == NONE:
         return True
-    around = nodes[nodes[parent].parent]
+    around, before = nodes[nodes[parent].parent], nodes[leaf]
+    inside = beside = True
     for axis in range(around.lo.shape[0]):
-        low, high = around.lo[axis] * 0.5, around.hi[axis] * 0.5  # halves do not overflow
         center = lo[axis] * 0.5 + hi[axis] * 0.5
-        if abs(center * 0.5 - (low + high) * 0.5) > high - low:
-            return False
-    return True
+        inside &= around.lo[axis] <= center <= around.hi[axis]
+        # The leaf's box is the fat one: halves do not overflow.
+        moved = abs(center * 0.5 - (before.lo[axis] * 0.25 + before.hi[axis] * 0.25))
+        beside &= moved <= hi[axis] * 0.5 - lo[axis] * 0.5
+    return inside or beside
 
 
 @lean_kernel

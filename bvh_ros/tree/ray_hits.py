@@ -38,8 +38,8 @@ NOT_FINITE = -2
 def raycast_one(
     nodes, tight, handles, state, origin, direction, t_max, mask, skip_inside, mode, place
 ):
-    """One ray in one call: (slot, t), and its point and normal in `place`, whose other rows are
-    scratch; slot NONE if there is none, NOT_FINITE if the input is not.
+    """One ray in one call: (handle, t), and its point and normal in `place`, whose other rows are
+    scratch; instead of a handle NONE if there is none, NOT_FINITE if the input is not.
     """
     for k in range(origin.shape[0]):
         if not (np.isfinite(origin[k]) and np.isfinite(direction[k])):
@@ -70,7 +70,7 @@ def raycast_one(
     if found == 0:
         return NONE, np.inf
     locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
-    return slots[0], ts[0]
+    return handles[slots[0]], ts[0]
 
 
 @inlined

@@ -63,8 +63,8 @@ class RayQueries(Arrays):
         found = self._cast(origin, direction, t_max, mask, skip_inside, raycasting.CLOSEST)
         if found is None:
             return None
-        slot, t, place = found
-        return RayHit(int(self._handles[slot]), t, place[0], place[1])
+        handle, t, place = found
+        return RayHit(handle, t, place[0], place[1])
 
     def raycast_all(
         self,
@@ -162,7 +162,7 @@ class RayQueries(Arrays):
         skip_inside: bool,
         mode: int,
     ) -> tuple[int, float, Floats] | None:
-        """One ray, with as little Python as can be: (slot, t, point and normal as rows)."""
+        """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""
         start, way = checks.floats('origin', origin), checks.floats('direction', direction)
         shape = (self.ndim,)
         if start.shape != shape or way.shape != shape:
@@ -170,7 +170,7 @@ class RayQueries(Arrays):
             checks.point('direction', way, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         place = np.empty((2 + RAY_ROWS, self.ndim))
-        slot, t = ray_hits.raycast_one(
+        handle, t = ray_hits.raycast_one(
             self._nodes,
             self._tight,
             self._handles,
@@ -183,10 +183,10 @@ class RayQueries(Arrays):
             mode,
             place,
         )
-        if slot == ray_hits.NOT_FINITE:
+        if handle == ray_hits.NOT_FINITE:
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)
-        return None if slot < 0 else (slot, t, place)
+        return None if handle < 0 else (handle, t, place)
 
     def _hit(self, start: Floats, way: Floats, slot: int, t: float, axis: int) -> RayHit:
         place = np.empty((2, self.ndim))

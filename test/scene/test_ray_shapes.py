@@ -9,7 +9,7 @@ import pytest
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
 
-BOX, SPHERE, CYLINDER, CAPSULE = ShapeKind
+BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 
 
 def scene_of(kind, size, orientation=(0, 0, 0, 0), position=(0, 0, 0)):
