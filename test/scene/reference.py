@@ -7,12 +7,14 @@ of a point from a solid is found in the solid's frame, the first contact of a ba
 distance along the segment.
 """
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import ShapeKind, Shapes
@@ -81,6 +83,17 @@ def solids(shapes: Shapes) -> list[Solid]:
             shapes.kind, shapes.position, matrices, shapes.size, strict=True
         )
     ]
+
+
+def hull_of(points: ArrayLike) -> Floats:
+    """Triangles (n, 3, 3) around points (m, 3)."""
+    return np.asarray(points, float)[ConvexHull(points).simplices]
+
+
+def box_of_triangles(size: ArrayLike) -> Floats:
+    """Triangles (12, 3, 3) of a box about the origin."""
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    return hull_of(signs * size)
 
 
 def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:

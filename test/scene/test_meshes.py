@@ -2,27 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convex meshes: against the same solids given otherwise, exact clipping, and python-fcl."""
 
-import itertools
 import math
 from fractions import Fraction
 
 import fcl
 import numpy as np
 import pytest
+from scene.reference import box_of_triangles, hull_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-
-SIGNS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-
-
-def hull_of(points):
-    return np.asarray(points, float)[ConvexHull(points).simplices]
-
-
-def box(size=(1, 1, 1)):
-    return hull_of(SIGNS * size)
 
 
 def bulging(rng, count=20):
@@ -37,7 +27,7 @@ def scene_of(shapes, planar=False):
     return scene
 
 
-CUBE = box()
+CUBE = box_of_triangles((1, 1, 1))
 DENTED = np.concatenate([CUBE[1:], [[*CUBE[0, :2], (0, 0, 0)]]])
 
 
@@ -97,7 +87,7 @@ def test_boxes_given_as_triangles_answer_as_boxes():
     turns[:5] = 0.0
     unit = np.where(turns.any(axis=1)[:, None], turns, (0, 0, 0, 1))
     # The triangles need not lie about the origin of their frame.
-    meshes = [Mesh(box(size) + by) for size, by in zip(sizes, shift, strict=True)]
+    meshes = [Mesh(box_of_triangles(size) + by) for size, by in zip(sizes, shift, strict=True)]
     frames = places - Rotation.from_quat(unit).apply(shift)
     plain = scene_of(Shapes.boxes(places, sizes, turns))
     meshed = scene_of(Shapes.of_meshes(meshes, frames, turns))
@@ -161,7 +151,9 @@ def test_rays_are_clipped_by_the_faces_as_exact_arithmetic_says():
 
 def test_an_inside_counts():
     """A mesh is solid: what is wholly within it touches it."""
-    scene = scene_of(Shapes.of_meshes([Mesh(box((4, 4, 4)))], [(0, 0, 0)], [(0.1, 0.2, 0, 1)]))
+    scene = scene_of(
+        Shapes.of_meshes([Mesh(box_of_triangles((4, 4, 4)))], [(0, 0, 0)], [(0.1, 0.2, 0, 1)])
+    )
     assert scene.overlap((0, 0, 0), (0.1, 0.1, 0.1))[0].t == 0.0
     assert scene.overlap((0, 0, 0), (0, 0, 0))[0].normal.tolist() == [0, 0, 0]
     assert scene.raycast((0, 0, 0), (9, 0, 0)).t == 0.0

@@ -77,7 +77,7 @@ def test_turned_boxes_overlap_as_python_fcl_says(tolerance):
     shapes = random_shapes(rng, 300, reach=4.0)
     scene = Scene()
     scene.update('test', [str(i) for i in range(300)], shapes, stamp=1)
-    objects = [as_fcl(ShapeKind(k), p, unit(q), s) for k, p, q, s in zip(*shapes, strict=True)]
+    objects = [as_fcl(ShapeKind(k), p, unit(q), s) for k, p, q, s in zip(*shapes[:4], strict=True)]
     touching = 0
     for _ in range(40):
         turn, size, centre = rng.normal(size=4), rng.uniform(0.05, 3.0, 3), rng.uniform(-4, 4, 3)

@@ -6,16 +6,21 @@ import math
 
 import numpy as np
 import pytest
+from scene.reference import box_of_triangles
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 
 
 def scene_of(kind, size, orientation=(0, 0, 0, 0), position=(0, 0, 0)):
     scene = Scene()
-    parts = (np.array([part], float) for part in (position, orientation, size))
-    assert scene.update('test', ['x'], Shapes(np.array([kind]), *parts), stamp=1) == []
+    place, turn, edges = (np.array([part], float) for part in (position, orientation, size))
+    if kind == MESH:
+        shapes = Shapes.of_meshes([Mesh(box_of_triangles(size))], place, turn)
+    else:
+        shapes = Shapes(np.array([kind]), place, turn, edges)
+    assert scene.update('test', ['x'], shapes, stamp=1) == []
     return scene
 
 
@@ -125,6 +130,6 @@ def test_a_far_start_costs_few_digits():
     for kind in ShapeKind:
         scene = scene_of(kind, (0.2, 0.2, 0.2), (0, 0, 0.1, 1))
         hit = scene.raycast((-1e6, 0, 0), (1e6, 0, 0), 0.05)
-        reach = 0.15 if kind != BOX else 0.05 + 0.1 * (math.sqrt(2) * math.cos(0.0))
+        reach = 0.15 if kind not in (BOX, MESH) else 0.05 + 0.1 * (math.sqrt(2) * math.cos(0.0))
         assert -reach - 1e-9 <= hit.t * 2e6 - 1e6 <= -0.15 + 1e-9
         assert scene.raycast((-1e6, 0.1, 0.15 + 1e-6), (1e6, 0.1, 0.15 + 1e-6), 0.05) is None

@@ -30,7 +30,7 @@ def shape(kind=0, position=(0, 0, 0), orientation=(0, 0, 0, 0), size=(1, 1, 1)):
         (shape(size=(1, -1e-9, 1)), 'size is negative'),
         (shape(kind=9), 'none of BOX, SPHERE, CYLINDER, CAPSULE and MESH'),
         (shape(kind=1, size=(1, 1, 1.5)), 'sphere must be equal'),
-        (shape(kind=2, size=(1, 1.5, 1)), 'cylinder along x and y must be equal'),
+        (shape(kind=2, size=(1, 1.5, 1)), 'cylinder or capsule along x and y must be equal'),
         (shape(kind=1, size=(0, 0, 0)), 'above zero'),
         (shape(kind=2, size=(1, 1, 0)), 'above zero'),
         (shape(kind=3, size=(1, 1, 0.9)), 'at least as long'),
