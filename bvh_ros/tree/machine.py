@@ -54,8 +54,8 @@ def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
 
 @intrinsic
 def slab16(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):
-    """Test one ray against the sixteen boxes that begin at planes[base]; entries get their
-    distances; returns a bit mask of hits.
+    """Test one ray against the sixteen boxes that begin at planes[base]; entries get the bits of
+    their distances (see `float_bits`); returns a bit mask of hits.
 
     near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints
     each; inverse, near_shift, far_shift: tuples of ndim float32. The distance of a plane is
@@ -89,6 +89,18 @@ def slab16(typingctx, planes, base, near, far, inverse, near_shift, far_shift, l
         )
 
     return sig, codegen
+
+
+@intrinsic
+def float_bits(typingctx, number):
+    """The bits of a float32 as an integer; of numbers that are not negative they have their
+    order.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], _INT)
+
+    return types.int32(number), codegen
 
 
 @intrinsic

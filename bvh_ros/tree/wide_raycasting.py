@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from .compiling import inlined, lean_kernel
-from .machine import WIDTH, slab16, stack_array, trailing_zeros
+from .machine import WIDTH, float_bits, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
 from .ray_hits import of_row, write_hit
 from .raycasting import is_before
@@ -136,10 +136,13 @@ def cast(
     skip_inside,
     any_hit,
     stack,
-    stack_entry,
     entries,
 ):
-    """First hit of one ray (or any): (slot, about t, axis); slot NONE where there is none."""
+    """First hit of one ray (or any): (slot, about t, axis); slot NONE where there is none.
+
+    What is on the stack is one number, a child below the bits of its distance: these have the
+    order of the distances, so one comparison and one move sort it in.
+    """
     ndim = ray.shape[1]
     stride = 2 * ndim * WIDTH
     near_x, far_x, inverse_x, in_x, out_x = axis_constants(
@@ -154,12 +157,13 @@ def cast(
     unit = largest * per_length  # t times this is the distance in the snapshot's units
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     limit = limit32(t_max, unit)
-    stack[0], stack_entry[0], top = 0, 0.0, 1
+    last = np.int64(float_bits(limit))
+    stack[0], top = 0, 1
     while top > 0:
         top -= 1
-        if stack_entry[top] > limit:
+        if stack[top] >> 32 > last:
             continue
-        child = stack[top]
+        child = np.int32(stack[top])
         if child < 0:
             slot = np.int64(~child)
             lo, hi = leaf_box(nodes, tight, 2 * slot)
@@ -179,6 +183,7 @@ def cast(
                         continue
             best, best_t, best_axis = slot, t, axis
             limit = limit32(t, unit)
+            last = np.int64(float_bits(limit))
             if any_hit:
                 break
             continue
@@ -213,12 +218,12 @@ def cast(
             hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
             if mask != ALL32 and wide_masks[base * WIDTH + lane] & mask == 0:
                 continue
-            entry = entries[lane]
+            key = np.int64(entries[lane]) << 32 | np.int64(np.uint32(kids[base * WIDTH + lane]))
             place = top
-            while place > floor and stack_entry[place - 1] < entry:
-                stack_entry[place], stack[place] = stack_entry[place - 1], stack[place - 1]
+            while place > floor and stack[place - 1] < key:
+                stack[place] = stack[place - 1]
                 place -= 1
-            stack_entry[place], stack[place] = entry, kids[base * WIDTH + lane]
+            stack[place] = key
             top += 1
     return best, best_t, best_axis
 
@@ -255,8 +260,7 @@ def cast_rows(
     100,000 boxes.
     """
     ndim = origins.shape[1]
-    stack, stack_entry = stack_array(DEEPEST_WIDE, np.int32), stack_array(DEEPEST_WIDE, np.float32)
-    entries = stack_array(WIDTH, np.float32)
+    stack, entries = stack_array(DEEPEST_WIDE, np.int64), stack_array(WIDTH, np.int32)
     exact = np.int64(0)
     for i in range(start, stop):
         aim(ray, origins[i], directions[i])
@@ -281,7 +285,6 @@ def cast_rows(
             skip_inside,
             any_hit,
             stack,
-            stack_entry,
             entries,
         )
         if any_hit:
