@@ -4,22 +4,23 @@
 
 from ..page import Page
 from ..progress import Progress
-from . import box_scenes, decision, shape_scenes, traffic, ways
+from . import box_scenes, decision, inflation, pairs, shape_scenes, traffic, ways
 
-SECTIONS = (
+RAY_SCENES = (
     box_scenes.random_scene,
     box_scenes.adversarial_scene,
     box_scenes.building_scene,
     shape_scenes.random_shapes,
     shape_scenes.shelves,
     traffic.stale_traffic,
-    decision.exact_decisions,
 )
+SECTIONS = (*RAY_SCENES, inflation.inflated_boxes, pairs.against_fcl, decision.exact_decisions)
 
 
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
-    return (len(SECTIONS) - 1) * ways.repeats(brief) + decision.steps(brief)
+    others = sum(part.steps(brief) for part in (inflation, pairs, decision))
+    return len(RAY_SCENES) * ways.repeats(brief) + others
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:

@@ -66,7 +66,7 @@ def shelves(page: Page, progress: Progress, brief: bool) -> None:
 
 def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
     """Rays of unit length from a sphere round the scene to points in its bounds."""
-    lo, hi = _boxes(shapes)
+    lo, hi = bounds_of(shapes)
     targets = rng.uniform(lo.min(axis=0), hi.max(axis=0), (count, 3))
     away = rng.normal(size=(count, 3))
     origins = (lo.min(axis=0) + hi.max(axis=0)) / 2
@@ -75,7 +75,7 @@ def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
     return Rays(origins, ways / np.linalg.norm(ways, axis=1)[:, None])
 
 
-def _boxes(shapes: Shapes) -> Boxes:
+def bounds_of(shapes: Shapes) -> Boxes:
     """The axis-aligned box round each shape, as the scene has them."""
     return Boxes(*bounds(*canonical(shapes)))
 
@@ -108,7 +108,7 @@ def _scene_way(worlds: Sequence[World], family: str, kind: ShapeKind | None = No
 
 
 def _tree_way(worlds: Sequence[World]) -> Way:
-    trees = [(DynamicBVH.from_boxes(*_boxes(shapes)), rays) for shapes, rays in worlds]
+    trees = [(DynamicBVH.from_boxes(*bounds_of(shapes)), rays) for shapes, rays in worlds]
     counts = [len(shapes.kind) for shapes, _ in worlds]
     return Way(lambda: _joined([tree_answer(*pair) for pair in trees], counts), 'simpler shapes')
 
