@@ -21,6 +21,7 @@ from bvh_ros.report.error.shape_scenes import rays_round, scene_answer, scene_of
 from bvh_ros.report.error.truth import NOTHING, shapes_truth
 
 RAYS = 10_000 if os.environ.get('BVH_ROS_LONG_TESTS') == '1' else 200
+GRAZED = 1e-11  # m: rounding over the slope of the surface that a ray enters
 FLUSH = 1e-9  # m: boards that are to share a face, in numbers of few digits
 
 
@@ -39,7 +40,7 @@ def test_first_hits_are_those_of_exact_arithmetic(recorded):
         found = score(scene_answer(scene_of(shapes), rays), truth)
         assert (found.wrong_hits, found.wrong_misses) == (0, 0)
         assert found.wrong_by < 1e-14  # flush boards: decided in float64
-        assert found.distances.max(initial=0.0) < 1e-14
+        assert found.distances.max(initial=0.0) < GRAZED
         met += int(np.count_nonzero(truth.rows != NOTHING))
     assert 0.3 < met / (RAYS * len(recorded)) < 0.99
 
