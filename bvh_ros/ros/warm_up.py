@@ -11,13 +11,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
 ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
 TURNED = (0.1, 0.2, 0.3, 0.9)
+CORNERS = np.vstack((np.zeros(3), np.eye(3)))
+TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
 SLOW = 0.5  # seconds: a step that takes longer was not in the cache
 
 Step = tuple[str, Callable[[], object]]
@@ -50,7 +52,7 @@ def warm_up(
     """
     kinds = sorted(kinds)
     scene = Scene(planar=planar, margin=margin, meshes=ShapeKind.MESH in kinds)
-    steps = [*_steps(scene, kinds), *more]
+    steps = [*_steps(scene, kinds, margin), *more]
     if batch:
         steps.append(('batches of rays', lambda: _batches(Scene(planar=planar, margin=margin))))
     for number, (name, call) in enumerate(steps, 1):
@@ -61,7 +63,7 @@ def warm_up(
             log(f'compiled {number} of {len(steps)}: {name} ({took:.1f} s)')
 
 
-def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
+def _steps(scene: Scene, kinds: list[ShapeKind], margin: float) -> list[Step]:
     """Return the calls; queries come after what fills the scene."""
     numbers = np.arange(BOXES)
     names = Numbered('box#', numbers)
@@ -79,8 +81,8 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
 
     def move_some() -> None:
         put(1, middle[1] - 9.0)
-        replace(0.001)
-        replace(7.0)
+        replace(1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
+        replace(3.0 * margin + 7.0)
 
     # Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
     start, goal = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
@@ -91,10 +93,11 @@ def _steps(scene: Scene, kinds: list[ShapeKind]) -> list[Step]:
         ('remove', lambda: scene.remove('markers', ['one/0', 'one/1'])),
         ('rebuild', scene.rebuild),
         ('statistics', scene.stats),
+        ('validate', scene.validate),
         *_queries(scene, start, goal, 'boxes'),
     ]
     for kind in kinds:
-        if kind == ShapeKind.MESH:  # compiled with the others, so that any will do
+        if kind == ShapeKind.MESH and scene.planar:  # refused there
             continue
         steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
     return [*steps, *_queries(scene, start, goal, 'turned and round shapes')]
@@ -125,8 +128,12 @@ def _queries(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]
 
 
 def _add_turned(scene: Scene, kind: ShapeKind) -> None:
-    shape = Shapes.boxes([3.0, 3.5 + kind, 3.0], EDGE, [TURNED])
-    shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
+    place = [3.0, 3.5 + kind, 3.0]
+    if kind == ShapeKind.MESH:
+        shape = Shapes.of_meshes([Mesh(TETRAHEDRON)], place, [TURNED])
+    else:
+        shape = Shapes.boxes(place, EDGE, [TURNED])
+        shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
     scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
 
 

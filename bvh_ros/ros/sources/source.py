@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.warm_up import Step
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import Part, Scene
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
+Slices = Generator[None, None, list[Refusal]]
 SLICE = 0.01  # seconds after which others get a turn
 DONE = object()
 
@@ -64,6 +65,7 @@ class Source(ABC):
         self.longest_slice = 0.0  # s that nobody else had a turn
         self.subscription: FollowingSubscription | None = None
         self._work: Iterator[None] | None = None  # the message that is being applied
+        self._hurried = False  # large messages come faster than they can be applied in slices
         self._turn: GuardCondition | None = None
 
     def to_compile(self) -> Iterable[Step]:
@@ -97,6 +99,7 @@ class Source(ABC):
 
     def receive(self, serialised: bytes) -> None:
         """Begin to apply a message; what is left of the one before is applied first."""
+        self._hurried = self._hurried or self._work is not None
         self.finish()
         self.messages += 1
         self._work = self._applying(serialised, self._clock.now().nanoseconds)
@@ -132,6 +135,14 @@ class Source(ABC):
         self.refused.add_rows(refusals)
         if items == 0 or len(refusals) < items:
             self.spoke_at, self.has_spoken = now, True
+
+    def _in_slices(
+        self, group: str, total: int, parts: Callable[[int], Iterator[Part]], *, whole: bool
+    ) -> Slices:
+        """`Scene.in_slices` for this source, without pauses once those made it late."""
+        return self.scene.in_slices(
+            self.name, group, total, parts, whole=whole, at_once=self._hurried
+        )
 
     def _read(self, serialised: bytes) -> Any:
         if self.raw:
