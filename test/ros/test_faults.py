@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes that die and come back, come late, or do not fit together."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
@@ -24,6 +26,7 @@ from bvh_ros.client import BvhClient, BvhTimeoutError
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UP, DOWN = (0, 0, 9), (0, 0, -9)
 BACK_WITHIN = 60.0  # seconds
+MANY = 1_000_000 if os.environ.get('BVH_ROS_LONG_TESTS') else 100_000  # boxes in one message
 
 
 @contextmanager
@@ -153,3 +156,28 @@ def test_a_publisher_whose_qos_does_not_fit_is_said_in_diagnostics(start_node):
     world.publish('map', grid_of(0, 100), qos=LATCHED)  # another one is
     world.until(lambda: world.everything() == {'floor#0'})
     world.node.destroy_publisher(volatile)
+
+
+def place(row):
+    """Centres of a lattice's boxes, 1 m apart."""
+    return row % 100, row // 100 % 100, row // 10_000
+
+
+def test_a_very_large_cloud_and_then_more_than_there_is_room_for(start_node, messages):
+    world = start_node(
+        {'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}, 'max_obstacles': MANY}
+    )
+    rows, more = np.arange(MANY + 50), 50
+    columns = dict(zip('xyz', place(rows), strict=True))
+    first, last, beyond = (list(map(float, place(row))) for row in (0, MANY - 1, MANY))
+    world.publish('c', messages.cloud({axis: column[:MANY] for axis, column in columns.items()}))
+    world.until(lambda: world.names('overlap', last, last) == [f'c#{MANY - 1}'], timeout=60)
+    assert world.names('raycast_all', first, (99, 0, 0)) == [f'c#{row}' for row in range(100)]
+
+    world.publish('c', messages.cloud(columns))
+    world.until(lambda: world.status('source c').values['refused'] == str(more), timeout=60)
+    assert 'max_obstacles' in world.status('source c').values['last reason']
+    assert world.names('overlap', last, last) == [f'c#{MANY - 1}']
+    assert world.names('overlap', beyond, beyond) == []
+    assert world.names('raycast_all', first, (99, 0, 0)) == [f'c#{row}' for row in range(100)]
+    assert world.trigger('validate').success

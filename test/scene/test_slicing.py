@@ -117,3 +117,12 @@ def test_without_room_for_both_it_is_applied_at_once():
         next(scene.in_slices('s', '', 70, part.cut, whole=True))
     assert [refusal.name for refusal in end.value.value] == [f'c#{k}' for k in range(60, 70)]
     assert len(scene) == 60
+
+
+def test_whoever_is_late_does_not_pause():
+    scene = Scene()
+    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
+    part = Part(Numbered('c#', np.arange(60)), shapes, 2)
+    scene.update('s', *part[:2], stamp=1)
+    assert len(list(scene.in_slices('s', '', 60, part.cut, whole=True))) > 5
+    assert list(scene.in_slices('s', '', 60, part.cut, whole=True, at_once=True)) == []
