@@ -21,7 +21,7 @@ def boxes_of(message, *, voxel):
         for name in ('numbers', 'deleted'):
             joined = np.concatenate([getattr(part, name) for part in parts])
             assert np.array_equal(joined, getattr(whole, name))
-        for number, column in enumerate(whole.shapes):
+        for number, column in enumerate(whole.shapes[:4]):  # a cloud has no meshes
             joined = np.concatenate([part.shapes[number] for part in parts])
             assert np.array_equal(joined, column, equal_nan=True)
     return SimpleNamespace(**whole._asdict(), by_id=cloud.by_id, refusals=cloud.refusals)
