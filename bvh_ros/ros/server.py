@@ -101,7 +101,7 @@ class BvhServer:
         log = self.node.get_logger().info
         if not compiling.is_warm():
             log(
-                'first start on this machine: compiling, about a minute; later starts take seconds'
+                'first start on this machine: compiling, a minute or two; later starts take seconds'
             )
         kinds = self._kinds()
         warm_up(
