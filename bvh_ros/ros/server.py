@@ -100,7 +100,7 @@ class BvhServer:
         """Compile the kernels that this configuration needs."""
         log = self.node.get_logger().info
         if not compiling.is_warm():
-            log('first start on this machine: compiling, a minute or two; later starts take seconds')
+            log('first start here: compiling, a minute or two; later starts take seconds')
         kinds = self._kinds()
         warm_up(
             planar=self.settings.planar,

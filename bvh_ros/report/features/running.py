@@ -32,7 +32,8 @@ class World(NamedTuple):
     def save(self, folder: Path, name: str) -> Path:
         """Write it where a workload can read it."""
         path = folder / f'{name}.npz'
-        np.savez(path, starts=self.starts, goals=self.goals, **self.shapes._asdict())
+        columns = {name: c for name, c in self.shapes._asdict().items() if c is not None}
+        np.savez(path, starts=self.starts, goals=self.goals, **columns)
         return path
 
 

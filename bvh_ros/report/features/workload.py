@@ -58,7 +58,9 @@ def main(job: dict[str, Any]) -> dict[str, float]:
     begin = time.perf_counter()
     scenes = importlib.import_module('bvh_ros.scene')
     given = np.load(job['file'])
-    shapes = scenes.Shapes(*(given[name] for name in scenes.Shapes._fields))
+    shapes = scenes.Shapes(
+        **{name: given[name] for name in scenes.Shapes._fields if name in given}
+    )
     count, rays = len(shapes.kind), list(zip(given['starts'], given['goals'], strict=True))
     names = scenes.Numbered('o', np.arange(count))
     scene = scenes.Scene(planar=job['planar'], margin=job['margin'])
