@@ -63,6 +63,8 @@ def granted(policy, enclave, name):
 def used(world):
     """What a running node does, as the graph tells."""
     node, ns = world.node, world.namespace
+    # The graph tells of a node a moment after its first service answers.
+    world.until(lambda: ('bvh', ns) in node.get_node_names_and_namespaces())
     return {
         'publish': {n for n, _ in node.get_publisher_names_and_types_by_node('bvh', ns)},
         'subscribe': {n for n, _ in node.get_subscriber_names_and_types_by_node('bvh', ns)},
