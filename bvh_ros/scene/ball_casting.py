@@ -111,7 +111,7 @@ def cast_ball(
     by handle: slots, t, points and normals.
     """
     ndim = tree.ndim
-    arrays, prints = tree._tree(), columns.footprint
+    arrays, prints = tree.arrays(), columns.footprint
     solids = columns.solids()
     scratch = (
         np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),

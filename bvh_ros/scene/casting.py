@@ -208,5 +208,5 @@ def cast_all(
         slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
         points, normals = np.zeros((room, 3)), np.zeros((room, 3))
         found = (offsets, slots, ts, features, points, normals)
-        total = cast_rays(tree._tree(), solids, prints, rays, skip_inside, every, scratch, found)
+        total = cast_rays(tree.arrays(), solids, prints, rays, skip_inside, every, scratch, found)
     return offsets, slots[:total], ts[:total], points[:total], normals[:total]

@@ -65,7 +65,11 @@ class Arrays:
         """How many boxes there are."""
         return int(self._state[COUNT])
 
-    def _tree(self) -> tuple[Any, ...]:
+    def arrays(self) -> tuple[Any, ...]:
+        """What kernels read: nodes, exact boxes (where nodes are fat), handles by slot, the root.
+
+        To be read only, and only until the tree changes: these are the tree's own arrays.
+        """
         return self._nodes, self._tight, self._handles, int(self._state[ROOT])
 
     def _boxes_only(self) -> tuple[Any, ...]:

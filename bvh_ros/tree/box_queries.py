@@ -164,7 +164,7 @@ class BoxQueries(Arrays):
             keys, order, spare = np.empty((3, count), np.int64)
             root = self._nodes[self._state[ROOT]]
             ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
-            packets.nearest_packets(*self._tree(), where, order, *asked)
+            packets.nearest_packets(*self.arrays(), where, order, *asked)
         else:
-            proximity.nearest_many(*self._tree(), where, *asked)
+            proximity.nearest_many(*self.arrays(), where, *asked)
         return self._to_handles(slots), distances

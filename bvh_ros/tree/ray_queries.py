@@ -223,7 +223,7 @@ class RayQueries(Arrays):
 
         def cast(start: int, stop: int) -> int:
             scratch, rows = np.empty((RAY_ROWS, self.ndim)), left[start:stop]
-            return ray_hits.raycast_rows(*self._tree(), scratch, *rays, mode, rows, *hits)
+            return ray_hits.raycast_rows(*self.arrays(), scratch, *rays, mode, rows, *hits)
 
         exact += sum(in_threads(cast, len(left), threads))
         self._tally(count, exact)
@@ -269,7 +269,7 @@ class RayQueries(Arrays):
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
         offsets = np.zeros(count + 1, np.int64)
         slots, ts, axes, exact = raycasting.raycast_every_row(
-            *self._tree(), starts, ways, reaches, seen, bool(skip_inside), offsets
+            *self.arrays(), starts, ways, reaches, seen, bool(skip_inside), offsets
         )
         self._tally(count, exact)
         rays = np.repeat(np.arange(count), np.diff(offsets))
