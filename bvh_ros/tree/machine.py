@@ -41,11 +41,10 @@ def stack_array(typingctx, size, dtype):
     return kind(size, dtype), codegen
 
 
-def _splat(builder: Any, scalar: Any) -> Any:
-    one = builder.insert_element(ir.Constant(_WIDE, ir.Undefined), scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(
-        one, ir.Constant(_WIDE, ir.Undefined), ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH)
-    )
+def _splat(builder: Any, scalar: Any, vector: Any = _WIDE) -> Any:
+    empty = ir.Constant(vector, ir.Undefined)
+    one = builder.insert_element(empty, scalar, ir.Constant(_INT, 0))
+    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH))
 
 
 def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
@@ -87,6 +86,22 @@ def slab16(typingctx, planes, base, near, far, inverse, near_shift, far_shift, l
         return builder.zext(
             builder.bitcast(builder.fcmp_ordered('<=', entry, leave), ir.IntType(WIDTH)), _INT
         )
+
+    return sig, codegen
+
+
+@intrinsic
+def seen16(typingctx, masks, at, mask):
+    """Bit mask of those of masks[at:at + 16] that have a bit of `mask` (uint32)."""
+    sig = types.uint32(masks, types.int64, types.uint32)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = ir.VectorType(_INT, WIDTH)
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        place = builder.bitcast(builder.gep(data, [args[1]]), words.as_pointer())
+        common = builder.and_(builder.load(place, align=4), _splat(builder, args[2], words))
+        seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
+        return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
 
     return sig, codegen
 

@@ -213,8 +213,13 @@ class RayQueries(Arrays):
         seen = checks.masks(mask, 1 if np.isscalar(mask) else count)
         rays = starts, ways, reaches, seen, bool(skip_inside)
         described = count if mode == raycasting.CLOSEST else 0
+        # One piece of memory: three make the allocator give theirs back to the system after each
+        # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
+        room = np.empty(count + described * (1 + self.ndim))
         hits = RayHits(
-            np.empty(count, np.int64), np.empty(described), np.empty((described, self.ndim))
+            room[:count].view(np.int64),
+            room[count : count + described],
+            room[count + described :].reshape(described, self.ndim),
         )
         exact, left = self._first_wide(rays, mode, threads, hits)
         if left.size:

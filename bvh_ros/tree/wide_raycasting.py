@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from .compiling import inlined, lean_kernel
-from .machine import WIDTH, float_bits, slab16, stack_array, trailing_zeros
+from .machine import WIDTH, float_bits, seen16, slab16, stack_array, trailing_zeros
 from .nodes import ALL, NONE, leaf_box
 from .ray_hits import of_row, write_hit
 from .raycasting import is_before
@@ -120,6 +120,57 @@ def limit32(t, unit):
 
 
 @inlined
+def is_better(nodes, tight, handles, ray, t_max, skip_inside, slot, best, best_t, best_axis):
+    """Whether a leaf is hit before the best so far: (better, about t, axis)."""
+    lo, hi = leaf_box(nodes, tight, 2 * slot)
+    verdict, t, axis = quick_decision(lo, hi, ray, best_t)
+    if verdict != ASK:
+        return verdict == MEETS, t, axis
+    met, t, axis = meets(lo, hi, ray, t_max)
+    if not met or (skip_inside and axis == INSIDE):
+        return False, t, axis
+    if best == NONE:
+        return True, t, axis
+    best_lo, best_hi = leaf_box(nodes, tight, 2 * best)
+    best_axis = settle_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
+    better = is_before(nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis)
+    return better, t, axis
+
+
+@inlined
+def nearest_child(hits, entries, kids, at, stack, top):
+    """The nearest of the children of `hits`, one at least; the others go onto the stack, nearer
+    ones above: (child, top).
+
+    What is on the stack is one number, a child below the bits of its distance: these have the
+    order of the distances, so one comparison and one move sort it in. The nearest never goes
+    there: it is wanted next, and a store and a load on its way are a tenth of a ray.
+    """
+    lane = np.int64(trailing_zeros(hits))
+    hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
+    child = kids[at + lane]
+    if hits == np.uint32(0):
+        return child, top
+    near, floor = stack_key(entries[lane], child), top
+    while hits != np.uint32(0):
+        lane = np.int64(trailing_zeros(hits))
+        hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
+        key = stack_key(entries[lane], kids[at + lane])
+        near, far, place = min(key, near), max(key, near), top
+        while place > floor and stack[place] < far:
+            stack[place + 1] = stack[place]
+            place -= 1
+        stack[place + 1] = far
+        top += 1
+    return np.int32(near), top
+
+
+@inlined
+def stack_key(entry_bits, child):
+    return np.int64(entry_bits) << 32 | np.int64(np.uint32(child))
+
+
+@inlined
 def cast(
     planes,
     kids,
@@ -138,12 +189,8 @@ def cast(
     stack,
     entries,
 ):
-    """First hit of one ray (or any): (slot, about t, axis); slot NONE where there is none.
-
-    What is on the stack is one number, a child below the bits of its distance: these have the
-    order of the distances, so one comparison and one move sort it in.
-    """
-    ndim = ray.shape[1]
+    """First hit of one ray (or any): (slot, about t, axis); slot NONE where there is none."""
+    ndim = nodes[0].lo.shape[0]  # a constant to the compiler, which ray.shape[1] is not
     stride = 2 * ndim * WIDTH
     near_x, far_x, inverse_x, in_x, out_x = axis_constants(
         ray, 0, center, per_length, largest, ndim
@@ -158,73 +205,56 @@ def cast(
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     limit = limit32(t_max, unit)
     last = np.int64(float_bits(limit))
-    stack[0], top = 0, 1
-    while top > 0:
-        top -= 1
-        if stack[top] >> 32 > last:
-            continue
-        child = np.int32(stack[top])
+    child, top = np.int32(0), 0
+    while True:
         if child < 0:
             slot = np.int64(~child)
-            lo, hi = leaf_box(nodes, tight, 2 * slot)
-            verdict, t, axis = quick_decision(lo, hi, ray, best_t)
-            if verdict == MISSES:
-                continue
-            if verdict == ASK:
-                met, t, axis = meets(lo, hi, ray, t_max)
-                if not met or (skip_inside and axis == INSIDE):
-                    continue
-                if best != NONE:
-                    best_lo, best_hi = leaf_box(nodes, tight, 2 * best)
-                    best_axis = settle_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
-                    if not is_before(
-                        nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis
-                    ):
-                        continue
-            best, best_t, best_axis = slot, t, axis
-            limit = limit32(t, unit)
-            last = np.int64(float_bits(limit))
-            if any_hit:
-                break
-            continue
-        base = np.int64(child)
-        if ndim == 2:
-            hits = slab16(
-                planes,
-                base * stride,
-                (near_x, near_y),
-                (far_x, far_y),
-                (inverse_x, inverse_y),
-                (in_x, in_y),
-                (out_x, out_y),
-                limit,
-                entries,
+            better, t, axis = is_better(
+                nodes, tight, handles, ray, t_max, skip_inside, slot, best, best_t, best_axis
             )
+            if better:
+                best, best_t, best_axis = slot, t, axis
+                limit = limit32(t, unit)
+                last = np.int64(float_bits(limit))
+                if any_hit:
+                    break
         else:
-            hits = slab16(
-                planes,
-                base * stride,
-                (near_x, near_y, near_z),
-                (far_x, far_y, far_z),
-                (inverse_x, inverse_y, inverse_z),
-                (in_x, in_y, in_z),
-                (out_x, out_y, out_z),
-                limit,
-                entries,
-            )
-        floor = top
-        while hits != np.uint32(0):
-            lane = np.int64(trailing_zeros(hits))
-            hits = np.uint32(hits & np.uint32(hits - np.uint32(1)))
-            if mask != ALL32 and wide_masks[base * WIDTH + lane] & mask == 0:
+            at = np.int64(child) * WIDTH
+            if ndim == 2:
+                hits = slab16(
+                    planes,
+                    child * stride,
+                    (near_x, near_y),
+                    (far_x, far_y),
+                    (inverse_x, inverse_y),
+                    (in_x, in_y),
+                    (out_x, out_y),
+                    limit,
+                    entries,
+                )
+            else:
+                hits = slab16(
+                    planes,
+                    child * stride,
+                    (near_x, near_y, near_z),
+                    (far_x, far_y, far_z),
+                    (inverse_x, inverse_y, inverse_z),
+                    (in_x, in_y, in_z),
+                    (out_x, out_y, out_z),
+                    limit,
+                    entries,
+                )
+            if mask != ALL32:
+                hits = np.uint32(hits & seen16(wide_masks, at, mask))
+            if hits != np.uint32(0):
+                child, top = nearest_child(hits, entries, kids, at, stack, top)
                 continue
-            key = np.int64(entries[lane]) << 32 | np.int64(np.uint32(kids[base * WIDTH + lane]))
-            place = top
-            while place > floor and stack[place - 1] < key:
-                stack[place] = stack[place - 1]
-                place -= 1
-            stack[place] = key
-            top += 1
+        while top > 0 and stack[top] >> 32 > last:
+            top -= 1
+        if top == 0:
+            break
+        child = np.int32(stack[top])
+        top -= 1
     return best, best_t, best_axis
 
 
