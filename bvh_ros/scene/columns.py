@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .footprint import FOOTPRINT
+from .footprint import FOOTPRINT, footprints
 from .meshes import Hulls, MeshStore
 from .registry import Slots
 from .shapes import ShapeKind, Shapes
@@ -53,11 +53,12 @@ class Columns:
         old = len(self.tree_handle)
         if count <= old:
             return
-        capacity = max(count, 2 * old)
+        capacity, any_shaped = max(count, 2 * old), self.any_shaped
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
                 bigger = np.zeros(capacity, array.dtype)
-                bigger[:old] = array
+                if name != 'footprint' or any_shaped:  # else it is in no memory yet
+                    bigger[:old] = array
                 setattr(self, name, bigger)
         self.tree_handle[old:] = FREE
         self.geometry[old:] = UNTURNED
@@ -91,6 +92,8 @@ class Columns:
         geometry['shaped'][place] = shaped
         for slot, number in numbers:
             geometry['mesh'][slot] = number
+        if self.footprint is not None:
+            self.footprint[place] = footprints(shapes, shaped)
 
     def _with_meshes(self, slots: Slots) -> list[int]:
         if not len(self.meshes):
@@ -112,6 +115,8 @@ class Columns:
         self.tree_handle[slots] = FREE
         self.node_handle[slots] = 0
         self._release_meshes(slots)
+        if self.footprint is not None:
+            self.footprint['shaped'][slots[self.geometry['shaped'][slots]]] = False
         self.geometry[slots] = UNTURNED
         self.expires[slots] = 0
         self.categories[slots] = 0

@@ -46,16 +46,8 @@ class DistanceQueries(SceneQueries):
             shape.
         """
         where = checks.point('point', point, 3)
-        found = nearness.nearest(
-            self._tree,
-            self._columns,
-            where,
-            checks.whole('k', k, 1),
-            checks.limit('max_distance', max_distance),
-            mask,
-        )
-        if self.planar:
-            found.points[:, 2] = where[2]
+        asked = checks.whole('k', k, 1), checks.limit('max_distance', max_distance), mask
+        found = nearness.nearest(self._tree, self._columns, self._any_shaped, where, asked)
         slots, distances = found.slots.tolist(), found.distances.tolist()
         rows = zip(slots, distances, found.points, found.normals, strict=True)
         return [self._hit(*row) for row in rows]

@@ -11,7 +11,7 @@ import numpy as np
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
 from .columns import Columns
-from .overlaps import Touching, closest_footprint_points, closest_points, lengths
+from .overlaps import Touching, around, closest_footprint_points, closest_points, from_centre
 from .registry import Slots
 from .shapes import Floats
 
@@ -20,30 +20,39 @@ MORE = 4
 
 
 def nearest(
-    tree: DynamicBVH, columns: Columns, point: Floats, k: int, max_distance: float, mask: int
+    tree: DynamicBVH,
+    columns: Columns,
+    any_shaped: bool,
+    point: Floats,
+    asked: tuple[int, float, int],
 ) -> Touching:
-    """The up to k nearest obstacles within `max_distance`, nearest first, ties by handle."""
-    asked = k
+    """The obstacles nearest to a point, nearest first, ties by handle; asked for up to k within a
+    distance with a mask.
+    """
+    k, max_distance, mask = asked
+    count = k
     while True:
         ids, bounds = tree.nearest(
-            point[: tree.ndim], asked, max(max_distance * ROUNDED, max_distance), mask
+            point[: tree.ndim], count, max(max_distance * ROUNDED, max_distance), mask
         )
-        found = _measured(columns, ids & SLOT_MASK, point)
-        slots, distances, points, normals = found
+        slots = ids & SLOT_MASK
+        if any_shaped:
+            found = _measured(columns, slots, point)
+        else:
+            found = around(tree, slots, point, point[2])
+        _, distances, points, normals = found
         order = np.lexsort((columns.node_handle[slots], distances))
         order = order[distances[order] <= max_distance][:k]
-        everything = len(ids) < asked
+        everything = len(ids) < count
         if everything or (len(order) == k and bounds[-1] > distances[order[-1]] * ROUNDED):
             return Touching(slots[order], distances[order], points[order], normals[order])
-        asked = min(asked * MORE, len(tree) + 1)
+        count = min(count * MORE, len(tree) + 1)
 
 
 def _measured(columns: Columns, slots: Slots, point: Floats) -> Touching:
-    """How far obstacles are from a point; seen from above in a planar scene."""
+    """How far obstacles of any shape are from a point; seen from above in a planar scene."""
     planar = columns.footprint is not None
     closest = closest_footprint_points if planar else closest_points
     points = closest(columns.geometry[slots], columns.meshes, point)
-    offsets = point - points
-    distances = lengths(offsets)
-    normals = offsets / np.where(distances > 0.0, distances, 1.0)[:, None]
+    distances, normals = from_centre(points, point, 2 if planar else 3)
     return Touching(slots, distances, points, normals)

@@ -5,14 +5,17 @@
 Broad phase, exact decision between axis-aligned boxes, narrow phase for the others.
 """
 
+import math
 from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tree.compiling import lean_kernel
 from ..tree.dynamic_bvh import DynamicBVH
-from ..tree.nodes import SLOT_MASK
+from ..tree.nodes import SLOT_MASK, box_dtype, leaf_box
+from ..tree.overlapping import overlap_many
 from . import hull, narrow_phase, overlap_footprint, shapes
 from .columns import Columns
 from .footprint import footprints
@@ -31,16 +34,17 @@ class Touching(NamedTuple):
     normals: Floats
 
 
-def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: int) -> Touching:
+def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32) -> Touching:
     """The obstacles whose distance from the query's shape is at most its tolerance."""
     ndim = tree.ndim
-    lo, hi = query.reach()
-    slots = tree.overlap(lo[:ndim], hi[:ndim], mask) & SLOT_MASK
+    slots = _reached(tree, query, mask)
     records = columns.geometry[slots]
     touches = np.ones(len(slots), np.bool_)
     narrow = records['shaped'] if query.aligned else touches.copy()
     if query.tolerance > 0.0:
-        touches[~narrow] = boxes_within(*corners(records[~narrow]), query, ndim)
+        lo, hi = corners(records[~narrow])
+        within = lo[:, :ndim], hi[:, :ndim], query.lo[:ndim], query.hi[:ndim]
+        touches[~narrow] = boxes_within(*within, query.tolerance)
     if narrow.any():
         found = np.empty(np.count_nonzero(narrow), np.bool_)
         hulls = columns.hulls(), query.hulls
@@ -54,12 +58,43 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: int) -> To
     slots, records = slots[touches], records[touches]
     closest = closest_points if columns.footprint is None else closest_footprint_points
     points = closest(records, columns.meshes, query.centre)
-    offsets = query.centre - points
-    distances = lengths(offsets)
-    normals = offsets / np.where(distances > 0.0, distances, 1.0)[:, None]
-    if columns.footprint is not None:
+    distances, normals = from_centre(points, query.centre, ndim)
+    if ndim == 2:
         points[:, 2] = query.height
     return Touching(slots, distances, points, normals)
+
+
+def find_boxes(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Touching:
+    """`find` where all obstacles are axis-aligned boxes, and the query is one: by the tree's boxes
+    alone.
+    """
+    slots = _reached(tree, query, mask)
+    if query.tolerance > 0.0:
+        nodes, tight, _, _ = tree.arrays()
+        boxes = tight[slots] if len(tight) else nodes[2 * slots]
+        lo, hi = query.lo[: tree.ndim], query.hi[: tree.ndim]
+        slots = slots[boxes_within(boxes['lo'], boxes['hi'], lo, hi, query.tolerance)]
+    return around(tree, slots, query.centre, query.height)
+
+
+def around(tree: DynamicBVH, slots: Slots, centre: Floats, height: float) -> Touching:
+    """How axis-aligned boxes lie to a centre, by the tree's boxes; in the plane at a height."""
+    nodes, tight, _, _ = tree.arrays()
+    points = np.empty((len(slots), 3))
+    closest_in_boxes(nodes, tight, slots, centre, height, points)
+    distances, normals = from_centre(points, centre, tree.ndim)
+    return Touching(slots, distances, points, normals)
+
+
+def _reached(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Slots:
+    """Slots of the boxes that touch the one around the grown query, in no order."""
+    box = np.empty(1, box_dtype(tree.ndim))
+    lo, hi = query.reach()
+    box['lo'], box['hi'] = lo[: tree.ndim], hi[: tree.ndim]
+    nodes, tight, _, root = tree.arrays()
+    masks, sizes = np.array([mask]), np.empty(1, np.int64)
+    slots: Slots = overlap_many(nodes, tight, root, box, masks, 0, 1, sizes)
+    return slots
 
 
 def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
@@ -92,26 +127,64 @@ def lengths(vectors: Floats) -> Floats:
     return result
 
 
-def boxes_within(lo: Floats, hi: Floats, query: QueryShape, ndim: int) -> NDArray[np.bool_]:
-    """Whether axis-aligned boxes are within the tolerance of an aligned query, as real arithmetic
+def boxes_within(
+    lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats, tolerance: float
+) -> NDArray[np.bool_]:
+    """Whether axis-aligned boxes are within the tolerance of another, as real arithmetic
     decides.
     """
-    gaps = np.maximum(np.maximum(lo - query.hi, query.lo - hi), 0.0)[:, :ndim]
-    distances = lengths(gaps)
-    near: NDArray[np.bool_] = distances <= query.tolerance
+    distances = lengths(np.maximum(np.maximum(lo - query_hi, query_lo - hi), 0.0))
+    near: NDArray[np.bool_] = distances <= tolerance
     # A gap is rounded once, the length a few times: only next to the tolerance may that decide.
-    close = np.abs(distances - query.tolerance) <= 2.0**-49 * query.tolerance
-    limit = Fraction(query.tolerance) ** 2
+    close = np.abs(distances - tolerance) <= 2.0**-49 * tolerance
+    limit = Fraction(tolerance) ** 2
     for row in np.flatnonzero(close):
         square = Fraction(0)
-        for axis in range(ndim):
+        for axis in range(lo.shape[1]):
             gap = max(
-                Fraction(lo[row, axis]) - Fraction(query.hi[axis]),
-                Fraction(query.lo[axis]) - Fraction(hi[row, axis]),
+                Fraction(lo[row, axis]) - Fraction(query_hi[axis]),
+                Fraction(query_lo[axis]) - Fraction(hi[row, axis]),
             )
             square += max(gap, Fraction(0)) ** 2
         near[row] = square <= limit
     return near
+
+
+def from_centre(points: Floats, centre: Floats, ndim: int) -> tuple[Floats, Floats]:
+    """How far points (n, 3) are from a centre along the first axes, and the unit vectors to it;
+    zero at the centre.
+    """
+    distances, normals = np.empty(len(points)), np.zeros(points.shape)
+    look_back(points, centre, ndim, distances, normals)
+    return distances, normals
+
+
+@lean_kernel
+def look_back(points, centre, ndim, distances, normals):
+    for i in range(points.shape[0]):
+        largest = 0.0
+        for axis in range(ndim):
+            normals[i, axis] = centre[axis] - points[i, axis]
+            largest = max(largest, abs(normals[i, axis]))
+        # By a power of two, so that squares neither overflow nor vanish.
+        exponent, square = math.frexp(largest)[1], 0.0
+        for axis in range(ndim):
+            scaled = math.ldexp(normals[i, axis], -exponent)
+            square += scaled * scaled
+        distances[i] = math.ldexp(math.sqrt(square), exponent)
+        if distances[i] > 0.0:
+            for axis in range(ndim):
+                normals[i, axis] /= distances[i]
+
+
+@lean_kernel
+def closest_in_boxes(nodes, tight, slots, centre, height, points):
+    """Fill in the point of each leaf's box closest to `centre`; in the plane at `height`."""
+    for i in range(slots.shape[0]):
+        lo, hi = leaf_box(nodes, tight, 2 * slots[i])
+        points[i, 2] = height
+        for axis in range(lo.shape[0]):
+            points[i, axis] = min(max(centre[axis], lo[axis]), hi[axis])
 
 
 def closest_points(records: NDArray[np.void], meshes: MeshStore, centre: Floats) -> Floats:

@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
-from ..tree.nodes import ALL, SLOT_MASK
-from . import ball_casting, casting, overlaps
+from ..tree.nodes import ALL
+from . import ball_casting, box_casting, casting, overlaps
 from .columns import Columns
 from .query_shape import QueryShape, box_query, shape_query
 from .registry import Registry, Slots
 from .results import NO_NODE, SceneHit
-from .shapes import Floats, Shapes
+from .shapes import Floats, Shapes, along_axes
 
 Masks = NDArray[np.uint32]
 
@@ -72,17 +72,10 @@ class SceneQueries:
         """
         origin, direction, radius = self._segment(start, goal, radius)
         if radius == 0.0 and not self._any_shaped:
-            hit = self._tree.raycast(
-                origin[: self._tree.ndim], direction[: self._tree.ndim], 1.0, mask, skip_inside
+            hit = box_casting.first(
+                self._tree, origin, direction, checks.mask(mask), bool(skip_inside)
             )
-            if hit is None:
-                return None
-            return self._hit(
-                hit.id & SLOT_MASK,
-                hit.t,
-                self._lift(hit.point, origin),
-                self._lift(hit.normal, None),
-            )
+            return None if hit is None else self._hit(*hit)
         hits = self._cast_one(origin, direction, radius, mask, skip_inside, False)
         return hits[0] if hits else None
 
@@ -99,18 +92,11 @@ class SceneQueries:
         Arguments as `raycast`.
         """
         origin, direction, radius = self._segment(start, goal, radius)
-        ndim = self._tree.ndim
         if radius == 0.0 and not self._any_shaped:
-            hits = self._tree.raycast_all(origin[:ndim], direction[:ndim], 1.0, mask, skip_inside)
-            return [
-                self._hit(
-                    hit.id & SLOT_MASK,
-                    hit.t,
-                    self._lift(hit.point, origin),
-                    self._lift(hit.normal, None),
-                )
-                for hit in hits
-            ]
+            hits = box_casting.every(
+                self._tree, origin, direction, checks.mask(mask), bool(skip_inside)
+            )
+            return [self._hit(*hit) for hit in hits]
         return self._cast_one(origin, direction, radius, mask, skip_inside, True)
 
     def raycast_many(
@@ -143,9 +129,19 @@ class SceneQueries:
             checks.limits('t_max', t_max, len(starts)),
             checks.masks(mask, len(starts)),
         )
-        met = self._first if self._any_shaped else self._first_box
-        rows, slots, ts, points, normals = met(starts, ways, reaches, masks, skip_inside)
-        count = len(starts)
+        rays = starts, ways, reaches, masks
+        if not self._any_shaped:
+            handles = self._columns.node_handle
+            return box_casting.first_of_many(self._tree, handles, rays, bool(skip_inside))
+        return self._first_of_many(*rays, skip_inside)
+
+    def _first_of_many(
+        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
+    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+        """The same against the true shapes."""
+        found = self._cast(starts, ways, t_max, masks, skip_inside, False)
+        offsets, slots, ts, points, normals = found
+        count, rows = len(starts), np.flatnonzero(np.diff(offsets))
         handles, distances = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
         places, outwards = np.full((count, 3), np.nan), np.zeros((count, 3))
         handles[rows], distances[rows] = self._columns.node_handle[slots], ts
@@ -154,43 +150,21 @@ class SceneQueries:
             places[rows, 2] = starts[rows, 2]
         return handles, distances, places, outwards
 
-    def _first_box(
-        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
-    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """Rows, slots, t, points and normals of the rays that meet a box, by the tree alone."""
-        ndim = self._tree.ndim
-        hits = self._tree.raycast_many(starts[:, :ndim], ways[:, :ndim], t_max, masks, skip_inside)
-        rows = np.flatnonzero(hits.ids >= 0)
-        slots, ts = hits.ids[rows] & SLOT_MASK, hits.t[rows]
-        normals = np.zeros((len(rows), 3))
-        normals[:, :ndim] = hits.normals[rows]
-        lo, hi = overlaps.corners(self._columns.geometry[slots])
-        points: Floats = np.clip(starts[rows] + ts[:, None] * ways[rows], lo, hi)
-        np.copyto(points, lo, where=normals < 0)  # exactly on the face that is entered
-        np.copyto(points, hi, where=normals > 0)
-        return rows, slots, ts, points, normals
-
-    def _first(
-        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
-    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """The same against the true shapes."""
-        found = self._cast(starts, ways, t_max, masks, skip_inside, False)
-        offsets, slots, ts, points, normals = found
-        rows = np.asarray(np.flatnonzero(np.diff(offsets)), np.int64)
-        return rows, slots, ts, points, normals
-
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float
     ) -> tuple[Floats, Floats, float]:
-        origin, end = checks.point('start', start, 3), checks.point('goal', goal, 3)
-        # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
-        way = [b - a for a, b in zip(origin.tolist(), end.tolist(), strict=True)]
-        if not all(map(math.isfinite, way)):
-            raise ValueError('the segment from start to goal is longer than the largest double')
         radius = checks.limit('radius', radius)
         if math.isinf(radius):
             raise ValueError('radius must be finite')
-        return origin, np.array(way), radius
+        origin, end = checks.floats('start', start), checks.floats('goal', goal)
+        if origin.shape == end.shape == (3,):
+            # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
+            way = [b - a for a, b in zip(origin.tolist(), end.tolist(), strict=True)]
+            if all(map(math.isfinite, way)):  # so both ends are
+                return origin, np.array(way), radius
+        checks.point('start', origin, 3)
+        checks.point('goal', end, 3)
+        raise ValueError('the segment from start to goal is longer than the largest double')
 
     def _cast(
         self,
@@ -203,7 +177,7 @@ class SceneQueries:
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """Offsets, slots, t, points and normals of thin rays against the true shapes."""
         ndim = self._tree.ndim
-        rays = starts[:, :ndim].copy(), ways[:, :ndim].copy(), t_max, masks
+        rays = along_axes(starts, ndim), along_axes(ways, ndim), t_max, masks
         return casting.cast_all(self._tree, self._columns, rays, bool(skip_inside), every)
 
     def _cast_one(
@@ -224,12 +198,6 @@ class SceneQueries:
             points[:, 2] = origin[2]
         hits = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
         return [self._hit(*hit) for hit in hits]
-
-    def _lift(self, vector: Floats, origin: Floats | None) -> Floats:
-        """A planar vector in space: at the height of `origin`, or flat."""
-        if not self.planar:
-            return vector
-        return np.append(vector, 0.0 if origin is None else origin[2])
 
     # ---- boxes
 
@@ -296,7 +264,10 @@ class SceneQueries:
         ]
 
     def _touching(self, query: QueryShape, mask: int) -> list[SceneHit]:
-        found = overlaps.find(self._tree, self._columns, query, mask)
+        if query.aligned and not self._any_shaped:
+            found = overlaps.find_boxes(self._tree, query, checks.mask(mask))
+        else:
+            found = overlaps.find(self._tree, self._columns, query, checks.mask(mask))
         slots, distances, points, normals = found
         order = np.lexsort((self._columns.node_handle[slots], distances))
         return [

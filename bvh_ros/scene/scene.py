@@ -12,13 +12,12 @@ from ..tree.nodes import SLOT_MASK
 from . import updating
 from .columns import Columns, as_index
 from .distance_queries import DistanceQueries
-from .footprint import footprints
 from .groups import NOBODY, Groups
 from .inspection import SceneInspection
 from .names import Families, Names, as_families
 from .registry import UNKNOWN, Registry, Slots
 from .results import LAST_NODE_HANDLE
-from .shapes import Shapes, as_shapes
+from .shapes import Shapes, along_axes, as_shapes
 from .slicing import Part, SlicedUpdates
 from .updating import Refusal, Rows
 
@@ -215,7 +214,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
             return
         columns = self._columns
         handles = columns.tree_handle[rows.slot]
-        self._tree.move_many(handles, rows.lo[:, : self._tree.ndim], rows.hi[:, : self._tree.ndim])
+        ndim = self._tree.ndim
+        self._tree.move_many(handles, along_axes(rows.lo, ndim), along_axes(rows.hi, ndim))
         masks = rows.categories
         if masks is not None and (columns.categories[rows.slot] != masks).any():
             self._tree.set_masks(handles, masks)
@@ -231,7 +231,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         ndim, masks = self._tree.ndim, rows.categories
         if masks is None and self._categorise is not None:
             masks = self._categorise(names)
-        handles = self._tree.insert_many(rows.lo[:, :ndim], rows.hi[:, :ndim], masks)
+        lo, hi = along_axes(rows.lo, ndim), along_axes(rows.hi, ndim)
+        handles = self._tree.insert_many(lo, hi, masks)
         slots = handles & SLOT_MASK
         self._columns.grow(int(slots.max(initial=-1)) + 1)
         self._columns.tree_handle[slots] = handles
@@ -249,8 +250,6 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         geometry['half'][place] = rows.shapes.size * 0.5
         if rows.shaped.any() or geometry['shaped'][place].any():
             columns.write_shaped(slots, rows.shapes, rows.shaped)
-        if columns.footprint is not None:
-            columns.footprint[place] = footprints(rows.shapes, rows.shaped)
         columns.stamp[place] = rows.stamp
         columns.expires[place] = rows.expires
         mortal = rows.expires[rows.expires > 0]

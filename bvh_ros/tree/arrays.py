@@ -72,6 +72,11 @@ class Arrays:
         """
         return self._nodes, self._tight, self._handles, int(self._state[ROOT])
 
+    @property
+    def state(self) -> NDArray[np.int64]:
+        """Its root and what it counts, see `nodes`: kernels that count rays write there."""
+        return self._state
+
     def _boxes_only(self) -> tuple[Any, ...]:
         return self._nodes, self._tight, int(self._state[ROOT])
 

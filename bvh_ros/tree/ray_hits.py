@@ -16,10 +16,10 @@ def locate(nodes, tight, origin, direction, slot, t, axis, place):
     """Write a hit's point and normal as the first two rows of `place`.
 
     The point is in the closed box, and on the face entered; it is the origin where the ray starts
-    inside.
+    inside. Coordinates beyond the tree's axes are neither read nor written.
     """
     lo, hi = leaf_box(nodes, tight, 2 * slot)
-    for k in range(origin.shape[0]):
+    for k in range(lo.shape[0]):
         place[0, k] = origin[k]
         place[1, k] = 0.0
         if axis == INSIDE:

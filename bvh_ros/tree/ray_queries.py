@@ -80,7 +80,7 @@ class RayQueries(Arrays):
         start = checks.point('origin', origin, self.ndim)
         way = checks.point('direction', direction, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
-        _, slots, ts, axes = self._every(start[None], way[None], reach, seen, skip_inside)
+        _, slots, ts, axes = self.every_hit(start[None], way[None], reach, seen, skip_inside)
         return [
             self._hit(start, way, *row)
             for row in zip(slots.tolist(), ts.tolist(), axes.tolist(), strict=True)
@@ -150,7 +150,7 @@ class RayQueries(Arrays):
         """
         starts = checks.points('origins', origins, self.ndim)
         ways = checks.points('directions', directions, self.ndim, len(starts))
-        offsets, slots, ts, _ = self._every(starts, ways, t_max, mask, skip_inside)
+        offsets, slots, ts, _ = self.every_hit(starts, ways, t_max, mask, skip_inside)
         return offsets, self._handles[slots], ts
 
     def _cast(
@@ -267,9 +267,10 @@ class RayQueries(Arrays):
             self._state[RAYS] += rays
             self._state[EXACT_RAYS] += exact
 
-    def _every(
+    def every_hit(
         self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool
     ) -> tuple[Ids, Ids, Floats, Ids]:
+        """`raycast_all_many` of good input: offsets, slots, t and axes entered."""
         count = len(starts)
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
         offsets = np.zeros(count + 1, np.int64)
