@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from . import plots
+from . import plots, timing
 from .libraries import LIBRARIES, Library
 from .libraries.base import Work, make_work
 from .page import Page
@@ -128,8 +128,9 @@ def _introduction(libraries: list[Library]) -> str:
     return '\n'.join(
         [
             'Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to '
-            'anywhere. One processor. The libraries take turns, and the medians of the turns are '
-            'shown. *ours / this* below 1: bvh_ros is faster.',
+            'anywhere. One processor. The libraries take turns, each with untimed runs for '
+            f'{timing.WARM_SECONDS * 1e3:.0f} ms before the timed one, and the medians of the '
+            'turns are shown. *ours / this* below 1: bvh_ros is faster.',
             '',
             *notes,
             '',
@@ -165,7 +166,8 @@ def measure(
             for library in libraries
             if hasattr(library, task.name)
         }
-        found[size] = interleaved(jobs, REPEATS_QUICK if brief else REPEATS, progress.step)
+        repeats = REPEATS_QUICK if brief else REPEATS
+        found[size] = interleaved(jobs, repeats, progress.step, warm=True)
     return found
 
 

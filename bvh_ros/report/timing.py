@@ -8,6 +8,9 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 
+WARM_SECONDS = 0.01
+
+
 class Job(NamedTuple):
     """A piece of work that can be repeated."""
 
@@ -35,13 +38,20 @@ def seconds(run: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
+def _warm_up(job: Job) -> None:
+    until = time.perf_counter() + WARM_SECONDS
+    job.run()
+    while time.perf_counter() < until:
+        job.run()
+
+
 def interleaved(
     jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None], warm: bool = False
 ) -> dict[str, Timing]:
     """Run the jobs in turns, after an untimed run each; `tick` is called after each turn.
 
-    `warm`: an untimed run before every timed one, so that short jobs don't pay for what the job
-    before them has driven from the caches.
+    `warm`: untimed runs for some milliseconds before every timed one, so that short jobs don't pay
+    for what the job before them has driven from the caches.
     """
     first = {name: job.run() for name, job in jobs.items()}
     counts = {
@@ -51,7 +61,7 @@ def interleaved(
     for _ in range(repeats):
         for name, job in jobs.items():
             if warm:
-                job.run()
+                _warm_up(job)
             took[name].append(seconds(job.run) / job.units)
         tick()
     return {

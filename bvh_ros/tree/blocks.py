@@ -8,6 +8,7 @@ that is made in one pass, holds the very doubles of the boxes, and is forgotten 
 is walked against itself, two blocks at a time.
 """
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ _ENTRY = 3
 _STACK = _ENTRY * EIGHT * EIGHT * (SLOT_BITS // 3 + 2)
 
 
+@functools.cache
 def block_dtype(ndim: int) -> np.dtype[Any]:
     """Record of a block: whole cache lines."""
     rows = (ndim, EIGHT)

@@ -68,9 +68,10 @@ class BoxQueries(Arrays):
         if count > len(slots):
             slots = np.empty(count, np.int64)
             blocks.touching_pairs(packed, top, slots)
-        slots = slots[:count]
-        pairs = np.sort(self._handles[slots].reshape(-1, 2), axis=1)
-        return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        one, other = self._handles[slots[:count].reshape(-1, 2).T]
+        smaller, larger = np.minimum(one, other), np.maximum(one, other)
+        order = np.lexsort((larger, smaller))
+        return np.column_stack((smaller[order], larger[order]))
 
     def boxcast(
         self, lo: ArrayLike, hi: ArrayLike, translation: ArrayLike, mask: int = ALL
