@@ -68,11 +68,11 @@ def floats(name: str, value: ArrayLike) -> Floats:
         raise ValueError(f'{name} must be real numbers: {error}') from None
 
 
-def _floats_to_read(name: str, value: ArrayLike) -> Floats:
+def floats_to_read(name: str, value: ArrayLike) -> Floats:
     """The same array type, but the caller's memory where that is of it: for kernels that read
     every row once.
     """
-    if type(value) is np.ndarray and value.dtype == np.float64 and value.flags.carray:
+    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
         return value
     return floats(name, value)
 
@@ -99,7 +99,7 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     """As `points`, neither copied nor known to be finite: that is left to who reads them, and to
     `finite`.
     """
-    return _rows(name, _floats_to_read(name, value), ndim, count)
+    return _rows(name, floats_to_read(name, value), ndim, count)
 
 
 def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:

@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays in, and out what the caller reads: handles, points and normals."""
 
+import functools
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
-from .compiling import inlined, lean_kernel
+from .compiling import entry_point, inlined, lean_kernel
 from .machine import stack_array
-from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
-from .raycasting import ANY, raycast
+from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, box_dtype, leaf_box, node_dtype
+from .raycasting import ANY, CLOSEST, raycast
 from .slab import DIRECTION, EXACT, INSIDE, aim
 
 
@@ -71,6 +75,19 @@ def raycast_one(
         return NONE, np.inf
     locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
     return handles[slots[0]], ts[0]
+
+
+@functools.cache
+def raycast_entry(ndim: int) -> Callable[..., Any]:
+    """`raycast_one` for a tree of so many dimensions, without numba's look at the arguments: they
+    must be exactly of these types, the arrays C-ordered.
+    """
+    numbers, doubles = np.empty(0, np.int64), np.empty(0)
+    tree = np.empty(0, node_dtype(ndim)), np.empty(0, box_dtype(ndim)), numbers, numbers
+    place = np.empty((0, ndim))
+    return entry_point(
+        raycast_one, *tree, doubles, doubles, 0.0, np.uint32(0), False, CLOSEST, place
+    )
 
 
 @inlined

@@ -163,14 +163,15 @@ class RayQueries(Arrays):
         mode: int,
     ) -> tuple[int, float, Floats] | None:
         """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""
-        start, way = checks.floats('origin', origin), checks.floats('direction', direction)
+        start = checks.floats_to_read('origin', origin)
+        way = checks.floats_to_read('direction', direction)
         shape = (self.ndim,)
         if start.shape != shape or way.shape != shape:
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         place = np.empty((2 + RAY_ROWS, self.ndim))
-        handle, t = ray_hits.raycast_one(
+        handle, t = ray_hits.raycast_entry(self.ndim)(
             self._nodes,
             self._tight,
             self._handles,
