@@ -18,7 +18,7 @@ from ..tree.machine import stack_array
 from ..tree.nodes import SLOT_MASK
 from .columns import Columns
 from .gjk import CENTRE, CORE_ROWS, gap_bounds
-from .hull import vertex_span
+from .hull import hull_of
 from .narrow_phase import ROUNDING, SLACK, farthest, fill_core, largest_length
 from .overlaps import corners, lengths
 from .registry import Slots
@@ -55,12 +55,8 @@ def gap(one, other, hulls, planar, points):
     if hulls is None:
         apart = gap_bounds(first, round_one, None, second, round_other, None, np.nan, way)[1]
     else:
-        start, stop = vertex_span(hulls, one)
-        hull = hulls.vertices[start:stop]
-        start, stop = vertex_span(hulls, other)
-        apart = gap_bounds(
-            first, round_one, hull, second, round_other, hulls.vertices[start:stop], np.nan, way
-        )[1]
+        hull, other_hull = hull_of(hulls, one), hull_of(hulls, other)
+        apart = gap_bounds(first, round_one, hull, second, round_other, other_hull, np.nan, way)[1]
     grown = radius + other_radius
     touching = apart <= grown + slack
     share = radius / apart if apart > 0.0 else 0.0

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .footprint import FOOTPRINT, footprints
-from .meshes import Hulls, MeshStore
+from .mesh_store import Hulls, MeshStore
 from .registry import Slots
 from .shapes import ShapeKind, Shapes
 

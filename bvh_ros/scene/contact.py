@@ -13,7 +13,8 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
-from .hull import FACE, MESH, closest_on_hull, enter_mesh, vertex_span
+from .hull import MESH, closest_on_hull, enter_mesh, hull_of
+from .mesh_rays import FACE
 from .ray_shapes import (
     ROUND,
     enter_box,
@@ -104,8 +105,7 @@ def closest_point(shape, hulls, point, out):
     half = shape.half
     if shape.kind == MESH:
         if hulls is not None:
-            first, stop = vertex_span(hulls, shape)
-            closest_on_hull(hulls.vertices[first:stop], point, out)
+            closest_on_hull(hull_of(hulls, shape), point, out)
         return
     if shape.kind == BOX:
         for axis in range(3):
@@ -145,9 +145,10 @@ def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
             centre[axis] += s * way[axis]
         else:
             centre[axis] += t * ray[DIRECTION, axis]
-        closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+        inside = min(max(centre[axis], lo[axis]), hi[axis])
+        closest[axis] = centre[axis] if shape.shaped else inside
         outward[axis] = 0.0
-    if shape.shaped:
+    if shape.shaped and (radius > 0.0 or shape.kind != MESH):  # a thin ray is on the mesh already
         closest_point(shape, hulls, centre, closest)
     if feature == INSIDE or radius > 0.0:
         for axis in range(3):
@@ -159,9 +160,9 @@ def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
                 outward[axis] = -way[axis]
     elif feature >= FACE:
         if hulls is not None:
-            face = hulls.spans[shape.mesh, 2] + feature - FACE
+            face = hulls.spans[shape.mesh].faces[0] + feature - FACE
             for axis in range(3):
-                outward[axis] = hulls.planes[face, axis]
+                outward[axis] = hulls.normals[face, axis]
     elif feature == ROUND:
         outward[0], outward[1] = centre[0], centre[1]
         if shape.kind != CYLINDER:

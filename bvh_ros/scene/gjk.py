@@ -11,8 +11,8 @@ corner with normal v, so they are no nearer than v . corner / |v|.
 
 A `core` is a solid without its rounding: a box, of which a sphere keeps the centre and a capsule
 the axis, a cylinder, or a mesh. Rows of `core`: half sizes (of a mesh the factor of its vertices,
-thrice); then the axes of its frame, one a row; then its centre. `hull` are the vertices of a mesh,
-no rows for other cores, and None where there are no meshes at all.
+thrice); then the axes of its frame, one a row; then its centre. `hull` is a mesh's `hull.Hull`,
+without vertices for other cores, and None where there are no meshes at all.
 """
 
 import math
@@ -21,6 +21,7 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
+from .climbing import farthest_vertex
 
 MOST_STEPS = 100
 CONVERGED = 2.0**-48  # relative gap between the bounds' squares
@@ -37,7 +38,7 @@ def dot(one, other):
 def support(core, round_core, hull, way, sign, out):
     """Add to `out` sign times the point of a core that is farthest along -sign * way."""
     half = core[HALF]
-    if hull is not None and hull.shape[0] > 0:
+    if hull is not None and hull.places.shape[0] > 0:
         support_hull(core, hull, way, sign, out)
         return
     across = 0.0
@@ -58,15 +59,11 @@ def support(core, round_core, hull, way, sign, out):
 def support_hull(core, hull, way, sign, out):
     """`support` of a mesh: the farthest of its vertices."""
     x, y, z = dot(core[AXES], way), dot(core[AXES + 1], way), dot(core[AXES + 2], way)
-    farthest, best = np.inf, 0
-    for vertex in range(hull.shape[0]):
-        along = sign * (x * hull[vertex, 0] + y * hull[vertex, 1] + z * hull[vertex, 2])
-        if along < farthest:
-            farthest, best = along, vertex
+    best = farthest_vertex(hull.places, hull.links, -sign * x, -sign * y, -sign * z)
     for row in range(3):
         place = 0.0
         for axis in range(3):
-            place += hull[best, axis] * core[AXES + axis, row]
+            place += hull.places[best, axis] * core[AXES + axis, row]
         out[row] += sign * (place * core[HALF, 0] + core[CENTRE, row])
 
 

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays, balls and points against one convex mesh in its own frame.
 
-A thin ray is clipped by the planes of the faces, so it can slip through no edge: a convex solid is
-the overlap of the half-spaces within its planes. How far a ball is away, GJK says.
+A thin ray is followed through the tree of its triangles, see `mesh_rays`. How far a ball is away,
+GJK says.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,50 +14,51 @@ from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from ..tree.slab import INSIDE
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, dot, gap_bounds
+from .mesh_rays import Surface, enter_surface
 from .ray_shapes import NEWTON_STEPS, ROUND, ROUNDING
 
 MESH = 4  # ShapeKind, as a kernel can read it
-FACE = 4  # feature of the first face; below are those of `ray_shapes`
+
+
+class Hull(NamedTuple):
+    """Vertices of a mesh, for GJK."""
+
+    places: Any
+    links: Any
+    """See `climbing`."""
 
 
 @lean_kernel
-def vertex_span(hulls, shape):
-    """Rows of the vertices of a shape's mesh: from, up to. No rows if it is none."""
+def hull_of(hulls, shape):
+    """Vertices of a shape's mesh; none if it has none."""
     if shape.kind != MESH:
-        return 0, 0
-    return hulls.spans[shape.mesh, 0], hulls.spans[shape.mesh, 1]
+        return Hull(hulls.vertices[:0], hulls.links[:0])
+    span = hulls.spans[shape.mesh]
+    return Hull(
+        hulls.vertices[span.vertices[0] : span.vertices[1]],
+        hulls.links[span.links[0] : span.links[1]],
+    )
 
 
 @lean_kernel
 def enter_mesh(hulls, shape, origin, way, radius, reach, scratch):
     """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
-    if radius == 0.0:
-        planes = hulls.planes[hulls.spans[shape.mesh, 2] : hulls.spans[shape.mesh, 3]]
-        return enter_hull(planes, origin, way, reach)
-    first, stop = vertex_span(hulls, shape)
-    vertices = hulls.vertices[first:stop]
-    return enter_rounded_hull(vertices, origin, way, radius, reach, scratch)
+    if radius > 0.0:
+        return enter_rounded_hull(hull_of(hulls, shape), origin, way, radius, reach, scratch)
+    span = hulls.spans[shape.mesh]
+    first, stop = span.faces[0], span.faces[1]
+    surface = Surface(
+        hulls.vertices[span.vertices[0] : span.vertices[1]],
+        hulls.corners[first:stop],
+        hulls.nodes[2 * first : 2 * stop],
+        span.root,
+        span.radius,
+    )
+    return enter_surface(surface, origin, way, reach)
 
 
 @lean_kernel
-def enter_hull(planes, origin, way, reach):
-    """(s, feature) as the functions of `ray_shapes`: the face that is entered last."""
-    entry, leave, feature = 0.0, reach, INSIDE
-    for face in range(planes.shape[0]):
-        height = planes[face, 3] - dot(planes[face], origin)
-        slope = dot(planes[face], way)
-        if slope == 0.0:
-            if height < 0.0:
-                return np.inf, ROUND
-        elif slope > 0.0:
-            leave = min(leave, height / slope)
-        elif height / slope > entry:
-            entry, feature = height / slope, FACE + face
-    return (entry if entry <= leave else np.inf), feature
-
-
-@lean_kernel
-def hull_gap(vertices, point, apart):
+def hull_gap(hull, point, apart):
     """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there."""
     ball = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     mesh = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
@@ -65,16 +68,17 @@ def hull_gap(vertices, point, apart):
     for axis in range(3):
         ball[CENTRE, axis] = point[axis]
     mesh[HALF, 0] = 1.0
-    return gap_bounds(ball, False, vertices[0:0], mesh, False, vertices, np.nan, apart)[1]
+    nothing = Hull(hull.places[:0], hull.links[:0])
+    return gap_bounds(ball, False, nothing, mesh, False, hull, np.nan, apart)[1]
 
 
 @lean_kernel
-def enter_rounded_hull(vertices, origin, way, radius, reach, point):
+def enter_rounded_hull(hull, origin, way, radius, reach, point):
     """Newton's iteration for distance(s) = radius, see `ray_shapes.approach_rim`."""
     apart = stack_array(3, np.float64)
     for axis in range(3):
         point[axis] = origin[axis]
-    distance = hull_gap(vertices, point, apart)
+    distance = hull_gap(hull, point, apart)
     if distance <= radius:
         return 0.0, INSIDE
     s = 0.0
@@ -88,17 +92,17 @@ def enter_rounded_hull(vertices, origin, way, radius, reach, point):
             return np.inf, ROUND
         for axis in range(3):
             point[axis] = origin[axis] + s * way[axis]
-        distance = hull_gap(vertices, point, apart)
+        distance = hull_gap(hull, point, apart)
         if distance <= radius or step <= ROUNDING * s:
             break
     return s, ROUND
 
 
 @lean_kernel
-def closest_on_hull(vertices, point, out):
+def closest_on_hull(hull, point, out):
     """Fill `out` with the closest point of a mesh, `point` itself inside; return the distance."""
     apart = stack_array(3, np.float64)
-    distance = hull_gap(vertices, point, apart)
+    distance = hull_gap(hull, point, apart)
     for axis in range(3):
         out[axis] = point[axis] - apart[axis] if distance > 0.0 else point[axis]
     return distance

@@ -1,17 +1,24 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Convex meshes: solids within closed surfaces of triangles, and the store of those in a scene."""
+"""Convex meshes: solids within closed surfaces of triangles."""
 
-from typing import Any, NamedTuple
+import hashlib
+import math
+from functools import cached_property
+from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..tree.dynamic_bvh import DynamicBVH
+from .climbing import links
+from .surface import surface_of
+
 Floats = NDArray[np.float64]
 
-# How far a vertex may lie outside another triangle's plane, and how thin a mesh may be, in shares
-# of its largest extent: points that went through float32 are convex to 1e-7.
-LOOSE = 2.0**-20
+# By how much the boxes in a mesh's tree are larger than its triangles, in shares of the mesh.
+PAD = 2.0**-44
 
 
 class Mesh:
@@ -20,8 +27,10 @@ class Mesh:
     Parameters
     ----------
     triangles : array_like, shape (m, 3, 3)
-        Corners, m; the winding does not matter. Every edge must belong to exactly two triangles,
-        and the surface must bulge nowhere inwards.
+        Corners, m; the winding does not matter. They are taken as rounded to float32: what is as
+        near as that is one corner, and by as little a surface may bend inwards. Triangles without
+        area may close the surface. Every edge must belong to exactly two triangles, and the
+        surface must bulge nowhere inwards.
 
     Raises
     ------
@@ -36,120 +45,60 @@ class Mesh:
         finite = np.isfinite(corners).all(axis=(1, 2))
         if not finite.all():
             raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
-        points = corners.reshape(-1, 3)
-        lo, hi = points.min(axis=0), points.max(axis=0)
+        largest = np.abs(corners).max()
+        if not 1e-100 < largest < 1e100:
+            raise ValueError('the mesh is too small or too large')
+        surface = surface_of(corners)
+        lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         self.centre: Floats = lo * 0.5 + hi * 0.5
         """(3,) of the box around the mesh, in the frame of the triangles."""
         self.size: Floats = hi - lo
         """(3,) edges of that box."""
-        if not 1e-100 < self.size.max() < 1e100:
-            raise ValueError('the mesh is too small or too large')
-        places, corner = np.unique(points - self.centre, axis=0, return_inverse=True)
-        self.vertices: Floats = np.ascontiguousarray(places)
+        self.vertices: Floats = surface.vertices - self.centre
         """(k, 3) seen from the centre."""
-        self.planes: Floats = _planes(places, corner.reshape(-1, 3), float(self.size.max()))
-        """(f, 4) outward unit normal n and offset d: inside n . p <= d, seen from the centre."""
-        self.key = self.vertices.tobytes() + self.planes.tobytes()
+        self.corners: NDArray[np.int32] = surface.corners.astype(np.int32)
+        """(m, 3) rows of `vertices`, one row a triangle."""
+        self.normals: Floats = surface.normals
+        """(m, 3) outward unit normals of the triangles."""
+        self.edges: NDArray[np.int32] = surface.edges.astype(np.int32)
+        """(e, 2) rows of `vertices`."""
+        self.key = digest(self.vertices, self.corners)
+        """The same for equal meshes."""
+        self.radius = math.ldexp(1.0, math.frexp(float(np.linalg.norm(self.size)) * 0.5)[1])
+        """A power of two beyond the farthest vertex: steps of it round nothing away."""
+
+    @cached_property
+    def tree(self) -> tuple[NDArray[Any], int]:
+        """Nodes and root of a tree of the boxes around the triangles; slot k is triangle k."""
+        places = self.vertices[self.corners]
+        pad = PAD * float(self.size.max())
+        tree = DynamicBVH.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
+        nodes, _, _, root = tree.arrays()
+        return nodes, int(root)
+
+    @cached_property
+    def links(self) -> NDArray[np.int32]:
+        """What `climbing` needs to find the farthest vertex."""
+        return links(self.vertices, self.edges)
 
 
-def _planes(places: Floats, corner: NDArray[np.int64], extent: float) -> Floats:
-    """Planes of a closed convex surface; ValueError if it is not one."""
-    one, two, three = places[corner[:, 0]], places[corner[:, 1]], places[corner[:, 2]]
-    normals = np.cross(two - one, three - one)
-    area = np.linalg.norm(normals, axis=1)
-    if not (area > LOOSE * LOOSE * extent * extent).all():
-        raise ValueError(f'triangle {int(np.argmin(area))} has no area')
-    normals /= area[:, None]
-    middle = places.mean(axis=0)
-    normals[np.einsum('ni,ni->n', normals, one - middle) < 0] *= -1.0
-    offsets = np.einsum('ni,nki->nk', normals, places[corner]).max(axis=1)
-    if (offsets - normals @ middle).min() <= LOOSE * extent:
-        raise ValueError('the mesh is flat, or not convex')
-    first, second = _neighbours(corner)
-    if len(places) - len(first) + len(corner) != 2:  # Euler: one surface without holes
-        raise ValueError('the mesh is not the surface of one convex solid')
-    # Closed, connected and bulging nowhere inwards at an edge: convex (Tietze and Nakajima).
-    beyond = np.einsum('ni,nki->nk', normals[first], places[corner[second]])
-    inwards = beyond.max(axis=1) - offsets[first]
-    if inwards.max() > LOOSE * extent:
-        raise ValueError(f'the mesh is not convex at triangle {int(first[np.argmax(inwards)])}')
-    return np.unique(np.column_stack((normals, offsets)), axis=0)
+def digest(*arrays: NDArray[Any]) -> bytes:
+    """A short key of what the arrays hold."""
+    sha = hashlib.blake2b(digest_size=32)
+    for array in arrays:
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.digest()
 
 
-def _neighbours(corner: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The two triangles at every edge; ValueError if an edge has another number of them."""
-    edges = np.sort(corner[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, number, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    number = number.reshape(-1)
-    if (count != 2).any():
-        open_edge = int(np.flatnonzero(count[number] != 2)[0])
-        raise ValueError(
-            f'the mesh is not closed: an edge of triangle {open_edge // 3} belongs to '
-            f'{int(count[number[open_edge]])} triangles, not two'
-        )
-    pairs = np.argsort(number, kind='stable').reshape(-1, 2) // 3
-    return pairs[:, 0], pairs[:, 1]
+_in_use: WeakValueDictionary[bytes, Mesh] = WeakValueDictionary()
 
 
-class Hulls(NamedTuple):
-    """All meshes of a scene for the kernels: those of mesh k are the rows from spans[k, 0] up to
-    spans[k, 1] of the vertices, and from spans[k, 2] up to spans[k, 3] of the planes.
+def mesh_of(triangles: Floats) -> Mesh:
+    """`Mesh(triangles)`, or the one that was made of them while anything holds it: publishers
+    repeat themselves, and to examine a surface takes far longer than to recognise it.
     """
-
-    spans: NDArray[np.int64]
-    vertices: Floats
-    planes: Floats
-
-
-NO_HULLS = Hulls(np.empty((0, 4), np.int64), np.empty((0, 3)), np.empty((0, 4)))
-
-
-class MeshStore:
-    """The different meshes of a scene, each once, however many obstacles have it."""
-
-    def __init__(self) -> None:
-        self._numbers: dict[bytes, int] = {}
-        self._meshes: dict[int, Mesh] = {}
-        self._uses: dict[int, int] = {}
-        self._hulls: Hulls | None = None
-
-    def __len__(self) -> int:
-        return len(self._meshes)
-
-    def __getitem__(self, number: int) -> Mesh:
-        return self._meshes[number]
-
-    def take(self, mesh: Mesh) -> int:
-        """Number of a mesh, used once more."""
-        number = self._numbers.get(mesh.key)
-        if number is None:
-            number = next(k for k in range(len(self._meshes) + 1) if k not in self._meshes)
-            self._numbers[mesh.key], self._meshes[number], self._uses[number] = number, mesh, 0
-            self._hulls = None
-        self._uses[number] += 1
-        return number
-
-    def release(self, number: int) -> None:
-        """Use a mesh once less; one that nobody uses is forgotten."""
-        self._uses[number] -= 1
-        if not self._uses[number]:
-            del self._numbers[self._meshes.pop(number).key], self._uses[number]
-            self._hulls = None
-
-    @property
-    def hulls(self) -> Hulls:
-        """The meshes for the kernels."""
-        if self._hulls is None:
-            spans = np.zeros((max(self._meshes, default=-1) + 1, 4), np.int64)
-            numbers = sorted(self._meshes)
-            vertices = [self._meshes[k].vertices for k in numbers]
-            planes = [self._meshes[k].planes for k in numbers]
-            for column, parts in ((0, vertices), (2, planes)):
-                ends = np.cumsum([len(part) for part in parts])
-                spans[numbers, column + 1] = ends
-                spans[numbers, column] = ends - [len(part) for part in parts]
-            self._hulls = Hulls(
-                spans, np.concatenate([np.empty((0, 3)), *vertices]),
-                np.concatenate([np.empty((0, 4)), *planes]),
-            )  # fmt: skip
-        return self._hulls
+    key = digest(triangles)
+    mesh = _in_use.get(key)
+    if mesh is None:
+        mesh = _in_use[key] = Mesh(triangles)
+    return mesh

@@ -23,7 +23,7 @@ from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from .contact import CAPSULE, CYLINDER, SPHERE, rotate
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
-from .hull import MESH, vertex_span
+from .hull import MESH, hull_of
 from .separation import separation
 
 SLACK = 2.0**-48
@@ -93,10 +93,7 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
     if hulls is None:
         low, _ = gap_bounds(first, round_one, None, second, round_other, None, reach, point)
         return low <= reach + slack
-    start, stop = vertex_span(hulls, one)
-    hull = hulls.vertices[start:stop]
-    start, stop = vertex_span(other_hulls, other)
-    other_hull = other_hulls.vertices[start:stop]
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     low, _ = gap_bounds(first, round_one, hull, second, round_other, other_hull, reach, point)
     return low <= reach + slack
 

@@ -19,7 +19,7 @@ from ..tree.overlapping import overlap_many
 from . import hull, narrow_phase, overlap_footprint, shapes
 from .columns import Columns
 from .footprint import footprints
-from .meshes import NO_HULLS, MeshStore
+from .mesh_store import NO_HULLS, MeshStore
 from .query_shape import QueryShape
 from .registry import Slots
 from .shapes import Floats, ShapeKind, Shapes
@@ -199,8 +199,8 @@ def closest_points(records: NDArray[np.void], meshes: MeshStore, centre: Floats)
     local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
     closest = closest_in_frames(records['kind'], records['half'], local)
     for row in np.flatnonzero(records['kind'] == ShapeKind.MESH).tolist():
-        vertices = meshes[int(records['mesh'][row])].vertices
-        hull.closest_on_hull(vertices, local[row], closest[row])
+        mesh = meshes[int(records['mesh'][row])]
+        hull.closest_on_hull(hull.Hull(mesh.vertices, mesh.links), local[row], closest[row])
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from . import shapes
 from .columns import GEOMETRY, UNTURNED
-from .meshes import Hulls, MeshStore
+from .mesh_store import Hulls, MeshStore
 from .shapes import Floats, ShapeKind, Shapes
 
 

@@ -51,7 +51,7 @@ def raycast(
         top -= 1
         if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
             continue
-        node, top = _descend(nodes, ray, limit, wide, mask, stack, entries, stack[top], top)
+        node, top = descend(nodes, ray, limit, wide, mask, stack, entries, stack[top], top)
         if node == NONE:
             continue
         lo, hi = leaf_box(nodes, tight, node)
@@ -76,7 +76,7 @@ def raycast(
 
 
 @inlined
-def _descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
+def descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
     """Follow the nearer child down to a leaf, putting the others on the stack; (leaf or NONE, top
     of the stack).
     """

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import Scene, ShapeKind, Shapes
 
 Floats = NDArray[np.float64]
 
@@ -94,6 +94,27 @@ def box_of_triangles(size: ArrayLike) -> Floats:
     """Triangles (12, 3, 3) of a box about the origin."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return hull_of(signs * size)
+
+
+def icosphere(splits: int) -> Floats:
+    """Triangles (20 * 4**splits, 3, 3) of a sphere of radius 1."""
+    golden = (1 + math.sqrt(5)) / 2
+    corners = [(0.0, a, b * golden) for a in (-1, 1) for b in (-1, 1)]
+    triangles = hull_of([np.roll(corner, k) for corner in corners for k in range(3)])
+    for _ in range(splits):
+        middles = (triangles + np.roll(triangles, -1, axis=1)) / 2
+        parts = [
+            np.stack([triangles[:, k], middles[:, k], middles[:, k - 1]], 1) for k in range(3)
+        ]
+        triangles = np.concatenate([*parts, middles])
+    return triangles / np.linalg.norm(triangles, axis=2, keepdims=True)
+
+
+def scene_of(shapes: Shapes, planar: bool = False) -> Scene:
+    """Obstacles named by their rows."""
+    scene = Scene(planar=planar)
+    assert scene.update('test', [str(i) for i in range(len(shapes.kind))], shapes, stamp=1) == []
+    return scene
 
 
 def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:
