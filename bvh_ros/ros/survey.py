@@ -47,6 +47,7 @@ class Survey:
             'cost': f'{stats["cost"]:.4g}',
             'cost over that of the last build': _ratio(stats['cost'], tree['cost_when_built']),
             'turned or round obstacles': stats['shaped'],
+            'different meshes': stats['meshes'],
             'obstacles with a lifetime': stats['mortal'],
             'bytes of the tree': tree['bytes'] + tree['snapshot_bytes'],
             'bytes of the scene': stats['bytes'],

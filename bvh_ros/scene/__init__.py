@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
-from .meshes import Mesh
+from .meshes import Mesh, mesh_of
 from .names import Families, Numbered
 from .results import NO_NODE, Obstacle, SceneHit
 from .scene import Scene
@@ -22,4 +22,5 @@ __all__ = [
     'SceneHit',
     'ShapeKind',
     'Shapes',
+    'mesh_of',
 ]

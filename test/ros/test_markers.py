@@ -190,7 +190,7 @@ def test_triangles_become_a_mesh_in_the_frame_of_the_marker():
         (marker(shape=TRIANGLES, points=TETRAHEDRON[:-1]), '11 points are not triangles'),
         (marker(shape=TRIANGLES, points=TETRAHEDRON[:-3]), 'not closed'),
         (marker(shape=TRIANGLES, points=[*TETRAHEDRON[:-1], (0, math.nan, 0)]), 'not finite'),
-        (marker(shape=TRIANGLES, points=TETRAHEDRON, scale=(1, 1, 0)), 'no area'),
+        (marker(shape=TRIANGLES, points=TETRAHEDRON, scale=(1, 1, 0)), 'flat'),
         (marker(shape=TRIANGLES, points=TETRAHEDRON, frame='nowhere'), 'no transform'),
         (marker(shape=99), 'unknown'),
         (marker(shape=-1), 'unknown'),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.marker_table import Integers, MarkerTable
 from bvh_ros.ros.frames import FrameError, Transform
-from bvh_ros.scene import Families, Mesh, Refusal, ShapeKind, Shapes
+from bvh_ros.scene import Families, Refusal, ShapeKind, Shapes, mesh_of
 
 # visualization_msgs/msg/Marker
 ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
@@ -163,7 +163,7 @@ class _Reader:
             self._refuse(row, f'{len(points)} points are not triangles')
             return
         try:
-            mesh = Mesh(points.reshape(-1, 3, 3))
+            mesh = mesh_of(points.reshape(-1, 3, 3))
         except ValueError as error:
             self._refuse(row, str(error))
             return
