@@ -78,9 +78,10 @@ def binary_kernel() -> Any:
 @cache
 def wide_kernel() -> Any:
     """`wide_raycasting.cast_rows` without the exact decision."""
+    better = rewired(wide_raycasting.is_better, quick_decision=_plain_verdict)
     return rewired(
         wide_raycasting.cast_rows,
-        cast=rewired(wide_raycasting.cast, quick_decision=_plain_verdict),
+        cast=rewired(wide_raycasting.cast, is_better=better),
         settle_axis=_plain_axis,
     )
 
