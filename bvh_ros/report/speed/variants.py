@@ -3,7 +3,6 @@
 """The tree's insertion with some of its steps left out, to measure what each is worth."""
 
 from functools import cache
-from types import FunctionType
 from typing import Any, NamedTuple
 
 import numba
@@ -14,16 +13,10 @@ from ...tree.area import node_area, union_area
 from ...tree.compiling import kernel
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.nodes import NONE, ROOT, take_leaf
+from ..rewiring import rewired
 from ..scenes import Boxes, Floats
 
 ROTATIONS = ('none', 'on insert', 'on insert and remove')
-
-
-def rewired(original: Any, **calls: Any) -> Any:
-    """The same kernel, compiled again with some of the functions that it calls replaced."""
-    python = original.py_func
-    function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
-    return numba.njit(function, error_model='numpy', nogil=True)
 
 
 @numba.njit
