@@ -97,8 +97,6 @@ def _steps(scene: Scene, kinds: list[ShapeKind], margin: float) -> list[Step]:
         *_queries(scene, start, goal, 'boxes'),
     ]
     for kind in kinds:
-        if kind == ShapeKind.MESH and scene.planar:  # refused there
-            continue
         steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
     return [*steps, *_queries(scene, start, goal, 'turned and round shapes')]
 

@@ -111,8 +111,7 @@ def cast_ball(
     by handle: slots, t, points and normals.
     """
     ndim = tree.ndim
-    arrays, prints = tree.arrays(), columns.footprint
-    solids = columns.solids()
+    arrays, solids, prints = tree.arrays(), columns.solids(), columns.prints()
     scratch = (
         np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
         np.empty(DEEPEST, np.int64), np.empty(DEEPEST),

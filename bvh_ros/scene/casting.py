@@ -6,10 +6,11 @@ Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_cas
 thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 
-`tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (a pair:
-records of `columns.GEOMETRY`, one a slot, and the `meshes.Hulls`, or None) and `prints` (records
-of `footprint.FOOTPRINT`) one is None: numba drops a branch that asks for what is None, so that a
-planar scene compiles none of the solid shapes, and a scene without meshes nothing of theirs.
+`tree` is the tuple of arrays that the tree's own kernels take. Of `solids` (a pair: records of
+`columns.GEOMETRY`, one a slot, and the `mesh_store.Hulls`, or None) and `prints` (the same with
+records of `footprint.FOOTPRINT`) one is None: numba drops a branch that asks for what is None, so
+that a planar scene compiles none of the solid shapes, and a scene without meshes nothing of
+theirs.
 """
 
 import numpy as np
@@ -72,7 +73,7 @@ def plain(solids, prints, slot):
     if solids is not None:
         return not solids[0][slot].shaped
     if prints is not None:
-        return not prints[slot].shaped
+        return not prints[0][slot].shaped
     return True
 
 
@@ -101,7 +102,7 @@ def enter_obstacle(tree, solids, prints, slot, ray, radius, t_max, work):
     if solids is not None:
         t, feature = enter_shape(solids[0][slot], solids[1], lo, hi, ray, radius, t_max, work)
     if prints is not None:
-        t, feature = enter_footprint(prints[slot], lo, hi, ray, radius, t_max, work)
+        t, feature = enter_footprint(prints[0][slot], prints[1], lo, hi, ray, radius, t_max, work)
     return t, feature
 
 
@@ -161,7 +162,8 @@ def touch(tree, solids, prints, ray, radius, hits, j, work, point, normal):
         records, hulls = solids
         contact(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
     if prints is not None:
-        touch_footprint(prints[slot], lo, hi, ray, t, feature, work, point, normal)
+        records, hulls = prints
+        touch_footprint(records[slot], hulls, lo, hi, ray, t, feature, work, point, normal)
 
 
 @lean_kernel
@@ -195,8 +197,7 @@ def cast_all(
     every: bool,
 ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
     """`cast_rays` with room for what it finds: offsets, slots, t, points and normals."""
-    prints = columns.footprint
-    solids = columns.solids()
+    solids, prints = columns.solids(), columns.prints()
     count, ndim = rays[0].shape
     scratch = (
         np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),

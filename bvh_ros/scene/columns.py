@@ -75,6 +75,10 @@ class Columns:
         """Geometry and `hulls`; None where the scene is planar and has footprints."""
         return (self.geometry, self.hulls()) if self.footprint is None else None
 
+    def prints(self) -> tuple[NDArray[np.void], Hulls | None] | None:
+        """Footprints and `hulls`; None where the scene is not planar."""
+        return (self.footprint, self.hulls()) if self.footprint is not None else None
+
     def hulls(self) -> Hulls | None:
         """The meshes for the kernels; None without any: what is None is not compiled."""
         return self.meshes.hulls if len(self.meshes) or self._expects_meshes else None
@@ -94,6 +98,8 @@ class Columns:
             geometry['mesh'][slot] = number
         if self.footprint is not None:
             self.footprint[place] = footprints(shapes, shaped)
+            for slot, number in numbers:
+                self.footprint['polygon'][slot] = number + 1
 
     def _with_meshes(self, slots: Slots) -> list[int]:
         if not len(self.meshes):

@@ -5,7 +5,8 @@
 A box casts a zonogon, the sum of three segments (its half axes seen from above): a rectangle if it
 stands upright, else up to six corners. A ball casts a disc; a capsule a disc drawn along a
 segment; a cylinder that stands a disc, one that lies a rectangle, and one that leans an oval: an
-ellipse (its disc seen from above) drawn along a segment (its axis seen from above).
+ellipse (its disc seen from above) drawn along a segment (its axis seen from above). A mesh casts a
+polygon, which is kept with the meshes.
 
            ____                 ________
           /    \\              (        )
@@ -33,6 +34,7 @@ FOOTPRINT = np.dtype(
         ('half_axes', np.float64, (2,)),  # of the ellipse: along, across
         ('oval', np.bool_),
         ('shaped', np.bool_),
+        ('polygon', np.int32),  # of a mesh: 1 + its number in the store; else 0
     ],
     align=True,
 )

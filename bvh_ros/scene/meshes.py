@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
 from .climbing import links
+from .outline import convex_polygon
 from .surface import surface_of
 
 Floats = NDArray[np.float64]
@@ -75,6 +76,11 @@ class Mesh:
         tree = DynamicBVH.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
         nodes, _, _, root = tree.arrays()
         return nodes, int(root)
+
+    @cached_property
+    def outline(self) -> Floats:
+        """(k, 2) corners, counter-clockwise, of what is seen from above of the unturned mesh."""
+        return convex_polygon(self.vertices[:, :2])
 
     @cached_property
     def links(self) -> NDArray[np.int32]:

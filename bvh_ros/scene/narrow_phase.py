@@ -58,7 +58,8 @@ def fill_core(shape, origin, exponent, planar, core):
         core[CENTRE, axis] = math.ldexp(shape.position[axis] - origin[axis], -exponent)
         for row in range(3):
             core[AXES + axis, row] = 1.0 if axis == row else 0.0
-        rotate(shape.orientation, core[AXES + axis], 1.0)
+        if not (planar and shape.kind == MESH):  # a polygon, which is turned already
+            rotate(shape.orientation, core[AXES + axis], 1.0)
     if planar:
         for row in range(AXES, CORE_ROWS):
             core[row, 2] = 0.0

@@ -53,6 +53,6 @@ def _measured(columns: Columns, slots: Slots, point: Floats) -> Touching:
     """How far obstacles of any shape are from a point; seen from above in a planar scene."""
     planar = columns.footprint is not None
     closest = closest_footprint_points if planar else closest_points
-    points = closest(columns.geometry[slots], columns.meshes, point)
+    points = closest(columns, slots, point)
     distances, normals = from_centre(points, point, 2 if planar else 3)
     return Touching(slots, distances, points, normals)

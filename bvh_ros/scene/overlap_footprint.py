@@ -9,12 +9,12 @@ from .ray_footprint import closest_on_footprint
 
 
 @kernel
-def closest_points(prints, centre, points):
+def closest_points(prints, hulls, centre, points):
     """Fill `points` with each footprint's point closest to `centre`; inside the centre itself."""
     local, closest = np.empty(2), np.empty(2)
     for i in range(prints.shape[0]):
         for axis in range(2):
             local[axis] = centre[axis] - prints[i].centre[axis]
-        inside = closest_on_footprint(prints[i], local, closest) == 0.0
+        inside = closest_on_footprint(prints[i], hulls, local, closest) == 0.0
         for axis in range(2):
             points[i, axis] = centre[axis] if inside else closest[axis] + prints[i].centre[axis]

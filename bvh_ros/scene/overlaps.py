@@ -18,11 +18,10 @@ from ..tree.nodes import SLOT_MASK, box_dtype, leaf_box
 from ..tree.overlapping import overlap_many
 from . import hull, narrow_phase, overlap_footprint, shapes
 from .columns import Columns
-from .footprint import footprints
-from .mesh_store import NO_HULLS, MeshStore
+from .mesh_store import NO_HULLS
 from .query_shape import QueryShape
 from .registry import Slots
-from .shapes import Floats, ShapeKind, Shapes
+from .shapes import Floats, ShapeKind
 
 
 class Touching(NamedTuple):
@@ -55,9 +54,9 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32)
             records[narrow], hulls[0], query.solid, hulls[1], query.tolerance, planar, found
         )
         touches[narrow] = found
-    slots, records = slots[touches], records[touches]
+    slots = slots[touches]
     closest = closest_points if columns.footprint is None else closest_footprint_points
-    points = closest(records, columns.meshes, query.centre)
+    points = closest(columns, slots, query.centre)
     distances, normals = from_centre(points, query.centre, ndim)
     if ndim == 2:
         points[:, 2] = query.height
@@ -187,8 +186,9 @@ def closest_in_boxes(nodes, tight, slots, centre, height, points):
             points[i, axis] = min(max(centre[axis], lo[axis]), hi[axis])
 
 
-def closest_points(records: NDArray[np.void], meshes: MeshStore, centre: Floats) -> Floats:
+def closest_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
     """The point of each shape closest to `centre`; the centre itself where it lies inside."""
+    records = columns.geometry[slots]
     lo, hi = corners(records)
     points = np.clip(centre, lo, hi)
     turned = np.flatnonzero(records['shaped'])
@@ -199,7 +199,7 @@ def closest_points(records: NDArray[np.void], meshes: MeshStore, centre: Floats)
     local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
     closest = closest_in_frames(records['kind'], records['half'], local)
     for row in np.flatnonzero(records['kind'] == ShapeKind.MESH).tolist():
-        mesh = meshes[int(records['mesh'][row])]
+        mesh = columns.meshes[int(records['mesh'][row])]
         hull.closest_on_hull(hull.Hull(mesh.vertices, mesh.links), local[row], closest[row])
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
@@ -227,21 +227,17 @@ def closest_in_frames(kind: NDArray[np.uint8], half: Floats, local: Floats) -> F
 # ---- seen from above
 
 
-def _footprints(records: NDArray[np.void]) -> NDArray[np.void]:
-    sizes = records['half'] * 2.0
-    solids = Shapes(records['kind'], records['position'], records['orientation'], sizes)
-    return footprints(solids, np.ones(len(records), np.bool_))
-
-
-def closest_footprint_points(
-    records: NDArray[np.void], meshes: MeshStore, centre: Floats
-) -> Floats:
+def closest_footprint_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
     """`closest_points` seen from above; z is that of the centre."""
-    points = np.clip(centre, *corners(records))
+    points = np.clip(centre, *corners(columns.geometry[slots]))
     points[:, 2] = centre[2]
-    turned = np.flatnonzero(records['shaped'])
-    if len(turned):
+    prints = columns.prints()
+    turned = np.flatnonzero(columns.geometry['shaped'][slots])
+    if prints is not None and len(turned):
         places = np.empty((len(turned), 2))
-        overlap_footprint.closest_points(_footprints(records[turned]), centre[:2].copy(), places)
+        footprints, hulls = prints
+        overlap_footprint.closest_points(
+            footprints[slots[turned]], hulls, centre[:2].copy(), places
+        )
         points[turned, :2] = places
     return points

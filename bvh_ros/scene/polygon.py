@@ -3,14 +3,15 @@
 """Convex polygons: meshes seen from above, for planar scenes."""
 
 from typing import Any, ClassVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.nodes import node_dtype
 from .meshes import Floats, Mesh, digest
-
-DIRECTIONS = 32  # first guess of a polygon: what is farthest along each of so many
+from .outline import convex_polygon
+from .shapes import ShapeKind, Shapes, rotations
 
 
 class Polygon:
@@ -25,49 +26,33 @@ class Polygon:
     tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)
     radius: ClassVar[float] = 0.0
 
-    def __init__(self, mesh: Mesh, turn: Floats) -> None:
+    def __init__(self, mesh: Mesh, orientation: Floats) -> None:
         self.mesh = mesh
         """Kept, so that `mesh_of` knows it while it is in use."""
-        flat = mesh.vertices @ turn[:2].T
-        self.vertices: Floats = np.zeros((0, 3))
-        """(k, 3) corners counter-clockwise, from the centre, turned; z is 0."""
-        corners = convex_polygon(flat)
-        self.vertices = np.column_stack((corners, np.zeros(len(corners))))
+        turn = rotations(orientation[None])[0]
+        upright = not orientation[:2].any()
+        corners = mesh.outline if upright else convex_polygon(mesh.vertices @ turn[:2].T)
+        if upright:
+            corners = corners @ turn[:2, :2].T
+        self.vertices: Floats = np.column_stack((corners, np.zeros(len(corners))))
+        """(k, 3) corners counter-clockwise, turned, from the centre; z is 0."""
         self.key = digest(self.vertices)
+        """The same for equal polygons."""
 
 
-def convex_polygon(points: Floats) -> Floats:
-    """Corners (k, 2), counter-clockwise, of the convex hull of points (n, 2) that span an area."""
-    points = points[_candidates(points)]
-    order = np.lexsort((points[:, 1], points[:, 0]))
-    places = points[order].tolist()
-    lower, upper = _chain(places), _chain(places[::-1])
-    return np.array(lower[:-1] + upper[:-1])
+_in_use: WeakValueDictionary[tuple[bytes, bytes], Polygon] = WeakValueDictionary()
 
 
-def _candidates(points: Floats) -> NDArray[np.bool_]:
-    """Which points are not strictly within the polygon of those that are farthest along some
-    directions.
+def outlined(form: Shapes) -> Shapes:
+    """Canonical shapes, each mesh replaced by its polygon; that of a mesh which only moves is
+    there already.
     """
-    angle = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-    ways = np.column_stack((np.cos(angle), np.sin(angle)))
-    rim = points[np.argmax(ways @ points.T, axis=1)]
-    step = np.roll(rim, -1, axis=0) - rim
-    outside = np.zeros(len(points), np.bool_)
-    for (x, y), (along_x, along_y) in zip(rim.tolist(), step.tolist(), strict=True):
-        if along_x or along_y:
-            outside |= along_x * (points[:, 1] - y) <= along_y * (points[:, 0] - x)
-    return outside
-
-
-def _chain(places: list[list[float]]) -> list[list[float]]:
-    """Half of the rim, along sorted points, turning left only (Andrew's monotone chain, 1979)."""
-    chain: list[list[float]] = []
-    for x, y in places:
-        while len(chain) > 1:
-            (a, b), (c, d) = chain[-2], chain[-1]
-            if (c - a) * (y - b) > (d - b) * (x - a):
-                break
-            chain.pop()
-        chain.append([x, y])
-    return chain
+    if form.mesh is None:
+        return form
+    seen = np.empty(len(form.kind), object)
+    for row in np.flatnonzero(form.kind == ShapeKind.MESH).tolist():
+        mesh, orientation = form.mesh[row], form.orientation[row]
+        key = mesh.key, orientation.tobytes()
+        seen[row] = _in_use.get(key) or Polygon(mesh, orientation)
+        _in_use[key] = seen[row]
+    return form._replace(mesh=seen)

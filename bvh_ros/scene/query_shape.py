@@ -12,7 +12,8 @@ from ..tree import checks
 from . import shapes
 from .columns import GEOMETRY, UNTURNED
 from .mesh_store import Hulls, MeshStore
-from .shapes import Floats, ShapeKind, Shapes
+from .polygon import outlined
+from .shapes import Floats, Shapes
 
 
 class QueryShape(NamedTuple):
@@ -94,8 +95,6 @@ def shape_query(shape: Shapes, tolerance: float, planar: bool) -> QueryShape:
     if len(given.kind) != 1:
         raise ValueError(f'shape must be one row of Shapes, not {len(given.kind)}')
     reason = shapes.REASONS[shapes.faults(given)[0]]
-    if planar and given.kind[0] == ShapeKind.MESH:
-        reason = shapes.REASONS[shapes.SOLID_ONLY]
     form, aligned = shapes.canonical(given) if not reason else (given, np.zeros(1, np.bool_))
     if not reason:
         with np.errstate(over='ignore'):
@@ -105,6 +104,8 @@ def shape_query(shape: Shapes, tolerance: float, planar: bool) -> QueryShape:
     if reason:
         raise ValueError(f'shape cannot be used: {reason}')
     height = float(form.position[0, 2])
+    if planar:
+        form = outlined(form)
     solid = solids(form, ~aligned)
     store = MeshStore()
     if form.mesh is not None and form.mesh[0] is not None:

@@ -12,15 +12,15 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
-from .ray_shapes import (
-    NEWTON_STEPS,
-    ROUND,
-    ROUNDING,
-    enter_box,
-    enter_rounded_box,
-    enter_sphere,
-    length,
+from .mesh_rays import FACE
+from .ray_polygon import (
+    closest_on_polygon,
+    closest_on_rim,
+    edge_of,
+    enter_polygon,
+    enter_rounded_rim,
 )
+from .ray_shapes import NEWTON_STEPS, ROUND, ROUNDING, enter_box, enter_rounded_box, length
 
 
 @lean_kernel
@@ -37,18 +37,24 @@ def to_centre(footprint, ray, local):
 
 
 @lean_kernel
-def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
+def enter_footprint(footprint, hulls, lo, hi, ray, radius, t_max, work):
     """(t, feature) as `contact.enter_shape`.
 
-    The feature of a thin ray is the strip that is entered.
+    The feature of a thin ray is the strip that is entered, or FACE and the edge of a polygon.
     """
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
     total = to_centre(footprint, ray, work)
     origin, way, reach = work[0, :2], work[1, :2], t_max * total
+    s, feature = np.inf, np.int64(INSIDE)
     if not footprint.shaped:
         s, feature = enter_rounded_box(origin, way, lo, hi, radius, reach)
+    elif footprint.polygon > 0:
+        if hulls is not None:
+            s, feature = enter_mesh_outline(
+                footprint, hulls, origin, way, radius, reach, work[2, :2]
+            )
     elif footprint.oval:
         s, feature = approach_oval(footprint, origin, way, radius, reach, work[2, :2], work[3, :2])
     elif radius + footprint.radius == 0.0:
@@ -61,36 +67,31 @@ def enter_footprint(footprint, lo, hi, ray, radius, t_max, work):
         s, feature = enter_box(across, rate, low, footprint.widths, reach)
     else:
         grown = radius + footprint.radius
-        s, feature = enter_rounded_zonogon(footprint, origin, way, grown, reach, work[2, :2])
+        s, feature = np.float64(0.0), np.int64(INSIDE)
+        if closest_on_zonogon(footprint, origin, work[2, :2]) > grown:
+            corners = footprint.corners
+            s = enter_rounded_rim(corners, origin, way, grown, reach, work[2, :2])
+            feature = np.int64(ROUND)
     return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
 
 
 @lean_kernel
-def enter_rounded_zonogon(footprint, origin, way, radius, reach, closest):
-    """The grown zonogon is bounded by arcs about its corners and by its edges moved outwards.
+def corner_span(footprint, hulls):
+    """Rows of the corners of the polygon that is seen of a mesh: from, up to."""
+    span = hulls.spans[footprint.polygon - 1].vertices
+    return span[0], span[1]
 
-    The ray enters where it first meets one.
-    """
-    if closest_on_zonogon(footprint, origin, closest) <= radius:
-        return 0.0, INSIDE
-    best = np.inf
-    for i in range(6):
-        corner, following = footprint.corners[i], footprint.corners[(i + 1) % 6]
-        closest[0], closest[1] = origin[0] - corner[0], origin[1] - corner[1]
-        best = min(best, enter_sphere(closest, way, radius, reach)[0])
-        x, y = following[0] - corner[0], following[1] - corner[1]
-        edge = math.hypot(x, y)
-        if edge == 0.0:
-            continue
-        x, y = x / edge, y / edge
-        facing = way[0] * y - way[1] * x  # the outward normal is (y, -x)
-        height = closest[0] * y - closest[1] * x - radius
-        if facing < 0.0 <= height:
-            s = height / -facing
-            place = (closest[0] + s * way[0]) * x + (closest[1] + s * way[1]) * y
-            if 0.0 <= place <= edge and s <= reach:
-                best = min(best, s)
-    return best, ROUND
+
+@lean_kernel
+def enter_mesh_outline(footprint, hulls, origin, way, radius, reach, closest):
+    """`enter_footprint` for a mesh: (s, feature)."""
+    first, stop = corner_span(footprint, hulls)
+    corners = hulls.vertices[first:stop]
+    if radius == 0.0:
+        return enter_polygon(corners, origin, way, reach)
+    if closest_on_polygon(corners, origin, closest) <= radius:
+        return 0.0, np.int64(INSIDE)
+    return enter_rounded_rim(corners, origin, way, radius, reach, closest), np.int64(ROUND)
 
 
 @lean_kernel
@@ -120,8 +121,11 @@ def approach_oval(footprint, origin, way, radius, reach, point, closest):
 
 
 @lean_kernel
-def closest_on_footprint(footprint, point, out):
+def closest_on_footprint(footprint, hulls, point, out):
     """Fill `out` with a footprint's closest point, `point` itself inside; return the distance."""
+    if hulls is not None and footprint.polygon > 0:
+        first, stop = corner_span(footprint, hulls)
+        return closest_on_polygon(hulls.vertices[first:stop], point, out)
     if footprint.oval:
         return closest_on_oval(footprint, point, out)
     distance = closest_on_zonogon(footprint, point, out)
@@ -143,20 +147,7 @@ def closest_on_zonogon(footprint, point, out):
     if inside:
         out[0], out[1] = point[0], point[1]
         return 0.0
-    best = np.inf
-    for i in range(6):
-        corner, following = footprint.corners[i], footprint.corners[(i + 1) % 6]
-        x, y = following[0] - corner[0], following[1] - corner[1]
-        square = x * x + y * y
-        along = 0.0
-        if square > 0.0:
-            along = ((point[0] - corner[0]) * x + (point[1] - corner[1]) * y) / square
-        along = min(max(along, 0.0), 1.0)
-        near_x, near_y = corner[0] + along * x, corner[1] + along * y
-        distance = math.hypot(point[0] - near_x, point[1] - near_y)
-        if distance < best:
-            best, out[0], out[1] = distance, near_x, near_y
-    return best
+    return closest_on_rim(footprint.corners, point, out)
 
 
 @lean_kernel
@@ -213,7 +204,24 @@ def oval_normal(footprint, point, normal):
 
 
 @lean_kernel
-def touch_footprint(footprint, lo, hi, ray, t, feature, work, point, normal):
+def look_out(footprint, hulls, centre, closest, normal):
+    """Fill in a shaped footprint's closest point to `centre` and the direction outwards there;
+    return the distance.
+    """
+    if footprint.oval:
+        oval_normal(footprint, centre, normal)
+        return closest_on_oval(footprint, centre, closest)
+    if footprint.polygon == 0:
+        closest_on_zonogon(footprint, centre, closest)
+        normal[0], normal[1] = centre[0] - closest[0], centre[1] - closest[1]
+        return closest_on_footprint(footprint, hulls, centre, closest)
+    gap = closest_on_footprint(footprint, hulls, centre, closest)
+    normal[0], normal[1] = centre[0] - closest[0], centre[1] - closest[1]
+    return gap
+
+
+@lean_kernel
+def touch_footprint(footprint, hulls, lo, hi, ray, t, feature, work, point, normal):
     """Fill in the footprint's point that is met at t and the outward normal there."""
     s = t * to_centre(footprint, ray, work)
     centre, way, closest = work[0, :2], work[1, :2], work[2, :2]
@@ -225,17 +233,17 @@ def touch_footprint(footprint, lo, hi, ray, t, feature, work, point, normal):
         closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
         normal[axis] = centre[axis] - closest[axis]
     gap = length(normal[:2])
-    if footprint.shaped and footprint.oval:
-        gap = closest_on_oval(footprint, centre, closest)
-        oval_normal(footprint, centre, normal)
-    elif footprint.shaped:
-        closest_on_zonogon(footprint, centre, closest)
-        normal[0], normal[1] = centre[0] - closest[0], centre[1] - closest[1]
-        gap = closest_on_footprint(footprint, centre, closest)
+    if footprint.shaped:
+        gap = look_out(footprint, hulls, centre, closest, normal)
     if feature == INSIDE and gap == 0.0:
         point[0], point[1], normal[0], normal[1] = ray[ORIGIN, 0], ray[ORIGIN, 1], 0.0, 0.0
         return
-    if feature >= 0 and feature != ROUND:
+    if feature >= FACE:
+        if hulls is not None:
+            first, stop = corner_span(footprint, hulls)
+            x, y = edge_of(hulls.vertices[first:stop], feature - FACE)
+            normal[0], normal[1] = y, -x
+    elif feature >= 0 and feature != ROUND:
         flat_normal(footprint, lo, hi, way, feature, closest, normal)
     total = length(normal[:2])
     for axis in range(2):

@@ -79,7 +79,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         """How many obstacles `expire` has removed so far."""
         self._categorise = categorise
         self._tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
-        self._columns = Columns(planar, meshes and not planar)
+        self._columns = Columns(planar, meshes)
         self._registry = Registry()
         self._groups = Groups()
         self._next_node_handle = 1

@@ -107,7 +107,6 @@ REASONS = (
     'a capsule must be at least as long (size along z) as it is wide',
     'a mesh needs its Mesh and the size of it (see Shapes.of_meshes)',
     'its bounds exceed the largest double',
-    'a planar scene takes no meshes',
 )
 (
     FINE,
@@ -122,7 +121,6 @@ REASONS = (
     TOO_SHORT,
     NO_MESH,
     TOO_LARGE,
-    SOLID_ONLY,
 ) = range(len(REASONS))
 
 

@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree.nodes import ALL
 from . import shapes
 from .names import BARE, Families, last_of_each
+from .polygon import outlined
 from .registry import UNKNOWN, Slots
-from .shapes import Floats, ShapeKind, Shapes
+from .shapes import Floats, Shapes
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
 
@@ -95,13 +96,13 @@ def form(given: Shapes, planar: bool) -> Formed:
     """Look at shapes alone: nothing here depends on the world."""
     count = len(given.kind)
     code = shapes.faults(given)
-    if planar:
-        code[(code == shapes.FINE) & (given.kind == ShapeKind.MESH)] = shapes.SOLID_ONLY
     faults = {int(row): shapes.REASONS[code[row]] for row in np.flatnonzero(code)}
     row = np.flatnonzero(code == shapes.FINE)
     form, aligned = shapes.canonical(given if len(row) == count else given.take(row))
     with np.errstate(over='ignore', invalid='ignore'):
         lo, hi = shapes.bounds(form, aligned)
+    if planar:
+        form = outlined(form)
     formed = Formed(count, row, form, ~aligned, lo, hi, faults)
     if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
         finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))

@@ -96,6 +96,12 @@ def box_of_triangles(size: ArrayLike) -> Floats:
     return hull_of(signs * size)
 
 
+def bulging(rng: np.random.Generator, count: int = 20) -> Floats:
+    """Triangles around points on an ellipsoid."""
+    points = rng.normal(size=(count, 3))
+    return hull_of(points / np.linalg.norm(points, axis=1)[:, None] * rng.uniform(0.2, 1, 3))
+
+
 def icosphere(splits: int) -> Floats:
     """Triangles (20 * 4**splits, 3, 3) of a sphere of radius 1."""
     golden = (1 + math.sqrt(5)) / 2

@@ -7,18 +7,11 @@ import math
 import fcl
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, hull_of, scene_of
+from scene.reference import box_of_triangles, bulging, scene_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-
-
-def bulging(rng, count=20):
-    """Triangles around points on an ellipsoid."""
-    points = rng.normal(size=(count, 3))
-    return hull_of(points / np.linalg.norm(points, axis=1)[:, None] * rng.uniform(0.2, 1, 3))
-
 
 CUBE = box_of_triangles((1, 1, 1))
 DENTED = np.concatenate([CUBE[1:], [[*CUBE[0, :2], (0, 0, 0)]]])
