@@ -107,17 +107,16 @@ def bring_boxes(world, sources):
         world.until(world.everything)
 
 
-def bring_shapes(world, planar):
-    """Turned and round shapes, and meshes where there are any."""
+def bring_shapes(world):
+    """Turned and round shapes, and meshes."""
     mesh = [TETRAHEDRON[corner] for face in FACES for corner in face]
     shapes = [
         marker(100, (8, 8, 8), turn=TURNS[1]),
         marker(101, (12, 12, 12), turn=TURNS[2]),
         marker(102, (16, 16, 16), type=SPHERE),
         marker(103, (20, 20, 20), type=CYLINDER, turn=TURNS[2]),
+        marker(104, (24, 24, 24), type=TRIANGLE_LIST, points=mesh),
     ]
-    if not planar:
-        shapes.append(marker(104, (24, 24, 24), type=TRIANGLE_LIST, points=mesh))
     for shape in shapes:
         world.markers(shape)
         world.until(lambda shape=shape: f'a/{shape.id}' in world.everything())
@@ -141,12 +140,12 @@ def main():
     replies = []
     asking.create_subscription(PointCloud2, 'bvh/ray_hits', replies.append, 10)
     views, sources = parameters.get('views', []), parameters.get('sources', ['markers'])
-    planar, batch = parameters.get('planar', False), parameters.get('batch', True)
+    batch = parameters.get('batch', True)
     bring_boxes(world, sources)
     ask_everything(world, views)
     if batch:
         cast_batches(world, replies)
-    for _ in bring_shapes(world, planar) if 'markers' in sources else ():
+    for _ in bring_shapes(world) if 'markers' in sources else ():
         ask_everything(world, views)
         if batch:
             cast_batches(world, replies)

@@ -1,0 +1,56 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""TRIANGLE_LIST markers as exporters write them, in space and in a planar node."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+TRIANGLE_LIST = 11
+CORNERS = np.float32([(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
+FACES = [(a, (a + 1) % 4, tip) for a in range(4) for tip in (4, 5)]  # an octahedron, wound anyhow
+POINTS = [CORNERS[i] for face in FACES for i in face]
+NO_AREA = [CORNERS[i] for i in (0, 0, 1)]
+
+
+@pytest.mark.parametrize('planar', [False, True])
+def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, messages, planar):
+    """An octahedron, 2 m x 4 m x 6 m, turned by a quarter about z: 4 m along x, 2 m along y."""
+    from std_msgs.msg import ColorRGBA
+
+    world = start_node({'planar': planar})
+    quarter = (0, 0, math.sqrt(0.5), math.sqrt(0.5))
+    solid = messages.marker(
+        1, (5, 0, 0), (1, 2, 3), turn=quarter, type=TRIANGLE_LIST, points=POINTS + NO_AREA
+    )
+    solid.colors = [ColorRGBA(r=1.0, a=1.0)] * len(solid.points)
+    world.markers(solid, messages.marker(2, (5, 9, 0), type=TRIANGLE_LIST, points=POINTS[:6]))
+    world.until(lambda: world.everything() == {'a/1'})
+    assert 'not closed' in world.said() or 'flat' in world.said()
+
+    (pose,) = world.plan('raycast', (0, 0.5, 0), (9, 0.5, 0)).poses
+    at, turn = pose.pose.position, pose.pose.orientation
+    assert (at.x, at.y, at.z) == pytest.approx((4.0, 0.5, 0.0))
+    # The edge from (3, 0) to (5, 1): outwards (-1, 2), that is x turned by 116.6 degrees; in
+    # space the ray meets the edge of the octahedron, and the normal is one of its two faces.
+    if planar:
+        assert turn.z == pytest.approx(math.sin(math.atan2(2, -1) / 2))
+    (ball,) = world.plan('raycast', (5, 9, 0), (5, -9, 0), tolerance=0.5).poses
+    at = ball.pose.position
+    assert (at.x, at.y, at.z) == pytest.approx((5.0, 1.0, 0.0), abs=1e-6)
+
+    corner = (6.6, 0.6, 0.0)  # in its box, beside it
+    assert world.names('raycast', corner, corner) == []
+    assert world.names('overlap', corner, corner, tolerance=0.5) == ['a/1']
+    high = (5.0, 0.9, 2.0)  # above its slope: only seen from above it is there
+    assert world.names('raycast', high, high) == (['a/1'] if planar else [])
+    assert world.names('overlap', (4.9, -0.1, -0.1), (5.1, 0.1, 0.1)) == ['a/1']
+
+    solid.pose.position.x = 25.0
+    world.markers(solid)
+    world.until(lambda: world.names('raycast', (20, 0, 0), (30, 0, 0)) == ['a/1'])
+    assert world.names('raycast', (0, 0, 0), (9, 0, 0)) == []
+    assert world.status('world').values['different meshes'] == '1'

@@ -1,0 +1,164 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Surfaces as exporters write them, and what is refused with a reason."""
+
+import gc
+import itertools
+import weakref
+
+import numpy as np
+import pytest
+from scene.reference import box_of_triangles, bulging, icosphere
+from scipy.spatial.transform import Rotation
+
+from bvh_ros.scene import Mesh, mesh_of
+from bvh_ros.scene.climbing import FEW, farthest_vertex
+
+CUBE = box_of_triangles((1, 1, 1))
+
+
+def cut_cube(cuts):
+    """A cube whose sides are cut into cuts x cuts squares of two triangles: most are coplanar."""
+    steps = np.linspace(-0.5, 0.5, cuts + 1)
+    triangles = []
+    for axis, side in itertools.product(range(3), (-0.5, 0.5)):
+        for (a, b), (c, d) in itertools.product(itertools.pairwise(steps), repeat=2):
+            corners = np.empty((4, 3))
+            corners[:, axis] = side
+            corners[:, (axis + 1) % 3] = a, b, b, a
+            corners[:, (axis + 2) % 3] = c, c, d, d
+            triangles += [corners[[0, 1, 2]], corners[[0, 2, 3]]]
+    return np.array(triangles)
+
+
+def turned(triangles, seed=1):
+    return triangles @ Rotation.random(random_state=seed).as_matrix().T
+
+
+def single(triangles):
+    return triangles.astype(np.float32).astype(float)
+
+
+def shuffled(triangles, seed=2):
+    """In another order, and wound anyhow."""
+    rng = np.random.default_rng(seed)
+    order = np.array(list(itertools.permutations(range(3))))
+    triangles = triangles[rng.permutation(len(triangles))]
+    return np.take_along_axis(triangles, order[rng.integers(0, 6, len(triangles))][:, :, None], 1)
+
+
+def cut_by_a_cap(triangles):
+    """Triangle 0 becomes two that meet its neighbour through one without area."""
+    one, two, three = triangles[0]
+    middle = (one + two) / 2
+    cap = [one, middle, two]
+    return np.concatenate([triangles[1:], [[one, middle, three], [middle, two, three], cap]])
+
+
+def with_sliver(triangles, width):
+    """Of two corners at the first edge each triangle has one or the other, `width` apart."""
+    one, two, three = triangles[0]
+    moved = one + (two - one) * width
+    rest = triangles[1:]
+    return np.concatenate([rest, [[moved, two, three], [one, moved, three], [one, moved, two]]])
+
+
+@pytest.mark.parametrize(
+    ('triangles', 'vertices'),
+    [
+        pytest.param(CUBE, 8, id='cube'),
+        pytest.param(shuffled(CUBE), 8, id='wound anyhow'),
+        pytest.param(np.concatenate([CUBE, CUBE[:, ::-1]]), 8, id='both sides'),
+        pytest.param(np.concatenate([CUBE, CUBE[:2, [0, 0, 1]]]), 8, id='edges as triangles'),
+        pytest.param(np.concatenate([CUBE, CUBE[:2, [0, 0, 0]]]), 8, id='corners as triangles'),
+        pytest.param(cut_by_a_cap(CUBE), 9, id='no area'),
+        pytest.param(single(turned(cut_by_a_cap(CUBE))), 9, id='no area, float32'),
+        pytest.param(with_sliver(CUBE, 1e-9), 8, id='narrower than float32'),
+        pytest.param(with_sliver(CUBE, 1e-4), 9, id='sliver'),
+        pytest.param(single(turned(with_sliver(CUBE, 1e-5))), 9, id='sliver, float32'),
+        pytest.param(single(turned(cut_cube(7))), 6 * 49 + 2, id='coplanar, float32'),
+        pytest.param(single(turned(CUBE) + 1000), 8, id='far away, float32'),
+        pytest.param(single(turned(CUBE * (1, 1e-3, 30))), 8, id='stretched, float32'),
+        pytest.param(shuffled(single(icosphere(4))), 2562, id='fine, float32'),
+        pytest.param(icosphere(3) * 1e-60, 642, id='tiny'),
+    ],
+)
+def test_what_exporters_write_is_taken(triangles, vertices):
+    mesh = Mesh(triangles)
+    assert len(mesh.vertices) == vertices
+    outwards = np.einsum('ni,ni->n', mesh.normals, mesh.vertices[mesh.corners].mean(axis=1))
+    assert (outwards > 0).all()
+    assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1.0)
+
+
+def dented(triangles, by):
+    """One corner pushed towards the middle by a share of its distance."""
+    corner = triangles[0, 0]
+    same = (np.abs(triangles - corner) < 1e-12).all(axis=2, keepdims=True)
+    return np.where(same, 1 - by, 1) * triangles
+
+
+def hollow(triangles, by):
+    """All corners near a pole pushed in smoothly, no edge by much."""
+    height = triangles[:, :, 2:] / np.linalg.norm(triangles, axis=2, keepdims=True)
+    return triangles * (1 - by * np.clip((height - 0.8) / 0.2, 0, 1) ** 2)
+
+
+L_SHAPE = np.concatenate([CUBE, CUBE + np.eye(3)[0], CUBE + np.eye(3)[1]])
+
+
+@pytest.mark.parametrize(
+    ('triangles', 'words'),
+    [
+        pytest.param(dented(icosphere(2), 0.2), 'not convex at triangle', id='dent'),
+        pytest.param(dented(icosphere(4), 4e-3), 'not convex at triangle', id='fine dent'),
+        pytest.param(single(dented(icosphere(4), 1e-2)), 'not convex at', id='float32 dent'),
+        pytest.param(hollow(icosphere(4), 0.3), 'not convex at triangle', id='wide hollow'),
+        pytest.param(CUBE[:, :, [0, 1, 0]], 'flat', id='folded flat'),
+        pytest.param(CUBE * (1, 1, 0), 'flat', id='scaled flat'),
+        pytest.param(CUBE[:2], 'flat', id='one side'),
+        pytest.param(
+            CUBE[1:], 'an edge of triangle .* belongs to 1 triangles, not two', id='open'
+        ),
+        pytest.param(L_SHAPE, 'belongs to', id='three cubes'),
+        pytest.param(np.concatenate([CUBE, CUBE + 3]), 'not the surface of one', id='two solids'),
+        pytest.param(
+            np.concatenate([CUBE, CUBE[:1] * 0 + 9]), 'no part of the surface', id='mote'
+        ),
+    ],
+)
+def test_what_is_no_convex_solid_is_refused_in_a_sentence(triangles, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        Mesh(triangles)
+    assert '\n' not in str(refused.value)
+    with pytest.raises(ValueError, match=words):
+        Mesh(turned(shuffled(triangles)))
+
+
+@pytest.mark.parametrize('splits', [1, 2, 4])
+def test_the_farthest_vertex_is_found_from_anywhere(splits):
+    rng = np.random.default_rng(splits)
+    for triangles in (
+        icosphere(splits) * (1, 0.3, 2),
+        single(turned(cut_cube(3 * splits))),
+        bulging(rng, 12 * 4**splits),
+    ):
+        mesh = Mesh(triangles)
+        assert (len(mesh.links) > 0) == (len(mesh.vertices) > FEW)
+        ways = np.concatenate(
+            [rng.normal(size=(300, 3)), mesh.normals[:100], np.eye(3), -np.eye(3)]
+        )
+        for way in ways:
+            found = farthest_vertex(mesh.vertices, mesh.links, *way)
+            heights = mesh.vertices @ way
+            assert heights[found] >= heights.max() - 1e-6 * np.linalg.norm(way)
+
+
+def test_a_mesh_that_comes_again_is_recognised_while_it_is_in_use():
+    mesh = mesh_of(CUBE)
+    assert mesh_of(CUBE.copy()) is mesh
+    assert mesh_of(CUBE * 2) is not mesh
+    seen = weakref.ref(mesh)
+    del mesh
+    gc.collect()
+    assert seen() is None
