@@ -17,10 +17,11 @@ from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.machine import stack_array
 from ..tree.nodes import SLOT_MASK
 from .columns import Columns
-from .gjk import CENTRE, CORE_ROWS, gap_bounds
+from .gjk import CENTRE, CORE_ROWS, dot, gap_bounds
 from .hull import hull_of
 from .narrow_phase import ROUNDING, SLACK, farthest, fill_core, largest_length
 from .overlaps import corners, lengths
+from .plane_search import widest_gap
 from .registry import Slots
 from .shapes import Floats
 
@@ -49,16 +50,23 @@ def gap(one, other, hulls, planar, points):
     exponent = math.frexp(max(largest_length(one, origin), largest_length(other, origin)))[1]
     round_one, radius = fill_core(one, origin, exponent, planar, first)
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
+    grown = radius + other_radius
     slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
     for axis in range(3):
         way[3 + axis] = first[CENTRE, axis]
     if hulls is None:
-        apart = gap_bounds(first, round_one, None, second, round_other, None, np.nan, way)[1]
+        hull = other_hull = None
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(hulls, other)
-        apart = gap_bounds(first, round_one, hull, second, round_other, other_hull, np.nan, way)[1]
-    grown = radius + other_radius
-    touching = apart <= grown + slack
+    limit = grown + slack
+    low, apart = gap_bounds(first, round_one, hull, second, round_other, other_hull, np.nan, way)
+    if not (round_one or round_other):
+        apart = apart if low > limit else 0.0
+    elif apart > limit and max(apart, math.sqrt(dot(way, way))) - low > SLACK:
+        apart = widest_gap(
+            first, round_one, hull, second, round_other, other_hull, way, limit, np.inf
+        )
+    touching = apart <= limit
     share = radius / apart if apart > 0.0 else 0.0
     if touching:
         share = radius / grown if grown > 0.0 else 0.0

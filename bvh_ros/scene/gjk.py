@@ -24,7 +24,9 @@ from ..tree.machine import stack_array
 from .climbing import farthest_vertex
 
 MOST_STEPS = 100
+HANDED_ON = 16  # beside a cylinder: what is open then is for `plane_search`
 CONVERGED = 2.0**-48  # relative gap between the bounds' squares
+NOISE = 2.0**-50  # of lengths below 1
 HALF, AXES, CENTRE = 0, 1, 4
 CORE_ROWS = 5
 
@@ -84,13 +86,13 @@ def on_edge(simplex, i, j, trial):
 @lean_kernel
 def on_triangle(simplex, i, j, k, trial):
     """The same on a triangle; false if the closest point is not over its inside."""
+    i, j, k = widest_first(simplex, i, j, k)
     a, b, c = 0.0, 0.0, 0.0
     for axis in range(3):
-        one = cross(simplex, j, k, axis)
-        two = cross(simplex, k, i, axis)
-        three = cross(simplex, i, j, axis)
-        normal = one + two + three
-        a, b, c = a + one * normal, b + two * normal, c + three * normal
+        normal = normal_part(simplex, i, j, k, axis)
+        a += normal * over_edge(simplex, j, k, axis)
+        b += normal * over_edge(simplex, k, i, axis)
+        c += normal * over_edge(simplex, i, j, axis)
     total = a + b + c
     if a < 0.0 or b < 0.0 or c < 0.0 or total == 0.0:
         return False
@@ -100,10 +102,28 @@ def on_triangle(simplex, i, j, k, trial):
 
 
 @lean_kernel
-def cross(simplex, i, j, axis):
-    """Component of the cross product of two corners."""
+def over_edge(simplex, i, j, axis):
+    """Component of the cross product of two corners, as that of one with the edge to the other:
+    of corners close together that keeps its digits.
+    """
     y, z = (axis + 1) % 3, (axis + 2) % 3
-    return simplex[i, y] * simplex[j, z] - simplex[i, z] * simplex[j, y]
+    return simplex[i, y] * (simplex[j, z] - simplex[i, z]) - simplex[i, z] * (
+        simplex[j, y] - simplex[i, y]
+    )
+
+
+@lean_kernel
+def widest_first(simplex, i, j, k):
+    """Three corners in the same sense, first that from which the two shorter edges go: their cross
+    product has the most digits.
+    """
+    a, b, c = 0.0, 0.0, 0.0
+    for axis in range(3):
+        one, two, three = simplex[i, axis], simplex[j, axis], simplex[k, axis]
+        a, b, c = a + (two - three) ** 2, b + (three - one) ** 2, c + (one - two) ** 2
+    if a >= b and a >= c:
+        return i, j, k
+    return (j, k, i) if b >= c else (k, i, j)
 
 
 @lean_kernel
@@ -122,7 +142,7 @@ def holds_origin(simplex, weights):
     Fill in the weights of the corners that make the origin.
     """
     for i in range(4):
-        j, k, m = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
+        j, k, m = widest_first(simplex, (i + 1) % 4, (i + 2) % 4, (i + 3) % 4)
         inner, here = 0.0, 0.0
         for axis in range(3):
             normal = normal_part(simplex, j, k, m, axis)
@@ -132,6 +152,20 @@ def holds_origin(simplex, weights):
             return False
         weights[i] = here / inner
     return True
+
+
+@lean_kernel
+def missed(simplex, weights):
+    """By how much the corners with their weights miss the origin: what a tetrahedron says to hold
+    it that is as flat as the rounding of its corners.
+    """
+    total, square = weights[0] + weights[1] + weights[2] + weights[3], 0.0
+    for axis in range(3):
+        place = 0.0
+        for corner in range(4):
+            place += weights[corner] / total * simplex[corner, axis]
+        square += place * place
+    return math.sqrt(square)
 
 
 @lean_kernel
@@ -153,23 +187,24 @@ def drop_onto_plane(simplex, point):
     The weighted sum of its corners has a rounding error of their size: next to the origin that is
     noise, while the direction of the normal is good to the last digits.
     """
+    i, j, k = widest_first(simplex, 0, 1, 2)
     normal_square, height, longest = 0.0, 0.0, 0.0
     for axis in range(3):
-        normal = normal_part(simplex, 0, 1, 2, axis)
+        normal = normal_part(simplex, i, j, k, axis)
         normal_square += normal * normal
-        height += normal * simplex[2, axis]
-        for corner in range(3):
-            longest = max(longest, abs(simplex[corner, axis] - simplex[(corner + 1) % 3, axis]))
-    if normal_square > dot(point, point) * longest * longest:
+        height += normal * simplex[i, axis]
+        longest = max(longest, abs(simplex[j, axis] - simplex[k, axis]))
+    if height != 0.0 and normal_square > dot(point, point) * longest * longest:
         for axis in range(3):
-            point[axis] = normal_part(simplex, 0, 1, 2, axis) * (height / normal_square)
+            point[axis] = normal_part(simplex, i, j, k, axis) * (height / normal_square)
 
 
 @lean_kernel
-def keep_closest(simplex, count, weights, trial, point):
+def keep_closest(simplex, count, weights, trial, point, high):
     """Of a simplex keep the corners of the part that is closest to the origin, and its point.
 
-    That part has the newest corner, the last. Return how many corners are left.
+    That part has the newest corner, the last. Return how many corners are left, and the
+    distance; where that is below `high`, `weigh` its point.
     """
     best, newest = np.inf, count - 1
     for j in range(max(newest, 1)):
@@ -178,7 +213,9 @@ def keep_closest(simplex, count, weights, trial, point):
         for k in range(j):
             if on_triangle(simplex, newest, j, k, trial):
                 best = take_if_closer(simplex, count, weights, trial, point, best)
-    weigh(simplex, count, weights, point)
+    distance = math.sqrt(best)
+    if distance < high:
+        weigh(simplex, count, weights, point)
     kept = 0
     for corner in range(count):
         if weights[corner] > 0.0:
@@ -187,7 +224,7 @@ def keep_closest(simplex, count, weights, trial, point):
             kept += 1
     if kept == 3:
         drop_onto_plane(simplex, point)
-    return kept
+    return kept, distance
 
 
 @lean_kernel
@@ -212,12 +249,13 @@ def take_if_closer(simplex, count, weights, trial, point, best):
 
 @lean_kernel
 def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, point):
-    """(low, high) around the distance of two cores; both 0 if they overlap.
+    """(low, high) around the distance of two cores; high is 0 and low at most 0 if they overlap.
 
     Apart from rounding they are equal, unless one of them says already on which side of `limit`
-    the distance is (NaN: it is asked for itself). `point` becomes the shortest vector found from
-    the other core to this one; if it has six components, the last three where that ends, a point
-    of this core (if they overlap, of both).
+    the distance is (NaN: it is asked for itself), or a core is round: next to a rim corners are
+    soon so close together that GJK gains no more. `point` becomes the vector from the other core
+    to this one found last; if it has six components, the last three a point of this core, that
+    of `high` (if they overlap, of both).
 
     Rows of the simplex: the corner, and the point of this core in it.
     """
@@ -227,8 +265,11 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
         point[axis] = one[CENTRE, axis] - other[CENTRE, axis]
     if dot(point, point) == 0.0:  # any way will do: the centre of a mesh need not lie in it
         point[0] = 1.0
-    low, high, count = 0.0, np.inf, 0
-    for _ in range(MOST_STEPS):
+    steps = MOST_STEPS
+    if limit < np.inf and (round_one or round_other):
+        steps = HANDED_ON
+    low, high, count = -np.inf, np.inf, 0
+    for _ in range(steps):
         corner = simplex[count]
         corner[:] = 0.0
         support(one, round_one, hull, point, 1.0, corner[3:])
@@ -237,19 +278,23 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
         support(other, round_other, other_hull, point, -1.0, corner)
         square, along = dot(point, point), dot(point, corner)
         if square == 0.0:
-            return 0.0, 0.0
+            return min(low, 0.0), 0.0
         low = max(low, along / math.sqrt(square))
         if low > limit or (count > 0 and square - along <= CONVERGED * square):
             break
-        count += 1
-        if count == 4 and low <= 0.0 and holds_origin(simplex, weights):
-            weigh(simplex, count, weights, point)
-            return 0.0, 0.0
-        count = keep_closest(simplex, count, weights, trial, point)
-        length = math.sqrt(dot(point, point))
-        if length >= high:
+        held = False
+        for i in range(count):
+            same = simplex[i, 0] == corner[0] and simplex[i, 1] == corner[1]
+            held = held or (same and simplex[i, 2] == corner[2])
+        if held:
             break
-        high = length
+        count += 1
+        held = count == 4 and low <= 0.0 and holds_origin(simplex, weights)
+        if held and (not (round_one or round_other) or missed(simplex, weights) < NOISE):
+            weigh(simplex, count, weights, point)
+            return low, 0.0
+        count, length = keep_closest(simplex, count, weights, trial, point, high)
+        high = min(high, length)
         if high <= limit:
             break
     return min(low, high), high

@@ -5,14 +5,14 @@
 Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a
 capsule its axis. Growing by a
 tolerance is the same again, so corners come out round (the Minkowski sum with a ball). Two
-boxes are first asked for a separating plane; what that leaves open, GJK decides. Seen from above
-both work on the shadows of the cores, whose axes and centres have z = 0.
+boxes are first asked for a separating plane; what that leaves open, GJK decides, and beside a
+cylinder, where GJK gains no more digits, `plane_search`. Seen from above they work on the shadows
+of the cores, whose axes and centres have z = 0.
 
 **Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
 a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
 are apart, a half size, the tolerance) and the rounding of their positions. Axis-aligned boxes are
-decided exactly elsewhere, see `overlaps`. Beside a cylinder GJK sometimes stops early: there a gap
-below 1e-6 of the size may count as touching.
+decided exactly elsewhere, see `overlaps`.
 """
 
 import math
@@ -24,6 +24,7 @@ from ..tree.machine import stack_array
 from .contact import CAPSULE, CYLINDER, SPHERE, rotate
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
 from .hull import MESH, hull_of
+from .plane_search import widest_gap
 from .separation import separation
 
 SLACK = 2.0**-48
@@ -90,13 +91,17 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
             return False
         if gap == 0.0 and sure:
             return True
-    point = stack_array(3, np.float64)
+    way = stack_array(3, np.float64)
     if hulls is None:
-        low, _ = gap_bounds(first, round_one, None, second, round_other, None, reach, point)
-        return low <= reach + slack
-    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
-    low, _ = gap_bounds(first, round_one, hull, second, round_other, other_hull, reach, point)
-    return low <= reach + slack
+        hull = other_hull = None
+    else:
+        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    low, high = gap_bounds(first, round_one, hull, second, round_other, other_hull, reach, way)
+    limit = reach + slack
+    if low > limit or high <= limit or not (round_one or round_other):
+        return low <= limit
+    widest = widest_gap(first, round_one, hull, second, round_other, other_hull, way, limit, limit)
+    return widest <= limit
 
 
 @lean_kernel

@@ -43,7 +43,7 @@ def bounds_of(box, cylinder):
 def test_distances_of_a_box_and_a_cylinder(half, centre, expected):
     """A cylinder of radius 1 and half height 2."""
     low, high = bounds_of(core(half, None, centre), core((1, 1, 2)))
-    assert (low, high) == pytest.approx((expected, expected), abs=1e-13)
+    assert (max(low, 0.0), high) == pytest.approx((expected, expected), abs=1e-13)
 
 
 def alternating_projections(half, turn, centre, radius, height):
@@ -74,8 +74,8 @@ def test_bounds_hold_the_distance_that_alternating_projections_find():
     apart = bounds[:, 0] > 0
     assert 100 < np.count_nonzero(apart) < 350
     assert bounds[apart, 1] == pytest.approx(expected[apart], abs=1e-6)
-    assert (bounds[:, 1] <= expected + 1e-10).all()  # on round rims GJK stops there
-    assert np.diff(bounds, axis=1).max() < 1e-9
+    assert (bounds[:, 1] <= expected + 1e-11).all()
+    assert np.diff(bounds[apart], axis=1).max() < 1e-11
     assert expected[~apart].max() < 1e-3
 
 
