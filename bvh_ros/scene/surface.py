@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-NOISE = 2.0**-22  # of the largest coordinate: float32 rounds to 2**-24
+NOISE = 2.0**-22  # of the lengths that were rounded: float32 rounds by up to 2**-24 of them
 MOST_PAIRS = 2**24  # of triangles and corners that are compared: 0.1 s
 
 
@@ -47,7 +47,7 @@ def surface_of(triangles: Floats) -> Surface:
     convex.
     """
     points = triangles.reshape(-1, 3)
-    noise = NOISE * float(np.abs(points).max())
+    noise = _noise(points)
     vertices, number = weld(points, noise)
     corners, row = _without_repeats(number.reshape(-1, 3))
     used = np.unique(corners)
@@ -61,6 +61,16 @@ def surface_of(triangles: Floats) -> Surface:
     facets = _facets(vertices, corners, pairs, noise)
     _require_convexity(vertices, facets, pairs, row, noise)
     return Surface(vertices, corners, facets.normals, edges)
+
+
+def _noise(points: Floats) -> float:
+    """How far corners may have been moved. They were rounded where they are if they are float32
+    still, else next to their own origin.
+    """
+    extent = float(np.ptp(points, axis=0).max())
+    with np.errstate(over='ignore'):
+        single = np.array_equal(points.astype(np.float32), points)
+    return NOISE * max(extent, float(np.abs(points).max()) if single else 0.0)
 
 
 def weld(points: Floats, noise: float) -> tuple[Floats, Integers]:

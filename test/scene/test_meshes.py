@@ -7,7 +7,7 @@ import math
 import fcl
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, bulging, scene_of
+from scene.reference import box_of_triangles, bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -129,7 +129,8 @@ def as_model(mesh, place, turn):
 
 def test_pairs_of_meshes_and_mesh_queries_are_as_far_apart_as_python_fcl_says():
     rng = np.random.default_rng(4)
-    meshes = [Mesh(bulging(rng, int(rng.integers(5, 40)))) for _ in range(40)]
+    sizes = [*rng.integers(5, 40, 30), *rng.integers(70, 300, 10)]  # the larger are climbed
+    meshes = [Mesh(bulging(rng, int(size))) for size in sizes]
     turns = rng.normal(size=(40, 4))
     turns /= np.linalg.norm(turns, axis=1)[:, None]
     rows = Shapes.of_meshes(meshes, rng.uniform(-2.5, 2.5, (40, 3)), turns)
@@ -155,6 +156,35 @@ def test_pairs_of_meshes_and_mesh_queries_are_as_far_apart_as_python_fcl_says():
             if i < j:
                 assert ((str(i), str(j)) in pairs) == (distance <= 0.0)
             assert (str(j) in found) == (distance <= 0.3)
+
+
+def test_a_ball_touches_a_mesh_of_many_faces_where_python_fcl_says():
+    rng = np.random.default_rng(9)
+    mesh, place, turn = Mesh(icosphere(3) * (1, 0.6, 0.3)), (0.5, -0.2, 0.1), rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
+    scene = scene_of(Shapes.of_meshes([mesh], [place], [turn]))
+    model = as_model(mesh, scene.get('0').position, turn)
+    hits = 0
+
+    def distance(centre):
+        ball = fcl.CollisionObject(fcl.Sphere(0.25), fcl.Transform(centre))
+        return fcl.distance(ball, model)
+
+    for _ in range(60):
+        start = rng.normal(size=3)
+        start *= 3 / np.linalg.norm(start)
+        goal = rng.normal(size=3) * 1.2 - start
+        hit = scene.raycast(start, goal, 0.25)
+        if hit is None:
+            steps = np.linspace(0, 1, 200)[:, None]
+            assert min(distance(at) for at in start + steps * (goal - start)) > 0.0
+            continue
+        hits += 1
+        centre = start + hit.t * (goal - start)
+        assert distance(centre - 1e-6 * (goal - start)) == pytest.approx(0.0, abs=1e-5)
+        assert np.linalg.norm(hit.point - centre) == pytest.approx(0.25, abs=1e-9)
+        assert hit.normal == pytest.approx((centre - hit.point) / 0.25, abs=1e-6)
+    assert 15 < hits < 60
 
 
 def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():

@@ -78,6 +78,7 @@ def with_sliver(triangles, width):
         pytest.param(single(turned(with_sliver(CUBE, 1e-5))), 9, id='sliver, float32'),
         pytest.param(single(turned(cut_cube(7))), 6 * 49 + 2, id='coplanar, float32'),
         pytest.param(single(turned(CUBE) + 1000), 8, id='far away, float32'),
+        pytest.param(turned(CUBE) + 4e6, 8, id='far away'),
         pytest.param(single(turned(CUBE * (1, 1e-3, 30))), 8, id='stretched, float32'),
         pytest.param(shuffled(single(icosphere(4))), 2562, id='fine, float32'),
         pytest.param(icosphere(3) * 1e-60, 642, id='tiny'),
