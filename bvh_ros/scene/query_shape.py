@@ -19,29 +19,34 @@ from .shapes import Floats, Shapes
 class QueryShape(NamedTuple):
     """A shape to be grown by `tolerance` all round; `lo`, `hi` bound the shape itself."""
 
-    solid: NDArray[np.void]
-    """(1,) of `columns.GEOMETRY`."""
+    centre: Floats
+    """(3,)"""
     tolerance: float
     aligned: bool
     """It is a box whose axes are the world's: `lo` and `hi` are its corners exactly."""
     lo: Floats
     hi: Floats
-    hulls: Hulls | None
-    """Of a mesh."""
     height: float
     """Where the points of a planar scene are put."""
+    turned: NDArray[np.void] | None = None
+    """(1,) of `columns.GEOMETRY`; of an aligned box only where it was at hand."""
+    hulls: Hulls | None = None
+    """Of a mesh."""
 
     @property
-    def centre(self) -> Floats:
-        """Shape (3,)."""
-        centre: Floats = self.solid['position'][0]
-        return centre
+    def solid(self) -> NDArray[np.void]:
+        """(1,) of `columns.GEOMETRY`: what the narrow phase reads. Boxes among boxes need none."""
+        if self.turned is not None:
+            return self.turned
+        solid = UNTURNED.reshape(1).copy()
+        solid['position'], solid['half'] = self.centre, self.hi * 0.5 - self.lo * 0.5
+        return solid
 
     def reach(self) -> tuple[Floats, Floats]:
         """Bounds of the grown shape, rounded outwards, within the range of doubles."""
-        largest = np.finfo(np.float64).max
         if self.tolerance == 0.0:
             return self.lo, self.hi
+        largest = np.finfo(np.float64).max
         with np.errstate(over='ignore'):
             lo = np.nextafter(self.lo - self.tolerance, -np.inf)
             hi = np.nextafter(self.hi + self.tolerance, np.inf)
@@ -79,14 +84,13 @@ def box_query(
         raise ValueError('the query box is larger than the largest double')
     centre = first * 0.5 + second * 0.5
     if aligned or not any(diagonal):
-        solid = UNTURNED.reshape(1).copy()
-        solid['position'], solid['half'] = centre, np.abs(diagonal) * 0.5
         corners = np.minimum(first, second), np.maximum(first, second)
-        return QueryShape(solid, reach, True, *corners, None, height)
+        return QueryShape(centre, reach, True, *corners, height)
     edges = np.abs(shapes.rotations(turn)[0].T @ diagonal)
     form = Shapes.boxes(centre, edges, turn)
     lo, hi = shapes.bounds(form, np.zeros(1, np.bool_))
-    return QueryShape(solids(form, np.ones(1, np.bool_)), reach, False, lo[0], hi[0], None, height)
+    solid = solids(form, np.ones(1, np.bool_))
+    return QueryShape(centre, reach, False, lo[0], hi[0], height, solid)
 
 
 def shape_query(shape: Shapes, tolerance: float, planar: bool) -> QueryShape:
@@ -112,7 +116,8 @@ def shape_query(shape: Shapes, tolerance: float, planar: bool) -> QueryShape:
         solid['mesh'] = store.take(form.mesh[0])
     hulls = store.hulls if len(store) else None
     reach = _tolerance(tolerance)
-    return QueryShape(solid, reach, bool(aligned[0]), lo[0], hi[0], hulls, height)
+    box = bool(aligned[0]), lo[0], hi[0]
+    return QueryShape(form.position[0], reach, *box, height, solid, hulls)
 
 
 def _tolerance(value: float) -> float:

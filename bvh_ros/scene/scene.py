@@ -175,6 +175,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
                 f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
             )
         self._remove(stale)
+        self._any_shaped = self._any_shaped or bool(formed.shaped.any())
         if named is not None:
             self._leave_shadows(known)
         self._move(known, source, group)
@@ -182,12 +183,10 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         if named is not None:
             named += [present, inserted]
         self.newest = int(np.max(part.stamp if whole else rows.stamp, initial=self.newest))
-        # All columns are looked at only where the last shape may have gone; not for every slice.
-        self._any_shaped = (
-            named is not None or self._columns.any_shaped
-            if self._any_shaped
-            else bool(known.shaped.any() or added.shaped.any())
-        )
+        if self._any_shaped:
+            # All columns are looked at only where the last shape may have gone; not for every
+            # slice.
+            self._any_shaped = named is not None or self._columns.any_shaped
         return [
             Refusal(row, called.text(row), self._sentence(reasons[row])) for row in sorted(reasons)
         ]
@@ -248,7 +247,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         geometry = columns.geometry
         geometry['position'][place] = rows.shapes.position
         geometry['half'][place] = rows.shapes.size * 0.5
-        if rows.shaped.any() or geometry['shaped'][place].any():
+        if self._any_shaped and (rows.shaped.any() or geometry['shaped'][place].any()):
             columns.write_shaped(slots, rows.shapes, rows.shaped)
         columns.stamp[place] = rows.stamp
         columns.expires[place] = rows.expires

@@ -2,19 +2,39 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report's builds without a part really lack it."""
 
+import subprocess
+import sys
+
 import pytest
 
-from bvh_ros.report.features.parts import WITHOUT, random_world
-from bvh_ros.report.features.running import Job, run_in_turns
+from bvh_ros.report.features import builds
+from bvh_ros.report.features.on import random_world
+from bvh_ros.report.features.running import Job, side_by_side
 from bvh_ros.scene import ShapeKind
 
-SHAPES = tuple(f'bvh_ros.{module}' for module in WITHOUT['other shapes and the narrow phase'])
+WITHOUT_SHAPES = 'other shapes and the narrow phase'
+
+
+@pytest.mark.parametrize('name', builds.WITHOUT)
+def test_every_cut_meets_the_source(tmp_path, name):
+    builds.make(builds.WITHOUT[name], tmp_path, 'lean')
+    for file in (tmp_path / 'lean').rglob('*.py'):
+        compile(file.read_text(encoding='utf-8'), file, 'exec')
+
+
+def test_a_cut_that_meets_nothing_is_an_error(tmp_path):
+    build = builds.Build((), (builds.Cut('scene/*.py', 'no such line', ''),))
+    with pytest.raises(RuntimeError, match="no 'no such line' in scene"):
+        builds.make(build, tmp_path, 'lean')
 
 
 def test_a_build_without_a_part_answers_until_it_needs_it(tmp_path):
+    builds.make(builds.WITHOUT[WITHOUT_SHAPES], tmp_path, 'bvh_ros')
     boxes = random_world(50, ShapeKind.BOX, False, 5).save(tmp_path, 'boxes')
-    took = run_in_turns({'lean': Job(boxes, without=SHAPES)}, 1, lambda: None)
-    assert set(took['lean'][0]) == {'start', 'update', 'raycast', 'overlap', 'memory'}
-    spheres = random_world(50, ShapeKind.SPHERE, True, 5).save(tmp_path, 'spheres')
-    with pytest.raises(RuntimeError, match='object'):
-        run_in_turns({'lean': Job(spheres, without=SHAPES)}, 1, lambda: None)
+    took = side_by_side({'lean': Job(boxes, path=tmp_path)}, 1)
+    assert set(took['lean']) == {'start', 'update', 'raycast', 'overlap', 'memory'}
+    program = 'from bvh_ros.scene import Scene; Scene().raycast([0, 0, 0], [1, 0, 0], 0.1)'
+    swept = subprocess.run(
+        [sys.executable, '-c', program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert "'object' object is not callable" in swept.stderr

@@ -4,9 +4,9 @@
 
 from ..page import Page
 from ..progress import Progress
-from . import node, parts, robots
+from . import node, off, on, robots
 
-SECTIONS = (parts, robots, node)
+SECTIONS = (on, off, robots, node)
 
 
 def steps(brief: bool) -> int:

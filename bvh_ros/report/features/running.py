@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Workloads in turns: every job once, then all again, each in a new process; medians count."""
+"""Runs workloads in processes of their own: one scene each, or several side by side."""
 
 import json
 import os
@@ -18,8 +18,10 @@ from ..scenes import Floats
 
 WORKLOAD = Path(__file__).with_name('workload.py')
 ROOT = Path(__file__).resolve().parents[3]  # where the package is that runs now
+TURNS_ALONE = 9
 
 Figures = dict[str, float]
+Turns = dict[str, list[float]]
 
 
 class World(NamedTuple):
@@ -45,17 +47,23 @@ class Job(NamedTuple):
     margin: float = 0.0
     masks: bool = False
     batch: int = 0
-    without: tuple[str, ...] = ()
+    package: str = 'bvh_ros'
+    """The build to run."""
+    path: Path = ROOT
+    """The folder that it is in."""
 
 
 def run_in_turns(
     jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None]
 ) -> dict[str, list[Figures]]:
-    """What every run of every job took."""
+    """What every run of every job took, each run in a process of its own: every job once, then all
+    again. What disturbs a turn only makes it slower: the fastest counts.
+    """
     took: dict[str, list[Figures]] = {name: [] for name in jobs}
     for _ in range(repeats):
         for name, job in jobs.items():
-            took[name].append(_run(job))
+            turns = side_by_side({name: job}, TURNS_ALONE)[name]
+            took[name].append({kind: min(times) for kind, times in turns.items()})
             tick()
     return took
 
@@ -65,16 +73,26 @@ def medians(runs: list[Figures]) -> Figures:
     return {name: statistics.median(run[name] for run in runs) for name in runs[0]}
 
 
-def _run(job: Job) -> Figures:
-    order = json.dumps({**job._asdict(), 'file': str(job.file)})
+def side_by_side(
+    jobs: Mapping[str, Job], turns: int, kernels: Path | None = None
+) -> dict[str, Turns]:
+    """Run jobs in one process, turn by turn; `kernels` is where packages of other names than ours
+    keep theirs.
+    """
+    given = {
+        name: {**job._asdict(), 'file': str(job.file), 'path': str(job.path)}
+        for name, job in jobs.items()
+    }
+    order = json.dumps({'jobs': given, 'turns': turns})
+    apart = {} if kernels is None else {'NUMBA_CACHE_DIR': str(kernels)}
     result = subprocess.run(
         [sys.executable, str(WORKLOAD), order],
-        env={**os.environ, 'PYTHONPATH': str(ROOT)},
+        env={**os.environ, **apart},
         capture_output=True,
         text=True,
         check=False,
     )
     if result.returncode:
         raise RuntimeError(f'a workload failed: {result.stderr}')
-    figures: Figures = json.loads(result.stdout.splitlines()[-1])
-    return figures
+    took: dict[str, Turns] = json.loads(result.stdout.splitlines()[-1])
+    return took

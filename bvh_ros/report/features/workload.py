@@ -1,43 +1,36 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One scene in a process of its own: `python workload.py '<job as JSON>'`.
+"""Scenes side by side in a process of its own: `python workload.py '<order as JSON>'`.
 
-Prints what it took, as JSON. Modules named in `without` are replaced by empty ones before the
-scene is imported: a build without that part, in which using it would be an error.
+Fills a scene for each job and does short turns of the same work with each, one after the other.
+Prints as JSON what each turn took, by job and kind of work; of one job alone also what the process
+took until its first answer, and its memory.
 """
 
+import gc
 import importlib
+import importlib.util
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
-FRAMES, ROUNDS, OVERLAPS = 7, 5, 100
+OVERLAPS = 100
 STEP = 0.05  # m that obstacles go from frame to frame
 
-
-class Absent(ModuleType):
-    """A module whose names exist, so that others can import them, and cannot be used."""
-
-    def __getattr__(self, name: str) -> object:
-        if name.startswith('__'):
-            raise AttributeError(name)
-        return object()
+Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
 
 
-def least(rounds: int, run: Callable[[], Any]) -> float:
-    """Seconds of the fastest of some runs."""
-    times = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return min(times)
+def seconds(run: Callable[[], object]) -> float:
+    """How long one run takes."""
+    start = time.perf_counter()
+    run()
+    return time.perf_counter() - start
 
 
 def memory() -> float:
@@ -49,14 +42,9 @@ def memory() -> float:
     return int(status.partition('VmRSS:')[2].split()[0]) / 1024
 
 
-def main(job: dict[str, Any]) -> dict[str, float]:
-    """Fill a scene, move it, and ask."""
-    if 'bvh_ros' in sys.modules:
-        raise RuntimeError('too late to leave out a part: run this file, not the module')
-    for name in job['without']:
-        sys.modules[name] = Absent(name)
-    begin = time.perf_counter()
-    scenes = importlib.import_module('bvh_ros.scene')
+def prepare(job: dict[str, Any]) -> Work:
+    """Fill a scene of the job's build and ask it a first time."""
+    scenes = importlib.import_module(f'{job["package"]}.scene')
     given = np.load(job['file'])
     shapes = scenes.Shapes(
         **{name: given[name] for name in scenes.Shapes._fields if name in given}
@@ -66,10 +54,9 @@ def main(job: dict[str, Any]) -> dict[str, float]:
     scene = scenes.Scene(planar=job['planar'], margin=job['margin'])
     categories = 1 + np.arange(count) % 2 if job['masks'] else 1
     refused = scene.update('a', names, shapes, stamp=0, categories=categories)
-    scene.raycast(*rays[0])
-    took = {'start': time.perf_counter() - begin}
     if refused:
         raise ValueError(f'a row of the scene is refused: {refused[0].reason}')
+    scene.raycast(*rays[0])
     frame = 0
 
     def update() -> None:
@@ -79,20 +66,58 @@ def main(job: dict[str, Any]) -> dict[str, float]:
         scene.update('a', names, moved, stamp=frame, categories=categories)
 
     mask = 2 if job['masks'] else 0xFFFFFFFF
-    took['update'] = least(FRAMES, update) / count
-    took['raycast'] = least(ROUNDS, lambda: [scene.raycast(*ray, mask=mask) for ray in rays])
-    took['raycast'] /= len(rays)
-    boxes = rays[:OVERLAPS]
-    took['overlap'] = least(
-        ROUNDS, lambda: [scene.overlap(goal - 0.5, goal + 0.5, mask=mask) for _, goal in boxes]
-    )
-    took['overlap'] /= len(boxes)
+    boxes = [(goal - 0.5, goal + 0.5) for _, goal in rays[:OVERLAPS]]
+    work: Work = {
+        'update': (update, count),
+        'raycast': (lambda: [scene.raycast(*ray, mask=mask) for ray in rays], len(rays)),
+        'overlap': (lambda: [scene.overlap(*box, mask=mask) for box in boxes], len(boxes)),
+    }
     if job['batch']:
         starts = np.tile(given['starts'], (job['batch'], 1))
         ways = np.tile(given['goals'] - given['starts'], (job['batch'], 1))
-        batch = least(ROUNDS, lambda: scene.raycast_many(starts, ways, 1.0, mask))
-        took['batch'] = batch / len(starts)
-    took['memory'] = memory()
+        work['batch'] = (lambda: scene.raycast_many(starts, ways, 1.0, mask), len(starts))
+    return work
+
+
+def prepare_apart(number: int, job: dict[str, Any]) -> Work:
+    """Prepare with code objects of the job's own: in one that several scenes share, Python's
+    shortcuts fit the first one only, and it would seem 6 % faster.
+    """
+    spec = importlib.util.spec_from_file_location(f'work_{number}', __file__)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    work: Work = module.prepare(job)
+    return work
+
+
+def main(order: dict[str, Any]) -> dict[str, dict[str, list[float]]]:
+    """Take turns."""
+    if hasattr(os, 'sched_setaffinity'):  # one core: nothing moves between caches
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    sys.path[:0] = dict.fromkeys(job['path'] for job in order['jobs'].values())
+    given = order['jobs'].items()
+    jobs = {name: prepare_apart(k, job) for k, (name, job) in enumerate(given)}
+    took: dict[str, dict[str, list[float]]] = {
+        name: {kind: [] for kind in work} for name, work in jobs.items()
+    }
+    if len(jobs) == 1:
+        (alone,) = took.values()
+        alone['start'] = [time.process_time()]
+    kinds = dict.fromkeys(kind for work in jobs.values() for kind in work)
+    gc.disable()
+    for kind in kinds:
+        takers = [(name, *work[kind]) for name, work in jobs.items() if kind in work]
+        for _, run, _ in takers:
+            run()
+        for turn in range(order['turns']):
+            # Everybody follows everybody else in time.
+            for name, run, count in takers[turn % len(takers) :] + takers[: turn % len(takers)]:
+                took[name][kind].append(seconds(run) / count)
+        gc.collect()
+    if len(jobs) == 1:
+        alone['memory'] = [memory()]
     return took
 
 

@@ -1,0 +1,100 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What each part of a scene costs when it is on."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ...scene import ShapeKind, Shapes
+from .. import plots
+from ..page import Page
+from ..progress import Progress
+from ..tables import Cell, Table
+from .running import Figures, Job, World, medians, run_in_turns
+
+MICRO = 1e6
+BASE = '3D, axis-aligned boxes'
+KINDS = {
+    'turned boxes': ShapeKind.BOX,
+    'spheres': ShapeKind.SPHERE,
+    'cylinders': ShapeKind.CYLINDER,
+    'capsules': ShapeKind.CAPSULE,
+}
+ON = (BASE, 'planar', *KINDS, 'margin 0.1 m', 'masks', 'batch of rays')
+ON_IN_BRIEF = (BASE, 'planar', 'spheres', 'batch of rays')
+
+REPEATS = 2
+
+
+def chosen(brief: bool) -> tuple[str, ...]:
+    """Rows of the table."""
+    return ON_IN_BRIEF if brief else ON
+
+
+def steps(brief: bool) -> int:
+    """How often the progress bar will move."""
+    return (1 if brief else REPEATS) * len(chosen(brief))
+
+
+def random_world(count: int, kind: ShapeKind, turned: bool, rays: int = 300) -> World:
+    """Obstacles of about a metre on one floor, as thick as in a tidy warehouse, and rays half way
+    up: seen from above the answers are the same.
+    """
+    rng = np.random.default_rng(1)
+    edge = 3.0 * count**0.5
+    size = rng.uniform(0.2, 1.0, (count, 3))
+    if kind != ShapeKind.BOX:
+        size[:, 1] = size[:, 0]
+        size[:, 2] = size[:, 0] + (0.0 if kind == ShapeKind.SPHERE else 0.5)
+    turns = rng.normal(size=(count, 4)) if turned else np.zeros((count, 4))
+    places, ends = rng.uniform(0, edge, (count, 3)), rng.uniform(0, edge, (2, rays, 3))
+    places[:, 2] = ends[:, :, 2] = 1.0
+    return World(Shapes(np.full(count, kind, np.uint8), places, turns, size), *ends)
+
+
+def run(page: Page, progress: Progress, brief: bool) -> None:
+    """Measure."""
+    count = 200 if brief else 2_000
+    with tempfile.TemporaryDirectory() as folder:
+        boxes = random_world(count, ShapeKind.BOX, False).save(Path(folder), 'boxes')
+        jobs = {
+            BASE: Job(boxes),
+            'planar': Job(boxes, planar=True),
+            'margin 0.1 m': Job(boxes, margin=0.1),
+            'masks': Job(boxes, masks=True),
+            'batch of rays': Job(boxes, batch=2 if brief else 20),
+        }
+        for name, kind in KINDS.items():
+            jobs[name] = Job(random_world(count, kind, True).save(Path(folder), name))
+        progress.say('features: each part on')
+        asked = {name: jobs[name] for name in chosen(brief)}
+        runs = run_in_turns(asked, 1 if brief else REPEATS, progress.step)
+        _table(page, {name: medians(taken) for name, taken in runs.items()}, count)
+
+
+def _table(page: Page, took: dict[str, Figures], count: int) -> None:
+    rows: list[list[Cell]] = []
+    for name, one in took.items():
+        times: list[Cell] = [one[key] * MICRO for key in ('update', 'raycast', 'overlap')]
+        rows.append([name, *times, one['batch'] * MICRO if 'batch' in one else None])
+        rows[-1] += [one['start'], one['memory']]
+    page.add('### Each part on')
+    page.add(
+        f'{count:,} obstacles on a floor, in a scene of its own process; each row but the first '
+        'turns one part on. *update*: all obstacles move by 5 cm. *raycast*, *overlap*: one call '
+        'from Python. *start*: processor time from the start of Python to the first answer, with '
+        'compiled kernels. *memory*: of the whole process, Python, numpy and numba included.'
+    )
+    header = ['part', 'us an obstacle, update', 'us, raycast', 'us, overlap']
+    header += ['us a ray in a batch', 's, start', 'MB, memory']
+    page.table(Table('features_on', header, rows))
+    groups = {
+        name: {key: one[key] / took[BASE][key] for key in ('update', 'raycast', 'overlap')}
+        for name, one in took.items()
+        if name != BASE
+    }
+    path = page.plot('features_on', 'Cost of each part when it is on')
+    label = 'time over that of 3D axis-aligned boxes'
+    plots.ratios(path, groups, label, 'Cost of each part when it is on')
