@@ -34,7 +34,7 @@ HEADER = (
 LISTED = ('gap, m', 'pair', 'one', 'other', 'question', 'true', 'bvh_ros', 'python-fcl', 'why')
 SUMMED = ('why', 'disagreements', 'closest to touching, m', 'farthest from it, m', 'kinds, most')
 
-OURS = 'bvh_ros wrong: beside a cylinder GJK stops early and says touching'
+OURS = 'bvh_ros wrong beside a cylinder'
 OURS_ELSE = 'bvh_ros wrong without a cylinder'
 OURS_FAR = 'bvh_ros: its distance is off'
 WITHIN = 'python-fcl wrong, within its tolerance of 1e-6 m'
@@ -93,9 +93,9 @@ def against_fcl(page: Page, progress: Progress, brief: bool) -> None:
     page.add(
         'Why: python-fcl iterates for all but a few kinds of pairs, ends at about 1e-6 m and '
         'calls apart what is no deeper than that; its distances end as early, some earlier. '
-        'bvh_ros calls apart only what a plane keeps apart: where GJK gains no more digits '
-        'beside a round rim it answers touching, never the other way round, and a distance is '
-        'then too large by what was not gained.'
+        'bvh_ros calls apart only what a plane keeps apart by more than about 4e-15 of the larger '
+        'shape; where GJK gains no more digits beside a round rim, the widest gap between planes '
+        'is searched for until none can be wider.'
     )
     Table('error_pairs_listed', LISTED, listed).write_csv(page.folder)
 
