@@ -26,7 +26,7 @@ from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
 from bvh_ros.ros.world import World
 from bvh_ros.scene import Scene, ShapeKind
-from bvh_ros.tree import compiling
+from bvh_ros.tree import kernel_cache
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -99,8 +99,8 @@ class BvhServer:
     def compile(self) -> None:
         """Compile the kernels that this configuration needs."""
         log = self.node.get_logger().info
-        if not compiling.is_warm():
-            log('first start here: compiling, a minute or two; later starts take seconds')
+        if not kernel_cache.is_warm():
+            log('first start here: compiling, up to a minute; later starts take a second')
         kinds = self._kinds()
         warm_up(
             planar=self.settings.planar,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import checks, validation
 from .area import tree_cost
 from .arrays import Arrays, Floats, Ids
-from .compiling import cache_folder
+from .kernel_cache import cache_folder
 from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, SLOT_BITS, SLOT_MASK
 
 

@@ -15,7 +15,8 @@ from .nodes import DEEPEST, NONE, is_leaf, leaf_box
 def grown(array, need):
     """A copy with room for `need` items at least, and twice as many as before."""
     bigger = np.empty(max(2 * array.shape[0], need), array.dtype)
-    bigger[: array.shape[0]] = array
+    for i in range(array.shape[0]):
+        bigger[i] = array[i]
     return bigger
 
 
