@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from ...tree.compiling import cache_folder
+from ...tree.kernel_cache import cache_folder
 
 PACKAGE = Path(__file__).resolve().parents[2]
 ROOMS = ('tree', 'scene')
