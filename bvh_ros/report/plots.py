@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from .tables import show
+
 
 class Line(NamedTuple):
     """One curve."""
@@ -49,9 +51,10 @@ def ratios(
         ticks.append(place + (len(group) - 1) / 2)
         for name, ratio in group.items():
             axes.barh(place, ratio - 1, left=1.0, color=colours[name])
-            side = {'ha': 'left', 'text': f' {ratio:.3g}'} if ratio >= 1 else {'ha': 'right'}
-            text = side.pop('text', f'{ratio:.2g} ')
-            axes.annotate(text, (ratio, place), va='center', fontsize=7, **side)
+            text, side = (
+                (f' {show(ratio)}', 'left') if ratio >= 1 else (f'{show(ratio)} ', 'right')
+            )
+            axes.annotate(text, (ratio, place), va='center', fontsize=7, ha=side)
             place += 1
         place += 1
     axes.set_yticks(ticks, list(groups))

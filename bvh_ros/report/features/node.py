@@ -30,7 +30,7 @@ def chosen(brief: bool) -> dict[str, dict[str, object]]:
 
 def repeats(brief: bool) -> int:
     """Of each node, with an untimed one before, which compiles what is not compiled yet."""
-    return 2 if brief else 4
+    return 2 if brief else 3
 
 
 def steps(brief: bool) -> int:

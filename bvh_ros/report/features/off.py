@@ -34,7 +34,7 @@ class Effort(NamedTuple):
     starts: int
 
 
-FULL, BRIEF = Effort(1_000, 6, 80, 4), Effort(200, 2, 5, 1)
+FULL, BRIEF = Effort(1_000, 6, 80, 3), Effort(200, 2, 5, 1)
 
 
 def chosen(brief: bool) -> tuple[str, ...]:
@@ -45,7 +45,7 @@ def chosen(brief: bool) -> tuple[str, ...]:
 def steps(brief: bool) -> int:
     """How often the progress bar will move."""
     effort, rows = BRIEF if brief else FULL, len(chosen(brief))
-    return 2 * rows + 3 + effort.processes + effort.starts * (rows + 1)
+    return rows + 2 + effort.processes + effort.starts * (rows + 1)
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:
@@ -90,10 +90,10 @@ def _build(
     del apart[FIRST]
 
     # Kernels remember the package's name: under other names than ours they stay by themselves.
-    kernels: dict[Job, Path | None] = dict.fromkeys(apart.values())
-    kernels |= dict.fromkeys(together.values(), folder / 'kernels')
     with ThreadPoolExecutor(2) as pool:
-        for _ in pool.map(lambda job: side_by_side({'': job}, 1, kernels[job]), kernels):
+        kernels = folder / 'kernels'
+        jobs = together.values()
+        for _ in pool.map(lambda job: side_by_side({'': job}, 1, kernels), jobs):
             progress.step()
     return together, apart
 

@@ -15,6 +15,7 @@ from ..page import Page
 from ..progress import Progress
 from ..scenes import Floats
 from ..tables import Cell, Table
+from . import robot_worlds
 from .running import Job, World, medians, run_in_turns
 
 RAYS = 300
@@ -27,6 +28,8 @@ class Robot(NamedTuple):
     file: str
     """The recording, in the folder of the data."""
     read: Callable[[Path], Shapes]
+    alike: Callable[[], Shapes]
+    """A made-up world of that kind, for where there is no recording."""
     advice: str
     planar: bool
     margin: float
@@ -64,20 +67,20 @@ def voxels(path: Path) -> Shapes:
 
 ROBOTS = (
     Robot(
-        'warehouse robot', 'willow_garage_map/occupied_cells.csv', warehouse,
+        'warehouse robot', 'willow_garage_map/occupied_cells.csv', warehouse, robot_worlds.aisles,
         'planar: true, batch: false; an OccupancyGrid brings its walls', True, 0.0, False,
     ),
     Robot(
-        'arm at a shelf', 'manipulation_scenes/scenes.csv', shelf,
+        'arm at a shelf', 'manipulation_scenes/scenes.csv', shelf, robot_worlds.cans,
         'batch: false, views: none; cans as boxes only where that is close enough', False, 0.0,
         True,
     ),
     Robot(
-        'car', 'commonroad_ngsim/USA_US101-4_1_T-1.csv', road,
+        'car', 'commonroad_ngsim/USA_US101-4_1_T-1.csv', road, robot_worlds.lanes,
         'planar: true, batch: false, margin: 0.5', True, 0.5, False,
     ),
     Robot(
-        'drone', 'octomap_fr079/occupied_voxels.csv', voxels,
+        'drone', 'octomap_fr079/occupied_voxels.csv', voxels, robot_worlds.rooms,
         'a PointCloud2 of boxes, no markers; batch: true only for a virtual lidar', False, 0.0,
         False,
     ),
@@ -91,7 +94,7 @@ def chosen(brief: bool) -> tuple[Robot, ...]:
 
 def repeats(brief: bool) -> int:
     """Of each robot, in each configuration."""
-    return 1 if brief else 3
+    return 1 if brief else 2
 
 
 def steps(brief: bool) -> int:
@@ -100,15 +103,15 @@ def steps(brief: bool) -> int:
 
 
 def run(page: Page, progress: Progress, brief: bool) -> None:
-    """Measure what there are recordings of."""
+    """Measure."""
     progress.say('features: robots')
     page.add('### What to leave out')
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
         for robot in chosen(brief):
-            if page.misses([page.data / robot.file]):
-                continue
-            shapes = robot.read(page.data / robot.file)
+            recording = page.data / robot.file
+            recorded = recording.is_file()
+            shapes = robot.read(recording) if recorded else robot.alike()
             world = World(shapes, *_segments(shapes))
             job = Job(world.save(Path(folder), robot.name))
             lean = job._replace(planar=robot.planar, margin=robot.margin)
@@ -117,20 +120,21 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
                 lean = lean._replace(file=as_boxes.save(Path(folder), f'{robot.name} as boxes'))
             took = run_in_turns({'whole': job, 'lean': lean}, repeats(brief), progress.step)
             whole, left = medians(took['whole']), medians(took['lean'])
-            row: list[Cell] = [robot.name, len(shapes.kind), robot.advice]
+            row: list[Cell] = [robot.name, 'recorded' if recorded else 'made up']
+            row += [len(shapes.kind), robot.advice]
             for key, unit in (('update', 1e6), ('raycast', 1e6), ('start', 1.0), ('memory', 1.0)):
                 row += [whole[key] * unit, left[key] * unit]
             rows.append(row)
     page.add(
-        'Each robot in a recorded world, in pairs of columns: everything in 3D with the shapes as '
-        'they are, then configured as the row says. Kernels of what is not configured are not '
+        'Each robot in a recorded world, or where there is no recording (see --data) in one made '
+        'up like it. In pairs of columns: everything in 3D with the shapes as they are, then '
+        'configured as the row says. Kernels of what is not configured are not '
         'compiled, and its topics not subscribed.'
     )
-    header = ['robot', 'obstacles', 'configure']
+    header = ['robot', 'world', 'obstacles', 'configure']
     for name in ('us an obstacle, update', 'us, raycast', 's, start', 'MB, memory'):
         header += [name, 'so configured']
-    if rows:
-        page.table(Table('features_robots', header, rows))
+    page.table(Table('features_robots', header, rows))
 
 
 def _segments(shapes: Shapes) -> tuple[Floats, Floats]:
