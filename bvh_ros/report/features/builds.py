@@ -102,12 +102,8 @@ WITHOUT: dict[str, Build] = {
 
 
 def make(build: Build, folder: Path, package: str) -> None:
-    """Write a build as a package into a folder; files that are there already stay as they are.
-
-    Where nothing is cut out of the tree's own lines, the build runs the installed tree.
-    """
+    """Write a build as a package into a folder; files that are there already stay as they are."""
     unused = set(build.cuts)
-    own_tree = any(cut.where.startswith('tree/') for cut in build.cuts)
     for file in [PACKAGE / '__init__.py', *(f for r in ROOMS for f in (PACKAGE / r).glob('*.py'))]:
         name = file.relative_to(PACKAGE)
         text = file.read_text(encoding='utf-8')
@@ -117,10 +113,6 @@ def make(build: Build, folder: Path, package: str) -> None:
                 unused -= {cut} if times else set()
         if str(name.with_suffix('')) in build.empty:
             text = EMPTY
-        elif name.parts[0] == 'tree' and not own_tree:
-            if name.name != '__init__.py':
-                continue
-            text = f'__path__.append({str(PACKAGE / "tree")!r})\n{text}'
         _write(folder / package / name, text)
     if unused:
         cut = min(unused)
@@ -128,7 +120,7 @@ def make(build: Build, folder: Path, package: str) -> None:
 
 
 def _write(file: Path, text: str) -> None:
-    """Written once, so that compiled kernels stay good."""
+    """Written once: other processes may be reading it."""
     if not file.is_file() or file.read_text(encoding='utf-8') != text:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, encoding='utf-8')

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ...scene import ShapeKind
-from .. import plots
 from ..page import Page
 from ..progress import Progress
 from ..tables import Cell, Table
@@ -65,7 +64,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
             at = number * len(others) // effort.processes
             order = [first, *others[at:], *others[:at]]
             jobs = {name: together[name] for name in order}
-            runs.append(side_by_side(jobs, effort.turns, folder / 'kernels'))
+            runs.append(side_by_side(jobs, effort.turns))
             progress.step()
         alone = run_in_turns(apart, effort.starts, progress.step)
     found = {name: _ratios(name, runs, alone) for name in chosen(brief)}
@@ -85,15 +84,13 @@ def _build(
         package = ''.join(letter if letter.isalnum() else '_' for letter in f'bvh_ros {name}')
         builds.make(build, folder, package)
         builds.make(build, folder / package, 'bvh_ros')
-        together[name] = Job(boxes, package=package, path=folder)
+        kernels = folder / 'kernels' / package
+        together[name] = Job(boxes, package=package, path=folder, kernels=kernels)
         apart[name] = Job(boxes, path=folder / package)
     del apart[FIRST]
 
-    # Kernels remember the package's name: under other names than ours they stay by themselves.
     with ThreadPoolExecutor(2) as pool:
-        kernels = folder / 'kernels'
-        jobs = together.values()
-        for _ in pool.map(lambda job: side_by_side({'': job}, 1, kernels), jobs):
+        for _ in pool.map(lambda job: side_by_side({'': job}, 1), together.values()):
             progress.step()
     return together, apart
 
@@ -152,9 +149,3 @@ def _show(page: Page, found: dict[str, dict[str, tuple[float, float]]], effort: 
         'does.'
     )
     page.table(Table('features_off', header, rows))
-    bars = {
-        name: {kind: ratios[kind][0] for kind in (*TIMES, 'memory')}
-        for name, ratios in found.items()
-    }
-    path = page.plot('features_off', 'Cost of each part when it is off')
-    plots.ratios(path, bars, 'whole over a build without the part', 'Cost of each part, unused')

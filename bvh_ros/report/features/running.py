@@ -3,7 +3,6 @@
 """Runs workloads in processes of their own: one scene each, or several side by side."""
 
 import json
-import os
 import statistics
 import subprocess
 import sys
@@ -52,6 +51,8 @@ class Job(NamedTuple):
     """The build to run."""
     path: Path = ROOT
     """The folder that it is in."""
+    kernels: Path | None = None
+    """Where it keeps its kernels, if not where everybody does: they remember its name."""
 
 
 def run_in_turns(
@@ -77,24 +78,12 @@ def medians(runs: list[Figures]) -> Figures:
     return {name: statistics.median(run[name] for run in runs) for name in runs[0]}
 
 
-def side_by_side(
-    jobs: Mapping[str, Job], turns: int, kernels: Path | None = None
-) -> dict[str, Turns]:
-    """Run jobs in one process, turn by turn; `kernels` is where packages of other names than ours
-    keep theirs.
-    """
-    given = {
-        name: {**job._asdict(), 'file': str(job.file), 'path': str(job.path)}
-        for name, job in jobs.items()
-    }
-    order = json.dumps({'jobs': given, 'turns': turns})
-    apart = {} if kernels is None else {'NUMBA_CACHE_DIR': str(kernels)}
+def side_by_side(jobs: Mapping[str, Job], turns: int) -> dict[str, Turns]:
+    """Run jobs in one process, turn by turn."""
+    given = {name: job._asdict() for name, job in jobs.items()}
+    order = json.dumps({'jobs': given, 'turns': turns}, default=str)
     result = subprocess.run(
-        [sys.executable, str(WORKLOAD), order],
-        env={**os.environ, **apart},
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, str(WORKLOAD), order], capture_output=True, text=True, check=False
     )
     if result.returncode:
         raise RuntimeError(f'a workload failed: {result.stderr}')

@@ -44,6 +44,8 @@ def memory() -> float:
 
 def prepare(job: dict[str, Any]) -> Work:
     """Fill a scene of the job's build and ask it a first time."""
+    if job['kernels']:
+        os.environ['NUMBA_CACHE_DIR'] = job['kernels']  # read when the package is imported
     scenes = importlib.import_module(f'{job["package"]}.scene')
     given = np.load(job['file'])
     shapes = scenes.Shapes(
