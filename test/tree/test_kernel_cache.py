@@ -1,0 +1,68 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code is made once: for one signature a kernel, for all who have the same sources."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import bvh_ros
+
+START = """
+import gc, json, sys
+import numpy as np
+import bvh_ros
+from bvh_ros import DynamicBVH
+from bvh_ros.tree.kernel_parts import Kernel
+
+assert bvh_ros.__path__[0] == sys.argv[1]
+tree = DynamicBVH()
+tree.insert([1, -1, -1], [2, 1, 1])
+tree.insert_many(np.ones((3, 3)), np.full((3, 3), 2.0))
+tree.move_many(tree.ids(), np.ones((4, 3)), np.full((4, 3), 3.0))
+assert tree.raycast([0, 0, 0], [1, 1, 1]) is not None
+print(json.dumps([
+    [kernel.py_func.__name__, len(kernel.signatures), sum(kernel.stats.cache_misses.values())]
+    for kernel in gc.get_objects()
+    if isinstance(kernel, Kernel) and kernel.signatures
+]))
+"""
+
+
+def start(package: Path) -> dict[str, tuple[int, int]]:
+    """What a new process calls of this copy: each kernel's signatures, and how many it had to
+    compile.
+    """
+    ended = subprocess.run(
+        [sys.executable, '-c', START, str(package)],
+        capture_output=True,
+        text=True,
+        timeout=240,  # seconds: the very first start compiles
+        cwd=package.parent,
+        env={**os.environ, 'PYTHONPATH': str(package.parent)},
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    return {name: (signatures, misses) for name, signatures, misses in json.loads(ended.stdout)}
+
+
+def test_equal_sources_share_machine_code_wherever_they_are(tmp_path):
+    here = Path(bvh_ros.__file__).parent
+    elsewhere = tmp_path / 'bvh_ros'
+    shutil.copytree(here, elsewhere)
+    called = start(here)
+    assert 'insert_rows' in called
+    assert {name: misses for name, (_, misses) in start(elsewhere).items()} == dict.fromkeys(
+        called, 0
+    )
+
+
+def test_a_kernel_is_compiled_for_one_signature():
+    """Lists, single boxes and many come to it as arrays of one type."""
+    called = start(Path(bvh_ros.__file__).parent)
+    assert {name: signatures for name, (signatures, _) in called.items()} == dict.fromkeys(
+        called, 1
+    )
