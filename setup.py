@@ -50,7 +50,7 @@ setup(
     ],
     zip_safe=False,
     python_requires='>=3.10',
-    install_requires=['numpy>=1.24', 'numba>=0.62'],
+    install_requires=['numpy>=1.24', 'numba>=0.59'],
     extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'test': TEST},
     entry_points={
         'console_scripts': [

@@ -6,25 +6,39 @@ from collections.abc import Callable
 from typing import Any
 
 import numba
+from numba.core import config
 
 from .kernel_cache import KernelCache, cache_folder
-from .kernel_parts import Kernel
+
+# Versions of numba whose insides are known to be what `kernel_parts` and `kernel_cache` build on.
+# With another one kernels are compiled in numba's own way: as right and as fast, but a cold start
+# takes twice as long, and each installation has its own.
+KNOWN = (0, 62), (0, 68)
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Kernel:
-    compiled = Kernel(
-        function,
-        {
-            'nopython': True,
-            'error_model': 'numpy',
-            'nogil': True,
-            'no_cfunc_wrapper': True,  # C does not call us
-            **options,
-        },
-    )
+def _compiled(function: Callable[..., Any], **options: Any) -> Any:
+    options = {'error_model': 'numpy', 'nogil': True, **options}
+    if not KNOWN[0] <= numba.version_info.short <= KNOWN[1]:
+        return _compiled_by_numba(function, options)
+    from .kernel_parts import Kernel
+
+    # C does not call us.
+    compiled = Kernel(function, {'nopython': True, 'no_cfunc_wrapper': True, **options})
     if cache_folder() is not None:
         compiled._cache = KernelCache(function)
     return compiled
+
+
+def _compiled_by_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    folder = cache_folder()
+    # numba reads its cache folder when a function is decorated; other users of numba in this
+    # process keep their own.
+    theirs = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        return numba.njit(function, cache=folder is not None, **options)
+    finally:
+        config.CACHE_DIR = theirs
 
 
 def kernel(function: Callable[..., Any]) -> Any:

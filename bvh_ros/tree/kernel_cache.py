@@ -9,7 +9,6 @@ equal sources share machine code wherever they are installed.
 """
 
 import contextlib
-import fcntl
 import functools
 import hashlib
 import os
@@ -20,6 +19,11 @@ from typing import Any
 
 import numba
 from numba.core import caching
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: there processes should compile one after the other
+    fcntl = None  # type: ignore[assignment]
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -117,5 +121,6 @@ class KernelCache(caching.FunctionCache):
 def _alone(folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / 'lock').open('w') as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -66,3 +66,22 @@ def test_a_kernel_is_compiled_for_one_signature():
     assert {name: signatures for name, (signatures, _) in called.items()} == dict.fromkeys(
         called, 1
     )
+
+
+OTHER_NUMBA = """
+import numba
+
+numba.version_info = numba.version_info._replace(short=(0, 999))
+import numpy as np
+from bvh_ros.tree import checks
+
+assert type(checks._first_not_finite).__name__ == 'CPUDispatcher'
+assert checks._first_not_finite(np.array([[0.0, 1.0], [2.0, np.nan]])) == 1
+"""
+
+
+def test_with_an_unknown_numba_kernels_are_compiled_in_its_own_way():
+    ended = subprocess.run(
+        [sys.executable, '-c', OTHER_NUMBA], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
