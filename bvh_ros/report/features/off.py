@@ -33,7 +33,7 @@ class Effort(NamedTuple):
     starts: int
 
 
-FULL, BRIEF = Effort(1_000, 6, 80, 3), Effort(200, 2, 5, 1)
+FULL, BRIEF = Effort(1_000, 5, 80, 2), Effort(200, 2, 5, 1)
 
 
 def chosen(brief: bool) -> tuple[str, ...]:
