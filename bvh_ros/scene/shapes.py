@@ -188,10 +188,10 @@ def canonical(shapes: Shapes) -> tuple[Shapes, NDArray[np.bool_]]:
     """
     kind, position, orientation, size, mesh = shapes
     if mesh is not None:
-        position = position.copy()
-        for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
-            turn = rotations(unit_quaternions(orientation[row : row + 1]))[0]
-            position[row] += turn @ mesh[row].centre
+        position, rows = position.copy(), np.flatnonzero(kind == ShapeKind.MESH)
+        centres = np.array([held.centre for held in mesh[rows]]).reshape(-1, 3)
+        turns = rotations(unit_quaternions(orientation[rows]))
+        position[rows] += np.einsum('nij,nj->ni', turns, centres)
     if not orientation[:, :3].any():  # clouds and plain markers: nothing is turned
         unturned = np.zeros((len(kind), 4))
         unturned[:, 3] = 1.0
@@ -253,8 +253,9 @@ def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     half[turned] = _reach(shapes, turned)
     lo, hi = shapes.position - half, shapes.position + half
     if shapes.mesh is not None:
-        for row in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
-            places = shapes.mesh[row].vertices @ rotations(shapes.orientation[row : row + 1])[0].T
+        rows = np.flatnonzero(shapes.kind == ShapeKind.MESH)
+        for row, turn in zip(rows.tolist(), rotations(shapes.orientation[rows]), strict=True):
+            places = shapes.mesh[row].vertices @ turn.T
             lo[row] = shapes.position[row] + places.min(axis=0)
             hi[row] = shapes.position[row] + places.max(axis=0)
     pad = (np.abs(shapes.position[turned]) + half[turned]) * OUTWARD + 5e-324

@@ -22,7 +22,8 @@ KINDS = {
     'cylinders': ShapeKind.CYLINDER,
     'capsules': ShapeKind.CAPSULE,
 }
-ON = (BASE, 'planar', *KINDS, 'margin 0.1 m', 'masks', 'batch of rays')
+MESHES = 'meshes of 8 faces'
+ON = (BASE, 'planar', *KINDS, MESHES, 'margin 0.1 m', 'masks', 'batch of rays')
 ON_IN_BRIEF = (BASE, 'planar', 'spheres', 'batch of rays')
 
 REPEATS = 2
@@ -54,6 +55,14 @@ def random_world(count: int, kind: ShapeKind, turned: bool, rays: int = 300) -> 
     return World(Shapes(np.full(count, kind, np.uint8), places, turns, size), *ends)
 
 
+def mesh_world(count: int) -> World:
+    """The same places, an octahedron in each."""
+    corners = np.array([(0.4, 0, 0), (0, 0.4, 0), (0, 0, 0.4)])
+    signs = np.array([(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+    world = random_world(count, ShapeKind.BOX, True)
+    return world._replace(triangles=corners * signs[:, None])
+
+
 def run(page: Page, progress: Progress, brief: bool) -> None:
     """Measure."""
     count = 200 if brief else 2_000
@@ -68,6 +77,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
         }
         for name, kind in KINDS.items():
             jobs[name] = Job(random_world(count, kind, True).save(Path(folder), name))
+        jobs[MESHES] = Job(mesh_world(count).save(Path(folder), 'meshes'))
         progress.say('features: each part on')
         asked = {name: jobs[name] for name in chosen(brief)}
         runs = run_in_turns(asked, 1 if brief else REPEATS, progress.step)

@@ -30,12 +30,15 @@ class World(NamedTuple):
     shapes: Shapes
     starts: Floats
     goals: Floats
+    triangles: Floats | None = None
+    """Of the mesh that all obstacles are; None if they are none."""
 
     def save(self, folder: Path, name: str) -> Path:
         """Write it where a workload can read it."""
         path = folder / f'{name}.npz'
-        columns = {name: c for name, c in self.shapes._asdict().items() if c is not None}
-        np.savez(path, starts=self.starts, goals=self.goals, **columns)
+        columns = {**self.shapes._asdict(), **self._asdict()}
+        del columns['shapes']
+        np.savez(path, **{name: column for name, column in columns.items() if column is not None})
         return path
 
 

@@ -51,6 +51,9 @@ def prepare(job: dict[str, Any]) -> Work:
     shapes = scenes.Shapes(
         **{name: given[name] for name in scenes.Shapes._fields if name in given}
     )
+    if 'triangles' in given:
+        meshes = [scenes.Mesh(given['triangles'])] * len(shapes.kind)
+        shapes = scenes.Shapes.of_meshes(meshes, shapes.position, shapes.orientation)
     count, rays = len(shapes.kind), list(zip(given['starts'], given['goals'], strict=True))
     names = scenes.Numbered('o', np.arange(count))
     scene = scenes.Scene(planar=job['planar'], margin=job['margin'])
