@@ -65,7 +65,7 @@ class BvhClient:
         Raises
         ------
         BvhTimeoutError
-            If it does not in time; the first start on a machine compiles for a minute or two.
+            If it does not in time; the first start on a machine compiles for up to a minute.
         """
         deadline = time.monotonic() + timeout
         clients = (self._raycast, self._raycast_all, self._overlap)
