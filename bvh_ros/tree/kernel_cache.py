@@ -19,6 +19,7 @@ from typing import Any
 
 import numba
 from numba.core import caching
+from numba.core.types import Record
 
 try:
     import fcntl
@@ -26,6 +27,16 @@ except ImportError:  # not on Windows: there processes should compile one after 
     fcntl = None  # type: ignore[assignment]
 
 _PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def _named_by_its_fields(record: Record) -> tuple[str, tuple[int]]:
+    return 'Record', (int(hashlib.sha256(record.name.encode()).hexdigest()[:15], 16),)
+
+
+# numba names the machine code for a record by the record's number, which is that of another one in
+# another process: what one process compiled for 2D nodes and another for 3D ones had one name, and
+# who loaded both ran one for the other.
+Record.mangling_args = property(_named_by_its_fields)  # type: ignore[assignment, method-assign]
 
 
 def _source_hash() -> str:

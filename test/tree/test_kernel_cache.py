@@ -68,6 +68,48 @@ def test_a_kernel_is_compiled_for_one_signature():
     )
 
 
+PROBE = """
+from bvh_ros.tree.compiling import kernel
+from bvh_ros.tree.insertion import refit_ancestors
+
+
+@kernel
+def refit_twice(nodes, heights, state, node):
+    refit_ancestors(nodes, heights, state, node)  # twice: too long to become part of this one
+    refit_ancestors(nodes, heights, state, node)
+"""
+REFIT = """
+import sys
+
+import numpy as np
+from bvh_ros.tree.nodes import NONE, node_dtype
+from bvh_ros.tree.probe import refit_twice
+
+for ndim in map(int, sys.argv[1]):
+    nodes = np.zeros(3, node_dtype(ndim))  # two leaves, and their parent between them
+    nodes['lo'], nodes['hi'] = [[0.0], [5.0], [2.0]], [[1.0], [6.0], [3.0]]
+    nodes['left'], nodes['right'], nodes['parent'] = [NONE, 0, NONE], [NONE, 2, NONE], [1, NONE, 1]
+    refit_twice(nodes, np.array([0, 1, 0], np.int16), np.zeros(9, np.int64), 1)
+    assert (*nodes[1]['lo'], *nodes[1]['hi']) == ndim * (0,) + ndim * (3,), nodes[1]
+"""
+
+
+def test_code_from_two_processes_does_not_mix(tmp_path):
+    """One compiled for 2D nodes, the other one for 3D nodes, each as its first function."""
+    shutil.copytree(Path(bvh_ros.__file__).parent, tmp_path / 'bvh_ros')
+    (tmp_path / 'bvh_ros' / 'tree' / 'probe.py').write_text(PROBE)
+    for dimensions in ('2', '3', '23', '32'):
+        ended = subprocess.run(
+            [sys.executable, '-c', REFIT, dimensions],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**os.environ, 'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path)},
+            check=False,
+        )
+        assert ended.returncode == 0, (dimensions, ended.stderr)
+
+
 OTHER_NUMBA = """
 import numba
 
