@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where to split a range of boxes: binned SAH (Wald 2007, "On fast Construction of SAH-based
-Bounding Volume Hierarchies").
+Bounding Volume Hierarchies"), down to sixteen boxes; for these, the best plane of all.
 
 A split is a guess about future queries and decides no answer, so it works on float32: eight floats
 an item,
@@ -13,13 +13,25 @@ for which the union of two boxes is one vector maximum. A range that has become 
 gets new ones from the nodes.
 """
 
+import math
+
 import numpy as np
 
 from .compiling import inlined, lean_kernel
 from .machine import LANES, clear8, copy8, largest8, largest_difference8, stack_array, swap8
+from .split_vectors import (
+    NO_COST,
+    NUMBER,
+    add_to_bins,
+    rank_bins,
+    rank_planes8,
+    rank_planes16,
+    rank_subsets,
+)
 
-BINS = 32
-FEW = 5  # boxes of a range for which the other axes than the widest are not worth trying
+BINS = 16  # of an axis; as many boxes or fewer are divided at the centre of each instead
+FEW = 5  # boxes at most for which every division is tried
+
 AXES = 3
 NODE = 3  # place of the node number, as int32
 HI = 4  # place of hi x
@@ -27,8 +39,9 @@ HI = 4  # place of hi x
 SMALL_RANGE = np.float32(2.0**-10)  # of the unit: below, float32 would see too little of the range
 COINCIDENT = np.float32(2.0**-20)  # of the range: centres this close cannot be told apart
 
-_ALL_BINS = AXES * BINS * LANES
-_COUNTS = AXES * BINS
+_ALL_BINS = AXES * BINS
+_BIN_FLOATS = AXES * BINS * LANES
+_SCALES = 12
 
 
 @inlined
@@ -94,77 +107,6 @@ def halve(items, start, stop, axis):
 
 
 @inlined
-def _area(boxes, at, planar):
-    x = boxes[at] + boxes[at + HI]
-    y = boxes[at + 1] + boxes[at + HI + 1]
-    if planar:
-        return x + y
-    z = boxes[at + 2] + boxes[at + HI + 2]
-    return x * y + (x + y) * z
-
-
-@inlined
-def _bin_of(items, item, axis, origin, per_length, last):
-    return min(np.int64((_center(items, item, axis) - origin) * per_length), last)
-
-
-@inlined
-def _fill_bins(items, start, stop, axis, origin, per_length, bins, boxes, counts):
-    first = axis * BINS
-    for b in range(first, first + bins):
-        counts[b] = 0
-        clear8(boxes, b * LANES)
-    for item in range(start, stop):
-        b = first + _bin_of(items, item, axis, origin, per_length, bins - 1)
-        counts[b] += 1
-        largest8(boxes, b * LANES, items, item * LANES)
-
-
-@inlined
-def _cheapest_split(axis, bins, boxes, counts, box, right, planar):
-    """The bin before which a split has the least sum of area times count, as (cost, bin); `box`
-    and `right` are scratch.
-    """
-    first = axis * BINS
-    clear8(box, 0)
-    count = 0
-    for b in range(bins - 1, 0, -1):
-        largest8(box, 0, boxes, (first + b) * LANES)
-        count += counts[first + b]
-        right[b] = _area(box, 0, planar) * np.float32(count) if count > 0 else np.float32(np.inf)
-    clear8(box, 0)
-    count = 0
-    best_cost, best = np.float32(np.inf), 0
-    for b in range(1, bins):
-        largest8(box, 0, boxes, (first + b - 1) * LANES)
-        count += counts[first + b - 1]
-        if count > 0:
-            cost = _area(box, 0, planar) * np.float32(count) + right[b]
-            if cost < best_cost:
-                best_cost, best = cost, b
-    return best_cost, best
-
-
-@inlined
-def _divide(items, spare, start, stop, axis, origin, per_length, last, split):
-    """Move the items of the bins before `split` to the front; returns where the others begin.
-
-    Every item is copied both ways and one of the two places moves on: no branch that the processor
-    would guess wrong half the time, which costs more than all the rest of a split.
-    """
-    left, right = np.int64(start), np.int64(0)
-    for item in range(start, stop):
-        before = np.int64(_bin_of(items, item, axis, origin, per_length, last) < split)
-        copy8(spare, right * LANES, items, item * LANES)
-        copy8(items, left * LANES, items, item * LANES)
-        left += before
-        right += 1 - before
-    for i in range(right):
-        copy8(items, (left + i) * LANES, spare, i * LANES)
-    return left
-
-
-@inlined
 def measure(items, start, stop, box, centers):
     """Union of the range's boxes and bounds of their centres (twice), both as [-lo, hi]."""
     clear8(box, 0)
@@ -186,107 +128,154 @@ def renew_units(nodes, items, numbers, start, stop):
     1].
     """
     ndim = nodes[0].lo.shape[0]
+    lo, hi = stack_array(AXES, np.float64), stack_array(AXES, np.float64)
+    for axis in range(ndim):
+        lo[axis], hi[axis] = np.inf, -np.inf
+    for item in range(start, stop):
+        node = nodes[numbers[item * LANES + NODE]]
+        for axis in range(ndim):
+            lo[axis] = min(lo[axis], node.lo[axis])
+            hi[axis] = max(hi[axis], node.hi[axis])
     center, half = stack_array(AXES, np.float64), 0.0
     for axis in range(ndim):
-        lo, hi = np.inf, -np.inf
-        for item in range(start, stop):
-            node = nodes[numbers[item * LANES + NODE]]
-            lo, hi = min(lo, node.lo[axis]), max(hi, node.hi[axis])
-        center[axis] = lo * 0.5 + hi * 0.5
-        half = max(half, hi * 0.5 - lo * 0.5)
+        center[axis] = lo[axis] * 0.5 + hi[axis] * 0.5
+        half = max(half, hi[axis] * 0.5 - lo[axis] * 0.5)
+    # A power of two, whose inverse is finite.
+    scale = math.ldexp(1.0, min(-math.frexp(half)[1], 1022))
     for item in range(start, stop):
         node = nodes[numbers[item * LANES + NODE]]
         for axis in range(AXES):
             low, high = 0.0, 0.0
-            if axis < ndim and half > 0.0:
-                low, high = (
-                    (node.lo[axis] - center[axis]) / half,
-                    (node.hi[axis] - center[axis]) / half,
-                )
+            if axis < ndim:
+                low = (node.lo[axis] - center[axis]) * scale
+                high = (node.hi[axis] - center[axis]) * scale
             items[item * LANES + axis] = -low
             items[item * LANES + HI + axis] = high
         items[item * LANES + HI + AXES] = 0.0
 
 
 @inlined
-def _pair_area(items, a, b, box, planar):
-    clear8(box, 0)
-    largest8(box, 0, items, a * LANES)
-    largest8(box, 0, items, b * LANES)
-    return _area(box, 0, planar)
+def _bin_scales(centers, smallest, scales):
+    """How `add_to_bins` finds the bin of a centre; an axis on which the centres spread no more
+    than `smallest` has but one.
+    """
+    for axis in range(AXES):
+        extent = centers[axis] + centers[HI + axis]
+        scales[axis] = -centers[axis]
+        scales[4 + axis] = np.float32(BINS) / extent if extent > smallest else np.float32(0.0)
+        scales[8 + axis] = np.float32(BINS - 1)
+    scales[3] = scales[7] = scales[11] = np.float32(0.0)
 
 
 @inlined
-def _split_three(items, start, planar):
-    """Leave together, in front, the two of three boxes whose union is the smallest."""
-    box = stack_array(LANES, np.float32)
-    alone, least = start + 2, _pair_area(items, start, start + 1, box, planar)
-    for single in (start, start + 1):
-        area = _pair_area(items, start + 2, 2 * start + 1 - single, box, planar)
-        if area < least:
-            alone, least = single, area
-    swap8(items, alone * LANES, (start + 2) * LANES)
-    return start + 2
+def _cheapest_bin(items, start, stop, scales, planar):
+    """The bin after which a split is cheapest; the bins of the three axes are numbered in turn."""
+    boxes, counts = stack_array(_BIN_FLOATS, np.float32), stack_array(_ALL_BINS, np.int32)
+    for b in range(_ALL_BINS):
+        counts[b] = 0
+        clear8(boxes, b * LANES)
+    for item in range(start, stop):
+        add_to_bins(boxes, counts, items, item, scales)
+    rank = NO_COST
+    for axis in range(AXES):
+        if scales[4 + axis] > 0.0:
+            rank = min(rank, rank_bins(boxes, counts, axis, stop - start, planar))
+    return np.int64(rank & NUMBER)
+
+
+@inlined
+def _choose_few(items, start, count, planar):
+    """A bit for each of at most sixteen boxes that the cheapest split has on the left."""
+    if count <= FEW:
+        return np.int64(rank_subsets(items, start, count, planar) & NUMBER)
+    planes = stack_array(_ALL_BINS, np.float32)  # through every centre
+    for i in range(_ALL_BINS):
+        planes[i] = np.float32(np.inf)
+    for i in range(count):
+        for axis in range(AXES):
+            planes[axis * BINS + i] = _center(items, start + i, axis)
+    rank = NO_COST
+    for axis in range(2 if planar else 3):
+        if count <= LANES:
+            rank = min(rank, rank_planes8(items, start, count, planes, axis, planar))
+        else:
+            rank = min(rank, rank_planes16(items, start, count, planes, axis, planar))
+    best = np.int64(rank & NUMBER)
+    along, plane, chosen = best // BINS, planes[best], np.int64(0)
+    for i in range(count):
+        chosen |= np.int64(_center(items, start + i, along) <= plane) << i
+    return chosen
+
+
+# A division copies every item once, left ones from the front of the other half of the array on,
+# right ones from the back: no branch that the processor would guess wrong half the time, which
+# costs more than all the rest of a split.
+
+
+@inlined
+def _divide_few(items, start, stop, shift, chosen):
+    """Copy the items to `shift` places further; returns where the right ones begin."""
+    left, right = np.int64(start + shift), np.int64(stop + shift - 1)
+    for item in range(start, stop):
+        before = (chosen >> (item - start)) & 1
+        copy8(items, (left if before else right) * LANES, items, item * LANES)
+        left += before
+        right -= 1 - before
+    return left
+
+
+@inlined
+def _divide(items, start, stop, shift, scales, last):
+    """As `_divide_few`, left the items up to the bin `last`."""
+    axis, limit = last // BINS, np.float32(last % BINS + 1)
+    origin, per_length = scales[axis], scales[4 + axis]
+    left, right = np.int64(start + shift), np.int64(stop + shift - 1)
+    for item in range(start, stop):
+        before = np.int64((_center(items, item, axis) - origin) * per_length < limit)
+        copy8(items, (left if before else right) * LANES, items, item * LANES)
+        left += before
+        right -= 1 - before
+    return left
+
+
+@inlined
+def _halving_axis(centers, smallest):
+    """The axis on which the centres spread most; AXES if that is no more than `smallest`."""
+    widest, spread = AXES, smallest
+    for axis in range(AXES):
+        extent = centers[axis] + centers[HI + axis]
+        if extent > spread:
+            widest, spread = axis, extent
+    return widest
 
 
 @lean_kernel
-def split_range(nodes, items, spare, numbers, start, stop, levels):
-    """Reorder items[start:stop] into two sides, each no more than fits below `levels` levels;
-    return where the second begins.
+def split_range(nodes, items, numbers, start, stop, levels):
+    """Divide items[start:stop] into two sides, each no more than fits below `levels` levels;
+    return where the range begins now, which may be in the other half of `items`, and its second
+    side.
     """
     count = stop - start
     if count == 2:
-        return start + 1
+        return start, start + 1
     planar = nodes[0].lo.shape[0] == 2
-    if count == 3 and levels > 1:
-        return _split_three(items, start, planar)
     box, centers = stack_array(LANES, np.float32), stack_array(LANES, np.float32)
     measure(items, start, stop, box, centers)
     if longest_edge(box, planar) < SMALL_RANGE:
         renew_units(nodes, items, numbers, start, stop)
         measure(items, start, stop, box, centers)
-    widest, spread = 0, np.float32(-1.0)
-    for axis in range(2 if planar else 3):
-        if centers[axis] + centers[HI + axis] > spread:
-            widest, spread = axis, centers[axis] + centers[HI + axis]
-    if spread <= COINCIDENT * longest_edge(box, planar):
-        return halve(items, start, stop, AXES)
-    boxes, counts = stack_array(_ALL_BINS, np.float32), stack_array(_COUNTS, np.int32)
-    right = stack_array(BINS, np.float32)
-    bins = BINS if count > 200 else 16 if count > 24 else 8 if count > 5 else 4
-    best_cost, best_axis, best_bin = np.float32(np.inf), 0, 0
-    for axis in range(2 if planar else 3):
-        extent = centers[axis] + centers[HI + axis]
-        if extent > COINCIDENT * spread and (axis == widest or count > FEW):
-            _fill_bins(
-                items,
-                start,
-                stop,
-                axis,
-                -centers[axis],
-                np.float32(bins) / extent,
-                bins,
-                boxes,
-                counts,
-            )
-            cost, split = _cheapest_split(axis, bins, boxes, counts, box, right, planar)
-            if cost < best_cost:
-                best_cost, best_axis, best_bin = cost, axis, split
-    if best_cost < np.inf:
-        per_length = np.float32(bins) / (centers[best_axis] + centers[HI + best_axis])
-        middle = _divide(
-            items,
-            spare,
-            start,
-            stop,
-            best_axis,
-            -centers[best_axis],
-            per_length,
-            bins - 1,
-            best_bin,
-        )
-        if start < middle < stop and max(middle - start, stop - middle) <= 1 << min(
-            levels - 1, 62
-        ):
-            return middle
-    return halve(items, start, stop, widest)
+    smallest = COINCIDENT * longest_edge(box, planar)
+    room = items.shape[0] // (2 * LANES)
+    shift = room if start < room else -room
+    if count <= BINS:
+        chosen = _choose_few(items, start, count, planar)
+        middle = _divide_few(items, start, stop, shift, chosen)
+    else:
+        scales = stack_array(_SCALES, np.float32)
+        _bin_scales(centers, smallest, scales)
+        last = _cheapest_bin(items, start, stop, scales, planar)
+        middle = _divide(items, start, stop, shift, scales, last)
+    start, stop = start + shift, stop + shift
+    if start < middle < stop and max(middle - start, stop - middle) <= 1 << min(levels - 1, 62):
+        return start, middle
+    return start, halve(items, start, stop, _halving_axis(centers, smallest))

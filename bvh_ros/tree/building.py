@@ -13,8 +13,10 @@ import numpy as np
 
 from .binning import NODE, levels_needed, renew_units, split_range
 from .compiling import inlined, kernel, lean_kernel
-from .machine import LANES, stack_array
-from .nodes import COUNT, DEEPEST, NONE, ROOT, adopt, free_inner, is_leaf, take_inner
+from .machine import LANES, prefetch, stack_array
+from .nodes import COUNT, DEEPEST, FREE_INNER, NONE, ROOT, adopt, free_inner, is_leaf, take_inner
+
+NEAR = 64  # leaves of a subtree that is finished while its nodes are in the near caches
 
 
 @inlined
@@ -33,50 +35,60 @@ def _attach(nodes, parent, node):
             nodes[parent].right = node
 
 
+@inlined
+def _push(ranges, top, start, stop, levels, parent):
+    """Put a range on the stack; returns its new top."""
+    ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3] = start, stop, levels, parent
+    return top + 1
+
+
+@inlined
+def _adopt_back(nodes, heights, made, first, stop):
+    """Adopt the nodes made[first:stop], made before their children, from the last one on."""
+    for i in range(stop - 1, first - 1, -1):
+        adopt(nodes, heights, np.int64(made[i]))
+
+
 @kernel
 def build(nodes, heights, state, items, numbers, count, levels):
     """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
     nodes; return its root.
 
-    `items` (float32) and `numbers` (int32) are one array of eight places an item, see `binning`;
-    they are reordered.
+    `items` (float32) and `numbers` (int32) are one array of eight places an item, see `binning`:
+    `count` items, which are reordered, and room for as many.
     """
     if count == 1:
         return np.int64(numbers[NODE])
     renew_units(nodes, items, numbers, 0, count)
     made, made_count = np.empty(count - 1, np.int32), 0
-    spare = np.empty(count * LANES, np.float32)
     ranges = np.empty((levels + 2, 4), np.int64)  # start, stop, levels allowed, parent
-    ranges[0, 0], ranges[0, 1], ranges[0, 2], ranges[0, 3] = 0, count, levels, NONE
-    top = 1
+    top = _push(ranges, 0, 0, count, levels, NONE)
+    root = state[FREE_INNER]  # the first that is taken
+    near, near_made = -1, 0  # where the stack ends below the treelet, and what was made before it
     while top > 0:
         top -= 1
-        start, stop, allowed, parent = (
-            ranges[top, 0],
-            ranges[top, 1],
-            ranges[top, 2],
-            ranges[top, 3],
-        )
+        start, stop = ranges[top, 0], ranges[top, 1]
+        allowed, parent = ranges[top, 2], ranges[top, 3]
+        if near < 0 and stop - start <= NEAR:
+            near, near_made = top, made_count
+            for item in range(start, stop):
+                prefetch(nodes, numbers[item * LANES + NODE])
         if stop - start == 1:
             _attach(nodes, parent, np.int64(numbers[start * LANES + NODE]))
-            continue
-        node = take_inner(nodes, state)
-        nodes[node].left = NONE
-        _attach(nodes, parent, node)
-        made[made_count] = node
-        made_count += 1
-        middle = split_range(nodes, items, spare, numbers, start, stop, allowed)
-        for first, last in ((middle, stop), (start, middle)):
-            ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3] = (
-                first,
-                last,
-                allowed - 1,
-                node,
-            )
-            top += 1
-    for i in range(made_count - 1, -1, -1):
-        adopt(nodes, heights, np.int64(made[i]))
-    return np.int64(made[0])
+        else:
+            node = take_inner(nodes, state)
+            nodes[node].left = NONE
+            _attach(nodes, parent, node)
+            made[made_count] = node
+            made_count += 1
+            begin, middle = split_range(nodes, items, numbers, start, stop, allowed)
+            top = _push(ranges, top, middle, begin + stop - start, allowed - 1, node)
+            top = _push(ranges, top, begin, middle, allowed - 1, node)
+        if top == near:
+            _adopt_back(nodes, heights, made, near_made, made_count)
+            near, made_count = -1, near_made
+    _adopt_back(nodes, heights, made, 0, made_count)
+    return root
 
 
 @lean_kernel
@@ -120,7 +132,7 @@ def rebuild_subtree(nodes, heights, state, root, count, levels):
     its new root.
     """
     parent = np.int64(nodes[root].parent)
-    items = np.empty(count * LANES, np.float32)
+    items = np.empty(2 * count * LANES, np.float32)
     numbers = items.view(np.int32)
     # Where it hangs is noted before `root` itself is freed and perhaps taken again.
     on_left = parent != NONE and nodes[parent].left == root
@@ -186,7 +198,7 @@ def build_all(nodes, heights, handles, state):
     if count == 0:
         state[ROOT] = NONE
         return
-    items = np.empty(count * LANES, np.float32)
+    items = np.empty(2 * count * LANES, np.float32)
     numbers = items.view(np.int32)
     if state[ROOT] != NONE:
         dissolve(nodes, state, state[ROOT], np.empty(0, np.bool_), numbers)
@@ -266,7 +278,7 @@ def optimize(nodes, heights, state):
         return
     marks = np.zeros(nodes.shape[0], np.bool_)
     roots = _mark_treelets(nodes, state[ROOT], marks)
-    top_items = np.empty(roots.shape[0] * LANES, np.float32)
+    top_items = np.empty(2 * roots.shape[0] * LANES, np.float32)
     top_numbers = top_items.view(np.int32)
     dissolve(nodes, state, state[ROOT], marks, top_numbers)
     state[ROOT] = NONE
