@@ -2,11 +2,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests share."""
 
+import os
+import signal
+import zlib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+
+
+def own_domain() -> int:
+    """A ROS domain from 1 to 100; workers of one run (pytest-xdist) have different ones."""
+    run = os.environ.get('PYTEST_XDIST_TESTRUNUID', str(os.getpid()))
+    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
+    return 1 + (zlib.crc32(run.encode()) + worker) % 100
+
+
+# Nobody else's robots: this machine only, and a domain of our own.
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['ROS_DOMAIN_ID'] = str(own_domain())
+
+# A shell's background jobs, such as this suite in some CI, are born deaf to Ctrl-C, and so would
+# be the nodes that the tests start and end.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With `pytest -n 2` the tests of a file stay together, because they share nodes, and files
+    are begun in their order: the longest ones come early.
+    """
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False  # would begin with the files of the most tests
+    return LoadFileScheduling(config, log)
 
 
 @pytest.fixture(scope='session')

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Python client, against a stand-in for the node."""
 
-import os
 import threading
 import time
 
@@ -52,10 +51,9 @@ class FakeNode:
 
 
 @pytest.fixture
-def context(monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+def context():
     context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=1 + os.getpid() % 100)
+    rclpy.init(args=[], context=context)
     yield context
     rclpy.try_shutdown(context=context)
 

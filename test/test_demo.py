@@ -20,14 +20,7 @@ ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+/\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
 
 def start(*arguments):
     command = [sys.executable, '-m', 'bvh_ros.demo', *arguments]
-    return subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A shell's background jobs, such as this suite in some CI, are born deaf to Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def finished(process):

@@ -18,9 +18,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-# Nobody else's robots: this machine only, and a domain of our own.
-os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)
 START_TIMEOUT = 240.0  # seconds: the very first start compiles
 TIMEOUT = 10.0
 

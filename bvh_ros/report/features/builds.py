@@ -14,7 +14,8 @@ from typing import NamedTuple
 from ...tree.kernel_cache import cache_folder
 
 PACKAGE = Path(__file__).resolve().parents[2]
-ROOMS = ('tree', 'scene')
+# Where kernels may be: a build with the same sources there as ours runs our machine code.
+ROOMS = ('tree', 'scene', 'ros/cdr')
 EMPTY = '''"""Left out of this build: names can be imported, and cannot be used."""
 
 

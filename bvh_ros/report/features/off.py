@@ -21,7 +21,6 @@ WHOLE, AGAIN = 'whole', 'nothing: the same build again'
 # and those of the others a little later.
 FIRST = 'first'
 TIMES = ('update', 'raycast', 'overlap')
-IN_BRIEF = (AGAIN, 'other shapes and the narrow phase')
 
 
 class Effort(NamedTuple):
@@ -37,8 +36,8 @@ FULL, BRIEF = Effort(1_000, 5, 80, 2), Effort(200, 2, 5, 1)
 
 
 def chosen(brief: bool) -> tuple[str, ...]:
-    """Rows of the table."""
-    return IN_BRIEF if brief else tuple(builds.WITHOUT)
+    """Rows of the table; in brief one that compiles two builds only."""
+    return (AGAIN,) if brief else tuple(builds.WITHOUT)
 
 
 def steps(brief: bool) -> int:
@@ -67,7 +66,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
             runs.append(side_by_side(jobs, effort.turns))
             progress.step()
         alone = run_in_turns(apart, effort.starts, progress.step)
-    found = {name: _ratios(name, runs, alone) for name in chosen(brief)}
+    found = {name: ratios(name, runs, alone) for name in chosen(brief)}
     _show(page, found, effort)
 
 
@@ -77,9 +76,8 @@ def _build(
     """Write the builds, to run together under names of their own and apart under ours, and
     compile what they need, two at a time.
     """
-    wanted = {FIRST: builds.Build(), WHOLE: builds.Build()}
-    wanted |= {name: builds.WITHOUT[name] for name in names}
-    together, apart = {}, {}
+    wanted = {WHOLE: builds.Build()} | {name: builds.WITHOUT[name] for name in names}
+    together, apart = {FIRST: Job(boxes)}, {}
     for name, build in wanted.items():
         package = ''.join(letter if letter.isalnum() else '_' for letter in f'bvh_ros {name}')
         builds.make(build, folder, package)
@@ -87,7 +85,6 @@ def _build(
         kernels = folder / 'kernels' / package
         together[name] = Job(boxes, package=package, path=folder, kernels=kernels)
         apart[name] = Job(boxes, path=folder / package)
-    del apart[FIRST]
 
     with ThreadPoolExecutor(2) as pool:
         for _ in pool.map(lambda job: side_by_side({'': job}, 1), together.values()):
@@ -95,7 +92,7 @@ def _build(
     return together, apart
 
 
-def _ratios(
+def ratios(
     name: str, runs: list[dict[str, Turns]], alone: dict[str, list[Figures]]
 ) -> dict[str, tuple[float, float]]:
     """Whole over without: the median of the processes, and how far they are spread around it.
@@ -105,14 +102,14 @@ def _ratios(
     """
     found = {}
     for kind in TIMES:
-        ratios = []
+        each = []
         for run in runs:
             pairs = zip(run[WHOLE][kind], run[AGAIN][kind], run[name][kind], strict=True)
             if name == AGAIN:
-                ratios.append(statistics.median(one / two for one, two, _ in pairs))
+                each.append(statistics.median(one / two for one, two, _ in pairs))
             else:
-                ratios.append(statistics.median((one + two) / 2 / own for one, two, own in pairs))
-        found[kind] = _middle(ratios)
+                each.append(statistics.median((one + two) / 2 / own for one, two, own in pairs))
+        found[kind] = _middle(each)
     for kind in ('start', 'memory'):
         both = zip(alone[WHOLE], alone[name], strict=True)
         found[kind] = _middle([whole[kind] / without[kind] for whole, without in both])
@@ -130,9 +127,9 @@ def _middle(ratios: list[float]) -> tuple[float, float]:
 def _show(page: Page, found: dict[str, dict[str, tuple[float, float]]], effort: Effort) -> None:
     header = ['left out of the build']
     rows: list[list[Cell]] = []
-    for name, ratios in found.items():
+    for name, row in found.items():
         rows.append([name])
-        for ratio, error in ratios.values():
+        for ratio, error in row.values():
             rows[-1] += [f'{ratio:.3f}', f'{error:.3f}']
     for kind in (*TIMES, 'start', 'memory'):
         header += [f'{kind}, ratio', '+-']
