@@ -204,7 +204,7 @@ def test_polygons_are_hulls_exactly(points):
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(*[coordinates] * 4), min_size=1, max_size=8), st.randoms())
 def test_thin_rays_are_clipped_exactly(rays, random):
-    """An octahedron on its tip is a square on its corner; whole numbers make every test exact."""
+    """An octahedron on its tip is a square on its corner."""
     corners = np.array([(4, 0, 0), (0, 4, 0), (-4, 0, 0), (0, -4, 0), (0, 0, 4), (0, 0, -4)])
     mesh = Mesh(corners[ConvexHull(corners).simplices])
     scene = scene_of(Shapes.of_meshes([mesh], [(0, 0, 0)]), planar=True)
@@ -218,8 +218,10 @@ def test_thin_rays_are_clipped_exactly(rays, random):
                 entry = max(entry, Fraction(height, slope))
             elif height < 0:
                 leave = Fraction(-1)
+        if entry == leave:  # touched in one point: the direction's rounding decides
+            continue
         hit = scene.raycast((x, y, 0), (to_x, to_y, random.random()))
-        assert (hit is not None) == (entry <= leave)
+        assert (hit is not None) == (entry < leave)
         if hit is not None:
             assert hit.t == pytest.approx(float(entry), rel=1e-15)
             assert abs(hit.point[:2]).sum() == pytest.approx(4, rel=1e-15) or hit.t == 0.0
