@@ -13,9 +13,9 @@ from numba.np.arrayobj import make_array, populate_array
 LANES = 8  # floats of a box: lower and upper bounds, padded
 WIDTH = 16  # children of a wide node
 
-_FLOAT, _BIT, _INT = ir.FloatType(), ir.IntType(1), ir.IntType(32)
+_FLOAT, _BIT, _BYTE = ir.FloatType(), ir.IntType(1), ir.IntType(8)
+_INT, _LONG = ir.IntType(32), ir.IntType(64)
 _VECTOR = ir.VectorType(_FLOAT, LANES)
-_WIDE = ir.VectorType(_FLOAT, WIDTH)
 
 
 @intrinsic(prefer_literal=True)
@@ -41,69 +41,40 @@ def stack_array(typingctx, size, dtype):
     return kind(size, dtype), codegen
 
 
-def _splat(builder: Any, scalar: Any, vector: Any = _WIDE) -> Any:
-    empty = ir.Constant(vector, ir.Undefined)
-    one = builder.insert_element(empty, scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH))
-
-
-def _pick(builder: Any, order: str, a: Any, b: Any) -> Any:
+def pick(builder: Any, order: str, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(order, a, b), a, b)
 
 
-@intrinsic
-def slab16(typingctx, planes, base, near, far, inverse, near_shift, far_shift, limit, entries):
-    """Test one ray against the sixteen boxes that begin at planes[base]; entries get the bits of
-    their distances (see `float_bits`); returns a bit mask of hits.
-
-    near, far: where the near and far planes of each axis begin in a node, a tuple of ndim ints
-    each; inverse, near_shift, far_shift: tuples of ndim float32. The distance of a plane is
-    fma(plane, inverse, shift).
-    """
-    sig = types.uint32(planes, base, near, far, inverse, near_shift, far_shift, limit, entries)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        out = context.make_array(signature.args[-1])(context, builder, args[-1]).data
-        base, near, far, inverse, near_shift, far_shift, limit = args[1:8]
-        fma = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_WIDE, [_WIDE] * 3), 'llvm.fma.v16f32'
-        )
-
-        def distance(offsets: Any, shifts: Any, axis: int) -> Any:
-            place = builder.gep(data, [builder.add(base, builder.extract_value(offsets, axis))])
-            plane = builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
-            slope = _splat(builder, builder.extract_value(inverse, axis))
-            return builder.call(
-                fma, [plane, slope, _splat(builder, builder.extract_value(shifts, axis))]
-            )
-
-        entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), _splat(builder, limit)
-        for axis in range(signature.args[2].count):
-            entry = _pick(builder, '>', distance(near, near_shift, axis), entry)
-            leave = _pick(builder, '<', distance(far, far_shift, axis), leave)
-        builder.store(entry, builder.bitcast(out, _WIDE.as_pointer()), align=4)
-        return builder.zext(
-            builder.bitcast(builder.fcmp_ordered('<=', entry, leave), ir.IntType(WIDTH)), _INT
-        )
-
-    return sig, codegen
+def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    return context.make_array(kind)(context, builder, array).data
 
 
-@intrinsic
-def seen16(typingctx, masks, at, mask):
-    """Bit mask of those of masks[at:at + 16] that have a bit of `mask` (uint32)."""
-    sig = types.uint32(masks, types.int64, types.uint32)
+def bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
+    """Pointer to the bytes of array[place]."""
+    size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
+    start = builder.bitcast(data_of(context, builder, kind, array), _BYTE.as_pointer())
+    return builder.gep(start, [builder.mul(place, ir.Constant(_LONG, size))])
+
+
+@intrinsic(prefer_literal=True)
+def prefetch(typingctx, array, place, lines):
+    """Ask for the cache lines from array[place] on, so many, before they are wanted."""
+    count = lines.literal_value
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        words = ir.VectorType(_INT, WIDTH)
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        place = builder.bitcast(builder.gep(data, [args[1]]), words.as_pointer())
-        common = builder.and_(builder.load(place, align=4), _splat(builder, args[2], words))
-        seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
-        return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
+        ask = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT]),
+            'llvm.prefetch.p0i8',
+        )
+        first = bytes_at(context, builder, signature.args[0], args[0], args[1])
+        for line in range(count):
+            # to be read, wanted in all caches, data
+            how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]
+            builder.call(ask, [builder.gep(first, [ir.Constant(_LONG, 64 * line)]), *how])
+        return context.get_dummy_value()
 
-    return sig, codegen
+    return types.void(array, types.int64, lines), codegen
 
 
 @intrinsic
@@ -129,7 +100,7 @@ def trailing_zeros(typingctx, bits):
 
 
 def _vector_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
-    data = context.make_array(kind)(context, builder, array).data
+    data = data_of(context, builder, kind, array)
     return builder.bitcast(builder.gep(data, [place]), _VECTOR.as_pointer())
 
 
@@ -143,7 +114,7 @@ def largest8(typingctx, into, at, values, start):
         here = _vector_at(context, builder, signature.args[0], args[0], args[1])
         there = _vector_at(context, builder, signature.args[2], args[2], args[3])
         a, b = builder.load(here, align=4), builder.load(there, align=4)
-        builder.store(_pick(builder, '>', a, b), here, align=4)
+        builder.store(pick(builder, '>', a, b), here, align=4)
         return context.get_dummy_value()
 
     return types.void(into, at, values, start), codegen
@@ -176,7 +147,7 @@ def largest_difference8(typingctx, into, at, values, start):
         a, b = builder.load(here, align=4), builder.load(there, align=4)
         halves = ir.Constant(ir.VectorType(_INT, LANES), [4, 5, 6, 7, 0, 1, 2, 3])
         difference = builder.fsub(b, builder.shuffle_vector(b, b, halves))
-        builder.store(_pick(builder, '>', a, difference), here, align=4)
+        builder.store(pick(builder, '>', a, difference), here, align=4)
         return context.get_dummy_value()
 
     return types.void(into, at, values, start), codegen

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import checks, ray_hits, raycasting, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, EXACT_RAYS, NONE, RAYS
+from .ray_streams import make_scratch
 from .results import RayHit, RayHits
 from .slab import RAY_ROWS
 
@@ -247,10 +248,10 @@ class RayQueries(Arrays):
 
         def cast(start: int, stop: int) -> int:
             return wide_raycasting.cast_rows(
-                *snapshot,
+                *snapshot[:-1],
                 *self._boxes_only()[:2],
                 self._handles,
-                np.empty((RAY_ROWS, self.ndim)),
+                *make_scratch(stop - start, self.ndim, snapshot.depth),
                 *rays,
                 mode == raycasting.ANY,
                 start,

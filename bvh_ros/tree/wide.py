@@ -49,6 +49,8 @@ class Snapshot(NamedTuple):
     """Of the scene, in its units, shape (ndim,)."""
     per_length: float
     """Snapshot units per scene unit, a power of two."""
+    depth: int
+    """Levels of nodes."""
 
     @property
     def nbytes(self) -> int:
@@ -72,8 +74,8 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
     count = plan_collapse(nodes, root, least, shares)
     planes = _on_cache_lines(count * 2 * WIDTH * nodes['lo'].shape[1])
     kids, masks = np.empty(count * WIDTH, np.int32), np.empty(count * WIDTH, np.uint32)
-    collapse(nodes, root, shares, center, per_length, planes, kids, masks)
-    return Snapshot(planes, kids, masks, center, per_length)
+    depth = collapse(nodes, root, shares, center, per_length, planes, kids, masks)
+    return Snapshot(planes, kids, masks, center, per_length, depth)
 
 
 def _on_cache_lines(count: int) -> NDArray[np.float32]:
@@ -187,7 +189,7 @@ def _up32(x):
 
 @kernel
 def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
-    """Fill the arrays of a `Snapshot`.
+    """Fill the arrays of a `Snapshot`; return its depth.
 
     Node by node in the order of breadth, so that the top, which every ray visits, lies together.
     """
@@ -196,7 +198,10 @@ def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
     members = stack_array(WIDTH, np.int64)
     queue = np.empty(kids.shape[0] // WIDTH, np.int64)
     queue[0], made, at = root, 1, 0
+    depth, level_end = 0, 0
     while at < made:
+        if at == level_end:
+            depth, level_end = depth + 1, made
         size = _gather(nodes, shares, queue[at], members)
         for lane in range(WIDTH):
             place = at * stride + lane
@@ -220,3 +225,4 @@ def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
                     queue[made] = members[lane]
                     made += 1
         at += 1
+    return depth
