@@ -38,12 +38,16 @@ class Scratch(NamedTuple):
 
     ray: NDArray[np.float64]
     """One ray, as of `slab`."""
+    octants: NDArray[np.uint8]
+    """Of all rays."""
     rows: NDArray[np.int64]
     """Of all rays, octant by octant."""
     rays: NDArray[Any]
     """Of `wide_filter.ray_dtype`, those at once."""
     lists: NDArray[np.int32]
     """Places in `rays`."""
+    found: NDArray[np.int32]
+    """Places in `rays` of those that hit anything."""
     hits: NDArray[np.uint32]
     """Bit masks of the children that the rays of a list meet."""
     stack: NDArray[np.int32]
@@ -55,29 +59,31 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
     together = min(count, RAYS_AT_ONCE)
     return Scratch(
         np.empty((RAY_ROWS, ndim)),
+        np.empty(count, np.uint8),
         np.empty(count, np.int64),
         aligned_empty(together, ray_dtype(ndim)),
         np.empty(together * (1 + LISTS * depth), np.int32),
+        np.empty(together, np.int32),
         np.empty(together, np.uint32),
         np.empty((WIDTH * depth, 4), np.int32),
     )
 
 
 @lean_kernel
-def sort_by_octant(directions, start, rows, ends):
+def sort_by_octant(directions, start, octants, rows, ends):
     """Fill `rows` with the numbers from `start` on, octant by octant; those of octant k end before
-    ends[k].
+    ends[k]. `octants` is scratch.
     """
     ends[:] = 0
     for i in range(rows.shape[0]):
-        ends[octant_of(directions[start + i])] += 1
+        octants[i] = octant_of(directions[start + i])
+        ends[octants[i]] += 1
     before = 0
     for octant in range(ends.shape[0]):
         before, ends[octant] = before + ends[octant], before
     for i in range(rows.shape[0]):
-        octant = octant_of(directions[start + i])
-        rows[ends[octant]] = start + i
-        ends[octant] += 1
+        rows[ends[octants[i]]] = start + i
+        ends[octants[i]] += 1
 
 
 @inlined
@@ -90,8 +96,8 @@ def child_lists(lists, start, count, free, hits, ends):
     wanted again at once.
     """
     one = np.uint64(1)  # unsigned: an index that can't be negative
-    for lane in range(LISTS):
-        ends[lane] = np.uint64(free + lane * count)
+    for k in range(LISTS):
+        ends[k] = np.uint64(free + k * count)
     for i in range(count):
         ray, met = lists[start + i], hits[i]
         spare = np.uint32(i & 7)

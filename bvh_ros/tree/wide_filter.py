@@ -71,7 +71,7 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
     ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
     ray.slot, ray.axis, ray.exact = NONE, INSIDE, False
     for axis in range(origin.shape[0]):
-        inverse = 1.0 / direction[axis] * largest
+        inverse = largest / direction[axis]
         steepness = min(abs(inverse), STEEPEST)
         start = (origin[axis] - center[axis]) * per_length
         pad = PAD32 * steepness * (1.0 + abs(start))

@@ -21,67 +21,68 @@ def _splat(builder: Any, scalar: Any, vector: Any = _WIDE) -> Any:
     return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH))
 
 
+def _number(value: int) -> Any:
+    return ir.Constant(_LONG, value)
+
+
+def _near_and_far(builder: Any, planes: Any, node: Any, octant: Any, ndim: int) -> list[Any]:
+    """The near and far planes of a wide node's boxes, axis by axis."""
+    first = builder.mul(node, _number(2 * ndim))
+
+    def side(axis: int, upper: Any) -> Any:
+        row = builder.add(first, builder.select(upper, _number(axis + ndim), _number(axis)))
+        place = builder.gep(planes, [builder.mul(row, _number(WIDTH))])
+        return builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
+
+    down = [builder.trunc(builder.lshr(octant, _number(k)), _BIT) for k in range(ndim)]
+    return [(side(k, down[k]), side(k, builder.not_(down[k]))) for k in range(ndim)]
+
+
+def _slabs(builder: Any, boxes: list[Any], field: Any) -> tuple[Any, Any]:
+    """Distances at which a ray enters the boxes, and whether that is before it leaves them and its
+    limit; field(name, axis) is a number of the ray. The distance of a plane is fma(plane, slope,
+    shift).
+    """
+    kind = ir.FunctionType(_WIDE, [_WIDE] * 3)
+    fma = cgutils.get_or_insert_function(builder.module, kind, 'llvm.fma.v16f32')
+    entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), field('limit')
+    for axis, (near, far) in enumerate(boxes):
+        slope = field('slope', axis)
+        enters = builder.call(fma, [near, slope, field('near_shift', axis)])
+        leaves = builder.call(fma, [far, slope, field('far_shift', axis)])
+        entry, leave = pick(builder, '>', enters, entry), pick(builder, '<', leaves, leave)
+    return entry, builder.fcmp_ordered('<=', entry, leave)
+
+
 @intrinsic
-def stream16(typingctx, planes, node, octant, rays, list_, start, count, hits, nearest):
-    """Test the rays list_[start:start + count] against the sixteen boxes of a wide node.
+def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, nearest):
+    """Test the rays of places[start:start + count] against the sixteen boxes of a wide node.
 
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
     the least distance of each box (see `float_bits`); returns which boxes any ray meets. The rays
     are records as of `wide_filter.ray_dtype`; bit k of `octant` says that they fly down axis k.
-    The distance of a plane is fma(plane, slope, shift).
     """
-    axes = range(rays.dtype.typeof('slope').shape[0])
-    sig = types.uint32(planes, node, octant, rays, list_, start, count, hits, nearest)
+    sig = types.uint32(planes, node, octant, rays, places, start, count, hits, nearest)
+    record = rays.dtype
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kinds = signature.args
-        _, node, octant, _, _, start, count, _, _ = args
-        planes, _, _, _, list_, _, _, hits, nearest = (
-            data_of(context, builder, kind, array) if isinstance(kind, types.Array) else None
-            for kind, array in zip(kinds, args, strict=True)
+        _, node, octant, rays, _, start, count, _, _ = args
+        planes, places, hits, nearest = (
+            data_of(context, builder, signature.args[k], args[k]) for k in (0, 4, 7, 8)
         )
-        fma = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_WIDE, [_WIDE] * 3), 'llvm.fma.v16f32'
-        )
-
-        def number(value: int) -> Any:
-            return ir.Constant(_LONG, value)
-
-        def side(axis: int, upper: Any) -> Any:
-            """The lower or upper planes of an axis."""
-            row = builder.select(upper, number(axis + len(axes)), number(axis))
-            row = builder.add(builder.mul(node, number(2 * len(axes))), row)
-            place = builder.gep(planes, [builder.mul(row, number(WIDTH))])
-            return builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
-
-        def sides(axis: int) -> tuple[Any, Any]:
-            """The near and far planes of an axis."""
-            down = builder.trunc(builder.lshr(octant, number(axis)), _BIT)
-            return side(axis, down), side(axis, builder.not_(down))
-
-        boxes = [sides(axis) for axis in axes]
+        ndim = record.typeof('slope').shape[0]
+        boxes = _near_and_far(builder, planes, node, octant, ndim)
         least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         any_hits = cgutils.alloca_once_value(builder, ir.Constant(_INT, 0))
         with cgutils.for_range(builder, count) as loop:
-            number_of_ray = builder.load(builder.gep(list_, [builder.add(start, loop.index)]))
-            place = builder.zext(number_of_ray, _LONG)
-            ray = bytes_at(context, builder, kinds[3], args[3], place)
+            place = builder.load(builder.gep(places, [builder.add(start, loop.index)]))
+            ray = bytes_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
 
-            def constant(name: str, axis: int = 0, ray: Any = ray) -> Any:
-                offset = kinds[3].dtype.offset(name) + 4 * axis
-                float_ = builder.bitcast(builder.gep(ray, [number(offset)]), _FLOAT.as_pointer())
-                return _splat(builder, builder.load(float_))
+            def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
+                at = builder.gep(ray, [_number(record.offset(name) + 4 * axis)])
+                return _splat(builder, builder.load(builder.bitcast(at, _FLOAT.as_pointer())))
 
-            entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), constant('limit')
-            for axis, (near, far) in enumerate(boxes):
-                slope = constant('slope', axis)
-                enters = builder.call(fma, [near, slope, constant('near_shift', axis)])
-                leaves = builder.call(fma, [far, slope, constant('far_shift', axis)])
-                entry, leave = (
-                    pick(builder, '>', enters, entry),
-                    pick(builder, '<', leaves, leave),
-                )
-            met = builder.fcmp_ordered('<=', entry, leave)
+            entry, met = _slabs(builder, boxes, field)
             so_far = builder.load(least)
             nearer = pick(builder, '<', entry, so_far)
             builder.store(builder.select(met, nearer, so_far), least)

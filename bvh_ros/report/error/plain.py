@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree import ray_hits, raycasting, wide_raycasting
+from ...tree import best_hit, ray_hits, raycasting, wide_raycasting
 from ...tree.slab import INSIDE, INVERSE, ORIGIN
 from ..rewiring import rewired
 from ..scenes import Boxes, Rays
@@ -50,7 +50,7 @@ def _plain_is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, 
 @numba.njit(error_model='numpy', forceinline=True, _nrt=False)
 def _plain_verdict(lo, hi, ray, best_t):
     met, t, axis = _plain_slabs(lo, hi, ray, best_t)
-    return wide_raycasting.MEETS if met else wide_raycasting.MISSES, t, axis
+    return best_hit.MEETS if met else best_hit.MISSES, t, axis
 
 
 @numba.njit(error_model='numpy', forceinline=True, _nrt=False)
@@ -68,11 +68,12 @@ def binary_kernel() -> Any:
 @cache
 def wide_kernel() -> Any:
     """`wide_raycasting.cast_rows` without the exact decision."""
-    better = rewired(wide_raycasting.is_better, quick_decision=_plain_verdict)
+    better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
+    visit = rewired(wide_raycasting.visit_leaf, is_better=better)
     return rewired(
         wide_raycasting.cast_rows,
-        cast=rewired(wide_raycasting.cast, is_better=better),
-        settle_axis=_plain_axis,
+        traverse=rewired(wide_raycasting.traverse, visit_leaf=visit),
+        write_hits=rewired(wide_raycasting.write_hits, settle_axis=_plain_axis),
     )
 
 

@@ -46,7 +46,8 @@ class Build(NamedTuple):
 BALLS = ('scene/ball_casting', 'scene/exact_balls')
 PRINTS = ('scene/overlap_footprint', 'scene/ray_footprint')
 SHAPED = ('casting', 'contact', 'gjk', 'narrow_phase', 'ray_shapes', 'separation')
-BATCHES = Build(('tree/ordering', 'tree/packets', 'tree/wide_raycasting'))
+STREAMS = ('tree/best_hit', 'tree/ray_streams', 'tree/wide_lanes', 'tree/wide_raycasting')
+BATCHES = Build(('tree/ordering', 'tree/packets', *STREAMS))
 SWEPT_BOXES = Build(('tree/boxcasting',))
 SWEPT_BALLS = Build(BALLS)
 SHAPES = Build(

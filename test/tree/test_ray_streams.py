@@ -1,0 +1,91 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Many rays together find what each finds alone: lists of one ray and of thousands, with and
+without masks, in few octants and many.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from tree.reference import Floats, exact_hits, seen
+
+from bvh_ros import DynamicBVH
+from bvh_ros.tree.ray_streams import RAYS_AT_ONCE
+from bvh_ros.tree.wide import LEAST_RAYS
+
+OCTANTS: dict[str, tuple[int, ...]] = {
+    'one octant': (1, 1, 1),
+    'another': (-1, 1, -1),
+    'all octants': (0, 0, 0),
+    'along a face': (1, -1, 0),
+}
+
+
+def scene(ndim: int, boxes: int, rays: int, signs: tuple[int, ...]) -> tuple[DynamicBVH, ...]:
+    """A tree of boxes on whole numbers, so that many hits tie, and rays of these signs."""
+    rng = np.random.default_rng(ndim * boxes)
+    lo = rng.integers(-50, 50, (boxes, ndim)).astype(float)
+    tree = DynamicBVH.from_boxes(lo, lo + rng.integers(0, 12, (boxes, ndim)))
+    ways = rng.integers(-9, 10, (rays, ndim)).astype(float)
+    for axis, sign in enumerate(signs[:ndim]):
+        if sign:
+            ways[:, axis] = sign * np.abs(ways[:, axis])
+    return tree, rng.integers(-70, 70, (rays, ndim)).astype(float), ways
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('signs', OCTANTS.values(), ids=OCTANTS)
+@pytest.mark.parametrize('masked', [False, True], ids=['all seen', 'masks'])
+def test_as_one_by_one(ndim: int, signs: tuple[int, ...], masked: bool) -> None:
+    tree, origins, ways = scene(ndim, 300, 2 * RAYS_AT_ONCE + 77, signs)
+    masks = np.full(len(ways), 0xFFFFFFFF, np.uint32)
+    if masked:
+        tree.set_masks(tree.ids(), np.arange(300) % 4)
+        masks = np.arange(len(ways), dtype=np.uint32) % 5
+    t_max = np.where(np.arange(len(ways)) % 3, np.inf, 2.5)
+    tree.raycast_many(origins, ways)
+    for skip_inside in (False, True):
+        hits = tree.raycast_many(origins, ways, t_max, masks, skip_inside)
+        free = tree.occluded_many(origins, ways, t_max, masks, skip_inside)
+        assert tree.stats()['wide_snapshot']
+        assert (free == (hits.ids >= 0)).all()
+        assert 0 < free.sum() < len(free)
+        for row in range(0, len(ways), 7):
+            alone = tree.raycast(origins[row], ways[row], t_max[row], int(masks[row]), skip_inside)
+            assert hits.ids[row] == (alone.id if alone else -1)
+            assert hits.t[row] == (alone.t if alone else np.inf)
+            assert hits.normals[row].tolist() == (alone.normal.tolist() if alone else [0] * ndim)
+
+
+SMALL = st.integers(-4, 4).map(float)
+
+
+@given(
+    arrays(np.float64, st.tuples(st.integers(2, 40), st.just(3)), elements=SMALL),
+    arrays(np.float64, (LEAST_RAYS, 3), elements=SMALL),
+    arrays(np.float64, (LEAST_RAYS, 3), elements=SMALL | st.just(-0.0)),
+)
+def test_exactly(lo: Floats, origins: Floats, ways: Floats) -> None:
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    handles = tree.ids()
+    ids = tree.raycast_many(origins, ways).ids
+    for row, hits in enumerate(exact_hits(lo, lo + 1, origins, ways)):
+        first = seen(hits, handles)
+        assert ids[row] == (handles[first[0].row] if first else -1)
+
+
+def test_a_deep_tree() -> None:
+    """Boxes of ever larger scales: wide nodes have few children, level after level."""
+    size = 2.0 ** np.arange(900)[:, None]
+    lo, hi = size * [1.0, -1, -1], size * [1.5, 1, 1]
+    tree = DynamicBVH.from_boxes(lo[:-500], hi[:-500])
+    origins = np.tile([[0.0, 0, 0]], (500, 1))
+    ways = np.c_[np.ones(500), np.linspace(-2, 2, 500), np.zeros(500)]
+    assert tree.height > 20
+    hits = tree.raycast_many(origins, ways)
+    assert tree.stats()['wide_snapshot']
+    for row in range(500):
+        alone = tree.raycast(origins[row], ways[row])
+        assert hits.ids[row] == (alone.id if alone else -1)
