@@ -72,7 +72,7 @@ def build(nodes, heights, state, items, numbers, count, levels):
         if near < 0 and stop - start <= NEAR:
             near, near_made = top, made_count
             for item in range(start, stop):
-                prefetch(nodes, numbers[item * LANES + NODE])
+                prefetch(nodes, numbers[item * LANES + NODE], 1)
         if stop - start == 1:
             _attach(nodes, parent, np.int64(numbers[start * LANES + NODE]))
         else:

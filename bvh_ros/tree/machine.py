@@ -69,8 +69,7 @@ def prefetch(typingctx, array, place, lines):
         )
         first = bytes_at(context, builder, signature.args[0], args[0], args[1])
         for line in range(count):
-            # to be read, wanted in all caches, data
-            how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]
+            how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]  # to be read, near, data
             builder.call(ask, [builder.gep(first, [ir.Constant(_LONG, 64 * line)]), *how])
         return context.get_dummy_value()
 
@@ -176,19 +175,3 @@ def copy8(typingctx, into, at, values, start):
         return context.get_dummy_value()
 
     return types.void(into, at, values, start), codegen
-
-
-@intrinsic
-def prefetch(typingctx, records, index):
-    """Fetch records[index] to the near caches."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        byte = ir.IntType(8).as_pointer()
-        place = builder.bitcast(builder.gep(data, [args[1]]), byte)
-        kind = ir.FunctionType(ir.VoidType(), [byte, _INT, _INT, _INT])
-        fetch = cgutils.get_or_insert_function(builder.module, kind, 'llvm.prefetch.p0')
-        builder.call(fetch, [place, *(ir.Constant(_INT, hint) for hint in (1, 3, 1))])
-        return context.get_dummy_value()
-
-    return types.void(records, types.int64), codegen
