@@ -23,7 +23,10 @@ from .nodes import aligned_empty
 from .slab import RAY_ROWS
 from .wide_filter import octant_of, ray_dtype
 
-RAYS_AT_ONCE = 4096  # their records stay in a processor core's own cache
+# How many rays go together: their records stay in a processor core's own cache, and so do, for the
+# most part, the rays and answers of those that are sorted by octant in one go.
+RAYS_AT_ONCE = 4096
+RAYS_SORTED = 8 * RAYS_AT_ONCE
 
 # Sixteen children, and as many lists that nobody reads, see `child_lists`.
 LISTS = 2 * WIDTH
@@ -39,9 +42,9 @@ class Scratch(NamedTuple):
     ray: NDArray[np.float64]
     """One ray, as of `slab`."""
     octants: NDArray[np.uint8]
-    """Of all rays."""
+    """Of the rays that are sorted together."""
     rows: NDArray[np.int64]
-    """Of all rays, octant by octant."""
+    """Of these rays, octant by octant."""
     rays: NDArray[Any]
     """Of `wide_filter.ray_dtype`, those at once."""
     lists: NDArray[np.int32]
@@ -59,8 +62,8 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
     together = min(count, RAYS_AT_ONCE)
     return Scratch(
         np.empty((RAY_ROWS, ndim)),
-        np.empty(count, np.uint8),
-        np.empty(count, np.int64),
+        np.empty(min(count, RAYS_SORTED), np.uint8),
+        np.empty(min(count, RAYS_SORTED), np.int64),
         aligned_empty(together, ray_dtype(ndim)),
         np.empty(together * (1 + LISTS * depth), np.int32),
         np.empty(together, np.int32),

@@ -17,6 +17,7 @@ from .ray_streams import (
     LISTS,
     NODE,
     RAYS_AT_ONCE,
+    RAYS_SORTED,
     START,
     child_lists,
     farthest_first,
@@ -68,38 +69,48 @@ def cast_rows(
     """
     boxes, scratch = (nodes, tight, handles), (ray, lists, found, hits, stack)
     asked = origins, directions, t_max, masks, skip_inside, any_hit
-    begin, tally = 0, stack_array(2, np.int64)
+    tally, ends = stack_array(2, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY] = 0
-    rows = rows[: stop - start]
-    ends = stack_array(OCTANTS, np.int64)
-    sort_by_octant(directions, start, octants, rows, ends)
     ids[start:stop], left_over[start:stop] = NONE, False
     ts[start:stop], normals[start:stop] = np.inf, 0.0
-    for octant in range(OCTANTS):
-        while begin < ends[octant]:
-            count, alive = min(ends[octant] - begin, RAYS_AT_ONCE), 0
-            group = rows[begin : begin + count]
-            begin += count
-            for i in range(count):
-                row = group[i]
-                suited = start_ray(
-                    rays[i], origins[row], directions[row], center, per_length, of_row(t_max, row)
-                )
-                lists[alive] = i
-                alive += suited
-                left_over[row] = not suited
-            tally[FOUND] = 0
-            if alive > 0:
-                wide = planes, kids, wide_masks, octant
-                traverse(wide, boxes, rays, group, alive, scratch, asked, tally)
-            write_hits(boxes, rays, group, scratch, asked, tally, ids, ts, normals)
+    answers = ids, ts, normals, left_over
+    for first in range(start, stop, RAYS_SORTED):
+        batch = rows[: min(stop - first, RAYS_SORTED)]
+        sort_by_octant(directions, first, octants, batch, ends)
+        begin = 0
+        for octant in range(OCTANTS):
+            wide = planes, kids, wide_masks, center, per_length, octant
+            while begin < ends[octant]:
+                end = min(ends[octant], begin + RAYS_AT_ONCE)
+                cast_group(wide, boxes, rays, batch[begin:end], scratch, asked, tally, answers)
+                begin = end
     return tally[DECIDED_EXACTLY]
+
+
+@inlined
+def cast_group(wide, boxes, rays, rows, scratch, asked, tally, answers):
+    """Answer the rays of `rows`, all of one octant."""
+    _, _, _, center, per_length, _ = wide
+    _, lists, _, _, _ = scratch
+    origins, directions, t_max, _, _, _ = asked
+    _, _, _, left_over = answers
+    alive = 0
+    for i in range(rows.shape[0]):
+        origin, direction, reach = origins[rows[i]], directions[rows[i]], of_row(t_max, rows[i])
+        suited = start_ray(rays[i], origin, direction, center, per_length, reach)
+        lists[alive] = i
+        alive += suited
+        left_over[rows[i]] = not suited
+    tally[FOUND] = 0
+    if alive > 0:
+        traverse(wide, boxes, rays, rows, alive, scratch, asked, tally)
+    write_hits(boxes, rays, rows, scratch, asked, tally, answers)
 
 
 @inlined
 def traverse(wide, boxes, rays, rows, alive, scratch, asked, tally):
     """Find the best hits of the rays lists[:alive], all of one octant, and note them in `rays`."""
-    planes, kids, wide_masks, octant = wide
+    planes, kids, wide_masks, _, _, octant = wide
     _, lists, _, hits, stack = scratch
     masks = asked[3]
     all_seen = masks.shape[0] == 1 and masks[0] == ALL32
@@ -191,11 +202,12 @@ def fetch_ahead(planes, kids, boxes, child):
 
 
 @inlined
-def write_hits(boxes, rays, rows, scratch, asked, tally, ids, ts, normals):
+def write_hits(boxes, rays, rows, scratch, asked, tally, answers):
     """Write the answers of the rays that hit anything."""
     nodes, tight, handles = boxes
     ray, _, found, _, _ = scratch
     origins, directions, t_max, _, _, any_hit = asked
+    ids, ts, normals, _ = answers
     for i in found[: tally[FOUND]]:
         state, row = rays[i], rows[i]
         slot, axis = np.int64(state.slot), np.int64(state.axis)

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from tree.reference import Floats, exact_hits, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.ray_streams import RAYS_AT_ONCE
+from bvh_ros.tree.ray_streams import RAYS_AT_ONCE, RAYS_SORTED
 from bvh_ros.tree.wide import LEAST_RAYS
 
 OCTANTS: dict[str, tuple[int, ...]] = {
@@ -57,6 +57,15 @@ def test_as_one_by_one(ndim: int, signs: tuple[int, ...], masked: bool) -> None:
             assert hits.ids[row] == (alone.id if alone else -1)
             assert hits.t[row] == (alone.t if alone else np.inf)
             assert hits.normals[row].tolist() == (alone.normal.tolist() if alone else [0] * ndim)
+
+
+def test_more_rays_than_are_sorted_together() -> None:
+    tree, origins, ways = scene(3, 50, RAYS_SORTED + 2000, OCTANTS['all octants'])
+    hits = tree.raycast_many(origins, ways)
+    for part in (slice(0, 1000), slice(RAYS_SORTED - 500, RAYS_SORTED + 500), slice(-1000, None)):
+        few = tree.raycast_many(origins[part], ways[part])
+        for all_, some in zip(hits, few, strict=True):
+            assert (all_[part] == some).all()
 
 
 SMALL = st.integers(-4, 4).map(float)
