@@ -47,6 +47,13 @@ def rotate(nodes, heights, node):
     if is_leaf(left) and is_leaf(right):
         return False
     scale = area_scale(nodes, left, right)
+    if scale == 1.0:  # nearly always, and faster when known
+        return _rotate(nodes, heights, node, left, right, 1.0)
+    return _rotate(nodes, heights, node, left, right, scale)
+
+
+@inlined
+def _rotate(nodes, heights, node, left, right, scale):
     best_change, best_height = 0.0, np.int64(heights[node])
     best_child = best_uncle = best_niece = np.int64(NONE)
     for child, uncle in ((left, right), (right, left)):
