@@ -10,6 +10,8 @@ pytest.importorskip('matplotlib')
 
 from bvh_ros.report import cli
 
+pytestmark = pytest.mark.timeout(900)  # seconds: the first run compiles builds of the package
+
 
 @pytest.fixture(scope='module', params=sorted(cli.PARTS))
 def written(request, tmp_path_factory):
