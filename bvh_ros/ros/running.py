@@ -75,14 +75,34 @@ def running_node(
         file.write_text(json.dumps({'/**': {'ros__parameters': dict(parameters or {})}}))
         command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args']
         command += ['-r', f'__ns:={namespace}', '--params-file', str(file)]
-        # A session of its own: Ctrl-C reaches us alone, and we end the node.
-        process = subprocess.Popen(
-            command, env=environment, stdout=log, stderr=log, start_new_session=True
-        )
+        process = None
         try:
+            with _signals_waiting():
+                # A session of its own: Ctrl-C reaches us alone, and we end the node.
+                process = subprocess.Popen(
+                    command, env=environment, stdout=log, stderr=log, start_new_session=True
+                )
             yield process
         finally:
-            end(process)
+            if process is not None:
+                end(process)
+
+
+@contextmanager
+def _signals_waiting() -> Iterator[None]:
+    """Let what would end us wait: a process that is just being started would be left behind."""
+    came: list[int] = []
+    theirs = {
+        number: signal.signal(number, lambda number, _frame: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in theirs.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
