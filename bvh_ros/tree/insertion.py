@@ -92,8 +92,8 @@ def _search_depth_first(nodes, heights, root, leaf, scale):
             # Unsigned: to look whether a number counts from the end would delay every node.
             near, far = np.uint32(nodes[node].left), np.uint32(nodes[node].right)
             for child in (near, far):  # the next node is one of their children
-                prefetch(nodes, np.int64(np.uint32(nodes[child].left)))
-                prefetch(nodes, np.int64(np.uint32(nodes[child].right)))
+                prefetch(nodes, np.int64(np.uint32(nodes[child].left)), 1)
+                prefetch(nodes, np.int64(np.uint32(nodes[child].right)), 1)
             near_cost = inherited + union_area(nodes, near, leaf, scale)
             far_cost = inherited + union_area(nodes, far, leaf, scale)
             near_bound = _bound_below(nodes, near, near_cost, scale)
