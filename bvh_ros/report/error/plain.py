@@ -70,11 +70,12 @@ def wide_kernel() -> Any:
     """`wide_raycasting.cast_rows` without the exact decision."""
     better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
     visit = rewired(wide_raycasting.visit_leaf, is_better=better)
-    return rewired(
-        wide_raycasting.cast_rows,
+    group = rewired(
+        wide_raycasting.cast_group,
         traverse=rewired(wide_raycasting.traverse, visit_leaf=visit),
         write_hits=rewired(wide_raycasting.write_hits, settle_axis=_plain_axis),
     )
+    return rewired(wide_raycasting.cast_rows, cast_group=group)
 
 
 @contextmanager
