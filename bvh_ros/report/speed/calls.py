@@ -27,7 +27,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     """Measure."""
     size, calls = (300, 50) if brief else (BOXES, CALLS)
     progress.say('speed: calls')
-    times = interleaved(_jobs(size, calls), REPEATS, progress.step)
+    times = interleaved(_jobs(size, calls), REPEATS, progress.step, warm=True)
     names = list(dict.fromkeys(name.partition(' ')[0] for name in times))
     rows: list[list[Cell]] = [
         [name, *(times[f'{name} {form}'].nanoseconds / 1e3 for form in ('one', 'batch'))]
