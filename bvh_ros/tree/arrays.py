@@ -21,19 +21,34 @@ Floats = NDArray[np.float64]
 PIECES_A_THREAD = 4
 
 
-def in_threads(work: Callable[[int, int], Any], count: int, threads: int) -> list[Any]:
+def in_threads(
+    work: Callable[[int, int], Any], count: int, threads: int, together: int = 1
+) -> list[Any]:
     """Do work(start, stop) over `count` rows, shared among so many threads; results in the order
     of the rows.
 
     Kernels release the GIL. There are more pieces than threads, and whoever is done takes the
-    next: a thread that the machine interrupts then does not hold up the others.
+    next: a thread that the machine interrupts then does not hold up the others. But rows that
+    gain from so many of them `together` are not parted for that.
     """
     threads = max(1, min(checks.whole('threads', threads, 1), count))
     if threads == 1:
         return [work(0, count)]
-    pieces = min(PIECES_A_THREAD * threads, count)
+    pieces = max(threads, min(PIECES_A_THREAD * threads, count // together))
     edges = [count * i // pieces for i in range(pieces + 1)]
-    return list(_workers(threads).map(work, edges[:-1], edges[1:]))
+    waiting = iter(range(pieces))
+    results: list[Any] = [None] * pieces
+
+    def take() -> None:
+        for piece in waiting:
+            results[piece] = work(edges[piece], edges[piece + 1])
+
+    # This thread is one of them: it is awake already.
+    others = [_workers(threads - 1).submit(take) for _ in range(threads - 1)]
+    take()
+    for other in others:
+        other.result()
+    return results
 
 
 @functools.cache

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import checks, ray_hits, raycasting, wide_raycasting
 from .arrays import Arrays, Floats, Ids, in_threads
 from .nodes import ALL, EXACT_RAYS, NONE, RAYS
-from .ray_streams import make_scratch
+from .ray_streams import RAYS_AT_ONCE, make_scratch
 from .results import RayHit, RayHits
 from .slab import RAY_ROWS
 
@@ -260,7 +260,7 @@ class RayQueries(Arrays):
                 marks,
             )
 
-        exact = sum(in_threads(cast, count, threads))
+        exact = sum(in_threads(cast, count, threads, 2 * RAYS_AT_ONCE))
         return exact, np.flatnonzero(marks)
 
     def _tally(self, rays: int, exact: int) -> None:
