@@ -22,7 +22,7 @@ PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *FCL]
 TEST = [
     'pytest>=7',
     'pytest-timeout>=2',
-    'pytest-xdist>=3.6',
+    'pytest-xdist>=3.7',
     'hypothesis>=6.80',
     'scipy>=1.10',
     *FCL,
