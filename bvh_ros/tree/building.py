@@ -157,6 +157,12 @@ def height_limit(count):
     return 4 * floor_log2(count) + 4
 
 
+@inlined
+def is_too_high(heights, state):
+    """After a change: two numbers to compare, and nearly always nothing to do."""
+    return state[ROOT] != NONE and heights[state[ROOT]] > height_limit(state[COUNT])
+
+
 @lean_kernel
 def build_levels(count):
     """Levels that a bulk build may use: enough for SAH to have its way in real scenes, few enough
@@ -166,11 +172,11 @@ def build_levels(count):
 
 
 @kernel
-def rebalance(nodes, heights, state, count):
+def rebalance(nodes, heights, state):
     """Rebuild balanced what makes the tree higher than `height_limit` (a scapegoat, Galperin and
     Rivest 1993).
     """
-    while heights[state[ROOT]] > height_limit(count):
+    while is_too_high(heights, state):
         node = state[ROOT]
         while not is_leaf(node):  # to the deepest leaf
             left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
@@ -235,13 +241,6 @@ def refit_all(nodes, heights, root):
         adopt(nodes, heights, order[i])
 
 
-@inlined
-def keep_height(nodes, heights, state):
-    """After a change: nothing to do but compare two numbers, nearly always."""
-    if heights[state[ROOT]] > height_limit(state[COUNT]):
-        rebalance(nodes, heights, state, state[COUNT])
-
-
 TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
 
 
@@ -293,4 +292,16 @@ def optimize(nodes, heights, state):
     root = build(nodes, heights, state, top_items, top_numbers, roots.shape[0], levels)
     nodes[root].parent = NONE
     state[ROOT] = root
-    keep_height(nodes, heights, state)
+
+
+NEITHER, BUILD, OPTIMIZE = range(3)
+
+
+@kernel
+def restructure(nodes, heights, handles, state, how):
+    """Build all or optimize, then rebalance: one kernel, so that the build is compiled once."""
+    if how == BUILD:
+        build_all(nodes, heights, handles, state)
+    elif how == OPTIMIZE:
+        optimize(nodes, heights, state)
+    rebalance(nodes, heights, state)

@@ -157,6 +157,18 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
             self._tight = np.empty(len(self._handles), box_dtype(self.ndim))
             self._tight['lo'], self._tight['hi'] = self._nodes['lo'][::2], self._nodes['hi'][::2]
 
+    def _row_by_row(self, kernel: Any, count: int, *arguments: Any) -> None:
+        """Have a kernel of `moving` change the tree by so many rows, and keep its height."""
+        row = 0
+        while row < count:
+            row = kernel(*arguments, row)
+            if row < 0:
+                row = -row
+                self._restructure(building.NEITHER)
+
+    def _restructure(self, how: int) -> None:
+        building.restructure(self._nodes, self._heights, self._handles, self._state, how)
+
     @property
     def _thorough(self) -> bool:
         return self.sibling_search == 'branch_and_bound'
@@ -184,7 +196,9 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         self._reserve(count)
         build = count >= max(2, len(self))
         new = np.empty(count, np.int64)
-        moving.insert_rows(
+        self._row_by_row(
+            moving.insert_rows,
+            count,
             self._nodes,
             self._heights,
             self._tight,
@@ -217,7 +231,8 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         self._remove(checks.slots_of(self._handles, handles))
 
     def _remove(self, slots: Ids) -> None:
-        moving.remove_rows(self._nodes, self._heights, self._handles, self._state, slots)
+        arrays = self._nodes, self._heights, self._handles, self._state
+        self._row_by_row(moving.remove_rows, len(slots), *arrays, slots)
         self._counters['removed'] += len(slots)
         self._changes += 1
 
@@ -255,9 +270,11 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
             ahead[0],
             self._thorough,
         )
+        if changed < 0:
+            self._restructure(building.NEITHER)
         self._counters['reinserted' if changed else 'kept'] += 1
-        self._changes += int(changed)
-        self._refits += int(changed)
+        self._changes += abs(changed)
+        self._refits += abs(changed)
         if self._refits >= REFITS_BEFORE_A_LOOK * len(self):
             self._rebuild_if_worse()
         return bool(changed)
@@ -308,9 +325,8 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         return count
 
     def _reinsert(self, rows: Ids, *moved: Any) -> None:
-        moving.reinsert_rows(
-            self._nodes, self._heights, self._tight, self._state, rows, *moved, self._thorough
-        )
+        arrays = self._nodes, self._heights, self._tight, self._state
+        self._row_by_row(moving.reinsert_rows, len(rows), *arrays, rows, *moved, self._thorough)
         self._counters['reinserted'] += len(rows)
         self._refits += len(rows)
 
@@ -337,7 +353,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def rebuild(self) -> None:
         """Build the tree anew by binned SAH over all axes. Handles stay."""
-        building.build_all(self._nodes, self._heights, self._handles, self._state)
+        self._restructure(building.BUILD)
         self._refits, self._built = 0, (len(self), self.cost())
         self._counters['rebuilds'] += 1
         self._changes += 1
@@ -346,7 +362,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the
         subtrees in turn.
         """
-        building.optimize(self._nodes, self._heights, self._state)
+        self._restructure(building.OPTIMIZE)
         self._changes += 1
 
     # ---- keeping

@@ -7,15 +7,18 @@ A fat box is the exact one grown by the margin, and on the side of a predicted d
 that. While the exact box stays in it the tree has nothing to do. A fat box far larger than a new
 one would be (five margins, five displacements) is replaced, so that a box that was large or fast
 for one tick does not stay large.
+
+Kernels that change the tree row by row stop where it has become too high, and return the number of
+rows done, negative then: the caller rebalances it and goes on.
 """
 
 import numpy as np
 
-from .building import keep_height
+from .building import is_too_high
 from .compiling import inlined, lean_kernel
 from .insertion import link_leaf, unlink_leaf
 from .machine import stack_array
-from .nodes import NONE, ROOT, SLOT_BITS, free_leaf, take_leaf
+from .nodes import NONE, SLOT_BITS, free_leaf, take_leaf
 
 LARGEST = 1.7976931348623157e308
 SLACK = 5.0
@@ -80,13 +83,14 @@ def insert_rows(
     branch_and_bound,
     link,
     new,
+    first,
 ):
-    """Insert rows of boxes with ascending serial numbers; their handles go to `new`. link False:
-    the caller builds the tree.
+    """Insert rows of boxes from `first` on, with ascending serial numbers; their handles go to
+    `new`. link False: the caller builds the tree.
     """
     still = stack_array(3, np.float64)
     still[0] = still[1] = still[2] = 0.0
-    for i in range(lo.shape[0]):
+    for i in range(first, lo.shape[0]):
         leaf = take_leaf(nodes, state)
         write_leaf(nodes, tight, leaf, lo[i], hi[i], margin, still)
         nodes[leaf].mask = masks[i]
@@ -95,18 +99,21 @@ def insert_rows(
         handles[slot] = new[i] = ((serial + i) << SLOT_BITS) | slot
         if link:
             link_leaf(nodes, heights, state, leaf, branch_and_bound)
-            keep_height(nodes, heights, state)
+            if is_too_high(heights, state):
+                return -(i + 1)
+    return lo.shape[0]
 
 
 @lean_kernel
-def remove_rows(nodes, heights, handles, state, slots):
-    for i in range(slots.shape[0]):
+def remove_rows(nodes, heights, handles, state, slots, first):
+    for i in range(first, slots.shape[0]):
         leaf = 2 * slots[i]
         unlink_leaf(nodes, heights, state, leaf)
         free_leaf(nodes, state, leaf)
         handles[slots[i]] = NONE
-        if state[ROOT] != NONE:
-            keep_height(nodes, heights, state)
+        if is_too_high(heights, state):
+            return -(i + 1)
+    return slots.shape[0]
 
 
 @lean_kernel
@@ -115,7 +122,6 @@ def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, 
     unlink_leaf(nodes, heights, state, leaf)
     write_leaf(nodes, tight, leaf, lo, hi, margin, displacement)
     link_leaf(nodes, heights, state, leaf, branch_and_bound)
-    keep_height(nodes, heights, state)
 
 
 @inlined
@@ -162,21 +168,36 @@ def sort_rows(nodes, tight, slots, lo, hi, margin, displacements, near, far):
 
 @lean_kernel
 def reinsert_rows(
-    nodes, heights, tight, state, rows, slots, lo, hi, margin, displacements, branch_and_bound
+    nodes,
+    heights,
+    tight,
+    state,
+    rows,
+    slots,
+    lo,
+    hi,
+    margin,
+    displacements,
+    branch_and_bound,
+    first,
 ):
-    for i in rows:
+    for i in range(first, rows.shape[0]):
+        row = rows[i]
         move_leaf(
             nodes,
             heights,
             tight,
             state,
-            2 * slots[i],
-            lo[i],
-            hi[i],
+            2 * slots[row],
+            lo[row],
+            hi[row],
             margin,
-            displacements[i],
+            displacements[row],
             branch_and_bound,
         )
+        if is_too_high(heights, state):
+            return -(i + 1)
+    return rows.shape[0]
 
 
 @lean_kernel
@@ -187,12 +208,12 @@ def write_rows(nodes, tight, rows, slots, lo, hi, margin, displacements):
 
 @lean_kernel
 def move_one(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
-    """Move one box; true if the tree changed."""
+    """Move one box; 1 if the tree changed, -1 if it also has become too high, else 0."""
     if fits(nodes, tight, leaf, lo, hi, margin, displacement):
         write_tight(tight, leaf, lo, hi)
-        return False
+        return 0
     move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound)
-    return True
+    return -1 if is_too_high(heights, state) else 1
 
 
 @lean_kernel

@@ -51,7 +51,9 @@ def grow(boxes: Boxes, search: str, rotations: str) -> DynamicBVH:
     """Insert the boxes one by one, in their order."""
     count = len(boxes.lo)
     tree = DynamicBVH(capacity=count, sibling_search=search)
-    kernels(rotations).insert_rows(
+    tree._row_by_row(
+        kernels(rotations).insert_rows,
+        count,
         tree._nodes,
         tree._heights,
         tree._tight,
@@ -73,7 +75,9 @@ def reinsert(tree: DynamicBVH, boxes: Boxes, rotations: str) -> None:
     """Move every box of a tree from `grow`, one by one."""
     rows = np.arange(len(boxes.lo))
     slots = rows  # a new tree gives them out in order
-    kernels(rotations).reinsert_rows(
+    tree._row_by_row(
+        kernels(rotations).reinsert_rows,
+        len(rows),
         tree._nodes,
         tree._heights,
         tree._tight,
