@@ -20,6 +20,7 @@ import pytest
 
 START_TIMEOUT = 240.0  # seconds: the very first start compiles
 TIMEOUT = 10.0
+END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
 CUBE = 1
 
@@ -129,7 +130,7 @@ class World:
     def end(self, how: signal.Signals = signal.SIGINT) -> int:
         """Ask the node to end and return its exit code."""
         self.process.send_signal(how)
-        return self.process.wait(TIMEOUT)
+        return self.process.wait(END_TIMEOUT)
 
     def destroy(self) -> None:
         """End the node if it still runs, and what was opened for it."""
