@@ -163,8 +163,9 @@ def visit_leaf(boxes, slot, rays, rows, start, count, scratch, asked, tally):
             state.exact = True
             tally[DECIDED_EXACTLY] += 1
         if better:
-            found[tally[FOUND]] = lists[i]
-            tally[FOUND] += best == NONE
+            if best == NONE:
+                found[tally[FOUND]] = lists[i]
+                tally[FOUND] += 1
             state.slot, state.best_t, state.axis = slot, t, axis
             state.limit = NOWHERE if any_hit else limit32(t, state.unit)
 

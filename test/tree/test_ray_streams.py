@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from tree.reference import Floats, exact_hits, seen
+from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.ray_streams import RAYS_AT_ONCE, RAYS_SORTED
+from bvh_ros.tree import ray_queries
+from bvh_ros.tree.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, Scratch, make_scratch
 from bvh_ros.tree.wide import LEAST_RAYS
 
 OCTANTS: dict[str, tuple[int, ...]] = {
@@ -98,3 +99,22 @@ def test_a_deep_tree() -> None:
     for row in range(500):
         alone = tree.raycast(origins[row], ways[row])
         assert hits.ids[row] == (alone.id if alone else -1)
+
+
+def test_what_is_noted_stays_in_its_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All rays hit, and some find a nearer box when all have been noted as hitting."""
+    tree, origins, ways = scene(3, 300, 40_000, OCTANTS['one octant'])
+    hit = tree.raycast_many(origins, ways).ids >= 0
+    fence: list[Ids] = []
+
+    def fenced(count: int, ndim: int, depth: int) -> Scratch:
+        scratch = make_scratch(count, ndim, depth)
+        fence.append(np.full(len(scratch.found) + 1, 77, np.int32))
+        return scratch._replace(found=fence[-1][:-1])
+
+    monkeypatch.setattr(ray_queries, 'make_scratch', fenced)
+    for start in range(0, int(hit.sum()) - 64, 64):
+        rows = np.flatnonzero(hit)[start : start + 64]
+        assert (tree.raycast_many(origins[rows], ways[rows]).ids >= 0).all()
+    assert len(fence) > 50
+    assert all(room[-1] == 77 for room in fence)
