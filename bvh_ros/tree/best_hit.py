@@ -17,15 +17,11 @@ MISSES, MEETS, ASK = range(3)
 
 
 @inlined
-def quick_decision(lo, hi, ray, best_t):
-    """Decide where rounding cannot matter: (verdict, t, axis).
-
-    MISSES: surely not met, or surely after best_t. MEETS: surely met, and before best_t. ASK:
-    `meets` must tell. t has an error of three roundings, and `axis` is one entered then: of two
-    that are entered at almost the same time it may be the other, which `settle_axis` finds out
-    where it matters. Distances neither overflow nor have an infinite inverse here.
+def rounded_slabs(lo, hi, ray, leave):
+    """Where a ray enters a box and leaves it, `leave` at the latest, and the axis entered last:
+    (entry, leave, axis), each distance with an error of three roundings.
     """
-    entry, leave = 0.0, best_t
+    entry = 0.0
     entered = INSIDE
     for axis in range(lo.shape[0]):
         inverse = ray[INVERSE, axis]
@@ -35,6 +31,19 @@ def quick_decision(lo, hi, ray, best_t):
         if near > entry:
             entry, entered = near, axis
         leave = far if far < leave else leave
+    return entry, leave, entered
+
+
+@inlined
+def quick_decision(lo, hi, ray, best_t):
+    """Decide where rounding cannot matter: (verdict, t, axis).
+
+    MISSES: surely not met, or surely after best_t. MEETS: surely met, and before best_t. ASK:
+    `meets` must tell. t has an error of three roundings, and `axis` is one entered then: of two
+    that are entered at almost the same time it may be the other, which `settle_axis` finds out
+    where it matters. Distances neither overflow nor have an infinite inverse here.
+    """
+    entry, leave, entered = rounded_slabs(lo, hi, ray, best_t)
     if entry > leave * PAD + TINY:
         return MISSES, entry, entered
     if entered != INSIDE and entry * PAD + TINY < leave:

@@ -12,32 +12,18 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from .machine import bytes_at, data_of, index, pick, splat
+
 EIGHT = 8
 
-_DOUBLE, _BYTE = ir.DoubleType(), ir.IntType(8)
+_DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, EIGHT)
-
-
-def _index(number: int) -> Any:
-    return ir.Constant(ir.IntType(64), number)
-
-
-def _splat(builder: Any, scalar: Any) -> Any:
-    lane = ir.IntType(32)
-    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, ir.Constant(lane, 0))
-    lanes = ir.Constant(ir.VectorType(lane, EIGHT), [0] * EIGHT)
-    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), lanes)
-
-
-def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    return context.make_array(kind)(context, builder, array).data
 
 
 def _field(context: Any, builder: Any, kind: Any, records: Any, row: Any, name: str) -> Any:
     """Pointer to the doubles of a field of records[row]."""
-    start = builder.bitcast(_data(context, builder, kind, records), _BYTE.as_pointer())
-    offset = builder.mul(row, _index(kind.dtype.size))
-    place = builder.gep(start, [builder.add(offset, _index(kind.dtype.offset(name)))])
+    record = bytes_at(context, builder, kind, records, row)
+    place = builder.gep(record, [index(kind.dtype.offset(name))])
     return builder.bitcast(place, _DOUBLE.as_pointer())
 
 
@@ -48,15 +34,11 @@ def _load8(builder: Any, doubles: Any, at: Any) -> Any:
 
 def _load_all(builder: Any, doubles: Any, at: Any) -> Any:
     """One double in all lanes."""
-    return _splat(builder, builder.load(builder.gep(doubles, [at])))
+    return splat(builder, builder.load(builder.gep(doubles, [at])), EIGHT)
 
 
 def _bits(builder: Any, truths: Any) -> Any:
     return builder.zext(builder.bitcast(truths, ir.IntType(EIGHT)), ir.IntType(32))
-
-
-def _larger(builder: Any, a: Any, b: Any) -> Any:
-    return builder.select(builder.fcmp_ordered('>', a, b), a, b)
 
 
 @intrinsic
@@ -71,16 +53,17 @@ def gap_squares8(typingctx, nodes, node, points, squares, at):
         nodes, node, points, squares, at = args
         lo = _field(context, builder, kind, nodes, node, 'lo')
         hi = _field(context, builder, kind, nodes, node, 'hi')
-        points = _data(context, builder, points_kind, points)
+        points = data_of(context, builder, points_kind, points)
         total = None
         for axis in axes:
-            point = _load8(builder, points, _index(axis * EIGHT))
-            below = builder.fsub(_load_all(builder, lo, _index(axis)), point)
-            above = builder.fsub(point, _load_all(builder, hi, _index(axis)))
-            gap = _larger(builder, _larger(builder, below, above), ir.Constant(_VECTOR, [0.0] * 8))
+            point = _load8(builder, points, index(axis * EIGHT))
+            below = builder.fsub(_load_all(builder, lo, index(axis)), point)
+            above = builder.fsub(point, _load_all(builder, hi, index(axis)))
+            outside = pick(builder, '>', below, above)
+            gap = pick(builder, '>', outside, ir.Constant(_VECTOR, [0.0] * 8))
             square = builder.fmul(gap, gap)
             total = square if total is None else builder.fadd(total, square)
-        place = builder.gep(_data(context, builder, squares_kind, squares), [at])
+        place = builder.gep(data_of(context, builder, squares_kind, squares), [at])
         builder.store(total, builder.bitcast(place, _VECTOR.as_pointer()), align=8)
         return context.get_dummy_value()
 
@@ -92,8 +75,8 @@ def at_most8(typingctx, values, at, limits):
     """Bit mask of the lanes in which values[at:at + 8] <= limits[:8]."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values = _load8(builder, _data(context, builder, signature.args[0], args[0]), args[1])
-        limits = _load8(builder, _data(context, builder, signature.args[2], args[2]), _index(0))
+        values = _load8(builder, data_of(context, builder, signature.args[0], args[0]), args[1])
+        limits = _load8(builder, data_of(context, builder, signature.args[2], args[2]), index(0))
         return _bits(builder, builder.fcmp_ordered('<=', values, limits))
 
     return types.uint32(values, at, limits), codegen
@@ -127,7 +110,7 @@ def touching8(typingctx, blocks, block, others, other, lane):
         other_hi = _field(context, builder, other_kind, others, other, 'hi')
         touch = ir.Constant(ir.VectorType(ir.IntType(1), EIGHT), [1] * EIGHT)
         for axis in axes:
-            row, at = _index(axis * EIGHT), builder.add(lane, _index(axis * EIGHT))
+            row, at = index(axis * EIGHT), builder.add(lane, index(axis * EIGHT))
             low, high = _load8(builder, lo, row), _load8(builder, hi, row)
             below = _load_all(builder, other_hi, at)
             above = _load_all(builder, other_lo, at)

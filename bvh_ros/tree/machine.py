@@ -41,6 +41,19 @@ def stack_array(typingctx, size, dtype):
     return kind(size, dtype), codegen
 
 
+def index(value: int) -> Any:
+    """An int64 constant."""
+    return ir.Constant(_LONG, value)
+
+
+def splat(builder: Any, scalar: Any, lanes: int) -> Any:
+    """A vector with one number in all lanes."""
+    empty = ir.Constant(ir.VectorType(scalar.type, lanes), ir.Undefined)
+    one = builder.insert_element(empty, scalar, ir.Constant(_INT, 0))
+    first = ir.Constant(ir.VectorType(_INT, lanes), [0] * lanes)
+    return builder.shuffle_vector(one, empty, first)
+
+
 def pick(builder: Any, order: str, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(order, a, b), a, b)
 
@@ -53,7 +66,7 @@ def bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> A
     """Pointer to the bytes of array[place]."""
     size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
     start = builder.bitcast(data_of(context, builder, kind, array), _BYTE.as_pointer())
-    return builder.gep(start, [builder.mul(place, ir.Constant(_LONG, size))])
+    return builder.gep(start, [builder.mul(place, index(size))])
 
 
 @intrinsic(prefer_literal=True)
@@ -70,22 +83,10 @@ def prefetch(typingctx, array, place, lines):
         first = bytes_at(context, builder, signature.args[0], args[0], args[1])
         for line in range(count):
             how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]  # to be read, near, data
-            builder.call(ask, [builder.gep(first, [ir.Constant(_LONG, 64 * line)]), *how])
+            builder.call(ask, [builder.gep(first, [index(64 * line)]), *how])
         return context.get_dummy_value()
 
     return types.void(array, types.int64, lines), codegen
-
-
-@intrinsic
-def float_bits(typingctx, number):
-    """The bits of a float32 as an integer; of numbers that are not negative they have their
-    order.
-    """
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.bitcast(args[0], _INT)
-
-    return types.int32(number), codegen
 
 
 @intrinsic

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .machine import LANES, WIDTH
+from .machine import LANES, WIDTH, data_of, index, splat
 
 NO_COST = np.uint32(0x7F800000)  # the bits of inf; those of NaN are above
 NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number
@@ -25,10 +25,6 @@ _INT, _LONG, _FLOAT = ir.IntType(32), ir.IntType(64), ir.FloatType()
 _BOX, _FOUR = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, 4)
 _HI = 4  # place of the upper bounds in an item
 _BOUNDS = [axis + side for axis in range(3) for side in (0, _HI)]
-
-
-def _long(number: int) -> Any:
-    return ir.Constant(_LONG, number)
 
 
 def _ints(numbers: Iterable[int]) -> Any:
@@ -40,15 +36,9 @@ def _floats(number: float, lanes: int) -> Any:
     return ir.Constant(ir.VectorType(_FLOAT, lanes), [number] * lanes)
 
 
-def _splat(builder: Any, scalar: Any, lanes: int) -> Any:
-    empty = ir.Constant(ir.VectorType(scalar.type, lanes), ir.Undefined)
-    one = builder.insert_element(empty, scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(one, empty, _ints([0] * lanes))
-
-
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
     """Where a vector lies in an array."""
-    data = context.make_array(kind)(context, builder, array).data
+    data = data_of(context, builder, kind, array)
     return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
 
 
@@ -78,7 +68,7 @@ def _least_rank(builder: Any, costs: Any, first: Any) -> Any:
     """The least rank of candidates with numbers from `first` on."""
     lanes = costs.type.count
     bits = builder.bitcast(costs, ir.VectorType(_INT, lanes))
-    numbers = builder.add(_ints(range(lanes)), _splat(builder, first, lanes))
+    numbers = builder.add(_ints(range(lanes)), splat(builder, first, lanes))
     ranks = builder.or_(builder.and_(bits, _ints([~int(NUMBER)] * lanes)), numbers)
     kind, name = ir.FunctionType(_INT, [ranks.type]), f'llvm.vector.reduce.umin.v{lanes}i32'
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [ranks])
@@ -101,9 +91,9 @@ def add_to_bins(typingctx, boxes, counts, items, item, scales):
             kind, array = signature.args[argument], args[argument]
             return _place(context, builder, kind, array, at, vector)
 
-        box = builder.load(place(2, builder.mul(args[3], _long(LANES)), _BOX), align=4)
+        box = builder.load(place(2, builder.mul(args[3], index(LANES)), _BOX), align=4)
         origin, slope, last = (
-            builder.load(place(4, _long(start), _FOUR), align=4) for start in (0, 4, 8)
+            builder.load(place(4, index(start), _FOUR), align=4) for start in (0, 4, 8)
         )
         center = builder.fsub(_half(builder, box, _HI), _half(builder, box, 0))
         number = builder.fmul(builder.fsub(center, origin), slope)
@@ -111,8 +101,8 @@ def add_to_bins(typingctx, boxes, counts, items, item, scales):
         bins = builder.fptosi(number, ir.VectorType(_INT, 4))
         for axis in range(3):
             chosen = builder.zext(builder.extract_element(bins, ir.Constant(_INT, axis)), _LONG)
-            chosen = builder.add(chosen, _long(axis * WIDTH))
-            union = place(0, builder.mul(chosen, _long(LANES)), _BOX)
+            chosen = builder.add(chosen, index(axis * WIDTH))
+            union = place(0, builder.mul(chosen, index(LANES)), _BOX)
             builder.store(_larger(builder, box, builder.load(union, align=4)), union, align=4)
             count = place(1, chosen, _INT)
             builder.store(builder.add(builder.load(count), ir.Constant(_INT, 1)), count)
@@ -163,16 +153,16 @@ def rank_bins(typingctx, boxes, counts, axis, total, planar):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         boxes, counts, axis, total, planar = args
-        first, tally = builder.mul(axis, _long(WIDTH)), ir.VectorType(_INT, WIDTH)
-        at = builder.mul(first, _long(LANES))
+        first, tally = builder.mul(axis, index(WIDTH)), ir.VectorType(_INT, WIDTH)
+        at = builder.mul(first, index(LANES))
         row = _place(context, builder, signature.args[0], boxes, at, _BOX)
-        row = [builder.load(builder.gep(row, [_long(i)]), align=4) for i in range(WIDTH)]
+        row = [builder.load(builder.gep(row, [index(i)]), align=4) for i in range(WIDTH)]
         left = _union_edges(builder, row)
         # Right of the last bin there is nothing.
         right = [*_union_edges(builder, row[:0:-1])[::-1], _floats(float('-inf'), 4)]
         numbers = _place(context, builder, signature.args[1], counts, first, tally)
         lefts = _running_sums(builder, builder.load(numbers, align=4))
-        rights = builder.sub(_splat(builder, builder.trunc(total, _INT), WIDTH), lefts)
+        rights = builder.sub(splat(builder, builder.trunc(total, _INT), WIDTH), lefts)
         costs = [
             builder.fmul(
                 _areas(builder, _columns(builder, edges), planar),
@@ -201,14 +191,14 @@ def _division_costs(
         box = builder.bitcast(builder.gep(boxes, [loop.index]), _FLOAT.as_pointer())
         chosen = on_left(loop.index)
         for i, a, b in zip(_BOUNDS, left, right, strict=True):
-            bound = _splat(builder, builder.load(builder.gep(box, [_long(i)])), lanes)
+            bound = splat(builder, builder.load(builder.gep(box, [index(i)])), lanes)
             for side, here in ((a, chosen), (b, builder.not_(chosen))):
                 old = builder.load(side)
                 builder.store(builder.select(here, _larger(builder, old, bound), old), side)
         more = builder.select(chosen, one, none)
         builder.store(builder.fadd(builder.load(number), more), number)
     lefts = builder.load(number)
-    rights = builder.fsub(_splat(builder, builder.sitofp(count, _FLOAT), lanes), lefts)
+    rights = builder.fsub(splat(builder, builder.sitofp(count, _FLOAT), lanes), lefts)
     costs = []
     for side, boxes_there in ((left, lefts), (right, rights)):
         bounds = [builder.load(bound) for bound in side]
@@ -226,12 +216,12 @@ def rank_subsets(typingctx, items, start, count, planar):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         items, start, count, planar = args
-        at = builder.mul(start, _long(LANES))
+        at = builder.mul(start, index(LANES))
         boxes = _place(context, builder, signature.args[0], items, at, _BOX)
 
         def on_left(box: Any) -> Any:
             bit = builder.shl(ir.Constant(_INT, 1), builder.trunc(box, _INT))
-            bits = builder.and_(_ints(range(WIDTH)), _splat(builder, bit, WIDTH))
+            bits = builder.and_(_ints(range(WIDTH)), splat(builder, bit, WIDTH))
             return builder.icmp_unsigned('!=', bits, _ints([0] * WIDTH))
 
         costs = _division_costs(builder, boxes, count, planar, WIDTH, on_left)
@@ -253,19 +243,19 @@ def _ranking_planes(lanes: int) -> Any:
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             items, start, count, planes, axis, planar = args
-            at, first = builder.mul(start, _long(LANES)), builder.mul(axis, _long(WIDTH))
+            at, first = builder.mul(start, index(LANES)), builder.mul(axis, index(WIDTH))
             boxes = _place(context, builder, signature.args[0], items, at, _BOX)
             row = ir.VectorType(_FLOAT, lanes)
             row = _place(context, builder, signature.args[3], planes, first, row)
             here, bounds = builder.load(row, align=4), builder.bitcast(boxes, _FLOAT.as_pointer())
 
             def on_left(box: Any) -> Any:
-                side = builder.add(builder.mul(box, _long(LANES)), axis)
+                side = builder.add(builder.mul(box, index(LANES)), axis)
                 low, high = (
-                    builder.load(builder.gep(bounds, [builder.add(side, _long(i))]))
+                    builder.load(builder.gep(bounds, [builder.add(side, index(i))]))
                     for i in (0, _HI)
                 )
-                center = _splat(builder, builder.fsub(high, low), lanes)
+                center = splat(builder, builder.fsub(high, low), lanes)
                 return builder.fcmp_ordered('<=', center, here)
 
             costs = _division_costs(builder, boxes, count, planar, lanes, on_left)

@@ -9,32 +9,22 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .machine import WIDTH, bytes_at, data_of, pick
+from .machine import WIDTH, bytes_at, data_of, index, pick, splat
 
 _FLOAT, _BIT, _INT, _LONG = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
 _WIDE = ir.VectorType(_FLOAT, WIDTH)
 
 
-def _splat(builder: Any, scalar: Any, vector: Any = _WIDE) -> Any:
-    empty = ir.Constant(vector, ir.Undefined)
-    one = builder.insert_element(empty, scalar, ir.Constant(_INT, 0))
-    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(_INT, WIDTH), [0] * WIDTH))
-
-
-def _number(value: int) -> Any:
-    return ir.Constant(_LONG, value)
-
-
 def _near_and_far(builder: Any, planes: Any, node: Any, octant: Any, ndim: int) -> list[Any]:
     """The near and far planes of a wide node's boxes, axis by axis."""
-    first = builder.mul(node, _number(2 * ndim))
+    first = builder.mul(node, index(2 * ndim))
 
     def side(axis: int, upper: Any) -> Any:
-        row = builder.add(first, builder.select(upper, _number(axis + ndim), _number(axis)))
-        place = builder.gep(planes, [builder.mul(row, _number(WIDTH))])
+        row = builder.add(first, builder.select(upper, index(axis + ndim), index(axis)))
+        place = builder.gep(planes, [builder.mul(row, index(WIDTH))])
         return builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
 
-    down = [builder.trunc(builder.lshr(octant, _number(k)), _BIT) for k in range(ndim)]
+    down = [builder.trunc(builder.lshr(octant, index(k)), _BIT) for k in range(ndim)]
     return [(side(k, down[k]), side(k, builder.not_(down[k]))) for k in range(ndim)]
 
 
@@ -59,8 +49,9 @@ def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, 
     """Test the rays of places[start:start + count] against the sixteen boxes of a wide node.
 
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
-    the least distance of each box (see `float_bits`); returns which boxes any ray meets. The rays
-    are records as of `wide_filter.ray_dtype`; bit k of `octant` says that they fly down axis k.
+    the least distance of each box, as integers of the same order; returns which boxes any ray
+    meets. The rays are records as of `wide_filter.ray_dtype`; bit k of `octant` says that they fly
+    down axis k.
     """
     sig = types.uint32(planes, node, octant, rays, places, start, count, hits, nearest)
     record = rays.dtype
@@ -79,8 +70,10 @@ def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, 
             ray = bytes_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
 
             def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
-                at = builder.gep(ray, [_number(record.offset(name) + 4 * axis)])
-                return _splat(builder, builder.load(builder.bitcast(at, _FLOAT.as_pointer())))
+                at = builder.gep(ray, [index(record.offset(name) + 4 * axis)])
+                return splat(
+                    builder, builder.load(builder.bitcast(at, _FLOAT.as_pointer())), WIDTH
+                )
 
             entry, met = _slabs(builder, boxes, field)
             so_far = builder.load(least)
@@ -104,7 +97,7 @@ def seen16(typingctx, masks, at, mask):
         words = ir.VectorType(_INT, WIDTH)
         data = data_of(context, builder, signature.args[0], args[0])
         place = builder.bitcast(builder.gep(data, [args[1]]), words.as_pointer())
-        common = builder.and_(builder.load(place, align=4), _splat(builder, args[2], words))
+        common = builder.and_(builder.load(place, align=4), splat(builder, args[2], WIDTH))
         seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
         return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
 

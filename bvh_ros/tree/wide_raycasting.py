@@ -71,8 +71,7 @@ def cast_rows(
     asked = origins, directions, t_max, masks, skip_inside, any_hit
     tally, ends = stack_array(2, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY] = 0
-    ids[start:stop], left_over[start:stop] = NONE, False
-    ts[start:stop], normals[start:stop] = np.inf, 0.0
+    ids[start:stop], ts[start:stop], normals[start:stop] = NONE, np.inf, 0.0
     answers = ids, ts, normals, left_over
     for first in range(start, stop, RAYS_SORTED):
         batch = rows[: min(stop - first, RAYS_SORTED)]

@@ -16,7 +16,6 @@ import numpy as np
 
 from ... import DynamicBVH, RayHits
 from ...tree import best_hit, ray_hits, raycasting, wide_raycasting
-from ...tree.slab import INSIDE, INVERSE, ORIGIN
 from ..rewiring import rewired
 from ..scenes import Boxes, Rays
 
@@ -24,16 +23,7 @@ from ..scenes import Boxes, Rays
 @numba.njit(error_model='numpy', forceinline=True, _nrt=False)
 def _plain_slabs(lo, hi, ray, leave):
     """(met, t, axis) by rounded arithmetic."""
-    entry = 0.0
-    entered = INSIDE
-    for axis in range(lo.shape[0]):
-        inverse = ray[INVERSE, axis]
-        at_lo = (lo[axis] - ray[ORIGIN, axis]) * inverse
-        at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
-        near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
-        if near > entry:
-            entry, entered = near, axis
-        leave = far if far < leave else leave
+    entry, leave, entered = best_hit.rounded_slabs(lo, hi, ray, leave)
     return entry <= leave, entry, entered
 
 
