@@ -24,8 +24,7 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Any:
 
     # C does not call us.
     compiled = Kernel(function, {'nopython': True, 'no_cfunc_wrapper': True, **options})
-    if cache_folder() is not None:
-        compiled._cache = KernelCache(function)
+    compiled._cache = KernelCache(function)
     return compiled
 
 

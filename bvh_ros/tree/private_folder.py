@@ -1,0 +1,70 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A folder that only this user can write.
+
+Whoever can write machine code that others run can run what they like as those others. A name in
+the machine's temporary folder, or in a home that somebody else lent, is nobody's until it is
+looked at.
+"""
+
+import os
+import stat
+import tempfile
+from pathlib import Path
+
+
+class UnsafeError(PermissionError):
+    """Others could have written here."""
+
+
+def is_ours_alone(status: os.stat_result) -> bool:
+    """Whether a file or folder is this user's, and nobody else may write it."""
+    if os.name == 'nt':
+        return True  # knows no such modes
+    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def open_private(ours: Path, name: str) -> Path:
+    """Return the folder `name` in our own one; both are made where they are missing.
+
+    What is above our own folder is the machine's, and not looked at.
+
+    Raises
+    ------
+    UnsafeError
+        If one of the two is a link, another user's, or can be written by others.
+    OSError
+        If no file can be written there.
+    """
+    for above in reversed(ours.parents):
+        if not above.exists():
+            above.mkdir(mode=0o700, exist_ok=True)
+    folder = ours / name
+    for part in ours, folder:
+        part.mkdir(mode=0o700, exist_ok=True)
+        _check(part)
+    with tempfile.TemporaryFile(dir=folder):
+        return folder
+
+
+def _check(folder: Path) -> None:
+    status = folder.lstat()
+    if stat.S_ISLNK(status.st_mode):
+        raise UnsafeError(f'{folder} is a link')
+    if not is_ours_alone(status):
+        raise UnsafeError(
+            f'{folder} has mode {stat.S_IMODE(status.st_mode):o} and belongs to user'
+            f' {status.st_uid}; only user {os.geteuid()} may write there'
+        )
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that others see whole or not at all."""
+    descriptor, draft = tempfile.mkstemp(dir=path.parent, suffix='.tmp')
+    try:
+        with open(descriptor, 'wb') as file:
+            file.write(content)
+        os.replace(draft, path)
+    except BaseException:
+        os.unlink(draft)
+        raise
