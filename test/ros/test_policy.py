@@ -2,12 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The SROS 2 policy grants what the nodes do, and nothing else."""
 
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rclpy.validate_namespace import validate_namespace
 
 POLICY = Path(__file__).parents[2] / 'config' / 'bvh_policy.xml'
 # What sros2's schema allows of the elements used: attributes (those that must be there first),
@@ -28,7 +33,9 @@ GRANTS = ('publish', 'subscribe', 'reply', 'request')
 
 @pytest.fixture(scope='module')
 def policy():
-    return ElementTree.parse(POLICY).getroot()
+    """As sros2 reads it, by lxml: to that, a comment is a child like any other, without a path."""
+    builder = ElementTree.TreeBuilder(insert_comments=True, insert_pis=True)
+    return ElementTree.parse(POLICY, ElementTree.XMLParser(target=builder)).getroot()
 
 
 def test_the_policy_has_the_form_that_sros2_reads(policy):
@@ -47,6 +54,23 @@ def test_the_policy_has_the_form_that_sros2_reads(policy):
             assert element.get(kind) in ('ALLOW', 'DENY')
 
 
+def test_sros2_makes_an_enclave_of_each_child(policy):
+    """It creates keys for the path of every child of `enclaves`, and then looks its profiles up.
+
+    Permissions name what a profile's `ns` and `node` make of `~`.
+    """
+    paths = [child.get('path') for child in policy.find('enclaves')]
+    assert paths == ['/bvh/node', '/bvh/lifecycle_node', '/bvh/client']
+    for path in paths:
+        assert validate_namespace(path)
+        (enclave,) = policy.findall(f"enclaves/enclave[@path='{path}']")
+        for profile in enclave.findall('profiles/profile'):
+            node = f'{profile.get("ns").rstrip("/")}/{profile.get("node")}'
+            assert node == ('/bvh_client' if path == '/bvh/client' else '/bvh')
+            for name in (item.text for block in profile for item in block):
+                assert validate_full_topic_name(name.replace('~', node))
+
+
 def granted(policy, enclave, name):
     """What an enclave allows, with its node called `name`: kind of right to names."""
     (profile,) = policy.findall(f"enclaves/enclave[@path='{enclave}']/profiles/profile")
@@ -60,16 +84,16 @@ def granted(policy, enclave, name):
     return {kind: set(names) for kind, names in rights.items()}
 
 
-def used(world):
+def used(world, name='bvh'):
     """What a running node does, as the graph tells."""
     node, ns = world.node, world.namespace
     # The graph tells of a node a moment after its first service answers.
-    world.until(lambda: ('bvh', ns) in node.get_node_names_and_namespaces())
+    world.until(lambda: (name, ns) in node.get_node_names_and_namespaces())
     return {
-        'publish': {n for n, _ in node.get_publisher_names_and_types_by_node('bvh', ns)},
-        'subscribe': {n for n, _ in node.get_subscriber_names_and_types_by_node('bvh', ns)},
-        'reply': {n for n, _ in node.get_service_names_and_types_by_node('bvh', ns)},
-        'request': {n for n, _ in node.get_client_names_and_types_by_node('bvh', ns)},
+        'publish': {n for n, _ in node.get_publisher_names_and_types_by_node(name, ns)},
+        'subscribe': {n for n, _ in node.get_subscriber_names_and_types_by_node(name, ns)},
+        'reply': {n for n, _ in node.get_service_names_and_types_by_node(name, ns)},
+        'request': {n for n, _ in node.get_client_names_and_types_by_node(name, ns)},
     }
 
 
@@ -105,3 +129,40 @@ def test_a_client_may_ask_and_nothing_else(policy):
     shared = {'/rosout', '/parameter_events'}
     assert client['publish'] - shared == {'/bvh/rays'} <= node['subscribe']
     assert client['subscribe'] <= node['publish']
+
+
+ASK = """
+import sys, time
+import rclpy
+from bvh_ros.client import BvhClient
+
+rclpy.init(args=['--ros-args', '-r', f'__ns:={sys.argv[1]}'])
+client = BvhClient(rclpy.create_node('bvh_client'))
+client.wait_until_ready()
+client.raycast_many([(0.0, 0.0, 0.0)], [(1.0, 0.0, 0.0)])
+client.names([])
+print('asked', flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_client_is_granted_what_it_does(policy, world):
+    """All but what only a program of its own asks for: here, diagnostics."""
+    client = subprocess.Popen(
+        [sys.executable, '-c', ASK, world.namespace],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert client.stdout.readline() == 'asked\n'
+        given = granted(policy, '/bvh/client', f'{world.namespace}/bvh_client')
+        allowed = {
+            kind: {name.replace('/bvh/', f'{world.name}/') for name in names}
+            for kind, names in given.items()
+        }
+        allowed['subscribe'] -= {'/diagnostics'}
+        world.until(lambda: used(world, 'bvh_client') == allowed)
+    finally:
+        client.stdin.close()
+        client.wait()
