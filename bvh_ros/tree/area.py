@@ -50,21 +50,36 @@ def union_area(nodes, a, b, scale):
 
 
 @inlined
-def area_scale(nodes, a, b):
-    """Power of two that brings the longest edge of the union of two nodes near 1, if its products
-    could leave the doubles.
-    """
+def longest_edge(nodes, a, b):
+    """Of the union of two nodes' boxes; it may overflow to inf."""
     a_node, b_node = nodes[a], nodes[b]
     longest = 0.0
     for axis in range(a_node.lo.shape[0]):
         longest = max(
             longest, max(a_node.hi[axis], b_node.hi[axis]) - min(a_node.lo[axis], b_node.lo[axis])
         )
-    if SMALLEST_EDGE < longest < LARGEST_EDGE or longest == 0.0:
-        return 1.0
+    return longest
+
+
+@inlined
+def unit_scale(longest):
+    """Power of two that brings an edge near 1: sums of areas of boxes within it then fit even a
+    float32.
+    """
     if math.isinf(longest):
         return 2.0**-1022
     return math.ldexp(1.0, min(-math.frexp(longest)[1], 1022))
+
+
+@inlined
+def area_scale(nodes, a, b):
+    """`unit_scale` for the union of two nodes, if float64 products of its edges could leave the
+    doubles; else 1.
+    """
+    longest = longest_edge(nodes, a, b)
+    if SMALLEST_EDGE < longest < LARGEST_EDGE:
+        return 1.0
+    return unit_scale(longest)
 
 
 @lean_kernel

@@ -88,7 +88,7 @@ def _search_depth_first(nodes, heights, root, leaf, scale):
         node, inherited = stack[top], bounds[top]
         if inherited + leaf_area >= best_cost and node != root:
             continue
-        while inherited + leaf_area <= best_cost:
+        while not is_leaf(node) and inherited + leaf_area <= best_cost:
             # Unsigned: to look whether a number counts from the end would delay every node.
             near, far = np.uint32(nodes[node].left), np.uint32(nodes[node].right)
             for child in (near, far):  # the next node is one of their children

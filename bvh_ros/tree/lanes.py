@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .machine import bytes_at, data_of, index, pick, splat
+from .machine import elements_at, index, pick, record_at, splat
 
 EIGHT = 8
 
@@ -22,9 +22,15 @@ _VECTOR = ir.VectorType(_DOUBLE, EIGHT)
 
 def _field(context: Any, builder: Any, kind: Any, records: Any, row: Any, name: str) -> Any:
     """Pointer to the doubles of a field of records[row]."""
-    record = bytes_at(context, builder, kind, records, row)
+    record = record_at(context, builder, kind, records, row)
     place = builder.gep(record, [index(kind.dtype.offset(name))])
     return builder.bitcast(place, _DOUBLE.as_pointer())
+
+
+def _eight_at(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
+    """Pointer to eight doubles from array[at] on."""
+    first = elements_at(context, builder, kind, array, at, index(EIGHT))
+    return builder.bitcast(first, _VECTOR.as_pointer())
 
 
 def _load8(builder: Any, doubles: Any, at: Any) -> Any:
@@ -53,18 +59,17 @@ def gap_squares8(typingctx, nodes, node, points, squares, at):
         nodes, node, points, squares, at = args
         lo = _field(context, builder, kind, nodes, node, 'lo')
         hi = _field(context, builder, kind, nodes, node, 'hi')
-        points = data_of(context, builder, points_kind, points)
         total = None
         for axis in axes:
-            point = _load8(builder, points, index(axis * EIGHT))
+            row = _eight_at(context, builder, points_kind, points, index(axis * EIGHT))
+            point = builder.load(row, align=8)
             below = builder.fsub(_load_all(builder, lo, index(axis)), point)
             above = builder.fsub(point, _load_all(builder, hi, index(axis)))
             outside = pick(builder, '>', below, above)
             gap = pick(builder, '>', outside, ir.Constant(_VECTOR, [0.0] * 8))
             square = builder.fmul(gap, gap)
             total = square if total is None else builder.fadd(total, square)
-        place = builder.gep(data_of(context, builder, squares_kind, squares), [at])
-        builder.store(total, builder.bitcast(place, _VECTOR.as_pointer()), align=8)
+        builder.store(total, _eight_at(context, builder, squares_kind, squares, at), align=8)
         return context.get_dummy_value()
 
     return types.void(nodes, node, points, squares, at), codegen
@@ -75,8 +80,9 @@ def at_most8(typingctx, values, at, limits):
     """Bit mask of the lanes in which values[at:at + 8] <= limits[:8]."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values = _load8(builder, data_of(context, builder, signature.args[0], args[0]), args[1])
-        limits = _load8(builder, data_of(context, builder, signature.args[2], args[2]), index(0))
+        values = _eight_at(context, builder, signature.args[0], args[0], args[1])
+        limits = _eight_at(context, builder, signature.args[2], args[2], index(0))
+        values, limits = builder.load(values, align=8), builder.load(limits, align=8)
         return _bits(builder, builder.fcmp_ordered('<=', values, limits))
 
     return types.uint32(values, at, limits), codegen

@@ -58,14 +58,31 @@ def pick(builder: Any, order: str, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(order, a, b), a, b)
 
 
-def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
-    return context.make_array(kind)(context, builder, array).data
+def elements_at(context: Any, builder: Any, kind: Any, array: Any, first: Any, count: Any) -> Any:
+    """Pointer to array[first], to read or write so many elements from there.
+
+    With NUMBA_BOUNDSCHECK they must be there, as for what numba itself reads and writes.
+    """
+    view = context.make_array(kind)(context, builder, array)
+    if context.enable_boundscheck:
+        last = builder.sub(builder.add(first, count), index(1))
+        for place in (first, last):
+            cgutils.do_boundscheck(context, builder, place, view.nitems)
+    return builder.gep(view.data, [first])
 
 
-def bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
-    """Pointer to the bytes of array[place]."""
+def record_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
+    """Pointer to the bytes of array[place], checked as `elements_at` does."""
+    here = elements_at(context, builder, kind, array, place, index(1))
+    return builder.bitcast(here, _BYTE.as_pointer())
+
+
+def _bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
+    """Pointer to the bytes of array[place], wherever that is: not to be read."""
     size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
-    start = builder.bitcast(data_of(context, builder, kind, array), _BYTE.as_pointer())
+    start = builder.bitcast(
+        context.make_array(kind)(context, builder, array).data, _BYTE.as_pointer()
+    )
     return builder.gep(start, [builder.mul(place, index(size))])
 
 
@@ -80,7 +97,7 @@ def prefetch(typingctx, array, place, lines):
             ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT]),
             'llvm.prefetch.p0i8',
         )
-        first = bytes_at(context, builder, signature.args[0], args[0], args[1])
+        first = _bytes_at(context, builder, signature.args[0], args[0], args[1])
         for line in range(count):
             how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]  # to be read, near, data
             builder.call(ask, [builder.gep(first, [index(64 * line)]), *how])
@@ -100,8 +117,8 @@ def trailing_zeros(typingctx, bits):
 
 
 def _vector_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
-    data = data_of(context, builder, kind, array)
-    return builder.bitcast(builder.gep(data, [place]), _VECTOR.as_pointer())
+    first = elements_at(context, builder, kind, array, place, index(LANES))
+    return builder.bitcast(first, _VECTOR.as_pointer())
 
 
 @intrinsic

@@ -28,7 +28,9 @@ SLOT_BITS = 26  # 67 million boxes at once, and 2**37 insertions over a tree's l
 SLOT_MASK = (1 << SLOT_BITS) - 1
 LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
 
-# No tree is higher than 4 * SLOT_BITS + 4, so a stack of nodes fits an array of this size.
+# No tree is higher once a change is done, see `building.height_limit`. During one, a new leaf may
+# add a level, and rotations none beyond this: a stack of nodes fits an array of DEEPEST.
+HIGHEST = 4 * SLOT_BITS + 4
 DEEPEST = 128
 
 # Places in the small state array that kernels read and write.

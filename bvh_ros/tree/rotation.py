@@ -18,7 +18,7 @@ import numpy as np
 
 from .area import area_scale, node_area, union_area
 from .compiling import inlined, lean_kernel
-from .nodes import NONE, adopt, is_leaf
+from .nodes import HIGHEST, NONE, adopt, is_leaf
 
 
 @inlined
@@ -69,6 +69,8 @@ def _rotate(nodes, heights, node, left, right, scale):
                 np.int64(heights[niece]),
                 1 + max(np.int64(heights[child]), np.int64(heights[stays])),
             )
+            if height > HIGHEST:
+                continue
             if change < best_change or height < best_height:
                 best_change, best_height = change, height
                 best_child, best_uncle, best_niece = child, uncle, niece

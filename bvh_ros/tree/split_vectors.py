@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .machine import LANES, WIDTH, data_of, index, splat
+from .machine import LANES, WIDTH, elements_at, index, pick, splat
 
 NO_COST = np.uint32(0x7F800000)  # the bits of inf; those of NaN are above
 NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number
@@ -37,9 +37,17 @@ def _floats(number: float, lanes: int) -> Any:
 
 
 def _place(context: Any, builder: Any, kind: Any, array: Any, at: Any, vector: Any) -> Any:
-    """Where a vector lies in an array."""
-    data = data_of(context, builder, kind, array)
-    return builder.bitcast(builder.gep(data, [at]), vector.as_pointer())
+    """Where a vector, or one number, lies in an array."""
+    count = index(getattr(vector, 'count', 1))
+    first = elements_at(context, builder, kind, array, at, count)
+    return builder.bitcast(first, vector.as_pointer())
+
+
+def _boxes_from(context: Any, builder: Any, kind: Any, items: Any, start: Any, count: Any) -> Any:
+    """Pointer to so many boxes of `items`."""
+    at, floats = builder.mul(start, index(LANES)), builder.mul(count, index(LANES))
+    first = elements_at(context, builder, kind, items, at, floats)
+    return builder.bitcast(first, _BOX.as_pointer())
 
 
 def _larger(builder: Any, a: Any, b: Any) -> Any:
@@ -79,7 +87,7 @@ def _least_rank(builder: Any, costs: Any, first: Any) -> Any:
 
 @intrinsic
 def add_to_bins(typingctx, boxes, counts, items, item, scales):
-    """Add an item to a bin of each axis, sixteen bins an axis.
+    """Add an item to a bin of each axis, sixteen bins an axis; what is no number, to the first.
 
     `scales`, twelve float32: the least of twice the centres, bins for a unit of these, number of
     the last bin; four places for each.
@@ -97,7 +105,8 @@ def add_to_bins(typingctx, boxes, counts, items, item, scales):
         )
         center = builder.fsub(_half(builder, box, _HI), _half(builder, box, 0))
         number = builder.fmul(builder.fsub(center, origin), slope)
-        number = builder.select(builder.fcmp_ordered('<', number, last), number, last)
+        number = pick(builder, '>', number, _floats(0.0, 4))
+        number = pick(builder, '<', number, last)
         bins = builder.fptosi(number, ir.VectorType(_INT, 4))
         for axis in range(3):
             chosen = builder.zext(builder.extract_element(bins, ir.Constant(_INT, axis)), _LONG)
@@ -154,8 +163,7 @@ def rank_bins(typingctx, boxes, counts, axis, total, planar):
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         boxes, counts, axis, total, planar = args
         first, tally = builder.mul(axis, index(WIDTH)), ir.VectorType(_INT, WIDTH)
-        at = builder.mul(first, index(LANES))
-        row = _place(context, builder, signature.args[0], boxes, at, _BOX)
+        row = _boxes_from(context, builder, signature.args[0], boxes, first, index(WIDTH))
         row = [builder.load(builder.gep(row, [index(i)]), align=4) for i in range(WIDTH)]
         left = _union_edges(builder, row)
         # Right of the last bin there is nothing.
@@ -216,8 +224,7 @@ def rank_subsets(typingctx, items, start, count, planar):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         items, start, count, planar = args
-        at = builder.mul(start, index(LANES))
-        boxes = _place(context, builder, signature.args[0], items, at, _BOX)
+        boxes = _boxes_from(context, builder, signature.args[0], items, start, count)
 
         def on_left(box: Any) -> Any:
             bit = builder.shl(ir.Constant(_INT, 1), builder.trunc(box, _INT))
@@ -243,8 +250,8 @@ def _ranking_planes(lanes: int) -> Any:
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             items, start, count, planes, axis, planar = args
-            at, first = builder.mul(start, index(LANES)), builder.mul(axis, index(WIDTH))
-            boxes = _place(context, builder, signature.args[0], items, at, _BOX)
+            first = builder.mul(axis, index(WIDTH))
+            boxes = _boxes_from(context, builder, signature.args[0], items, start, count)
             row = ir.VectorType(_FLOAT, lanes)
             row = _place(context, builder, signature.args[3], planes, first, row)
             here, bounds = builder.load(row, align=4), builder.bitcast(boxes, _FLOAT.as_pointer())

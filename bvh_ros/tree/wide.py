@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .area import area_scale, node_area
+from .area import longest_edge, node_area, unit_scale
 from .compiling import inlined, kernel, lean_kernel
 from .machine import WIDTH, stack_array
 from .nodes import DEEPEST, is_leaf
@@ -121,8 +121,11 @@ def plan_collapse(nodes, root, least, shares):
     least[k, j - 1]: of the subtree of inner node 2 k + 1 when it may take up to j lanes of the
     wide node above. shares[k, j - 1]: how many of those lanes its left child gets; 0 if it takes
     one lane, as a wide node of its own.
+
+    Whatever the costs are, shares[k, WIDTH - 1] is from 1 to WIDTH - 1, and no other one is more
+    than its lanes allow: what fills the nodes needs nothing else to stay within them.
     """
-    scale = area_scale(nodes, root, root)
+    scale = unit_scale(longest_edge(nodes, root, root))
     visit = np.float32(NODE_COST * node_area(nodes, root, scale))
     order = post_order(nodes, root)
     for place in range(order.shape[0] - 1, -1, -1):
@@ -130,7 +133,7 @@ def plan_collapse(nodes, root, least, shares):
         left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
         here, share = least[node >> 1], shares[node >> 1]
         for lanes in range(2, WIDTH + 1):
-            best, best_share = np.float32(np.inf), 0
+            best, best_share = np.float32(np.inf), 1
             for given in range(1, lanes):
                 cost = np.float32(0.0)
                 if not is_leaf(left):
@@ -142,7 +145,7 @@ def plan_collapse(nodes, root, least, shares):
             here[lanes - 1], share[lanes - 1] = best, best_share
         here[0] = np.float32(node_area(nodes, node, scale)) + visit + here[WIDTH - 1]
         share[0] = 0
-        for lanes in range(2, WIDTH + 1):
+        for lanes in range(2, WIDTH):
             if here[lanes - 2] < here[lanes - 1]:
                 here[lanes - 1], share[lanes - 1] = here[lanes - 2], share[lanes - 2]
     return count_wide(nodes, root, shares)

@@ -9,18 +9,17 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .machine import WIDTH, bytes_at, data_of, index, pick, splat
+from .machine import WIDTH, elements_at, index, pick, record_at, splat
 
 _FLOAT, _BIT, _INT, _LONG = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
 _WIDE = ir.VectorType(_FLOAT, WIDTH)
 
 
-def _near_and_far(builder: Any, planes: Any, node: Any, octant: Any, ndim: int) -> list[Any]:
-    """The near and far planes of a wide node's boxes, axis by axis."""
-    first = builder.mul(node, index(2 * ndim))
+def _near_and_far(builder: Any, planes: Any, octant: Any, ndim: int) -> list[Any]:
+    """The near and far ones of a wide node's planes, axis by axis."""
 
     def side(axis: int, upper: Any) -> Any:
-        row = builder.add(first, builder.select(upper, index(axis + ndim), index(axis)))
+        row = builder.select(upper, index(axis + ndim), index(axis))
         place = builder.gep(planes, [builder.mul(row, index(WIDTH))])
         return builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
 
@@ -58,16 +57,20 @@ def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, 
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         _, node, octant, rays, _, start, count, _, _ = args
-        planes, places, hits, nearest = (
-            data_of(context, builder, signature.args[k], args[k]) for k in (0, 4, 7, 8)
-        )
+
+        def part(k: int, first: Any, length: Any) -> Any:
+            return elements_at(context, builder, signature.args[k], args[k], first, length)
+
         ndim = record.typeof('slope').shape[0]
-        boxes = _near_and_far(builder, planes, node, octant, ndim)
+        floats = index(2 * ndim * WIDTH)
+        boxes = _near_and_far(builder, part(0, builder.mul(node, floats), floats), octant, ndim)
+        places, hits = part(4, start, count), part(7, index(0), count)
+        nearest = part(8, index(0), index(WIDTH))
         least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         any_hits = cgutils.alloca_once_value(builder, ir.Constant(_INT, 0))
         with cgutils.for_range(builder, count) as loop:
-            place = builder.load(builder.gep(places, [builder.add(start, loop.index)]))
-            ray = bytes_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
+            place = builder.load(builder.gep(places, [loop.index]))
+            ray = record_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
 
             def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
                 at = builder.gep(ray, [index(record.offset(name) + 4 * axis)])
@@ -95,8 +98,8 @@ def seen16(typingctx, masks, at, mask):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         words = ir.VectorType(_INT, WIDTH)
-        data = data_of(context, builder, signature.args[0], args[0])
-        place = builder.bitcast(builder.gep(data, [args[1]]), words.as_pointer())
+        first = elements_at(context, builder, signature.args[0], args[0], args[1], index(WIDTH))
+        place = builder.bitcast(first, words.as_pointer())
         common = builder.and_(builder.load(place, align=4), splat(builder, args[2], WIDTH))
         seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
         return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
