@@ -1,0 +1,51 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A node's client: publish obstacles as markers, ask the node about them.
+
+bvh_node &
+python examples/ask_a_node.py
+"""
+
+import sys
+
+import rclpy
+from rclpy.qos import QoSProfile
+from visualization_msgs.msg import Marker, MarkerArray
+
+from bvh_ros.client import BvhClient
+
+
+def crate(number: int, x: float) -> Marker:
+    """Return a cube of 1 m on the floor."""
+    marker = Marker(ns='crate', id=number, type=Marker.CUBE, action=Marker.ADD)
+    marker.pose.position.x, marker.pose.position.z = x, 0.5
+    marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+    return marker
+
+
+def main(name: str) -> None:
+    """Publish three crates, wait until the node knows them, ask."""
+    rclpy.init()
+    node = rclpy.create_node('ask_a_node')
+    client = BvhClient(node, name)
+    client.wait_until_ready()
+    publisher = node.create_publisher(MarkerArray, f'{name}/obstacles', QoSProfile(depth=1000))
+    while not publisher.get_subscription_count():
+        rclpy.spin_once(node, timeout_sec=0.1)
+    publisher.publish(MarkerArray(markers=[crate(k, 5.0 * k) for k in (1, 2, 3)]))
+    while len(client.raycast_all((0.0, 0.0, 0.5), (20.0, 0.0, 0.5))) < 3:
+        pass  # the message is on its way
+
+    hit = client.raycast((0.0, 0.0, 0.5), (20.0, 0.0, 0.5))
+    print('first on the way:', hit.name, 'at', tuple(round(x, 3) for x in hit.point))
+    hit = client.raycast((0.0, 0.8, 0.5), (20.0, 0.8, 0.5), radius=0.4)
+    print('a robot of 0.4 m, 0.8 m to the side, meets', hit.name)
+    free = client.raycast((0.0, 2.0, 0.5), (20.0, 2.0, 0.5), radius=0.4) is None
+    print('2 m to the side the way is', 'free' if free else 'blocked')
+    print('within 2 m of (9, 0):', [h.name for h in client.overlap((9, 0), (9, 0), tolerance=2.0)])
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    main(sys.argv[1] if len(sys.argv) > 1 else '/bvh')

@@ -1,0 +1,46 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A planner's loop at 20 Hz: of some headings, take the one nearest to the goal whose way is free.
+
+python examples/planner_loop.py
+"""
+
+import numpy as np
+
+from bvh_ros.scene import Numbered, Scene, Shapes
+
+rng = np.random.default_rng(3)
+COUNT, RADIUS, SPACE = 40, 0.4, 0.1  # m
+STEP, TICK = 0.05, 0.05  # m, s: the robot drives at 1 m/s
+AHEAD = 2.0  # m that must be free
+
+place = np.column_stack([rng.uniform(2.0, 18.0, (COUNT, 2)), np.full(COUNT, 0.5)])
+speed = np.column_stack([rng.normal(0.0, 0.3, (COUNT, 2)), np.zeros(COUNT)])
+scene, names = Scene(planar=True), Numbered('cart/', np.arange(COUNT))
+robot, goal = np.array([0.0, 0.0, 0.0]), np.array([20.0, 20.0, 0.0])
+waited = evaded = 0
+for tick in range(2_000):
+    place += TICK * speed
+    scene.update('carts', names, Shapes.boxes(place, [0.6, 0.6, 1.0]), stamp=tick)
+    way = goal - robot
+    if np.linalg.norm(way) < STEP:
+        break
+    straight = np.arctan2(way[1], way[0])
+    ahead = min(AHEAD, float(np.linalg.norm(way)))
+    near = scene.overlap(robot, robot, tolerance=RADIUS + SPACE)
+    if near:  # a cart came too near: away from it
+        heading = robot - near[0].point
+        robot = robot + STEP * heading / np.linalg.norm(heading)
+        evaded += 1
+        continue
+    for turn in sorted(np.radians(np.arange(-120, 121, 15)), key=abs):
+        heading = np.array([np.cos(straight + turn), np.sin(straight + turn), 0.0])
+        if scene.raycast(robot, robot + ahead * heading, RADIUS + SPACE) is None:
+            robot = robot + STEP * heading
+            break
+    else:
+        waited += 1  # surrounded: stand still
+print(
+    f'at the goal after {tick * TICK:.1f} s; stood still for {waited * TICK:.1f} s, '
+    f'evaded a cart for {evaded * TICK:.1f} s'
+)

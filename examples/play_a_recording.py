@@ -1,0 +1,43 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A recording: MarkerArrays of a ROS 2 bag into a scene, without ROS, and a question a message.
+
+pip install 'bvh_ros[bags]' && python examples/play_a_recording.py my_bag
+"""
+
+import sys
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from bvh_ros.scene import Scene, Shapes
+
+MARKERS, CUBE, ADD, DELETE = 'visualization_msgs/msg/MarkerArray', 1, 0, 2
+
+
+def main(bag: Path) -> None:
+    """Read cubes, and tell who stands within 5 m of the origin."""
+    scene = Scene()
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        connections = [c for c in reader.connections if c.msgtype == MARKERS]
+        for connection, stamp, raw in reader.messages(connections):
+            markers = reader.deserialize(raw, connection.msgtype).markers
+            cubes = [m for m in markers if m.type == CUBE and m.action == ADD]
+            if cubes:
+                poses = [m.pose for m in cubes]
+                centres = [[getattr(p.position, axis) for axis in 'xyz'] for p in poses]
+                turns = [[getattr(p.orientation, axis) for axis in 'xyzw'] for p in poses]
+                sizes = [[m.scale.x, m.scale.y, m.scale.z] for m in cubes]
+                names = [f'{m.ns}/{m.id}' for m in cubes]
+                for refusal in scene.update(
+                    'bag', names, Shapes.boxes(centres, sizes, turns), stamp=stamp
+                ):
+                    print('refused:', refusal)
+            scene.remove('bag', [f'{m.ns}/{m.id}' for m in markers if m.action == DELETE])
+            near = [hit.name for hit in scene.overlap([0, 0, 0], [0, 0, 0], tolerance=5.0)]
+            print(f't = {stamp / 1e9:.2f} s: {len(scene)} obstacles, within 5 m: {near}')
+
+
+if __name__ == '__main__':
+    main(Path(sys.argv[1]))

@@ -1,0 +1,40 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A virtual lidar: 64 rings of 512 beams from one place, among people who walk.
+
+python examples/virtual_lidar.py
+"""
+
+import numpy as np
+
+from bvh_ros.scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
+
+rng = np.random.default_rng(0)
+PEOPLE, RANGE = 200, 50.0  # m
+
+azimuth = np.linspace(-np.pi, np.pi, 512, endpoint=False)
+elevation = np.radians(np.linspace(-25.0, 15.0, 64))[:, None]
+beams = np.stack(
+    [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+     np.broadcast_to(np.sin(elevation), (64, 512))], axis=-1,
+).reshape(-1, 3)  # fmt: skip
+
+place = np.column_stack([rng.uniform(-40.0, 40.0, (PEOPLE, 2)), np.full(PEOPLE, 0.9)])
+speed = np.column_stack([rng.normal(0.0, 1.0, (PEOPLE, 2)), np.zeros(PEOPLE)])  # m/s
+people = Shapes(
+    kind=np.full(PEOPLE, ShapeKind.CYLINDER, np.uint8),
+    position=place,
+    orientation=np.tile([0.0, 0.0, 0.0, 1.0], (PEOPLE, 1)),
+    size=np.tile([0.5, 0.5, 1.8], (PEOPLE, 1)),
+)
+scene, names = Scene(), Numbered('person/', np.arange(PEOPLE))
+origins = np.tile([0.0, 0.0, 1.5], (len(beams), 1))
+for frame in range(5):  # at 10 Hz
+    people = people._replace(position=place + 0.1 * frame * speed)
+    scene.update('walking', names, people, stamp=frame * 100_000_000)
+    handles, ranges, points, normals = scene.raycast_many(origins, beams, RANGE)
+    seen = handles != NO_NODE
+    print(
+        f't = {0.1 * frame:.1f} s: {np.count_nonzero(seen)} of {len(beams)} beams return, from '
+        f'{len(np.unique(handles[seen]))} people, the nearest {ranges[seen].min():.2f} m away'
+    )
