@@ -4,17 +4,19 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
-from . import error, features, intake, peers, speed, stability
+from . import error, features, intake, peers, soak, speed, stability
 from .page import Page
-from .progress import Progress
-from .soak import Soak
+from .progress import bar, say
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
+# A part is a module with an INTRODUCTION and SECTIONS: by name, functions of the page and of
+# whether the report is to be brief, which return how many cases failed, or None.
 PARTS = {
     'error': error,
     'features': features,
@@ -24,26 +26,40 @@ PARTS = {
 }
 
 
+class Section(NamedTuple):
+    """One piece of a part."""
+
+    name: str
+    run: Callable[[Page, bool], int | None]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chosen parts and write the page."""
     options = _options(arguments)
     if find_spec('matplotlib') is None:
         sys.exit("bvh_report draws with matplotlib: pip install 'bvh_ros[report]'")
-    parts = _parts(options)
-    with Progress(sum(part.steps(options.quick) for part in parts)) as progress:
-        page = Page(options.out, progress.write, options.data)
-        failed = sum(part.run(page, progress, options.quick) or 0 for part in parts)
+    page = Page(options.out, say, options.data)
+    sections = bar(_sections(options), lambda section: section.name)
+    failed = sum(section.run(page, options.quick) or 0 for section in sections)
     print(f'written: {page.write()}')
     if failed:
         sys.exit(f'{failed} cases failed')
 
 
-def _parts(options: argparse.Namespace) -> Sequence[Any]:
+def _sections(options: argparse.Namespace) -> list[Section]:
     if options.part == 'soak':
-        return [Soak(options.minutes)]
-    if options.part == 'intake':
-        return [intake]
-    return list(PARTS.values()) if options.part == 'all' else [PARTS[options.part]]
+        return [Section('soak', lambda page, _brief: soak.run(page, options.minutes))]
+    chosen = {'intake': intake, **PARTS}
+    names = list(PARTS) if options.part == 'all' else [options.part]
+    found = []
+    for name in names:
+        found.append(Section(name, partial(_introduce, chosen[name].INTRODUCTION)))
+        found += [Section(f'{name}: {what}', run) for what, run in chosen[name].SECTIONS.items()]
+    return found
+
+
+def _introduce(text: str, page: Page, _brief: bool) -> None:
+    page.add(text)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -11,7 +11,6 @@ from . import plots, timing
 from .libraries import LIBRARIES, Library
 from .libraries.base import Work, make_work
 from .page import Page
-from .progress import Progress
 from .tables import Cell, Table
 from .timing import Timing, interleaved
 
@@ -31,38 +30,17 @@ class Task(NamedTuple):
     """Rays, queries or points."""
 
 
-MIDDLE = (10_000,)
+MIDDLE, GROWING = (10_000,), (1_000, 10_000, 100_000)
 TASKS = (
-    Task(
-        'cast',
-        'Cast rays: the first box on each',
-        'ns a ray',
-        'hits',
-        (1_000, 10_000, 100_000),
-        20_000,
-    ),
-    Task(
-        'frame',
-        'A frame: all boxes move a little, then 1,000 rays',
-        'ns a frame',
-        'hits',
-        MIDDLE,
-        1_000,
-    ),
+    Task('cast', 'Cast rays: the first box on each', 'ns a ray', 'hits', GROWING, 20_000),
+    Task('frame', 'Move all boxes a little, then 1,000 rays', 'ns a frame', 'hits', MIDDLE, 1_000),
     Task('move_all', 'Move all boxes a little', 'ns a box', '', MIDDLE, 1),
     Task('move_some', 'Move 1 box in 32 to anywhere', 'ns a box', '', MIDDLE, 1),
     Task('build', 'Build from nothing', 'ns a box', 'boxes', MIDDLE, 1),
-    Task(
-        'overlap',
-        'Overlaps of a small box (half a hit on average)',
-        'ns a query',
-        'hits',
-        MIDDLE,
-        20_000,
-    ),
+    Task('overlap', 'Overlaps of a small box', 'ns a query', 'hits', MIDDLE, 20_000),
     Task('pairs', 'All pairs of boxes that overlap', 'ns a box', 'pairs', MIDDLE, 1),
     Task('nearest', 'Nearest of many points', 'ns a query', 'mm in sum', MIDDLE, 20_000),
-)
+)  # fmt: skip
 REPEATS, REPEATS_QUICK = 15, 3
 
 
@@ -71,24 +49,16 @@ def quick(task: Task) -> Task:
     return task._replace(sizes=(300,), asked=min(task.asked, 200))
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    if brief:
-        return REPEATS_QUICK * len(TASKS)
-    return REPEATS * sum(len(task.sizes) for task in TASKS)
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def all_tasks(page: Page, brief: bool) -> None:
     """Measure every task that two or more installed libraries can do."""
     libraries = [library for library in LIBRARIES if library.installed()]
-    page.add('## Peers')
     page.add(_introduction(libraries))
     slower: dict[str, dict[str, float]] = {}
     summary: list[list[Cell]] = []
     names = [library.name for library in libraries if library.name != 'bvh_ros']
     with one_processor():
         for task in TASKS:
-            found = measure(quick(task) if brief else task, libraries, progress, brief)
+            found = measure(quick(task) if brief else task, libraries, brief)
             page.add(f'### {task.title}')
             page.table(table(task, found))
             summary += [_summary(task, *entry, names) for entry in found.items()]
@@ -153,13 +123,10 @@ def one_processor() -> Iterator[None]:
         os.sched_setaffinity(0, before)
 
 
-def measure(
-    task: Task, libraries: list[Library], progress: Progress, brief: bool
-) -> dict[int, dict[str, Timing]]:
+def measure(task: Task, libraries: list[Library], brief: bool) -> dict[int, dict[str, Timing]]:
     """Timings by number of boxes and by library."""
     found = {}
     for size in task.sizes:
-        progress.say(f'peers: {task.name}, {size:,} boxes')
         work: Work = make_work(size, task.asked)
         jobs = {
             library.name: getattr(library, task.name)(work)
@@ -167,7 +134,7 @@ def measure(
             if hasattr(library, task.name)
         }
         repeats = REPEATS_QUICK if brief else REPEATS
-        found[size] = interleaved(jobs, repeats, progress.step, warm=True)
+        found[size] = interleaved(jobs, repeats, warm=True)
     return found
 
 
@@ -187,3 +154,7 @@ def table(task: Task, found: dict[int, dict[str, Timing]]) -> Table:
         row += [found[last][name].answers] if task.answers else []
         rows.append(row)
     return Table(f'peers_{task.name}', header, rows)
+
+
+INTRODUCTION = '## Peers'
+SECTIONS = {'all tasks': all_tasks}

@@ -1,53 +1,34 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The progress bar."""
+"""The progress bar: on a terminal as it goes, elsewhere a line a minute at most."""
 
-from types import TracebackType
-from typing import Any
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+Item = TypeVar('Item')
 
 
-class Progress:
-    """A bar of known length on the terminal; silent where tqdm is not installed.
+def bar(items: Sequence[Item], name: Callable[[Item], str]) -> Iterator[Item]:
+    """Go through the items under a bar that says what is being done; silent without tqdm."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        yield from items
+        return
+    interval = 0.1 if sys.stderr.isatty() else 60.0
+    with tqdm(total=len(items), mininterval=interval, dynamic_ncols=True, leave=False) as shown:
+        for item in items:
+            shown.set_description(name(item), refresh=sys.stderr.isatty())
+            yield item
+            shown.update()
 
-    Parameters
-    ----------
-    total : int
-        How many steps there will be.
-    """
 
-    def __init__(self, total: int) -> None:
-        self._bar: Any = None
-        try:
-            from tqdm import tqdm
-        except ImportError:
-            return
-        self._bar = tqdm(total=total, unit='turn', dynamic_ncols=True, leave=False)
-
-    def __enter__(self) -> 'Progress':
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def say(self, what: str) -> None:
-        """Tell what is being done."""
-        if self._bar is not None:
-            self._bar.set_description(what)
-
-    def write(self, text: str) -> None:
-        """Print above the bar."""
-        if self._bar is not None:
-            self._bar.write(text)
-        else:
-            print(text)
-
-    def step(self) -> None:
-        """Move the bar on."""
-        if self._bar is not None:
-            self._bar.update()
+def say(text: str) -> None:
+    """Print above the bar."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        print(text)
+    else:
+        tqdm.write(text)

@@ -44,10 +44,8 @@ def _warm_up(job: Job) -> None:
         job.run()
 
 
-def interleaved(
-    jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None], warm: bool = False
-) -> dict[str, Timing]:
-    """Run the jobs in turns, after an untimed run each; `tick` is called after each turn.
+def interleaved(jobs: Mapping[str, Job], repeats: int, warm: bool = False) -> dict[str, Timing]:
+    """Run the jobs in turns, after an untimed run each.
 
     `warm`: untimed runs for some milliseconds before every timed one, so that short jobs don't pay
     for what the job before them has driven from the caches.
@@ -62,7 +60,6 @@ def interleaved(
             if warm:
                 _warm_up(job)
             took[name].append(seconds(job.run) / job.units)
-        tick()
     return {
         name: Timing(statistics.median(times) * 1e9, counts[name]) for name, times in took.items()
     }

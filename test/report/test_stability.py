@@ -4,6 +4,7 @@
 
 import math
 from fractions import Fraction
+from functools import partial
 
 import pytest
 
@@ -62,7 +63,8 @@ def test_a_wrong_distance_fails(monkeypatch):
 def test_the_command_fails_if_a_case_does(passed, monkeypatch, tmp_path):
     pytest.importorskip('matplotlib')
     case = Case('a case', 'input', '1', '2', passed)
-    monkeypatch.setattr(stability, 'GROUPS', {'Some': lambda brief: [case]})
+    section = partial(stability.judge, 'Some', lambda brief: [case])
+    monkeypatch.setattr(stability, 'SECTIONS', {'some': section})
     arguments = ['stability', '--quick', '--out', str(tmp_path)]
     if passed:
         cli.main(arguments)

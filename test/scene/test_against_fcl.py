@@ -11,8 +11,9 @@ import fcl
 import numpy as np
 import pytest
 from scene.reference import random_shapes
+from scene.widest_gap import widest_gap
 
-from bvh_ros.report.error.contacts import contacts, widest_gap
+from bvh_ros.report.error.contacts import contacts
 from bvh_ros.report.error.pairs import fcl_objects
 from bvh_ros.scene.narrow_phase import near_pairs
 from bvh_ros.scene.query_shape import solids as records_of

@@ -12,9 +12,9 @@ import os
 import fcl
 import numpy as np
 import pytest
+from scene.widest_gap import widest_gap
 
 from bvh_ros.report.error import recordings
-from bvh_ros.report.error.contacts import widest_gap
 from bvh_ros.report.error.pairs import fcl_objects
 from bvh_ros.report.error.scoring import score
 from bvh_ros.report.error.shape_scenes import rays_round, scene_answer, scene_of

@@ -5,7 +5,6 @@
 import numpy as np
 
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from . import recordings
 from .truth import boxes_truth
@@ -14,17 +13,17 @@ from .ways import box_ways, compare, repeats, show
 PLACES, PLACES_QUICK = 20, 2  # in the building, each with as many beams
 
 
-def random_scene(page: Page, progress: Progress, brief: bool) -> None:
+def random_scene(page: Page, brief: bool) -> None:
     """Boxes everywhere, rays from anywhere to anywhere."""
     rng = np.random.default_rng(1)
     count, asked = (300, 200) if brief else (10_000, 20_000)
     boxes, rays = uniform_boxes(count, rng), incoherent_rays(asked, rng)
     page.add('### Random boxes')
     page.add(f'{count:,} boxes that fill 2 % of a cube of 100 m, {asked:,} rays.')
-    _measure(page, progress, brief, 'random', 'Random boxes, random rays', boxes, rays)
+    _measure(page, brief, 'random', 'Random boxes, random rays', boxes, rays)
 
 
-def adversarial_scene(page: Page, progress: Progress, brief: bool) -> None:
+def adversarial_scene(page: Page, brief: bool) -> None:
     """Boxes on a lattice of tenths, rays through their corners, edges and face planes."""
     count, asked = (100, 200) if brief else (2_000, 20_000)
     boxes, rays = corner_rays(count, asked, np.random.default_rng(2))
@@ -34,7 +33,7 @@ def adversarial_scene(page: Page, progress: Progress, brief: bool) -> None:
         'at corners, edges and faces from other such points, many in the plane of a face. '
         'Where a ray only touches, rounding decides, unless the decision is exact.'
     )
-    _measure(page, progress, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
+    _measure(page, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
 
 
 def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes, Rays]:
@@ -56,7 +55,7 @@ def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes
     return Boxes(lo, hi), Rays(origins, directions)
 
 
-def building_scene(page: Page, progress: Progress, brief: bool) -> None:
+def building_scene(page: Page, brief: bool) -> None:
     """A real building, and the beams of a real scanner set up in its free places."""
     page.add('### Building 079, Freiburg')
     files = [
@@ -79,13 +78,10 @@ def building_scene(page: Page, progress: Progress, brief: bool) -> None:
         'its directions are what is real here).'
     )
     rays = Rays(origins, np.tile(directions, (places, 1)))
-    _measure(page, progress, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
+    _measure(page, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
 
 
-def _measure(
-    page: Page, progress: Progress, brief: bool, name: str, title: str, boxes: Boxes, rays: Rays
-) -> None:
-    progress.say(f'error: {name}')
+def _measure(page: Page, brief: bool, name: str, title: str, boxes: Boxes, rays: Rays) -> None:
     ways, truth = box_ways(boxes, rays), boxes_truth(boxes, rays)
-    found = compare(ways, truth, repeats(brief), progress)
+    found = compare(ways, truth, repeats(brief))
     show(page, name, f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays', ways, found)

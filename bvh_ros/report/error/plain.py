@@ -9,6 +9,7 @@ decides. What is left is the slab test as it is usually written.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from types import FunctionType
 from typing import Any
 
 import numba
@@ -16,8 +17,19 @@ import numpy as np
 
 from ... import DynamicBVH, RayHits
 from ...tree import best_hit, ray_hits, raycasting, wide_raycasting
-from ..rewiring import rewired
 from ..scenes import Boxes, Rays
+
+
+def rewired(original: Any, **calls: Any) -> Any:
+    """The same kernel with the same options, compiled again with some of the functions it calls
+    replaced.
+    """
+    python = original.py_func
+    function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
+    options = {
+        k: v for k, v in original.targetoptions.items() if k not in ('nopython', 'boundscheck')
+    }
+    return numba.njit(function, **options)
 
 
 @numba.njit(error_model='numpy', forceinline=True, _nrt=False)

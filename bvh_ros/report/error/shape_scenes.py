@@ -11,7 +11,6 @@ from ... import DynamicBVH
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
 from ...scene.shapes import bounds, canonical
 from ..page import Page
-from ..progress import Progress
 from ..scenes import EDGE, Boxes, Rays, incoherent_rays, spread
 from . import recordings
 from .scoring import Answer
@@ -21,7 +20,7 @@ from .ways import MEAN, WRONG, Way, compare, repeats, show, tree_answer
 World = tuple[Shapes, Rays]
 
 
-def random_shapes(page: Page, progress: Progress, brief: bool) -> None:
+def random_shapes(page: Page, brief: bool) -> None:
     """Turned boxes, spheres and cylinders everywhere."""
     rng = np.random.default_rng(4)
     count, asked = (100, 200) if brief else (3_000, 5_000)
@@ -32,7 +31,7 @@ def random_shapes(page: Page, progress: Progress, brief: bool) -> None:
         f'of 100 m, {asked:,} rays. Square roots of the truth are cut off after 256 bits.'
     )
     title = f'Random shapes: {count:,} shapes, {asked:,} rays'
-    _measure(page, progress, brief, 'shapes', title, [(shapes, rays)])
+    _measure(page, brief, 'shapes', title, [(shapes, rays)])
 
 
 def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
@@ -44,7 +43,7 @@ def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
     return Shapes(kind, spread(count, rng), rng.normal(size=(count, 4)), size)
 
 
-def shelves(page: Page, progress: Progress, brief: bool) -> None:
+def shelves(page: Page, brief: bool) -> None:
     """Recorded tables and shelves, seen from round about."""
     page.add('### Shelves and tables')
     path = page.data / 'manipulation_scenes' / 'scenes.csv'
@@ -61,7 +60,7 @@ def shelves(page: Page, progress: Progress, brief: bool) -> None:
         'float64: where boards are flush, less than 1e-15 m decides which of them is first.'
     )
     title = f'Shelves and tables: {len(worlds)} scenes, {asked * len(worlds):,} rays'
-    _measure(page, progress, brief, 'shelves', title, worlds)
+    _measure(page, brief, 'shelves', title, worlds)
 
 
 def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
@@ -100,17 +99,17 @@ def scene_answer(scene: Scene, rays: Rays) -> Answer:
     return Answer(np.where(handles == NO_NODE, NOTHING, handles.astype(np.int64) - 1), ts)
 
 
-def _scene_way(worlds: Sequence[World], family: str, kind: ShapeKind | None = None) -> Way:
+def _scene_way(worlds: Sequence[World], kind: ShapeKind | None = None) -> Way:
     changed = [(as_boxes(shapes, kind) if kind else shapes, rays) for shapes, rays in worlds]
     scenes = [(scene_of(shapes), rays) for shapes, rays in changed]
     counts = [len(shapes.kind) for shapes, _ in worlds]
-    return Way(lambda: _joined([scene_answer(*pair) for pair in scenes], counts), family)
+    return lambda: _joined([scene_answer(*pair) for pair in scenes], counts)
 
 
 def _tree_way(worlds: Sequence[World]) -> Way:
     trees = [(DynamicBVH.from_boxes(*bounds_of(shapes)), rays) for shapes, rays in worlds]
     counts = [len(shapes.kind) for shapes, _ in worlds]
-    return Way(lambda: _joined([tree_answer(*pair) for pair in trees], counts), 'simpler shapes')
+    return lambda: _joined([tree_answer(*pair) for pair in trees], counts)
 
 
 def _joined(answers: Sequence[Answer], counts: Sequence[int]) -> Answer:
@@ -135,19 +134,13 @@ def joined_truth(truths: Sequence[Truth], counts: Sequence[int]) -> Truth:
     return Truth(merged.rows, [t for truth in truths for t in truth.ts], entry, merged.ts)
 
 
-def _measure(
-    page: Page, progress: Progress, brief: bool, name: str, title: str, worlds: Sequence[World]
-) -> None:
-    progress.say(f'error: {name}')
-    ways = {
-        'bvh_ros, true shapes': _scene_way(worlds, 'exact'),
-        'AABB of each shape': _tree_way(worlds),
-    }
+def _measure(page: Page, brief: bool, name: str, title: str, worlds: Sequence[World]) -> None:
+    ways = {'bvh_ros, true shapes': _scene_way(worlds), 'AABB of each shape': _tree_way(worlds)}
     kinds = {kind for shapes, _ in worlds for kind in shapes.kind.tolist()}
     if ShapeKind.SPHERE in kinds:
-        ways['sphere as its box'] = _scene_way(worlds, 'simpler shapes', ShapeKind.SPHERE)
+        ways['sphere as its box'] = _scene_way(worlds, ShapeKind.SPHERE)
     if ShapeKind.CYLINDER in kinds:
-        ways['cylinder as its box'] = _scene_way(worlds, 'simpler shapes', ShapeKind.CYLINDER)
+        ways['cylinder as its box'] = _scene_way(worlds, ShapeKind.CYLINDER)
     counts = [len(shapes.kind) for shapes, _ in worlds]
     truth = joined_truth([shapes_truth(*world) for world in worlds], counts)
-    show(page, name, title, ways, compare(ways, truth, repeats(brief), progress), (WRONG, MEAN))
+    show(page, name, title, ways, compare(ways, truth, repeats(brief)), (WRONG, MEAN))

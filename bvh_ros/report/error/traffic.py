@@ -15,7 +15,6 @@ import numpy as np
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
 from .. import plots
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Floats, Rays
 from ..tables import Table
 from .recordings import Track, tracks
@@ -166,13 +165,12 @@ def traffic_truth(traffic: dict[int, Track], moments: list[Moment]) -> Truth:
     return joined._replace(rows=rows, entry=entry)
 
 
-def stale_traffic(page: Page, progress: Progress, brief: bool) -> None:
+def stale_traffic(page: Page, brief: bool) -> None:
     """US-101 at several refresh rates."""
     page.add('### Traffic on US-101: a stale world')
     path = page.data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
     if page.misses([path]):
         return
-    progress.say('error: traffic')
     traffic = tracks(path)
     seconds = 0.4 if brief else 7.9
     moments = moments_of(traffic, seconds, np.random.default_rng(6))
@@ -188,19 +186,11 @@ def stale_traffic(page: Page, progress: Progress, brief: bool) -> None:
         watchers[f'{rate} Hz'] = Observer(traffic, moments, rate)
     for rate in RATES:
         watchers[f'{rate} Hz, extrapolated'] = Observer(traffic, moments, rate, True)
-    ways = {name: Way(watcher.answer, _family(name)) for name, watcher in watchers.items()}
-    found = compare(
-        ways, traffic_truth(traffic, moments), repeats(brief), progress, dict(watchers)
-    )
+    ways: dict[str, Way] = {name: watcher.answer for name, watcher in watchers.items()}
+    found = compare(ways, traffic_truth(traffic, moments), repeats(brief), dict(watchers))
     title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'
     show(page, 'traffic', title, ways, found, (WRONG, MEAN))
     _rates(page, found[0])
-
-
-def _family(name: str) -> str:
-    if 'every' in name:
-        return 'exact'
-    return 'extrapolated' if 'extrapolated' in name else 'stale'
 
 
 def _rates(page: Page, scores: dict[str, Score]) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 from ... import DynamicBVH, RayHits
 from ...tree.nodes import SLOT_MASK
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Boxes, Rays
 from ..tables import Table
 from ..timing import Job, Timing, interleaved
@@ -19,13 +18,7 @@ from .picture import Panel, Point, tradeoff
 from .scoring import HEADER, Answer, Score, cells, score
 from .truth import NOTHING, Truth, brute_force
 
-
-class Way(NamedTuple):
-    """One way to answer the rays of a scene."""
-
-    run: Callable[[], Answer]
-    family: str
-    """Ways of one family look alike in the picture."""
+Way = Callable[[], Answer]  # one way to answer the rays of a scene
 
 
 class Shown(NamedTuple):
@@ -87,14 +80,14 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
     binary = plain.BinaryTree.from_boxes(*boxes)
     single = plain.single_precision(boxes, rays)
     return {
-        'bvh_ros, batch': Way(lambda: tree_answer(tree, rays), 'exact'),
-        'bvh_ros, one call a ray': Way(lambda: one_by_one(tree, rays), 'exact'),
-        'bvh_ros, binary tree': Way(lambda: tree_answer(binary, rays), 'exact'),
-        'batch, plain float64 leaves': Way(lambda: rounded_answer(tree, rays), 'float64'),
-        'binary tree, plain float64 leaves': Way(lambda: rounded_answer(binary, rays), 'float64'),
-        'binary tree, float32': Way(lambda: as_answer(single()), 'float32'),
-        f'brute force, float64 ({len(few.origins)} rays)': Way(
-            lambda: Answer(*brute_force(boxes, few)), 'brute force'
+        'bvh_ros, batch': lambda: tree_answer(tree, rays),
+        'bvh_ros, one call a ray': lambda: one_by_one(tree, rays),
+        'bvh_ros, binary tree': lambda: tree_answer(binary, rays),
+        'batch, plain float64 leaves': lambda: rounded_answer(tree, rays),
+        'binary tree, plain float64 leaves': lambda: rounded_answer(binary, rays),
+        'binary tree, float32': lambda: as_answer(single()),
+        f'brute force, float64 ({len(few.origins)} rays)': lambda: Answer(
+            *brute_force(boxes, few)
         ),
     }
 
@@ -103,7 +96,6 @@ def compare(
     ways: Mapping[str, Way],
     truth: Truth,
     repeats: int,
-    progress: Progress,
     timed: Mapping[str, Callable[[], Any]] | None = None,
 ) -> tuple[dict[str, Score], dict[str, Timing]]:
     """Score every way against the truth, and let them take turns.
@@ -112,13 +104,12 @@ def compare(
     """
     scores = {}
     for name, way in ways.items():
-        answer = way.run()
+        answer = way()
         scores[name] = score(answer, truth._replace(rows=truth.rows[: len(answer.rows)]))
     jobs = {
-        name: Job(timed[name] if timed else way.run, scores[name].rays)
-        for name, way in ways.items()
+        name: Job(timed[name] if timed else way, scores[name].rays) for name, way in ways.items()
     }
-    return scores, interleaved(jobs, repeats, progress.step, warm=True)
+    return scores, interleaved(jobs, repeats, warm=True)
 
 
 def show(
@@ -141,7 +132,6 @@ def show(
             way,
             times[way].nanoseconds / 1e3,
             [kind.error(scores[way]) for kind in shown],
-            ways[way].family,
             scores[way].rays == asked,
         )
         for way in ways

@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..page import Page
-from ..progress import Progress
 from ..tables import Cell, Table
 
 LEAN = 'no batch, no tf, no source'
@@ -23,29 +22,15 @@ NODES: dict[str, dict[str, object]] = {
 }
 
 
-def chosen(brief: bool) -> dict[str, dict[str, object]]:
-    """Rows of the table."""
-    return {LEAN: NODES[LEAN]} if brief else NODES
-
-
-def repeats(brief: bool) -> int:
-    """Of each node, with an untimed one before, which compiles what is not compiled yet."""
-    return 2 if brief else 3
-
-
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return repeats(brief) * len(chosen(brief))
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def node_parts(page: Page, brief: bool) -> None:
     """Start nodes, in turns."""
     page.add('### The node')
     if find_spec('rclpy') is None:
         page.add("Left out: there is no rclpy (pip install 'bvh_ros[ros]').")
         return
-    progress.say('features: the node')
-    took = _start_all(chosen(brief), repeats(brief), page.folder / 'features_node.log', progress)
+    nodes = {LEAN: NODES[LEAN]} if brief else NODES
+    # The first of each is not timed: it compiles what is not compiled yet.
+    took = _start_all(nodes, 2 if brief else 3, page.folder / 'features_node.log')
     page.add(
         'Processes of their own over ROS 2, compiled before: from the start of the process until '
         'it serves, and its memory then.'
@@ -58,7 +43,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
 
 
 def _start_all(
-    nodes: dict[str, dict[str, object]], times: int, log: Path, progress: Progress
+    nodes: dict[str, dict[str, object]], times: int, log: Path
 ) -> dict[str, list[tuple[float, float]]]:
     import rclpy
 
@@ -80,7 +65,6 @@ def _start_all(
                         ready = time.perf_counter() - began
                         if turn:
                             took[name].append((ready, _memory(process.pid)))
-                        progress.step()
                         node.destroy_node()
     finally:
         rclpy.try_shutdown()

@@ -4,15 +4,15 @@
 
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...scene import ShapeKind, Shapes
 from .. import plots
 from ..page import Page
-from ..progress import Progress
 from ..tables import Cell, Table
-from .running import Figures, Job, World, medians, run_in_turns
+from .running import Job, ObstacleField, run_in_turns
 
 MICRO = 1e6
 BASE = '3D, axis-aligned boxes'
@@ -22,24 +22,11 @@ KINDS = {
     'cylinders': ShapeKind.CYLINDER,
     'capsules': ShapeKind.CAPSULE,
 }
-MESHES = 'meshes of 8 faces'
-ON = (BASE, 'planar', *KINDS, MESHES, 'margin 0.1 m', 'masks', 'batch of rays')
 ON_IN_BRIEF = (BASE, 'planar', 'spheres', 'batch of rays')
-
 REPEATS = 2
 
 
-def chosen(brief: bool) -> tuple[str, ...]:
-    """Rows of the table."""
-    return ON_IN_BRIEF if brief else ON
-
-
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return (1 if brief else REPEATS) * len(chosen(brief))
-
-
-def random_world(count: int, kind: ShapeKind, turned: bool, rays: int = 300) -> World:
+def random_field(count: int, kind: ShapeKind, turned: bool, rays: int = 300) -> ObstacleField:
     """Obstacles of about a metre on one floor, as thick as in a tidy warehouse, and rays half way
     up: seen from above the answers are the same.
     """
@@ -52,22 +39,22 @@ def random_world(count: int, kind: ShapeKind, turned: bool, rays: int = 300) -> 
     turns = rng.normal(size=(count, 4)) if turned else np.zeros((count, 4))
     places, ends = rng.uniform(0, edge, (count, 3)), rng.uniform(0, edge, (2, rays, 3))
     places[:, 2] = ends[:, :, 2] = 1.0
-    return World(Shapes(np.full(count, kind, np.uint8), places, turns, size), *ends)
+    return ObstacleField(Shapes(np.full(count, kind, np.uint8), places, turns, size), *ends)
 
 
-def mesh_world(count: int) -> World:
+def mesh_field(count: int) -> ObstacleField:
     """The same places, an octahedron in each."""
     corners = np.array([(0.4, 0, 0), (0, 0.4, 0), (0, 0, 0.4)])
     signs = np.array([(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-    world = random_world(count, ShapeKind.BOX, True)
-    return world._replace(triangles=corners * signs[:, None])
+    field = random_field(count, ShapeKind.BOX, True)
+    return field._replace(triangles=corners * signs[:, None])
 
 
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def parts_on(page: Page, brief: bool) -> None:
     """Measure."""
     count = 200 if brief else 2_000
     with tempfile.TemporaryDirectory() as folder:
-        boxes = random_world(count, ShapeKind.BOX, False).save(Path(folder), 'boxes')
+        boxes = random_field(count, ShapeKind.BOX, False).save(Path(folder), 'boxes')
         jobs = {
             BASE: Job(boxes),
             'planar': Job(boxes, planar=True),
@@ -76,15 +63,14 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
             'batch of rays': Job(boxes, batch=2 if brief else 20),
         }
         for name, kind in KINDS.items():
-            jobs[name] = Job(random_world(count, kind, True).save(Path(folder), name))
-        jobs[MESHES] = Job(mesh_world(count).save(Path(folder), 'meshes'))
-        progress.say('features: each part on')
-        asked = {name: jobs[name] for name in chosen(brief)}
-        runs = run_in_turns(asked, 1 if brief else REPEATS, progress.step)
-        _table(page, {name: medians(taken) for name, taken in runs.items()}, count)
+            jobs[name] = Job(random_field(count, kind, True).save(Path(folder), name))
+        jobs['meshes of 8 faces'] = Job(mesh_field(count).save(Path(folder), 'meshes'))
+        if brief:
+            jobs = {name: jobs[name] for name in ON_IN_BRIEF}
+        _table(page, run_in_turns(jobs, 1 if brief else REPEATS), count)
 
 
-def _table(page: Page, took: dict[str, Figures], count: int) -> None:
+def _table(page: Page, took: dict[str, dict[str, Any]], count: int) -> None:
     rows: list[list[Cell]] = []
     for name, one in took.items():
         times: list[Cell] = [one[key] * MICRO for key in ('update', 'raycast', 'overlap')]

@@ -1,15 +1,14 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs workloads in processes of their own: one scene each, or several side by side."""
+"""Runs workloads, each in a process of its own."""
 
 import json
 import statistics
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,14 +16,9 @@ from ...scene import Shapes
 from ..scenes import Floats
 
 WORKLOAD = Path(__file__).with_name('workload.py')
-ROOT = Path(__file__).resolve().parents[3]  # where the package is that runs now
-TURNS_ALONE = 9
-
-Figures = dict[str, float]
-Turns = dict[str, list[float]]
 
 
-class World(NamedTuple):
+class ObstacleField(NamedTuple):
     """Obstacles, and segments to ask about."""
 
     shapes: Shapes
@@ -50,45 +44,40 @@ class Job(NamedTuple):
     margin: float = 0.0
     masks: bool = False
     batch: int = 0
-    package: str = 'bvh_ros'
-    """The build to run."""
-    path: Path = ROOT
-    """The folder that it is in."""
-    kernels: Path | None = None
-    """Where it keeps its kernels, if not where everybody does: they remember its name."""
+    turns: int = 9
 
 
-def run_in_turns(
-    jobs: Mapping[str, Job], repeats: int, tick: Callable[[], None]
-) -> dict[str, list[Figures]]:
-    """What every run of every job took, each run in a process of its own: every job once, then all
-    again, after an untimed round, which compiles what is not compiled yet. What disturbs a turn
-    only makes it slower: the fastest counts.
+def run_apart(job: Job) -> dict[str, Any]:
+    """Run a workload: its figures (the fastest turn counts: what disturbs one makes it slower),
+    the kernels that it compiled or loaded, and what it imported.
     """
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda job: side_by_side({'': job}, 1), set(jobs.values())))
-    took: dict[str, list[Figures]] = {name: [] for name in jobs}
-    for _ in range(repeats):
-        for name, job in jobs.items():
-            turns = side_by_side({name: job}, TURNS_ALONE)[name]
-            took[name].append({kind: min(times) for kind, times in turns.items()})
-            tick()
-    return took
-
-
-def medians(runs: list[Figures]) -> Figures:
-    """The median of each figure."""
-    return {name: statistics.median(run[name] for run in runs) for name in runs[0]}
-
-
-def side_by_side(jobs: Mapping[str, Job], turns: int) -> dict[str, Turns]:
-    """Run jobs in one process, turn by turn."""
-    given = {name: job._asdict() for name, job in jobs.items()}
-    order = json.dumps({'jobs': given, 'turns': turns}, default=str)
     result = subprocess.run(
-        [sys.executable, str(WORKLOAD), order], capture_output=True, text=True, check=False
+        [sys.executable, str(WORKLOAD), json.dumps(job._asdict(), default=str)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if result.returncode:
         raise RuntimeError(f'a workload failed: {result.stderr}')
-    took: dict[str, Turns] = json.loads(result.stdout.splitlines()[-1])
-    return took
+    told: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
+    return told
+
+
+def run_in_turns(jobs: Mapping[str, Job], repeats: int) -> dict[str, dict[str, Any]]:
+    """Medians of every job's figures, after an untimed round, which compiles what is not compiled
+    yet.
+    """
+    for job in jobs.values():
+        run_apart(job._replace(turns=1))
+    told: dict[str, list[dict[str, Any]]] = {name: [] for name in jobs}
+    for _ in range(repeats):
+        for name, job in jobs.items():
+            told[name].append(run_apart(job))
+    return {
+        name: runs[0] | {
+            key: statistics.median(run[key] for run in runs)
+            for key, value in runs[0].items()
+            if isinstance(value, float)
+        }
+        for name, runs in told.items()
+    }  # fmt: skip

@@ -1,17 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes side by side in a process of its own: `python workload.py '<order as JSON>'`.
+"""A scene in a process of its own: `python workload.py '<job as JSON>'`.
 
-Fills a scene for each job and does short turns of the same work with each, one after the other.
-Prints as JSON what each turn took, by job and kind of work; of one job alone also what the process
-took until its first answer, and its memory.
+Prints as JSON what a unit of each kind of work took, the processor time until the first answer,
+the memory of the process and of the scene, and which kernels and modules it took.
 """
 
-import gc
-import importlib
-import importlib.util
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -20,17 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from bvh_ros.scene import Mesh, Numbered, Scene, Shapes
+
 OVERLAPS = 100
 STEP = 0.05  # m that obstacles go from frame to frame
 
 Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
-
-
-def seconds(run: Callable[[], object]) -> float:
-    """How long one run takes."""
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start
 
 
 def memory() -> float:
@@ -42,21 +32,26 @@ def memory() -> float:
     return int(status.partition('VmRSS:')[2].split()[0]) / 1024
 
 
-def prepare(job: dict[str, Any]) -> Work:
-    """Fill a scene of the job's build and ask it a first time."""
-    if job['kernels']:
-        os.environ['NUMBA_CACHE_DIR'] = job['kernels']  # read when the package is imported
-    scenes = importlib.import_module(f'{job["package"]}.scene')
+def kernels() -> list[str]:
+    """Every kernel of this package that has machine code in this process."""
+    found = set()
+    for name, module in sys.modules.items():
+        for value in vars(module).values() if name.startswith('bvh_ros') else ():
+            if hasattr(value, 'py_func') and value.signatures:
+                found.add(f'{value.py_func.__module__}.{value.py_func.__name__}')
+    return sorted(found)
+
+
+def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
+    """Fill a scene and ask it a first time."""
     given = np.load(job['file'])
-    shapes = scenes.Shapes(
-        **{name: given[name] for name in scenes.Shapes._fields if name in given}
-    )
+    shapes = Shapes(**{name: given[name] for name in Shapes._fields if name in given})
     if 'triangles' in given:
-        meshes = [scenes.Mesh(given['triangles'])] * len(shapes.kind)
-        shapes = scenes.Shapes.of_meshes(meshes, shapes.position, shapes.orientation)
+        meshes = [Mesh(given['triangles'])] * len(shapes.kind)
+        shapes = Shapes.of_meshes(meshes, shapes.position, shapes.orientation)
     count, rays = len(shapes.kind), list(zip(given['starts'], given['goals'], strict=True))
-    names = scenes.Numbered('o', np.arange(count))
-    scene = scenes.Scene(planar=job['planar'], margin=job['margin'])
+    names = Numbered('o', np.arange(count))
+    scene = Scene(planar=job['planar'], margin=job['margin'])
     categories = 1 + np.arange(count) % 2 if job['masks'] else 1
     refused = scene.update('a', names, shapes, stamp=0, categories=categories)
     if refused:
@@ -81,49 +76,29 @@ def prepare(job: dict[str, Any]) -> Work:
         starts = np.tile(given['starts'], (job['batch'], 1))
         ways = np.tile(given['goals'] - given['starts'], (job['batch'], 1))
         work['batch'] = (lambda: scene.raycast_many(starts, ways, 1.0, mask), len(starts))
-    return work
+    return scene, work
 
 
-def prepare_apart(number: int, job: dict[str, Any]) -> Work:
-    """Prepare with code objects of the job's own: in one that several scenes share, Python's
-    shortcuts fit the first one only, and it would seem 6 % faster.
-    """
-    spec = importlib.util.spec_from_file_location(f'work_{number}', __file__)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    work: Work = module.prepare(job)
-    return work
-
-
-def main(order: dict[str, Any]) -> dict[str, dict[str, list[float]]]:
+def main(job: dict[str, Any]) -> dict[str, Any]:
     """Take turns."""
-    if hasattr(os, 'sched_setaffinity'):  # one core: nothing moves between caches
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    sys.path[:0] = dict.fromkeys(job['path'] for job in order['jobs'].values())
-    given = order['jobs'].items()
-    jobs = {name: prepare_apart(k, job) for k, (name, job) in enumerate(given)}
-    took: dict[str, dict[str, list[float]]] = {
-        name: {kind: [] for kind in work} for name, work in jobs.items()
-    }
-    if len(jobs) == 1:
-        (alone,) = took.values()
-        alone['start'] = [time.process_time()]
-    kinds = dict.fromkeys(kind for work in jobs.values() for kind in work)
-    gc.disable()
-    for kind in kinds:
-        takers = [(name, *work[kind]) for name, work in jobs.items() if kind in work]
-        for _, run, _ in takers:
+    scene, work = prepare(job)
+    told: dict[str, Any] = {'start': time.process_time()}
+    for kind, (run, count) in work.items():
+        run()
+        took = []
+        for _ in range(job['turns']):
+            began = time.perf_counter()
             run()
-        for turn in range(order['turns']):
-            # Everybody follows everybody else in time.
-            for name, run, count in takers[turn % len(takers) :] + takers[: turn % len(takers)]:
-                took[name][kind].append(seconds(run) / count)
-        gc.collect()
-    if len(jobs) == 1:
-        alone['memory'] = [memory()]
-    return took
+            took.append((time.perf_counter() - began) / count)
+        told[kind] = min(took)
+    told['memory'] = memory()
+    stats = scene.stats()
+    told['tree'] = float(stats['bytes'] + stats['tree']['bytes'] + stats['tree']['snapshot_bytes'])
+    told['kernels'] = kernels()
+    told['libraries'] = sorted(
+        {name.partition('.')[0] for name in sys.modules} & {'rclpy', 'fcl', 'matplotlib'}
+    )
+    return told
 
 
 if __name__ == '__main__':

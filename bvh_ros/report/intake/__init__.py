@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..page import Page
-from ..progress import Progress
 from ..tables import Cell, Table
 from ..timing import seconds
 
@@ -40,12 +39,10 @@ CASES = (
 )
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return len(CASES) + (1 if brief else len(LOADS))
+INTRODUCTION = '## Intake'
 
 
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def over_ros(page: Page, brief: bool) -> None:
     """Measure over ROS 2 with the profile for large messages."""
     import rclpy
 
@@ -69,24 +66,24 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
             node = rclpy.create_node('intake', namespace=namespace)
             client = BvhClient(node, timeout=60.0)
             running.wait_until_ready(client, process)
-            page.add('## Intake')
-            page.table(_usable(client, progress, brief))
-            page.table(_loaded(client, f'{namespace}/bvh', progress, brief))
+            page.table(_usable(client, brief))
+            page.table(_loaded(client, f'{namespace}/bvh', brief))
     finally:
         rclpy.try_shutdown()
 
 
-def _usable(client: 'BvhClient', progress: Progress, brief: bool) -> Table:
+SECTIONS = {'over ROS 2': over_ros}
+
+
+def _usable(client: 'BvhClient', brief: bool) -> Table:
     rows: list[list[Cell]] = []
     for name, count, topic, by_id in CASES:
         count = count // BRIEF if brief else count
-        progress.say(f'intake: {count:,} in a {name}')
         raws, message_type, peer, peer_name = _work(count, name, by_id)
         first, later = _until_usable(client, topic, message_type, raws, brief)
         peer()
         alone = statistics.median(seconds(peer) for _ in range(1 if brief else REPEATS))
         rows.append([name, count, first * 1e3, later * 1e3, peer_name, alone * 1e3, later / alone])
-        progress.step()
     header = ('message', 'boxes', 'ms, first message', 'ms, a later one', 'beside')
     return Table('intake', (*header, 'ms', 'ratio'), rows)
 
@@ -148,16 +145,14 @@ def _clear(client: 'BvhClient') -> None:
     node.destroy_node()
 
 
-def _loaded(client: 'BvhClient', name: str, progress: Progress, brief: bool) -> Table:
+def _loaded(client: 'BvhClient', name: str, brief: bool) -> Table:
     rows: list[list[Cell]] = []
     for what, kind, count, rate in LOADS[: 1 if brief else None]:
-        progress.say(f'intake: questions beside {what}')
         topic = f'{name}/{"obstacles" if kind == "markers" else "boxes"}'
         with _publishing(topic, kind, count, rate):
             times = np.array(_ask(client, kind, 1.0 if brief else LOADED)) * 1e3
         rows.append([what, len(times), *np.percentile(times, (50, 99, 100)).tolist()])
         _clear(client)
-        progress.step()
     return Table(
         'intake_latency',
         ('beside', 'questions', 'ms, raycast p50', 'ms, p99', 'ms, slowest'),

@@ -3,9 +3,8 @@
 """The libraries that the report compares, each in the form that serves it best."""
 
 from .base import Library, Work
-from .coal import Coal
 from .embree import Embree
-from .fcl import Fcl, FclWithNarrowPhase
+from .fcl import Coal, Fcl, FclWithNarrowPhase
 from .kd_tree import KdTree
 from .ours import Ours
 from .rtree import Rtree

@@ -10,10 +10,10 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from ..page import Page
-from ..progress import Progress
+from ..progress import bar
 from .record import Record
 
 if TYPE_CHECKING:
@@ -23,52 +23,41 @@ ASKED = 100.0  # questions a second
 STEP = 5.0  # seconds between two moves of the progress bar
 
 
-class Soak(NamedTuple):
-    """The part of the report that lasts as long as it is told."""
+def run(page: Page, minutes: float) -> int:
+    """Soak; returns how many answers were wrong, and one more if memory grew."""
+    import rclpy
 
-    minutes: float
+    from bvh_ros.client import BvhClient
+    from bvh_ros.ros import running
 
-    def steps(self, _brief: bool) -> int:
-        """How often the progress bar will move."""
-        return max(1, int(60.0 * self.minutes / STEP))
-
-    def run(self, page: Page, progress: Progress, brief: bool) -> int:
-        """Soak; returns how many answers were wrong, and one more if memory grew."""
-        import rclpy
-
-        from bvh_ros.client import BvhClient
-        from bvh_ros.ros import running
-
-        namespace = running.keep_apart()
-        running.init()
-        try:
-            with (
-                (page.folder / 'soak_node.log').open('wb') as log,
-                running.running_node(namespace, log=log) as process,
-            ):
-                node = rclpy.create_node('soak', namespace=namespace)
-                running.wait_until_ready(BvhClient(node), process)
-                record = Record(process.pid)
-                with publishing(namespace):
-                    ask_on(node, record, progress, self.steps(brief))
-        finally:
-            rclpy.try_shutdown()
-        return record.write(page)
+    namespace = running.keep_apart()
+    running.init()
+    try:
+        with (
+            (page.folder / 'soak_node.log').open('wb') as log,
+            running.running_node(namespace, log=log) as process,
+        ):
+            node = rclpy.create_node('soak', namespace=namespace)
+            running.wait_until_ready(BvhClient(node), process)
+            record = Record(process.pid)
+            with publishing(namespace):
+                ask_on(node, record, max(1, int(60.0 * minutes / STEP)))
+    finally:
+        rclpy.try_shutdown()
+    return record.write(page)
 
 
-def ask_on(node: 'Node', record: Record, progress: Progress, steps: int) -> None:
+def ask_on(node: 'Node', record: Record, steps: int) -> None:
     """Ask at an even pace."""
     from .asking import Asker
 
     asker = Asker(node, record.hear)
     began = now = time.monotonic()
-    for step in range(1, steps + 1):
+    for step in bar(range(1, steps + 1), lambda _: record.in_short()):
         while now < began + step * STEP:
             record.add(asker.ask(), now)
             time.sleep(max(0.0, now + 1.0 / ASKED - time.monotonic()))
             now = time.monotonic()
-        progress.say(record.in_short())
-        progress.step()
 
 
 @contextmanager

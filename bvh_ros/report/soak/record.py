@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a soak has seen, and its verdict."""
 
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,12 +11,12 @@ import numpy as np
 from .. import plots
 from ..page import Page
 from ..tables import Cell, Table
-from .memory import Memory
 
 if TYPE_CHECKING:
     from .asking import Answer
 
 FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
+WARM_UP = 0.5  # of the run: what is allocated once is not growth
 SHOWN = 10  # wrong answers on the page
 
 
@@ -28,7 +30,9 @@ class Record:
     """
 
     def __init__(self, pid: int) -> None:
-        self.memory = Memory(pid)
+        self._status = Path(f'/proc/{pid}/status')
+        self._looks: list[tuple[float, float]] = []  # minutes, MB
+        self._began = time.monotonic()
         self.faults: list[str] = []
         self._frames: set[int] = set()
         self._seconds: list[float] = []
@@ -38,12 +42,23 @@ class Record:
     def add(self, answer: 'Answer', now: float) -> None:
         """One question was asked; look at the memory once a second."""
         if now >= self._next_look:
-            self.memory.look()
+            self.look()
             self._next_look = now + 1.0
         self._seconds.append(answer.took)
         self._frames.add(answer.frame)
         if answer.fault:
             self.faults.append(answer.fault)
+
+    def look(self) -> None:
+        """Sample the node's resident memory; FileNotFoundError if it has ended."""
+        status = self._status.read_text(encoding='ascii')
+        megabytes = int(status.partition('VmRSS:')[2].split()[0]) / 1024
+        self._looks.append(((time.monotonic() - self._began) / 60.0, megabytes))
+
+    def growth(self) -> float:
+        """MB an hour: slope of a straight line through all after the warm-up (least squares)."""
+        minutes, megabytes = np.array(self._looks[int(WARM_UP * len(self._looks)) :]).T
+        return float(60.0 * np.polyfit(minutes, megabytes, 1)[0]) if len(minutes) > 1 else 0.0
 
     def hear(self, diagnostics: Any) -> None:
         """Remember what the node says about its source of markers."""
@@ -55,12 +70,14 @@ class Record:
         """One line for the progress bar."""
         return (
             f'soak: {len(self._seconds)} answers, {len(self.faults)} wrong, '
-            f'{self.memory.last():.0f} MB'
+            f'{self._looks[-1][1]:.0f} MB'
         )
 
     def write(self, page: Page) -> int:
         """Add a section to the page; returns the number of faults."""
-        memory, milliseconds = self.memory, 1e3 * np.array(self._seconds)
+        milliseconds, growth = 1e3 * np.array(self._seconds), self.growth()
+        minutes, megabytes = zip(*self._looks, strict=True)
+        settled = megabytes[int(WARM_UP * len(megabytes))]
         page.add('## Soak')
         page.add(
             'A thousand boxes, half of them turning, come and go at 30 Hz, published by a process '
@@ -68,7 +85,7 @@ class Record:
             'on the frame that the reply says it knows of.'
         )
         rows: list[tuple[str, Cell]] = [
-            ('length [min]', memory.minutes()),
+            ('length [min]', minutes[-1]),
             ('answers', len(self._seconds)),
             ('wrong answers', len(self.faults)),
             ('different frames asked about', len(self._frames)),
@@ -77,20 +94,20 @@ class Record:
             ('round trip, p50 [ms]', float(np.percentile(milliseconds, 50))),
             ('round trip, p99 [ms]', float(np.percentile(milliseconds, 99))),
             ('round trip, slowest [ms]', float(milliseconds.max())),
-            ('memory of the node after warm-up [MB]', memory.after_warm_up()),
-            ('memory at the end [MB]', memory.last()),
-            ('growth [MB an hour]', memory.growth()),
+            ('memory of the node after warm-up [MB]', settled),
+            ('memory at the end [MB]', megabytes[-1]),
+            ('growth [MB an hour]', growth),
         ]
         page.table(Table('soak', ('', 'measured'), rows))
         plots.course(
             page.plot('soak_memory', 'Memory of the node over time'),
-            memory.curve(),
+            plots.Line(minutes, megabytes),
             'minutes',
             'MB',
             'Resident memory of the node',
         )
         for fault in self.faults[:SHOWN]:
             page.add(f'Wrong: {fault}')
-        leak = memory.growth() * memory.minutes() / 60.0 > FLAT * memory.after_warm_up()
+        leak = growth * minutes[-1] / 60.0 > FLAT * settled
         page.add(f'**{len(self.faults)} wrong answers; memory {"grows" if leak else "is flat"}.**')
         return len(self.faults) + leak

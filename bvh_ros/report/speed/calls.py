@@ -10,7 +10,6 @@ import numpy as np
 
 from ... import DynamicBVH
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from ..tables import Cell, Table
 from ..timing import Job, interleaved
@@ -18,16 +17,10 @@ from ..timing import Job, interleaved
 BOXES, CALLS, REPEATS = 10_000, 2_000, 5
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return REPEATS
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def calls(page: Page, brief: bool) -> None:
     """Measure."""
-    size, calls = (300, 50) if brief else (BOXES, CALLS)
-    progress.say('speed: calls')
-    times = interleaved(_jobs(size, calls), REPEATS, progress.step, warm=True)
+    size, count = (300, 50) if brief else (BOXES, CALLS)
+    times = interleaved(_jobs(size, count), REPEATS, warm=True)
     names = list(dict.fromkeys(name.partition(' ')[0] for name in times))
     rows: list[list[Cell]] = [
         [name, *(times[f'{name} {form}'].nanoseconds / 1e3 for form in ('one', 'batch'))]
@@ -35,7 +28,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     ]
     page.add('### Calls')
     page.add(
-        f'{size:,} boxes, {calls:,} calls, each with rows of numpy arrays. '
+        f'{size:,} boxes, {count:,} calls, each with rows of numpy arrays. '
         '*move* is to a place nearby and back.'
     )
     page.table(Table('speed_calls', ('method', 'us a call', 'us a row in a batch'), rows))
@@ -53,11 +46,8 @@ def _each(function: Callable[..., Any], *columns: Any) -> Callable[[], None]:
 
 def _jobs(size: int, calls: int) -> dict[str, Job]:
     rng = np.random.default_rng(1)
-    boxes, rays, near = (
-        uniform_boxes(size, rng),
-        incoherent_rays(calls, rng),
-        uniform_boxes(calls, rng),
-    )
+    boxes, rays = uniform_boxes(size, rng), incoherent_rays(calls, rng)
+    near = uniform_boxes(calls, rng)
     return _question_jobs(boxes, rays, near, calls) | _change_jobs(boxes, min(calls, size))
 
 

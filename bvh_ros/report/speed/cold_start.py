@@ -9,7 +9,6 @@ import sys
 import tempfile
 
 from ..page import Page
-from ..progress import Progress
 from ..tables import Cell, Table
 
 WARM_RUNS = 5
@@ -25,23 +24,15 @@ print(imported - start, time.perf_counter() - start)
 """
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return 1 if brief else 1 + WARM_RUNS
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def cold_start(page: Page, brief: bool) -> None:
     """Measure in processes of their own; unless in brief, with an empty cache folder first."""
-    progress.say('speed: cold start')
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
         if not brief:
             rows.append(['empty', *_first_answer(folder)])
-            progress.step()
         runs = []
         for _ in range(1 if brief else WARM_RUNS):
             runs.append(_first_answer(None if brief else folder))
-            progress.step()
     rows.append(['warm', *(statistics.median(column) for column in zip(*runs, strict=True))])
     page.add('### Cold start')
     page.add(

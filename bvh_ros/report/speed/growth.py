@@ -9,7 +9,6 @@ import numpy as np
 from ... import DynamicBVH
 from .. import plots
 from ..page import Page
-from ..progress import Progress
 from ..scenes import incoherent_rays, uniform_boxes
 from ..tables import Table
 from ..timing import Job, interleaved
@@ -29,17 +28,11 @@ HEADER = (
 )
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return REPEATS * len(SIZES_QUICK if brief else SIZES)
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def growth(page: Page, brief: bool) -> None:
     """Measure, and draw."""
     rows = []
     for size in SIZES_QUICK if brief else SIZES:
-        progress.say(f'speed: growth, {size:,} boxes')
-        rows.append(_row(size, 200 if brief else RAYS, progress))
+        rows.append(_row(size, 200 if brief else RAYS))
     page.add('### Growth')
     page.add(
         'Uniform boxes that fill 2 % of the cube; incoherent rays in batches, after so many that '
@@ -58,7 +51,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
     )
 
 
-def _row(size: int, asked: int, progress: Progress) -> list[int | float]:
+def _row(size: int, asked: int) -> list[int | float]:
     rng = np.random.default_rng(size)
     boxes, rays = uniform_boxes(size, rng), incoherent_rays(asked, rng)
     tree = DynamicBVH.from_boxes(*boxes)
@@ -69,17 +62,8 @@ def _row(size: int, asked: int, progress: Progress) -> list[int | float]:
         'two': Job(lambda: tree.raycast_many(*rays, threads=2), asked),
         'build': Job(lambda: DynamicBVH.from_boxes(*boxes), size),
     }
-    timings = interleaved(jobs, REPEATS, progress.step, warm=True)
+    timings = interleaved(jobs, REPEATS, warm=True)
     times = {name: timing.nanoseconds for name, timing in timings.items()}
     bytes_a_box = DynamicBVH.from_boxes(*boxes).stats()['bytes'] / size
     bound = 4 * float(np.log2(size)) + 4
-    return [
-        size,
-        times['one'],
-        times['two'],
-        times['build'],
-        bytes_a_box,
-        tree.height,
-        bound,
-        tree.cost(),
-    ]
+    return [size, *times.values(), bytes_a_box, tree.height, bound, tree.cost()]

@@ -13,7 +13,6 @@ from ... import DynamicBVH
 from ...tree import dynamic_bvh
 from .. import plots
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Boxes, moved, spread, uniform_boxes
 from ..tables import Table
 from ..timing import Job, interleaved
@@ -27,12 +26,7 @@ CHOSEN = 'as chosen'
 KINDS = ('nearby', 'anywhere')
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    return REPEATS * len(KINDS) * len(SHARES_QUICK if brief else SHARES)
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
+def policies(page: Page, brief: bool) -> None:
     """Measure both kinds of movement, and draw the nearby one."""
     size = 300 if brief else BOXES
     page.add('### Policies of move_many')
@@ -43,7 +37,7 @@ def run(page: Page, progress: Progress, brief: bool) -> None:
         f'of {dynamic_bvh.REFIT_SHARE}, and builds anew if {dynamic_bvh.REBUILD_SHARE} move far.'
     )
     for kind in KINDS:
-        rows = [_row(size, share, kind, progress) for share in (SHARES_QUICK if brief else SHARES)]
+        rows = [_row(size, share, kind) for share in (SHARES_QUICK if brief else SHARES)]
         names = [*POLICIES, CHOSEN]
         header = [
             'share',
@@ -110,12 +104,11 @@ class Mover:
         return cost / self.tree.cost()
 
 
-def _row(size: int, share: float, kind: str, progress: Progress) -> list[float]:
-    progress.say(f'speed: policies, {share:.1%} {kind}')
+def _row(size: int, share: float, kind: str) -> list[float]:
     boxes = uniform_boxes(size, np.random.default_rng(3))
     movers = {name: Mover(boxes, share, kind, name) for name in (*POLICIES, CHOSEN)}
     jobs = {name: Job(mover.step, 1) for name, mover in movers.items()}
-    times = interleaved(jobs, REPEATS, progress.step)
+    times = interleaved(jobs, REPEATS)
     return [
         share,
         *(times[name].nanoseconds / 1e3 for name in movers),

@@ -1,33 +1,27 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Searches: greedy or branch and bound, with and without rotations, next to a bulk build.
+"""Searches: greedy or branch and bound, next to a bulk build.
 
-The classic article leaves open what rotations are worth where, and claims that the greedy choice
-is globally optimal.
+The classic article claims that the greedy choice is globally optimal.
 """
 
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from ... import DynamicBVH
 from ..page import Page
-from ..progress import Progress
 from ..scenes import Boxes, Rays, incoherent_rays, moved, uniform_boxes
 from ..tables import Cell, Table
-from .full_sweep import full_sweep_cost
-from .variants import ROTATIONS, greedy_excess, grow, reinsert
+from ..timing import Job, interleaved
 
-SIZES = (1_000, 10_000, 100_000)
-SIZES_QUICK = (200,)
-RAYS, ROUNDS = 20_000, 3
-SEARCHES = ('greedy', 'branch_and_bound')
+SIZES, SIZES_QUICK = (1_000, 10_000, 100_000), (200,)
+RAYS, ROUNDS, REPEATS = 20_000, 3, 3
+FEW = 0.04  # of the boxes at once: move_many inserts those again one by one
 HEADER = (
     'boxes',
-    'sibling search',
-    'rotations',
+    'built by',
     'ns a box, inserted',
     'cost / SAH',
     'height',
@@ -39,111 +33,70 @@ HEADER = (
 )
 
 
-class Scene(NamedTuple):
+class Plan(NamedTuple):
     """Boxes, where they move to, and rays."""
 
     boxes: Boxes
     places: list[Boxes]
     rays: Rays
-    rotations: tuple[str, ...]
-    """Which of `ROTATIONS` to measure; each compiles kernels of its own."""
 
 
-def steps(brief: bool) -> int:
-    """How often the progress bar will move."""
-    kinds, sizes = (ROTATIONS[-1:], SIZES_QUICK) if brief else (ROTATIONS, SIZES)
-    return (len(SEARCHES) * len(kinds) + 1) * len(sizes)
-
-
-def run(page: Page, progress: Progress, brief: bool) -> None:
-    """Measure the trees, then the single choices."""
-    rows, choices = [], []
-    for size in SIZES_QUICK if brief else SIZES:
-        progress.say(f'speed: searches, {size:,} boxes')
-        scene = _scene(size, brief)
-        rows += _rows(size, scene, progress)
-        choices.append(_choices(size, scene.boxes))
-    page.add('### Sibling searches and rotations')
+def searches(page: Page, brief: bool) -> None:
+    """Measure the trees."""
+    rows = [row for size in (SIZES_QUICK if brief else SIZES) for row in _rows(size, brief)]
+    page.add('### Sibling searches')
     page.add(
         'Boxes inserted one by one in random order; then every box moved one edge at most, one by '
         'one, three times over. *cost / SAH*: cost of the tree over that of a bulk build of the '
-        'same boxes. *full sweep*: SAH with every split of every axis tried; only its cost counts.'
+        'same boxes.'
     )
     page.table(Table('speed_searches', HEADER, rows))
-    page.add(
-        'How often the greedy choice of a sibling, with rotations on, is not the best one, and '
-        'what it costs more then:'
-    )
-    header = ('boxes', 'not the best, share', 'costs more then, mean share', 'at most')
-    page.table(Table('speed_greedy', header, choices))
 
 
-def _scene(size: int, brief: bool) -> Scene:
+def _plan(size: int, brief: bool) -> Plan:
     rng = np.random.default_rng(4)
     boxes = uniform_boxes(size, rng)
     edges = boxes.hi - boxes.lo
     places = [moved(boxes, rng.uniform(-1, 1, edges.shape) * edges) for _ in range(ROUNDS)]
-    rays = incoherent_rays(200 if brief else RAYS, rng)
-    return Scene(boxes, places, rays, ROTATIONS[-1:] if brief else ROTATIONS)
+    return Plan(boxes, places, incoherent_rays(200 if brief else RAYS, rng))
 
 
-def _rows(size: int, scene: Scene, progress: Progress) -> list[list[Cell]]:
+def _rows(size: int, brief: bool) -> list[list[Cell]]:
+    plan = _plan(size, brief)
+    before, after = (DynamicBVH.from_boxes(*boxes) for boxes in (plan.boxes, plan.places[-1]))
     rows: list[list[Cell]] = []
-    before, after = DynamicBVH.from_boxes(*scene.boxes), DynamicBVH.from_boxes(*scene.places[-1])
-    for search in SEARCHES:
-        for rotations in scene.rotations:
-            measured = _measure(scene, search, rotations, before.cost(), after.cost())
-            rows.append([size, search, rotations, *measured])
-            progress.step()
-    build = _nanoseconds(lambda: DynamicBVH.from_boxes(*scene.boxes), size)
-    row: list[Cell] = [size, 'bulk build', None]
-    for tree in (before, after):
-        row += [build, 1.0, tree.height, _ray_time(tree, scene.rays)]
-    rows.append(row)
-    costs = [full_sweep_cost(*boxes) for boxes in (scene.boxes, scene.places[-1])]
-    shares = costs[0] / before.cost(), costs[1] / after.cost()
-    rows.append(
-        [size, 'full sweep', None, None, shares[0], None, None, None, shares[1], None, None]
-    )
-    progress.step()
+    for search in ('greedy', 'branch_and_bound'):
+        rows.append([size, search, *_grown(plan, search, before.cost(), after.cost())])
+    build = interleaved({'': Job(lambda: DynamicBVH.from_boxes(*plan.boxes), size)}, REPEATS)['']
+    rays = [_ray_time(tree, plan.rays) for tree in (before, after)]
+    rows.append([size, 'bulk build', build.nanoseconds, 1.0, before.height, rays[0]])
+    rows[-1] += [None, 1.0, after.height, rays[1]]
     return rows
 
 
-def _measure(scene: Scene, search: str, rotations: str, before: float, after: float) -> list[Cell]:
-    few = Boxes(scene.boxes.lo[:50], scene.boxes.hi[:50])
-    reinsert(grow(few, search, rotations), few, rotations)  # compiles
+def _grown(plan: Plan, search: str, before: float, after: float) -> list[Cell]:
+    """Insert row by row, then move row by row: of each the time, cost, height and rays."""
+    count = len(plan.boxes.lo)
+    tree = DynamicBVH(capacity=count, sibling_search=search)
     start = time.perf_counter()
-    tree = grow(scene.boxes, search, rotations)
-    inserted = (time.perf_counter() - start) * 1e9 / len(scene.boxes.lo)
-    row = [inserted, tree.cost() / before, tree.height, _ray_time(tree, scene.rays)]
+    for lo, hi in zip(plan.boxes.lo[:2], plan.boxes.hi[:2], strict=True):
+        tree.insert(lo, hi)
+    while (done := len(tree)) < count:  # more at once than there are, and it would be built anew
+        rows = slice(done, min(2 * done - 1, count))
+        tree.insert_many(plan.boxes.lo[rows], plan.boxes.hi[rows])
+    inserted, handles = (time.perf_counter() - start) * 1e9 / count, tree.ids()
+    row: list[Cell] = [inserted, tree.cost() / before, tree.height, _ray_time(tree, plan.rays)]
     start = time.perf_counter()
-    for place in scene.places:
-        reinsert(tree, place, rotations)
-    moved_in = (time.perf_counter() - start) * 1e9 / (len(scene.boxes.lo) * len(scene.places))
+    few = max(1, int(FEW * count))
+    for place in plan.places:
+        for first in range(0, count, few):
+            rows = slice(first, first + few)
+            tree.move_many(handles[rows], place.lo[rows], place.hi[rows])
+    moved_in = (time.perf_counter() - start) * 1e9 / (count * len(plan.places))
     tree.validate()
-    return [*row, moved_in, tree.cost() / after, tree.height, _ray_time(tree, scene.rays)]
-
-
-def _nanoseconds(run: Callable[[], object], units: int) -> float:
-    run()  # a first batch takes the snapshot
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - start)
-    return sorted(times)[1] * 1e9 / units
+    return [*row, moved_in, tree.cost() / after, tree.height, _ray_time(tree, plan.rays)]
 
 
 def _ray_time(tree: DynamicBVH, rays: Rays) -> float:
-    return _nanoseconds(lambda: tree.raycast_many(*rays), len(rays.origins))
-
-
-def _choices(size: int, boxes: Boxes) -> list[Cell]:
-    excess = greedy_excess(boxes)
-    worse = excess[excess > 1e-9]
-    return [
-        size,
-        len(worse) / size,
-        float(worse.mean()) if len(worse) else 0.0,
-        float(excess.max()),
-    ]
+    job = Job(lambda: tree.raycast_many(*rays), len(rays.origins))
+    return interleaved({'': job}, REPEATS)[''].nanoseconds

@@ -1,17 +1,16 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlaps and distances of boxes, which python-fcl answers too; order of insertion and cost."""
+"""Overlaps and distances of boxes; order of insertion and cost."""
 
 import math
 from collections.abc import Iterable
 from fractions import Fraction
-from importlib.util import find_spec
 
 import numpy as np
 
 from ... import DynamicBVH
 from ..scenes import Floats
-from .case import LARGEST, NOT_ASKED, Case, rounded
+from .case import LARGEST, Case, rounded
 from .rays import TINIEST, Vector
 
 UP = 1 + 2**-52
@@ -42,7 +41,7 @@ POINTS: tuple[tuple[str, Vector], ...] = (
 
 
 def pair_cases() -> Iterable[Case]:
-    """Whether two boxes touch, by comparisons, by the tree and by python-fcl."""
+    """Whether two boxes touch, by comparisons, and by the tree."""
     for name, (lo, hi), (low, high) in PAIRS:
         tree = DynamicBVH()
         tree.insert(lo, hi)
@@ -50,7 +49,6 @@ def pair_cases() -> Iterable[Case]:
         sides = list(zip(lo, hi, low, high, strict=True))
         expected = all(a <= d and c <= b for a, b, c, d in sides)
         both = len(tree.overlap_many([low], [high])[1]) == 1
-        fcl = _fcl_touch((lo, hi), (low, high))
         words = {True: 'touch', False: 'apart'}
         yield Case(
             f'two boxes: {name}',
@@ -58,7 +56,6 @@ def pair_cases() -> Iterable[Case]:
             words[expected],
             words[met],
             met == both == expected,
-            fcl=NOT_ASKED if fcl is None else _judged(words[fcl], fcl == expected),
         )
 
 
@@ -84,41 +81,11 @@ def nearest_cases() -> Iterable[Case]:
             repr(distance),
             right,
             _judged(repr(plain), good),
-            _fcl_distance(point, rounded(exact)),
         )
 
 
 def _judged(text: str, right: bool) -> str:
     return text if right else f'{text} (wrong)'
-
-
-def _fcl_touch(one: tuple[Vector, Vector], other: tuple[Vector, Vector]) -> bool | None:
-    """By python-fcl; None where it is not installed."""
-    if find_spec('fcl') is None:
-        return None
-    import fcl
-
-    return fcl.collide(_fcl_box(*one), _fcl_box(*other)) > 0
-
-
-def _fcl_box(lo: Vector, hi: Vector) -> object:
-    import fcl
-
-    low, high = np.array(lo, float), np.array(hi, float)
-    size, centre = high * 0.5 - low * 0.5, high * 0.5 + low * 0.5
-    with np.errstate(over='ignore'):
-        return fcl.CollisionObject(fcl.Box(*(2.0 * size)), fcl.Transform(centre))
-
-
-def _fcl_distance(point: Vector, exact: float) -> str:
-    if find_spec('fcl') is None:
-        return NOT_ASKED
-    import fcl
-
-    ball = fcl.CollisionObject(fcl.Sphere(0.0), fcl.Transform(np.array(point)))
-    found = fcl.distance(_fcl_box((0, 0, 0), (1, 1, 1)), ball)
-    inside = exact == 0.0 and found <= 0.0  # it tells how deep
-    return _judged(repr(found), inside or abs(found - exact) <= 1e-9 * exact)
 
 
 def height_cases(brief: bool) -> Iterable[Case]:

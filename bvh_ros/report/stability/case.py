@@ -9,7 +9,7 @@ from typing import NamedTuple
 LARGEST = 1.7976931348623157e308
 NOT_ASKED = '-'
 
-HEADER = ('case', 'input', 'expected', 'got', 'verdict', 'float64 slab', 'python-fcl')
+HEADER = ('case', 'input', 'expected', 'got', 'verdict', 'float64 slab')
 
 
 class Case(NamedTuple):
@@ -23,13 +23,11 @@ class Case(NamedTuple):
     passed: bool
     slab: str = NOT_ASKED
     """What the usual float64 slab test says."""
-    fcl: str = NOT_ASKED
-    """What python-fcl says, where it can answer."""
 
     def cells(self) -> list[str]:
         """The row under `HEADER`."""
         verdict = 'PASS' if self.passed else 'FAIL'
-        return [self.name, self.asked, self.expected, self.got, verdict, self.slab, self.fcl]
+        return [self.name, self.asked, self.expected, self.got, verdict, self.slab]
 
 
 def rounded(exact: Fraction) -> float:

@@ -10,7 +10,6 @@ from fractions import Fraction
 import numpy as np
 
 from ... import DynamicBVH
-from ..error.truth import brute_force
 from ..scenes import Boxes, Floats, Rays
 from .case import Case, within_2_ulp
 from .rays import exact_entry
@@ -66,10 +65,6 @@ def _compare(name: str, boxes: Boxes, rays: Rays) -> Case:
         handle = int(batch.ids[ray])
         together = (slots[handle], float(batch.t[ray])) if handle >= 0 else None
         wrong += not (_right(singly, first) and _right(together, first))
-    plain = zip(*brute_force(boxes, rays), strict=True)
-    plain_wrong = sum(
-        not _same_first(int(row), entries[ray], firsts[ray]) for ray, (row, _) in enumerate(plain)
-    )
     hits = sum(first is not None for first in firsts)
     return Case(
         name,
@@ -77,7 +72,6 @@ def _compare(name: str, boxes: Boxes, rays: Rays) -> Case:
         f'{hits} hits, 0 wrong',
         f'{int((batch.ids >= 0).sum())} hits, {wrong} wrong',
         wrong == 0,
-        f'{plain_wrong} wrong',
     )
 
 
@@ -95,10 +89,3 @@ def _right(answer: tuple[int, float] | None, first: tuple[Fraction, int] | None)
     if answer is None or first is None:
         return answer is None and first is None
     return answer[0] == first[1] and within_2_ulp(answer[1], first[0])
-
-
-def _same_first(row: int, entries: Entries, first: tuple[Fraction, int] | None) -> bool:
-    """Whether the usual test found the first, or one entered at the same distance."""
-    if row < 0 or first is None:
-        return row < 0 and first is None
-    return entries[row] == first[0]
