@@ -30,6 +30,7 @@ from bvh_ros.ros import large_messages
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
 
 DURATION = 15.0  # seconds of the warehouse
+MOST_DOMAIN = 232  # of ROS_DOMAIN_ID: beyond, there are no ports
 RATE = 10.0  # frames a second of the warehouse
 PRINT_EVERY = 1.0  # seconds between the answers that are printed; all are counted
 MARKER_TYPES = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER}
@@ -204,6 +205,8 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(args)
     if not (math.isfinite(options.speed) and options.speed > 0.0):
         parser.error('--speed must be more than 0')
+    if options.domain is not None and not 0 <= options.domain <= MOST_DOMAIN:
+        parser.error(f'--domain must be 0 to {MOST_DOMAIN}')
     if options.replay is not None and not options.replay.exists():
         parser.error(f'there is no file or folder {options.replay}')
     if options.topic and (options.replay is None or options.replay.suffix == '.csv'):

@@ -3,6 +3,7 @@
 """The command line of the report."""
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -89,4 +90,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--minutes', type=float, default=30.0, help='length of the soak (%(default)s)'
     )
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if not 0.0 < options.minutes < math.inf:
+        parser.error('--minutes must be more than 0')
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f'--out {options.out}: {error.strerror}')
+    return options

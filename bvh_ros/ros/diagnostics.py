@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
 
@@ -175,11 +176,14 @@ class Diagnostics(Part):
 
 
 def _in_words(timings: Timings, what: str) -> dict[str, str]:
-    """Rate and durations since the last look; nan where nothing happened."""
+    """Rate and, if anything happened, durations since the last look."""
     summary = timings.look()
+    durations = {
+        'p50 [ms]': summary.median,
+        'p99 [ms]': summary.p99,
+        'longest [ms]': summary.longest,
+    }
     return {
         f'{what} a second': f'{summary.rate:.1f}',
-        'p50 [ms]': f'{summary.median:.3f}',
-        'p99 [ms]': f'{summary.p99:.3f}',
-        'longest [ms]': f'{summary.longest:.3f}',
+        **{name: f'{took:.3f}' for name, took in durations.items() if not math.isnan(took)},
     }

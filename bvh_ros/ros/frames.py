@@ -14,6 +14,7 @@ from rclpy.time import Time
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.parameters import TransformSettings
+from bvh_ros.ros.texts import as_line, shortened
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -99,7 +100,8 @@ class Frames:
             return transform if below is None else below.after(transform)
         if self.lookup is None:
             raise FrameError(
-                f"frame '{frame_id}' is not '{self.frame_id}', and tf2_ros is not available here"
+                f"frame '{shortened(frame_id)}' is not '{shortened(self.frame_id)}', "
+                'and tf2_ros is not available here'
             )
         return self.lookup(self.frame_id, frame_id, stamp)
 
@@ -110,22 +112,27 @@ class Frames:
         parents = {one.frame_id: one for one in fixed}
         if len(parents) < len(fixed):
             twice = next(f for f in parents if sum(one.frame_id == f for one in fixed) > 1)
-            raise ConfigurationError(f"parameter 'transforms': frame '{twice}' is placed twice")
+            raise ConfigurationError(
+                f"parameter 'transforms': frame '{shortened(twice)}' is placed twice"
+            )
         if self.frame_id in parents:
             raise ConfigurationError(
-                f"parameter 'transforms': '{self.frame_id}' is the node's own frame; "
+                f"parameter 'transforms': '{shortened(self.frame_id)}' is the node's own frame; "
                 'it is placed nowhere'
             )
         transform, frame, seen = _transform(given), given.parent, {given.frame_id}
         while frame in parents:
             if frame in seen:
-                raise ConfigurationError(f"parameter 'transforms': '{frame}' stands on itself")
+                raise ConfigurationError(
+                    f"parameter 'transforms': '{shortened(frame)}' stands on itself"
+                )
             seen.add(frame)
             transform, frame = _transform(parents[frame]).after(transform), parents[frame].parent
         if frame != self.frame_id and self.lookup is None:
             raise ConfigurationError(
-                f"parameter 'transforms': '{given.frame_id}' stands on '{frame}', which is not "
-                f"'{self.frame_id}', and tf2_ros is not available here"
+                f"parameter 'transforms': '{shortened(given.frame_id)}' stands on "
+                f"'{shortened(frame)}', which is not '{shortened(self.frame_id)}', "
+                'and tf2_ros is not available here'
             )
         return frame, transform
 
@@ -156,7 +163,10 @@ class Tf2:
             # No timeout: waiting inside a callback would stop the thread that receives /tf.
             found = self._buffer.lookup_transform(target, source, Time(nanoseconds=stamp))
         except self._error as error:
-            raise FrameError(f"no transform from '{source}' to '{target}': {error}") from error
+            raise FrameError(
+                f"no transform from '{shortened(source)}' to '{shortened(target)}': "
+                f'{as_line(error)}'
+            ) from error
         move, turn = found.transform.translation, found.transform.rotation
         return Transform(
             np.array((move.x, move.y, move.z)),

@@ -7,6 +7,9 @@
 - deactivate: no subscription, no service. The world stays, as a paused costmap keeps its cells:
   lifetimes run on, and a required source has to speak again before queries are answered;
 - cleanup: forget the world and the configuration.
+
+Parameters are read-only, as those of `bvh_node` are: configuring again reads the same values. To
+change them the node is started anew.
 """
 
 from __future__ import annotations
@@ -19,8 +22,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from bvh_ros.ros.node import RCLError, run
 from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.texts import as_line
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+RESTART = 'parameters are read-only: to change them, start the node anew'
 
 
 class BvhLifecycleNode(LifecycleNode):
@@ -48,9 +53,10 @@ class BvhLifecycleNode(LifecycleNode):
         try:
             self._server = BvhServer(self)
         except ConfigurationError as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(f'cannot be configured: {as_line(error)}; {RESTART}')
             return FAILURE
         self._server.compile()
+        self.get_logger().info('configured; it answers once it is activated')
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -59,29 +65,34 @@ class BvhLifecycleNode(LifecycleNode):
         try:
             self._server.serve()
         except ConfigurationError as error:
-            self.get_logger().error(str(error))
+            self.get_logger().error(f'cannot be activated: {as_line(error)}; {RESTART}')
             return FAILURE
+        self.get_logger().info('activated')
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop listening and answering; keep the world."""
         assert self._server is not None, 'only an active node is deactivated'
         self._server.stop()
+        self.get_logger().info('deactivated: it neither listens nor answers; the world stays')
         return SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the world and the configuration."""
         self._forget()
+        self.get_logger().info(f'cleaned up: the world is forgotten; {RESTART}')
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End, from whatever state."""
         self._forget()
+        self.get_logger().info('shut down: start it anew to use it')
         return SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin anew, unconfigured, after something went wrong in a transition."""
         self._forget()
+        self.get_logger().error(f'a transition failed from {state.label}: unconfigured now')
         return SUCCESS
 
     def _forget(self) -> None:

@@ -4,20 +4,25 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable
 
 import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 
 from bvh_ros.ros.interrupts import Interrupts
 from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.texts import as_line
 
 WRONG_CONFIGURATION = 2  # exit code
 RCLError = rclpy_implementation.RCLError  # what rcl says about arguments that it cannot read
+UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 
 
 class BvhNode(Node):
@@ -41,8 +46,7 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
     interrupts = Interrupts()
     try:
         with interrupts.while_starting():
-            rclpy.init(args=args)
-            node = create()
+            node = _start(executable, create, args)
             executor = SingleThreadedExecutor()
         rclpy.spin(node, executor)
     except ExternalShutdownException:
@@ -50,11 +54,34 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
     except (ConfigurationError, RCLError) as error:
         # Where a signal has shut ROS down below us, an error is only its echo.
         if not interrupts.received:
-            print(f'{executable}: {error}', file=sys.stderr)
+            print(f'{executable}: {as_line(error)}', file=sys.stderr)
             return WRONG_CONFIGURATION
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _start(executable: str, create: Callable[[], Node], args: list[str] | None) -> Node:
+    """Create the node; whatever it is told wrongly is a ConfigurationError or an RCLError."""
+    try:
+        rclpy.init(args=args)
+        if args is None:
+            _refuse_others(executable, remove_ros_args(sys.argv)[1:])
+        return create()
+    except UnknownROSArgsError as error:
+        raise ConfigurationError(f'unknown ROS arguments: {error}') from error
+    except (NameValidationException, ParameterException) as error:
+        raise ConfigurationError(str(error)) from error
+
+
+def _refuse_others(executable: str, arguments: list[str]) -> None:
+    """End with a usage line if there are arguments that are not for ROS; they would be lost."""
+    argparse.ArgumentParser(
+        prog=executable,
+        usage='%(prog)s [-h] [--ros-args ...]',
+        description='Answer raycast and overlap services about obstacles on topics.',
+        epilog='Parameters and remappings come after --ros-args.',
+    ).parse_args(arguments)
 
 
 def main(args: list[str] | None = None) -> int:

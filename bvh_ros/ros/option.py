@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterValueException
 
+from bvh_ros.ros.texts import shortened
+
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+FARTHEST = 1e9  # m, of lengths: what is told in doubles is exact to a tenth of a micrometre there
 Value = bool | int | float | str | list[str] | list[float]
 
 
@@ -72,10 +75,12 @@ def _checked(name: str, option: Option, value: Any) -> Any:
     else:
         good, wanted = isinstance(value, str), 'a string'
     if not good:
-        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {value!r}")
+        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
     if option.choices and value not in option.choices:
         choices = ', '.join(option.choices)
-        raise ConfigurationError(f"parameter '{name}' must be one of {choices}, not {value!r}")
+        raise ConfigurationError(
+            f"parameter '{name}' must be one of {choices}, not {_shown(value)}"
+        )
     # An integer given for a double escapes rclpy's own range check, and so does NaN.
     if _is_number(value, (int, float)) and not option.minimum <= value <= option.maximum:
         raise _out_of_range(name, option)
@@ -87,11 +92,15 @@ def _checked_list(name: str, default: Sequence[object], value: Any) -> list[Any]
     if isinstance(default[0], float):
         if items is not None and all(_is_finite(item) for item in items):
             return [float(item) for item in items]
-        raise ConfigurationError(f"parameter '{name}' must be finite numbers, not {value!r}")
+        raise ConfigurationError(f"parameter '{name}' must be finite numbers, not {_shown(value)}")
     if items is not None and all(isinstance(item, str) for item in items):
         # YAML cannot say "an empty list of strings" other than ['']
         return [item for item in items if item]
-    raise ConfigurationError(f"parameter '{name}' must be a list of strings, not {value!r}")
+    raise ConfigurationError(f"parameter '{name}' must be a list of strings, not {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    return shortened(repr(value))
 
 
 def _out_of_range(name: str, option: Option) -> ConfigurationError:

@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bvh_ros.ros.option import ConfigurationError, Option, read
+from bvh_ros.ros.option import FARTHEST, ConfigurationError, Option, read
+from bvh_ros.ros.texts import shortened
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -24,6 +25,7 @@ NODE_OPTIONS = (
         'Every box in the tree is fattened by this many metres, so that small moves cost no work. '
         'Answers do not depend on it.',
         minimum=0.0,
+        maximum=FARTHEST,
     ),
     Option(
         'max_obstacles',
@@ -188,7 +190,7 @@ def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -
     type_name = read(node, prefix, type_option).rpartition('/')[2]
     if type_name not in types:
         raise ConfigurationError(
-            f"parameter '{name}.type' must be one of {known}, not {type_name!r}"
+            f"parameter '{name}.type' must be one of {known}, not {shortened(type_name)!r}"
         )
     topic = read(node, prefix, topic_option)
     if not topic:
@@ -216,18 +218,20 @@ def _read_transform(node: Node, name: str, frame_id: str) -> TransformSettings:
 
 def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> None:
     for name in names:
-        if not re.fullmatch('[A-Za-z][A-Za-z0-9_]*', name):
+        if not re.fullmatch('[A-Za-z][A-Za-z0-9_]{0,79}', name):
             raise ConfigurationError(
-                f"parameter '{parameter}': {name!r} is not a name "
-                '(letters, digits and underscores)'
+                f"parameter '{parameter}': {shortened(name)!r} is not a name "
+                '(at most 80 letters, digits and underscores)'
             )
         if name in taken:
             raise ConfigurationError(
-                f"parameter '{parameter}': {name!r} is the name of another parameter, source, "
-                'view, service or topic'
+                f"parameter '{parameter}': {shortened(name)!r} is the name of another parameter, "
+                'source, view, service or topic'
             )
         if names.count(name) > 1:
-            raise ConfigurationError(f"parameter '{parameter}': {name!r} is there twice")
+            raise ConfigurationError(
+                f"parameter '{parameter}': {shortened(name)!r} is there twice"
+            )
 
 
 def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:

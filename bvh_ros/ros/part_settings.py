@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from bvh_ros.ros.option import ConfigurationError, Option
+from bvh_ros.ros.option import FARTHEST, ConfigurationError, Option
 
 LASER_SCAN, POINT_CLOUD = 'LaserScan', 'PointCloud2'
 MOST_RAYS = 1_000_000  # of one scan
@@ -24,19 +24,22 @@ DRAW_OPTIONS = (
     Option('first_depth', 0, 'Upper end of the levels on ~/tree; the root has depth 0.', 0, 127),
     Option('last_depth', 6, 'Lower end of the levels on ~/tree.', 0, 127),
 )
+TURNS = (-100.0, 100.0)  # rad
 SCAN_OPTIONS = (
     Option('pose_topic', '', 'PoseStamped of the scanner. Empty: there is no virtual scan.'),
     Option('type', LASER_SCAN, 'What ~/virtual_scan carries.', choices=(LASER_SCAN, POINT_CLOUD)),
     Option('frame_id', 'laser', "The scanner's own frame. Empty: points in the node's frame."),
     Option('view', '', 'The view that the scanner has; empty: it sees everything.'),
-    Option('angle_min', -math.pi, 'First direction (rad) about the z axis of the scanner.'),
-    Option('angle_max', math.pi, 'Last direction (rad).'),
+    Option(
+        'angle_min', -math.pi, 'First direction (rad) about the z axis of the scanner.', *TURNS
+    ),
+    Option('angle_max', math.pi, 'Last direction (rad).', *TURNS),
     Option('angle_increment', math.pi / 180, 'Step between directions (rad).', 1e-6, math.tau),
     Option('channels', 1, 'Rings of a PointCloud2.', 1, 1024),
     Option('elevation_min', 0.0, 'Lowest ring (rad).', -math.pi / 2, math.pi / 2),
     Option('elevation_max', 0.0, 'Highest ring (rad).', -math.pi / 2, math.pi / 2),
-    Option('range_min', 0.0, 'What is nearer (m) is -Inf.', 0.0),
-    Option('range_max', 100.0, 'What is farther (m) is +Inf.', 0.0),
+    Option('range_min', 0.0, 'What is nearer (m) is -Inf.', 0.0, FARTHEST),
+    Option('range_max', 100.0, 'What is farther (m) is +Inf.', 0.0, FARTHEST),
     Option('rate', 0.0, 'Scans a second from the newest pose; 0: one scan a pose.', 0.0, 1000.0),
 )
 GROUPS = {'draw': DRAW_OPTIONS, 'virtual_scan': SCAN_OPTIONS}
@@ -91,5 +94,9 @@ def scan_settings(values: Mapping[str, Any]) -> ScanSettings:
         )
     beams = (settings.angle_max - settings.angle_min) / settings.angle_increment
     if beams * settings.channels > MOST_RAYS:
-        raise ConfigurationError(f"'virtual_scan' has more than {MOST_RAYS} rays a scan")
+        raise ConfigurationError(
+            "parameters 'virtual_scan.angle_min', 'virtual_scan.angle_max', "
+            "'virtual_scan.angle_increment' and 'virtual_scan.channels' make more than "
+            f'{MOST_RAYS} rays a scan'
+        )
     return settings

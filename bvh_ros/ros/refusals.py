@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from typing import Protocol
 
+from bvh_ros.ros.texts import LONGEST_LINE, shortened
 from bvh_ros.scene import Refusal
 
 LOG_EVERY = 2.0  # seconds
@@ -41,7 +42,7 @@ class Refused:
     def add(self, reason: str, count: int = 1) -> None:
         """Count `count` refusals for one reason."""
         self.count += count
-        self.last = reason
+        self.last = reason = shortened(reason, LONGEST_LINE)
         self._unlogged += count
         now = time.monotonic()
         if now < self._log_again:
@@ -55,5 +56,5 @@ class Refused:
         """Count the rows of an update that were refused."""
         if refusals:
             first = refusals[0]
-            who = f"'{first.name}': " if first.name else ''
+            who = f"'{shortened(first.name)}': " if first.name else ''
             self.add(who + first.reason, len(refusals))

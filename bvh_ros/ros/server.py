@@ -21,6 +21,7 @@ from bvh_ros.ros.part_settings import GROUPS, draw_settings, scan_settings
 from bvh_ros.ros.query_drawing import QueryDrawing
 from bvh_ros.ros.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
+from bvh_ros.ros.texts import as_line, shortened
 from bvh_ros.ros.upkeep import Upkeep
 from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
@@ -163,7 +164,9 @@ class BvhServer:
             try:
                 yield VirtualScan(node, world, self._scan, self._scanning_view())
             except (RuntimeError, InvalidTopicNameException, ParameterException) as error:
-                raise ConfigurationError(f"'virtual_scan.pose_topic': {error}") from error
+                raise ConfigurationError(
+                    f"parameter 'virtual_scan.pose_topic': {as_line(error)}"
+                ) from error
 
     def _scanning_view(self) -> View:
         """Return the view that the virtual scan is configured with."""
@@ -171,7 +174,8 @@ class BvhServer:
             if view.name == self._scan.view:
                 return view
         raise ConfigurationError(
-            f"'virtual_scan.view' is '{self._scan.view}', no view of this node"
+            f"parameter 'virtual_scan.view' is '{shortened(self._scan.view)}', "
+            'no view of this node'
         )
 
     def stop(self) -> None:
@@ -199,7 +203,7 @@ class BvhServer:
             ', '.join(part for part in parts if parts[part] is used) for used in (True, False)
         )
         return (
-            f"ready in frame '{settings.frame_id}'; sources: {heard or 'none'}; "
+            f"ready in frame '{shortened(settings.frame_id)}'; sources: {heard or 'none'}; "
             f'on: {on}; off: {off}'
         )
 
@@ -224,7 +228,9 @@ class BvhServer:
         try:
             self.node.resolve_topic_name(settings.topic)  # better known before compiling
         except (RuntimeError, InvalidTopicNameException) as error:
-            raise ConfigurationError(f"source '{settings.name}': {error}") from error
+            raise ConfigurationError(
+                f"source '{settings.name}', parameter '{settings.name}.topic': {as_line(error)}"
+            ) from error
         return create_source(self.node, settings, scene, frames)
 
     def _create_views(self) -> list[View]:

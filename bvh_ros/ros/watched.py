@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 PERIOD = 1.0  # seconds
+TELL = 2  # times that a newcomer is told: it may find us a moment after we found it
 
 
 class Watched(Part):
     """Publishes at most once a second, latched, and only while there are subscribers.
+
+    What is latched reaches only who asks for it. Others would wait until something changes: when
+    somebody new subscribes, the last message is published again.
 
     Parameters
     ----------
@@ -34,6 +38,8 @@ class Watched(Part):
         super().__init__(node)
         self.is_watched = False
         self._published_at = -PERIOD
+        self._last: Any = None
+        self._to_tell = 0  # times that the last message is still to be said again
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._publish, clock=steady, autostart=False)
         self._close.append(self._destroy_timer)
@@ -52,7 +58,10 @@ class Watched(Part):
         if status.current_count == 0:
             self.is_watched = False
             self._timer.cancel()
-        elif not self.is_watched:
+            return
+        if status.current_count_change > 0:
+            self._to_tell = TELL
+        if not self.is_watched:
             self.is_watched = True
             self._timer.reset()
             if time.monotonic() - self._published_at >= PERIOD:
@@ -60,7 +69,11 @@ class Watched(Part):
 
     def _publish(self) -> None:
         message = self.message()
+        if message is None and self._to_tell > 0:
+            message = self._last
         if message is not None:
+            self._to_tell -= self._to_tell > 0
+            self._last = message
             self._published_at = time.monotonic()
             self._publisher.publish(message)
 

@@ -76,6 +76,11 @@ def test_queries_and_views(busy, diagnostics):
     assert seen['queries of none'].level == OK
     assert seen['queries of none'].message == 'no obstacle matches the view none'
 
+    # Nobody asks the view `none`: no durations, rather than NaN.
+    assert values(seen['queries of none'])['answers a second'] == '0.0'
+    assert not {'p50 [ms]', 'p99 [ms]', 'longest [ms]'} & values(seen['queries of none']).keys()
+    assert 'nan' not in str(seen)
+
     def asked():
         busy.names('few/raycast', (-5, 0, 0), (5, 0, 0))
         return float(values(seen['queries of few'])['answers a second']) > 0.0

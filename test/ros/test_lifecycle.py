@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The managed node, driven over its lifecycle services as Nav2's manager does it."""
 
+import re
 import time
 
 import pytest
@@ -98,6 +99,11 @@ def test_a_life(manage, messages):
     assert managed.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert managed.state() == State.PRIMARY_STATE_FINALIZED
     managed.until_services(set())
+    steps = r'\]: (configured|activated|deactivated|cleaned up|shut down)'
+    done = re.findall(steps, world.said())
+    once = ['configured', 'activated', 'deactivated']
+    assert done == [*once, 'activated', *once[2:], 'cleaned up', *once[:2], 'shut down']
+    assert 'parameters are read-only: to change them, start the node anew' in world.said()
     assert world.end() == 0
 
 

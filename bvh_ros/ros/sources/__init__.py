@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.option import Option
+from bvh_ros.ros.option import FARTHEST, Option
 from bvh_ros.ros.parameters import SourceSettings
 from bvh_ros.scene import ShapeKind
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.scene import Scene
+
+
+REACH = (-FARTHEST, FARTHEST)
 
 
 class SourceType(NamedTuple):
@@ -48,6 +51,7 @@ SOURCE_TYPES = {
                 0.1,
                 'Edge length (m) of the cube at each point of a cloud without sizes.',
                 minimum=0.0,
+                maximum=FARTHEST,
             ),
         ),
     ),
@@ -57,8 +61,8 @@ SOURCE_TYPES = {
         (ShapeKind.BOX,),
         (
             Option('occupied_at', 65, 'Cells of at least this value are occupied.', 0, 127),
-            Option('z_min', 0.0, 'Lower end (m) of the obstacles above the grid.'),
-            Option('z_max', 2.0, 'Upper end (m) of the obstacles above the grid.'),
+            Option('z_min', 0.0, 'Lower end (m) of the obstacles above the grid.', *REACH),
+            Option('z_max', 2.0, 'Upper end (m) of the obstacles above the grid.', *REACH),
             Option(
                 'unknown', 'free', 'What unknown cells (-1) are.', choices=('free', 'occupied')
             ),

@@ -1,0 +1,179 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever a parameter or an argument is, the node runs or says in one line what is wrong."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.texts import LONGEST_LINE, as_line, shortened
+
+EVERYTHING = {
+    'sources': ['m', 'c', 'g'],
+    'm.type': 'MarkerArray',
+    'c.type': 'PointCloud2',
+    'g.type': 'OccupancyGrid',
+    'm.topic': '/m',
+    'c.topic': '/c',
+    'g.topic': '/g',
+    'views': ['v'],
+    'transforms': ['t'],
+    'virtual_scan.pose_topic': '/p',
+}
+RCLPYS_OWN = 'start_type_description_service'
+LARGEST = 1.7e308
+VALUES = (
+    *(True, 0, -1, 2**63 - 1, -(2**63)),
+    *(0.5, -1.0, 1e-320, LARGEST, -LARGEST, float('nan'), float('inf')),
+    *('', 'a//b', '{', 'x' * 10_000, 'two\nlines'),
+    *([], [True], [2**63 - 1], [0.5], [float('nan')], [LARGEST] * 3, [LARGEST] * 4, [0.0] * 4),
+    *([''], ['a//b'], ['x' * 10_000], ['x', 'x']),
+)
+# Those that cannot be used as they are: others may be wrong beside another's value.
+MUST_BE_REFUSED = (
+    *[('margin', value) for value in (LARGEST, 1e10, -1.0, float('nan'), float('inf'), 'x', [])],
+    *[('margin', value) for value in (True, -1, 2**63 - 1)],
+    *[('max_obstacles', value) for value in (0, -1, 2**31, 0.5, True, 'x', [2**63 - 1])],
+    *[('planar', value) for value in (0, 0.5, 'x', [True])],
+    *[('c.voxel', value) for value in (LARGEST, -1.0)],
+    *[('g.z_max', value) for value in (LARGEST, -1.0)],
+    *[('virtual_scan.range_max', value) for value in (LARGEST, -1.0)],
+    *[('m.topic', value) for value in ('', 'a//b', 5, 'x' * 10_000)],
+    *[('m.required', value) for value in (1, 'x')],
+    *[('sources', value) for value in ('m', [0.5], ['a//b'])],
+)
+
+
+@pytest.fixture
+def complaint(ros):
+    """What the node says of these parameters; empty if it can use them."""
+
+    def of(parameters):
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = Node('n', parameter_overrides=overrides, start_parameter_services=False)
+        try:
+            BvhServer(node).destroy()
+        except ConfigurationError as error:
+            return str(error)
+        finally:
+            node.destroy_node()
+        return ''
+
+    return of
+
+
+def test_every_parameter_of_every_kind(complaint):
+    """Whether it is refused or not, nothing else is raised, and a refusal names the parameter."""
+    node = Node('n', parameter_overrides=[Parameter(n, value=v) for n, v in EVERYTHING.items()])
+    BvhServer(node).destroy()
+    names = [name for name in node._parameters if name not in ('use_sim_time', RCLPYS_OWN)]
+    node.destroy_node()
+    assert len(names) > 50
+    for name in names:
+        for value in VALUES:
+            said = complaint({**EVERYTHING, name: value})
+            about = ('stands on', '.type') if name in ('t.parent', 'sources') else ()
+            assert not said or any(word in said for word in (name, *about)), (name, value, said)
+            assert said.isprintable(), (name, value)
+            assert len(said) <= LONGEST_LINE, (name, value, said)
+
+
+def test_these_are_refused(complaint):
+    assert complaint(EVERYTHING) == ''
+    for name, value in MUST_BE_REFUSED:
+        assert f"'{name}'" in complaint({**EVERYTHING, name: value}), (name, value)
+
+
+@pytest.mark.parametrize(
+    ('executable', 'arguments', 'reason'),
+    [
+        ('node', '--ros-args -p use_sim_time:=maybe', "'use_sim_time'"),
+        ('lifecycle_node', '--ros-args -p use_sim_time:=3', "'use_sim_time'"),
+        ('node', '--ros-args --bogus', "unknown ROS arguments: ['--bogus']"),
+        ('lifecycle_node', '-p margin:=1.0', 'unrecognized arguments: -p margin:=1.0'),
+        ('node', '--ros-args -p margin:=1e308', "'margin' must be at least 0 and at most"),
+        ('node', '--ros-args --params-file /nowhere', '/nowhere'),
+    ],
+)
+def test_a_wrong_command_line_ends_with_one_plain_line(executable, arguments, reason):
+    ended = subprocess.run(
+        [sys.executable, '-m', f'bvh_ros.ros.{executable}', *arguments.split(' ')],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 2
+    assert 'Traceback' not in ended.stderr
+    *_, line = ended.stderr.splitlines()
+    assert line.startswith(f'bvh_{executable}: ')
+    assert reason in line
+
+
+def test_help_is_given():
+    ended = subprocess.run(
+        [sys.executable, '-m', 'bvh_ros.ros.node', '--help'],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, '')
+    assert 'come after --ros-args' in ended.stdout
+
+
+@pytest.mark.parametrize(
+    'arguments',
+    [
+        ('bvh_ros.demo', '--domain', '233'),
+        ('bvh_ros.report.cli', 'soak', '--minutes', 'nan'),
+        ('bvh_ros.report.cli', 'speed', '--out', os.devnull),
+    ],
+)
+def test_wrong_arguments_of_the_others(arguments):
+    module, *rest = arguments
+    main = f'import sys; from {module} import main; sys.exit(main(sys.argv[1:]))'
+    ended = subprocess.run(
+        [sys.executable, '-c', main, *rest],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode == 2, ended.stderr
+    assert 'Traceback' not in ended.stderr
+    assert rest[-2] in ended.stderr.splitlines()[-1]
+
+
+def test_texts_of_others_fit_into_a_line():
+    assert shortened('short') == 'short'
+    assert shortened('x' * 80) == 'x' * 80
+    assert shortened('x' * 81) == 'x' * 80 + '... (81 characters)'
+    assert shortened('a\nb\x1b') == 'a\\nb\\x1b'
+    assert as_line(ValueError('one\n two ' + 'x' * 10**6)).startswith('one two xxx')
+    assert len(as_line(ValueError('x' * 10**6))) < LONGEST_LINE + 30
+
+
+def test_a_huge_frame_is_shortened_where_it_is_told(start_node, messages):
+    world = start_node()
+    huge = 'f' * 1_000_000
+    world.markers(messages.marker(1, frame=huge))
+    world.markers(messages.marker(2, ns='n' * 1_000_000, size=(-1, 1, 1)))
+    status = world.status('source markers')
+    world.until(lambda: world.status('source markers').values['refused'] == '2')
+    (pose,) = world.plan('raycast', (0, 0, 0), (1, 0, 0), frame=huge).poses
+    status = world.status('source markers')
+    for said in (world.said(), str(status), world.status('queries').values['last reason']):
+        assert len(said) < 10_000
+    for said in (world.said(), pose.header.frame_id):
+        assert 'ffff... (1000000 characters)' in said
+    assert 'nnnn... (1000002 characters)' in str(status)
