@@ -29,9 +29,9 @@ class Mesh:
     ----------
     triangles : array_like, shape (m, 3, 3)
         Corners, m; the winding does not matter. They are taken as rounded to float32: what is as
-        near as that is one corner, and by as little a surface may bend inwards. Triangles without
-        area may close the surface. Every edge must belong to exactly two triangles, and the
-        surface must bulge nowhere inwards.
+        near as that is one corner, and by as little, 2.4e-7 of its size, the surface may lie
+        within the hull of its corners. Triangles without area may close the surface. Every edge
+        must belong to exactly two triangles.
 
     Raises
     ------
@@ -46,9 +46,6 @@ class Mesh:
         finite = np.isfinite(corners).all(axis=(1, 2))
         if not finite.all():
             raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
-        largest = np.abs(corners).max()
-        if not 1e-100 < largest < 1e100:
-            raise ValueError('the mesh is too small or too large')
         surface = surface_of(corners)
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         self.centre: Floats = lo * 0.5 + hi * 0.5
