@@ -18,13 +18,12 @@ ROS = [
 ]
 BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
-PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', 'scipy>=1.10', *FCL]
+PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', *FCL]
 TEST = [
     'pytest>=7',
     'pytest-timeout>=2',
     'pytest-xdist>=3.7',
     'hypothesis>=6.80',
-    'scipy>=1.10',
     *FCL,
     *ROS,
     *BAGS,
@@ -51,7 +50,7 @@ setup(
     ],
     zip_safe=False,
     python_requires='>=3.10',
-    install_requires=['numpy>=1.24', 'numba>=0.59'],
+    install_requires=['numpy>=1.24', 'numba>=0.59', 'scipy>=1.10'],
     extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'test': TEST},
     entry_points={
         'console_scripts': [

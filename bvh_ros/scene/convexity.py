@@ -36,7 +36,7 @@ class Hull(NamedTuple):
     equations: Floats  # (f, 4) outward unit normal n and d: n . x + d <= 0 in the hull
     areas: Floats  # (f,) of the faces
     first: Integers  # (k,) where the planes of each point begin in `number`
-    count: Integers  # (k,) how many they are
+    times: Integers  # (k,) how many they are
     number: Integers
 
 
@@ -112,7 +112,7 @@ def _hold_against_near(
         for share in range(NEARBY):
             rows = rows[found.depths[rows] > enough]
             at = corners[rows, corner]
-            number = hull.number[hull.first[at] + share * hull.count[at] // NEARBY]
+            number = hull.number[hull.first[at] + share * hull.times[at] // NEARBY]
             _note(points, corners, rows, hull.equations[number], found)
     return rows[found.depths[rows] > enough]
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .convexity import Lying, lying
+from .convexity import lying
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

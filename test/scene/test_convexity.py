@@ -1,0 +1,164 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is kept of a mesh is nowhere farther from what was given than float32 rounds: in every
+decade of size, however finely the surface is cut, however gently it bends inwards.
+"""
+
+import numpy as np
+import pytest
+from scene.reference import bulging, icosphere, scene_of
+from scene.test_surface import CUBE, cut_cube, shuffled, single, turned
+from scipy.spatial import ConvexHull
+
+from bvh_ros.scene import Mesh, Shapes
+from bvh_ros.scene.convexity import lying
+from bvh_ros.scene.surface import NOISE, goes_around
+
+DECADES = (-320, -300, -101, -99, -90, -60, -30, 0, 30, 60, 90, 99, 101, 150, 300)
+
+
+def prism(outline, height=0.5):
+    """Triangles of a prism over a polygon (n, 2) that is a fan around its corner 0."""
+    low, high = (np.column_stack([outline, np.full(len(outline), z)]) for z in (-height, height))
+    a, b, c, d = low, np.roll(low, -1, 0), np.roll(high, -1, 0), high
+    sides = [np.stack([a, b, c], 1), np.stack([a, c, d], 1)]
+    caps = [np.stack([np.broadcast_to(x[0], x[2:].shape), x[1:-1], x[2:]], 1) for x in (low, high)]
+    return np.concatenate(sides + caps)
+
+
+def duct(segments, angle, turn=0.0):
+    """A sector of a ring with radii 1 and 2: bent inwards in many small steps."""
+    angles = np.linspace(0, angle, segments + 1) + turn
+    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1)
+    up = np.array([0, 0, 0.5])
+    tube = np.array([ring, 2 * ring, 2 * ring + up, ring + up])
+    triangles = []
+    for i in range(4):
+        a, b = tube[i], tube[(i + 1) % 4]
+        triangles += [np.stack([a[:-1], a[1:], b[1:]], 1), np.stack([a[:-1], b[1:], b[:-1]], 1)]
+    ends = [tube[[0, i, i + 1], k][None] for k in (0, -1) for i in (1, 2)]
+    return np.concatenate(triangles + ends)
+
+
+def fillet(radius, count):
+    """A square whose one corner is rounded by so many points."""
+    angles = np.linspace(0, np.pi / 2, count)
+    arc = 0.5 - radius + radius * np.stack([np.cos(angles), np.sin(angles)], 1)
+    return np.concatenate([[(-0.5, -0.5), (0.5, -0.5)], arc, [(-0.5, 0.5)]])
+
+
+@pytest.mark.parametrize('segments', [50, 836, 2000])
+def test_a_surface_that_bends_inwards_a_little_at_a_time_is_refused(segments):
+    for angle, turn in ((np.pi / 3, 0.0), (np.pi / 3, 2.0), (0.02, 1.0)):
+        for form in (lambda x: x, turned, lambda x: shuffled(single(x))):
+            with pytest.raises(ValueError, match=r'not convex at triangle .* m within the hull'):
+                Mesh(form(duct(segments, angle, turn)))
+
+
+def test_the_depth_of_a_dent_decides():
+    """A cube whose one side has a shallow pit, around the limit; told rightly in metres."""
+    plate = cut_cube(4)
+    pit = (plate == (0.0, 0.0, 0.5)).all(axis=2)
+    assert pit.any()
+    for depth in (1e-8, 2.3e-7, 2.5e-7, 1e-6, 1e-3):
+        given = plate.copy()
+        given[pit, 2] -= depth
+        if depth < NOISE:
+            assert len(Mesh(given).corners) == len(given)
+            continue
+        with pytest.raises(ValueError, match='not convex') as refused:
+            Mesh(given)
+        told = float(str(refused.value).split('it lies ')[1].split(' m')[0])
+        assert told == pytest.approx(depth, rel=0.01, abs=1e-8)
+
+
+@pytest.mark.parametrize(('radius', 'count'), [(1e-3, 8000), (1e-5, 300), (2e-7, 9)])
+def test_what_is_finer_than_the_noise_does_not_melt(radius, count):
+    """A rounded edge whose points are nearer to each other than float32 rounds."""
+    outline = fillet(radius, count)
+    for given in (prism(outline), single(prism(outline)), turned(prism(outline))):
+        mesh = Mesh(given)
+        # Shaken a little: qhull takes minutes over a flat face of thousands of corners.
+        corners = mesh.vertices + mesh.centre
+        kept = ConvexHull(corners + np.random.default_rng(1).uniform(-1e-9, 1e-9, corners.shape))
+        outside = -depth_within(given.reshape(-1, 3)[:: max(len(given) // 500, 1)], kept)
+        assert outside.max() <= NOISE * mesh.size.max() + 2e-9
+
+
+def depth_within(points, hull):
+    """How deep points are in a hull, by all its planes."""
+    return -(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+
+
+def test_what_is_taken_is_near_its_hull_everywhere():
+    """Brute force over samples of all triangles, and from the given corners to the kept solid."""
+    rng = np.random.default_rng(7)
+    taken = 0
+    for trial in range(60):
+        triangles = [cut_cube(5), icosphere(2), bulging(rng, 40), prism(fillet(1e-2, 40))][
+            trial % 4
+        ]
+        triangles = turned(triangles * rng.uniform(0.01, 1, 3), trial)
+        size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+        corners, which = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        moved = corners + rng.normal(size=corners.shape) * size * 10.0 ** rng.uniform(-9, -5)
+        given = moved[which.reshape(-1, 3)]
+        hull = ConvexHull(moved)
+        noise = NOISE * np.ptp(moved, axis=0).max()
+        shares = rng.dirichlet((1, 1, 1), 20)
+        samples = np.einsum('sk,mki->msi', shares, given).reshape(-1, 3)
+        deepest = depth_within(samples, hull).max()
+        try:
+            mesh = Mesh(given)
+        except ValueError:
+            assert deepest > 0.2 * noise
+            continue
+        taken += 1
+        assert deepest <= noise
+        assert depth_within(mesh.vertices + mesh.centre, hull).max() <= noise
+        kept = ConvexHull(mesh.vertices + mesh.centre)
+        assert -depth_within(moved, kept).min() <= noise
+    assert 15 < taken < 50
+
+
+def test_depths_are_those_of_brute_force():
+    rng = np.random.default_rng(3)
+    points = rng.normal(size=(300, 3))
+    hull = ConvexHull(points)
+    corners = rng.integers(0, 300, (500, 3))
+    heights = points @ hull.equations[:, :3].T + hull.equations[:, 3]
+    least = -heights[corners].min(axis=1).max(axis=1)
+    for k in range(500):
+        found = lying(points, corners[k : k + 1], 0.0).depths[0]
+        assert abs(found - least[k]) <= 1e-7
+
+
+def test_one_side_of_a_hull_there_and_back_goes_not_around():
+    ball = icosphere(2)
+    upper = ball[(ball[:, :, 2] >= -1e-9).all(axis=1)]
+    heights = np.ones(len(ball))
+    assert goes_around(ball, heights)
+    assert not goes_around(np.concatenate([upper, upper * 0.9999]), np.ones(2 * len(upper)))
+
+
+@pytest.mark.parametrize('power', DECADES)
+def test_a_mesh_of_any_size_is_right_or_refused(power):
+    size = 10.0**power
+    for shape in (CUBE, turned(CUBE), icosphere(2)):
+        if not 1e-100 < size < 1e100:
+            with pytest.raises(ValueError, match=r'too small or too large|no area'):
+                Mesh(shape * size)
+            continue
+        mesh, unit = Mesh(shape * size), Mesh(shape)
+        assert mesh.normals == pytest.approx(unit.normals, abs=1e-9)
+        corners = (m.vertices[m.corners] for m in (mesh, unit))
+        assert next(corners) / size == pytest.approx(next(corners), abs=1e-12)
+        scene = scene_of(Shapes.of_meshes([mesh], [(0, 0, 0)]))
+        hit = scene.raycast((4 * size, 0.1 * size, 0.2 * size), (0, 0.1 * size, 0.2 * size))
+        twin = scene_of(Shapes.of_meshes([unit], [(0, 0, 0)])).raycast(
+            (4, 0.1, 0.2), (0, 0.1, 0.2)
+        )
+        assert hit.t == pytest.approx(twin.t, abs=1e-12)
+        assert scene.nearest((0, 0, 3 * size))[0].t / size == pytest.approx(
+            scene_of(Shapes.of_meshes([unit], [(0, 0, 0)])).nearest((0, 0, 3))[0].t, abs=1e-9
+        )
