@@ -24,36 +24,48 @@ class BagError(RuntimeError):
     """A recording cannot be played; the text says why."""
 
 
-class Recording(NamedTuple):
+class Track(NamedTuple):
     """One topic of a bag."""
 
-    path: Path
     topic: str
     source_type: str  # of the node's source that reads it
     transient_local: bool  # offered so when it was recorded
     total: int  # messages
-    seconds: float  # from the first message of the bag to the last
-    others: list[str]  # topics that could have been chosen instead
 
-    def messages(self) -> Iterator[tuple[float, bytes]]:
-        """Seconds since the first message, and the message as it was serialised."""
+
+class Recording(NamedTuple):
+    """The topics of a bag that bring obstacles."""
+
+    path: Path
+    tracks: list[Track]
+    seconds: float  # from the first message of the bag to the last
+    others: list[str]  # topics that could have been chosen, too
+
+    @property
+    def total(self) -> int:
+        """How many messages there are on all topics."""
+        return sum(track.total for track in self.tracks)
+
+    def messages(self) -> Iterator[tuple[float, Track, bytes]]:
+        """Seconds since the first message, its topic, and the message as it was serialised."""
+        tracks = {track.topic: track for track in self.tracks}
         with _reader(self.path) as reader:
             began = None
-            chosen = [c for c in reader.connections if c.topic == self.topic]
-            for _, time, serialised in reader.messages(chosen):
+            chosen = [c for c in reader.connections if c.topic in tracks]
+            for connection, time, serialised in reader.messages(chosen):
                 began = time if began is None else began
-                yield (time - began) * 1e-9, serialised
+                yield (time - began) * 1e-9, tracks[connection.topic], serialised
 
 
 def find(path: Path, topic: str = '') -> Recording:
-    """Look into a bag for a topic of obstacles.
+    """Look into a bag for topics of obstacles.
 
     Parameters
     ----------
     path : Path
         Folder with a metadata.yaml, or a single .mcap or .db3 file.
     topic : str
-        Which one; without it that with the most messages.
+        The only one wanted; without it all that have messages.
 
     Raises
     ------
@@ -61,18 +73,25 @@ def find(path: Path, topic: str = '') -> Recording:
         If the bag cannot be read, or has no such topic.
     """
     with _reader(path) as reader:
-        known = {c.topic: c for c in reader.connections if c.msgtype in SOURCE_TYPES}
-        chosen = _chosen(reader, known, topic)
-        _check_definition(reader, chosen.msgtype)
-        return Recording(
-            path,
-            chosen.topic,
-            SOURCE_TYPES[chosen.msgtype],
-            _is_transient_local(chosen),
-            chosen.msgcount,
-            reader.duration * 1e-9,
-            sorted(set(known) - {chosen.topic}),
-        )
+        known: dict[str, list[Connection]] = {}
+        for connection in reader.connections:
+            if connection.msgtype in SOURCE_TYPES:
+                known.setdefault(connection.topic, []).append(connection)
+        tracks = [_track(name, known[name]) for name in _chosen(reader, known, topic)]
+        for message_type in {known[track.topic][0].msgtype for track in tracks}:
+            _check_definition(reader, message_type)
+        others = sorted(known.keys() - {track.topic for track in tracks})
+        return Recording(path, tracks, reader.duration * 1e-9, others)
+
+
+def _track(topic: str, connections: list[Connection]) -> Track:
+    """A topic may have been recorded from several publishers."""
+    return Track(
+        topic,
+        SOURCE_TYPES[connections[0].msgtype],
+        any(_is_transient_local(connection) for connection in connections),
+        sum(connection.msgcount for connection in connections),
+    )
 
 
 def _reader(path: Path) -> AnyReader:
@@ -92,16 +111,17 @@ def _reader(path: Path) -> AnyReader:
     return reader
 
 
-def _chosen(reader: AnyReader, known: dict[str, Connection], topic: str) -> Connection:
+def _chosen(reader: AnyReader, known: dict[str, list[Connection]], topic: str) -> list[str]:
     all_topics = ', '.join(sorted(f'{c.topic} ({c.msgtype})' for c in reader.connections))
     if topic and topic not in known:
         raise BagError(f'the bag has no topic {topic} of a known type, but {all_topics or "none"}')
     if not known:
         types = ', '.join(SOURCE_TYPES.values())
         raise BagError(f'the bag has no topic of type {types}, but {all_topics or "none"}')
-    chosen = known[topic] if topic else max(known.values(), key=lambda c: c.msgcount)
-    if chosen.msgcount == 0:
-        raise BagError(f'the bag has no message on {chosen.topic}')
+    wanted = [topic] if topic else sorted(known)
+    chosen = [name for name in wanted if any(c.msgcount for c in known[name])]
+    if not chosen:
+        raise BagError(f'the bag has no message on {", ".join(wanted)}')
     return chosen
 
 

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,16 +99,22 @@ def tracks(path: Path) -> Iterator[Frame]:
 
     The questions are those of the vehicle that stays longest.
     """
-    with path.open(newline='') as file:
-        rows = list(csv.DictReader(file))
-    seen = [int(row['id']) for row in rows]
+    try:
+        with path.open(newline='') as file:
+            rows = [
+                (row['frame'], float(row['t_s']), _vehicle(row)) for row in csv.DictReader(file)
+            ]
+    except (KeyError, ValueError, TypeError, OSError, csv.Error) as error:
+        raise RuntimeError(f'{path} is no track file: {error!r}') from error
+    if not rows:
+        raise RuntimeError(f'{path} is no track file: it has no rows')
+    seen = [thing.number for _, _, thing in rows]
     ego = max(set(seen), key=lambda number: (seen.count(number), -number))
-    for frame, group in groupby(rows, key=lambda row: row['frame']):
-        del frame
+    for _, group in groupby(rows, key=itemgetter(0)):
         vehicles = list(group)
-        things = [_vehicle(row) for row in vehicles]
+        things = [thing for _, _, thing in vehicles]
         own = [thing for thing in things if thing.number == ego]
-        yield Frame(float(vehicles[0]['t_s']), things, _questions_of(own[0]) if own else [])
+        yield Frame(vehicles[0][1], things, _questions_of(own[0]) if own else [])
 
 
 def _vehicle(row: dict[str, str]) -> Thing:
@@ -196,7 +203,7 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
         help='play a ROS 2 bag (folder, .mcap or .db3) or a track file (.csv)',
     )
     parser.add_argument(
-        '--topic', default='', help='of the bag; default: the one with most messages'
+        '--topic', default='', help='only this one of the bag; default: all that bring obstacles'
     )
     parser.add_argument('--speed', type=float, default=1.0, help='times real time (default 1)')
     parser.add_argument(

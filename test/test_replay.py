@@ -31,6 +31,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros import bags
+from bvh_ros import demo as demo_module
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+[/#]\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
@@ -136,7 +137,7 @@ def test_markers_in_their_own_frame_at_another_pace(shared_data, tmp_path):
     text = [(t, String(data='x')) for t, _ in frames * 3]
     path = write(tmp_path / 'bag', {'/chatter': text, '/tracks': frames})
     output, rows = played('--replay', path, '--speed', '2')
-    assert '/tracks (MarkerArray): 41 messages in 4.0 s' in output
+    assert '/tracks (MarkerArray): 41 messages\n41 messages in 4.0 s\n' in output
     assert f'{len(frames[0][1].markers)} obstacles between' in output
     assert rows >= 6
     took = float(re.search(r'41 messages in (\d+\.\d) s;', output)[1])
@@ -157,11 +158,50 @@ def test_a_cloud_in_a_bare_file(shared_data, tmp_path):
 
 def test_a_latched_map_in_sqlite(shared_data, tmp_path):
     path = write(tmp_path / 'bag', {'/map': floor(shared_data)}, storage=SQLITE, qos=[LATCHED])
-    assert bags.find(path).transient_local
+    assert bags.find(path).tracks[0].transient_local
     output, rows = played('--replay', path)
     assert '/map (OccupancyGrid): 1 messages' in output
     assert 'replay#' in output
     assert rows == 3
+
+
+def box(number, at, size):
+    row = dict.fromkeys(('qx', 'qy', 'qz'), 0) | {'id': number, 'qw': 1}
+    row |= dict(zip(('cx', 'cy', 'cz', 'sx', 'sy', 'sz'), (*at, *size), strict=True))
+    return MarkerArray(markers=[vehicle(row, 'map')])
+
+
+def point_cloud(*points):
+    cloud = PointCloud2(height=1, width=len(points), point_step=12, row_step=12 * len(points))
+    cloud.header.frame_id = 'map'
+    cloud.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate('xyz')
+    ]
+    cloud.data.frombytes(np.array(points, '<f4').tobytes())
+    return cloud
+
+
+def test_all_topics_with_obstacles_at_once(tmp_path):
+    """Two use the same names. The corners are those of the boxes, not of points on them."""
+    topics = {
+        '/cars': [(0.0, box(1, (0, 0, 0), (4, 4, 4))), (2.5, box(2, (0, 5, 0), (2, 2, 2)))],
+        '/people': [(0.1, box(1, (20, 0, 0), (2, 2, 6)))],
+        '/lidar/points': [(0.2, point_cloud((5, -9, 0), (6, -9, 0)))],
+        '/chatter': [(0.3, String(data='x'))],
+    }
+    path = write(tmp_path / 'bag', topics)
+    recording = bags.find(path)
+    assert [track.topic for track in recording.tracks] == ['/cars', '/lidar/points', '/people']
+    played_in_turn = [track.topic for _, track, _ in recording.messages()]
+    assert played_in_turn == ['/cars', '/people', '/lidar/points', '/cars']
+    output, _ = played('--replay', path)
+    *_, last = re.findall('.* obstacles between .*', output)
+    assert last == '5 obstacles between (-2.0, -9.1, -3.0) and (21.0, 6.0, 3.0)'
+    assert '4 messages in 2.5 s' in output
+    only, _ = played('--replay', path, '--topic', '/people')
+    assert '1 obstacles between (19.0, -1.0, -3.0) and (21.0, 1.0, 3.0)' in only
+    assert 'not played: /cars, /lidar/points' in only
 
 
 def test_bags_that_cannot_be_played(tmp_path):
@@ -184,6 +224,14 @@ def test_bags_that_cannot_be_played(tmp_path):
     assert 'Traceback' not in result.stderr
 
 
+def test_a_file_that_is_no_track_file(tmp_path):
+    path = tmp_path / 'tracks.csv'
+    for content in (b'', b'a,b\n1,2\n', b'frame,t_s,id\n0,x,1\n', b'\xff\x00', b'frame\n' * 3):
+        path.write_bytes(content)
+        with pytest.raises(RuntimeError, match=r'tracks\.csv is no track file: '):
+            next(demo_module.tracks(path))
+
+
 @pytest.mark.parametrize(
     ('arguments', 'reason'),
     [
@@ -197,16 +245,17 @@ def test_arguments_that_make_no_sense(arguments, reason):
     assert reason in result.stderr
 
 
-def test_a_recording_without_obstacles_is_said_to_be_one(tmp_path, monkeypatch):
+def test_a_recording_without_obstacles_is_said_to_be_one():
     from bvh_ros import replay
 
-    class Nobody:
-        def overlap(self, *_, **__):
-            return []
+    class NothingThere:
+        extent = None
 
-    monkeypatch.setattr(replay, 'ARRIVES_WITHIN', 0.2)
+        def until_quiet(self, timeout):
+            pass
+
     with pytest.raises(bags.BagError, match='brought no obstacle'):
-        replay._ask_at_the_end(Nobody(), None, None, 0.0)
+        replay._ask_at_the_end(None, None, NothingThere(), 0.0)
 
 
 def test_another_definition_of_a_type_is_refused(tmp_path):

@@ -14,6 +14,8 @@ from bvh_ros.ros.part import Part
 from bvh_ros.ros.survey import Survey, resident_bytes
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from rclpy.node import Node
 
     from bvh_ros.ros.refusals import Refused
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world import World
 
 PERIOD = 1.0  # seconds
+LOWEST, HIGHEST = 'lowest corner [m]', 'highest corner [m]'
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 STOPPED = '/clock stands still: no lifetime ends, and no source grows older'
@@ -99,6 +102,7 @@ class Diagnostics(Part):
         values = {
             'obstacles': len(scene),
             **figures,
+            **_corners(scene.bounds),
             'expired': scene.expired,
             'bytes of the process': resident_bytes(),
             'on': ', '.join(name for name in features if features[name]),
@@ -173,6 +177,16 @@ class Diagnostics(Part):
             message=text,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
+
+
+def _corners(bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None) -> dict[str, str]:
+    """Where the obstacles are, with the margin around them; nothing where there is none."""
+    if bounds is None:
+        return {}
+    return {
+        key: ', '.join(f'{coordinate:.3f}' for coordinate in corner)
+        for key, corner in zip((LOWEST, HIGHEST), bounds, strict=True)
+    }
 
 
 def _in_words(timings: Timings, what: str) -> dict[str, str]:
