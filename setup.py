@@ -19,6 +19,7 @@ ROS = [
 BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
 PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', *FCL]
+DOCS = ['sphinx>=7', 'myst-parser>=3']
 TEST = [
     'pytest>=7',
     'pytest-timeout>=2',
@@ -51,7 +52,7 @@ setup(
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=['numpy>=1.24', 'numba>=0.59', 'scipy>=1.10'],
-    extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'test': TEST},
+    extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'docs': DOCS, 'test': TEST},
     entry_points={
         'console_scripts': [
             'bvh_node = bvh_ros.ros.node:main',
