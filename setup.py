@@ -52,7 +52,14 @@ setup(
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=['numpy>=1.24', 'numba>=0.59', 'scipy>=1.10'],
-    extras_require={'ros': ROS, 'bags': BAGS, 'report': REPORT, 'peers': PEERS, 'docs': DOCS, 'test': TEST},
+    extras_require={
+        'ros': ROS,
+        'bags': BAGS,
+        'report': REPORT,
+        'peers': PEERS,
+        'docs': DOCS,
+        'test': TEST,
+    },
     entry_points={
         'console_scripts': [
             'bvh_node = bvh_ros.ros.node:main',

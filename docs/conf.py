@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 project = 'bvh_ros'
 author = 'The bvh_ros authors'
-copyright = '2026, ' + author  # noqa: A001 (Sphinx reads this name)
+copyright = '2026, ' + author
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 html_theme = 'alabaster'
 myst_heading_anchors = 3

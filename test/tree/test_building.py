@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from tree.adversary import MIXED, SCALES, some_boxes
+from tree.adversary import SCALES, some_boxes
 from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
