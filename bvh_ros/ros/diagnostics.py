@@ -154,8 +154,7 @@ class Diagnostics(Part):
             if source.has_spoken and not publishers:
                 level, text = WARN, 'its publishers are gone; what they said is kept'
             if subscription.incompatible:
-                level = WARN
-                text = f'a publisher with incompatible {subscription.incompatible} is not heard'
+                level, text = WARN, subscription.incompatible
         if problem := source.problem(now):
             level, text = ERROR, problem
         listening = 'receiving' if source.has_spoken else 'has not spoken yet'

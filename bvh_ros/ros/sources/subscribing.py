@@ -18,6 +18,8 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from bvh_ros.ros.sources.unheard import unheard
+
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.subscription import Subscription
@@ -74,7 +76,7 @@ class FollowingSubscription:
         self._callback = callback
         self._raw = raw
         self.topic = node.resolve_topic_name(topic)
-        self.incompatible = ''  # the last policy on which a publisher did not match
+        self.incompatible = ''  # why a publisher is not heard, and the remedy
         # The subscription is replaced outside of its own event's callback.
         self._change = node.create_guard_condition(self.check)
         self.qos = QoSProfile(
@@ -130,10 +132,8 @@ class FollowingSubscription:
 
     def _on_incompatible(self, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self.incompatible = policy
+        self.incompatible = unheard(self.topic, policy, self.qos)
         if self._follow and policy == 'RELIABILITY':
             self._change.trigger()
         else:
-            self._node.get_logger().warning(
-                f'{self.topic}: a publisher is not heard, its {policy} is not what is asked for'
-            )
+            self._node.get_logger().warning(f'{self.topic}: {self.incompatible}')
