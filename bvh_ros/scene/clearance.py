@@ -17,13 +17,13 @@ from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.machine import stack_array
 from ..tree.nodes import SLOT_MASK
 from .columns import Columns
-from .gjk import CENTRE, CORE_ROWS, dot, gap_bounds
+from .gjk import CORE_ROWS, FIRST, SECOND, SLACK, WAY_ROOM, dot
 from .hull import hull_of
-from .narrow_phase import ROUNDING, SLACK, farthest, fill_core, largest_length
+from .narrow_phase import fill_core, largest_length, ordered
 from .overlaps import corners, lengths
-from .plane_search import widest_gap
 from .registry import Slots
 from .shapes import Floats
+from .sure_gap import sure_bounds
 
 ROUNDED = 1.0 + 2.0**-40  # no computed distance is off by as much
 MORE = 4
@@ -41,42 +41,55 @@ class Neighbour(NamedTuple):
 @lean_kernel
 def gap(one, other, hulls, planar, points):
     """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
-    one.
+    one. It is the same from either side.
     """
+    if ordered(one, other):
+        return ordered_gap(one, other, hulls, planar, points)
+    distance = ordered_gap(other, one, hulls, planar, points)
+    for axis in range(3):
+        points[0, axis], points[1, axis] = points[1, axis], points[0, axis]
+    return distance
+
+
+@lean_kernel
+def ordered_gap(one, other, hulls, planar, points):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    way = stack_array(6, np.float64)  # from the other to this one; then where that ends
+    way = stack_array(WAY_ROOM, np.float64)
     origin = one.position
     exponent = math.frexp(max(largest_length(one, origin), largest_length(other, origin)))[1]
     round_one, radius = fill_core(one, origin, exponent, planar, first)
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
-    grown = radius + other_radius
-    slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
-    for axis in range(3):
-        way[3 + axis] = first[CENTRE, axis]
     if hulls is None:
         hull = other_hull = None
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(hulls, other)
-    limit = grown + slack
-    low, apart = gap_bounds(first, round_one, hull, second, round_other, other_hull, np.nan, way)
-    if not (round_one or round_other):
-        apart = apart if low > limit else 0.0
-    elif apart > limit and max(apart, math.sqrt(dot(way, way))) - low > SLACK:
-        apart = widest_gap(
-            first, round_one, hull, second, round_other, other_hull, way, limit, np.inf
-        )
+    limit = radius + other_radius + SLACK
+    low, high = sure_bounds(
+        first, round_one, hull, second, round_other, other_hull, limit, True, way
+    )
+    apart = high if high - low <= SLACK else low
     touching = apart <= limit
-    share = radius / apart if apart > 0.0 else 0.0
-    if touching:
-        share = radius / grown if grown > 0.0 else 0.0
-    other_share = share if touching else 1.0 - other_radius / apart
     for axis in range(3):
-        points[0, axis] = way[3 + axis] - share * way[axis]
-        points[1, axis] = way[3 + axis] - other_share * way[axis]
+        way[axis] = way[FIRST + axis] - way[SECOND + axis]
+    share, other_share = surfaces(radius, other_radius, math.sqrt(dot(way, way)), touching)
+    for axis in range(3):
+        points[0, axis] = way[FIRST + axis] - share * way[axis]
+        points[1, axis] = way[FIRST + axis] - other_share * way[axis]
         for row in range(2):
             points[row, axis] = math.ldexp(points[row, axis], exponent) + origin[axis]
-    return 0.0 if touching else math.ldexp(apart - grown, exponent)
+    return 0.0 if touching else math.ldexp(apart - radius - other_radius, exponent)
+
+
+@lean_kernel
+def surfaces(radius, other_radius, length, touching):
+    """Where the surfaces are on the way from a point of one core to a point of the other, in
+    shares of it; twice a point in both where they touch.
+    """
+    if touching:
+        share = radius / max(radius + other_radius, length) if radius > 0.0 else 0.0
+        return share, share
+    return radius / length, 1.0 - other_radius / length
 
 
 def nearest_other(tree: DynamicBVH, columns: Columns, slot: int) -> Neighbour | None:

@@ -7,7 +7,8 @@ points. GJK walks towards it on simplices (points, edges, triangles, tetrahedra)
 support points: those of the set that are farthest along a direction. Each step gives two bounds:
 the point v of the simplex closest to the origin is a difference of two points of the solids, so
 they are no farther apart than |v|; and the whole set lies beyond the plane through the newest
-corner with normal v, so they are no nearer than v . corner / |v|.
+corner with normal v, so they are no nearer than v . corner / |v|. Both bounds hold to SLACK,
+wherever the walk ends; where they differ, `sure_gap` goes on.
 
 A `core` is a solid without its rounding: a box, of which a sphere keeps the centre and a capsule
 the axis, a cylinder, or a mesh. Rows of `core`: half sizes (of a mesh the factor of its vertices,
@@ -21,14 +22,17 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
-from .climbing import farthest_vertex
+from .farthest import farthest_vertex
 
 MOST_STEPS = 100
 HANDED_ON = 16  # beside a cylinder: what is open then is for `plane_search`
 CONVERGED = 2.0**-48  # relative gap between the bounds' squares
-NOISE = 2.0**-50  # of lengths below 1
+# Of lengths about 1: the support points are those of the exact cores to less than this, from the
+# rounding of unit quaternions on.
+SLACK = 2.0**-48
 HALF, AXES, CENTRE = 0, 1, 4
 CORE_ROWS = 5
+FIRST, SECOND, WAY_ROOM = 3, 6, 9  # of what `gap_bounds` fills in
 
 
 @lean_kernel
@@ -61,7 +65,7 @@ def support(core, round_core, hull, way, sign, out):
 def support_hull(core, hull, way, sign, out):
     """`support` of a mesh: the farthest of its vertices."""
     x, y, z = dot(core[AXES], way), dot(core[AXES + 1], way), dot(core[AXES + 2], way)
-    best = farthest_vertex(hull.places, hull.links, -sign * x, -sign * y, -sign * z)
+    best = farthest_vertex(hull, -sign * x, -sign * y, -sign * z)
     for row in range(3):
         place = 0.0
         for axis in range(3):
@@ -155,29 +159,30 @@ def holds_origin(simplex, weights):
 
 
 @lean_kernel
-def missed(simplex, weights):
-    """By how much the corners with their weights miss the origin: what a tetrahedron says to hold
-    it that is as flat as the rounding of its corners.
-    """
-    total, square = weights[0] + weights[1] + weights[2] + weights[3], 0.0
+def weigh(simplex, count, weights, point):
+    """Fill in the points of the cores, from the corners' weights."""
     for axis in range(3):
-        place = 0.0
-        for corner in range(4):
-            place += weights[corner] / total * simplex[corner, axis]
-        square += place * place
-    return math.sqrt(square)
+        place, apart = 0.0, 0.0
+        for corner in range(count):
+            place += weights[corner] * simplex[corner, 3 + axis]
+            apart += weights[corner] * simplex[corner, axis]
+        point[FIRST + axis], point[SECOND + axis] = place, place - apart
 
 
 @lean_kernel
-def weigh(simplex, count, weights, point):
-    """Where `point` has room for it: fill in the point of the first core, from the corners'
-    weights.
+def missed(simplex, weights):
+    """By how much the corners with their weights, which are brought to a sum of 1, miss the
+    origin: what a tetrahedron says to hold it that is as flat as the rounding of its corners.
     """
-    if point.shape[0] == 6:
-        for axis in range(3, 6):
-            point[axis] = 0.0
-            for corner in range(count):
-                point[axis] += weights[corner] * simplex[corner, axis]
+    total, square = weights[0] + weights[1] + weights[2] + weights[3], 0.0
+    for corner in range(4):
+        weights[corner] /= total
+    for axis in range(3):
+        place = 0.0
+        for corner in range(4):
+            place += weights[corner] * simplex[corner, axis]
+        square += place * place
+    return math.sqrt(square)
 
 
 @lean_kernel
@@ -252,10 +257,9 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
     """(low, high) around the distance of two cores; high is 0 and low at most 0 if they overlap.
 
     Apart from rounding they are equal, unless one of them says already on which side of `limit`
-    the distance is (NaN: it is asked for itself), or a core is round: next to a rim corners are
-    soon so close together that GJK gains no more. `point` becomes the vector from the other core
-    to this one found last; if it has six components, the last three a point of this core, that
-    of `high` (if they overlap, of both).
+    the distance is (NaN: it is asked for itself), or GJK could not tell. `point` becomes the
+    vector from the other core to this one found last; then the points of this core and of the
+    other between which `high` is (if they overlap, one of both, twice).
 
     Rows of the simplex: the corner, and the point of this core in it.
     """
@@ -290,7 +294,7 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
             break
         count += 1
         held = count == 4 and low <= 0.0 and holds_origin(simplex, weights)
-        if held and (not (round_one or round_other) or missed(simplex, weights) < NOISE):
+        if held and missed(simplex, weights) <= SLACK:
             weigh(simplex, count, weights, point)
             return low, 0.0
         count, length = keep_closest(simplex, count, weights, trial, point, high)

@@ -6,6 +6,7 @@ A thin ray is followed through the tree of its triangles, see `mesh_rays`. How f
 GJK says.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy as np
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from ..tree.slab import INSIDE
-from .gjk import AXES, CENTRE, CORE_ROWS, HALF, dot, gap_bounds
+from .gjk import AXES, CENTRE, CORE_ROWS, FIRST, HALF, SECOND, SLACK, WAY_ROOM, dot
 from .mesh_rays import Surface, enter_surface
 from .ray_shapes import NEWTON_STEPS, ROUND, ROUNDING
+from .sure_gap import sure_bounds
 
 MESH = 4  # ShapeKind, as a kernel can read it
 
@@ -24,19 +26,22 @@ class Hull(NamedTuple):
     """Vertices of a mesh, for GJK."""
 
     places: Any
-    links: Any
-    """See `climbing`."""
+    discs: Any
+    """See `farthest`."""
+    radius: Any
+    """A length beyond which no vertex is, m."""
 
 
 @lean_kernel
 def hull_of(hulls, shape):
     """Vertices of a shape's mesh; none if it has none."""
     if shape.kind != MESH:
-        return Hull(hulls.vertices[:0], hulls.links[:0])
+        return Hull(hulls.vertices[:0], hulls.discs[:0], 1.0)
     span = hulls.spans[shape.mesh]
     return Hull(
         hulls.vertices[span.vertices[0] : span.vertices[1]],
-        hulls.links[span.links[0] : span.links[1]],
+        hulls.discs[span.discs[0] : span.discs[1]],
+        span.radius,
     )
 
 
@@ -62,14 +67,22 @@ def hull_gap(hull, point, apart):
     """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there."""
     ball = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     mesh = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    way = stack_array(WAY_ROOM, np.float64)
+    largest = max(hull.radius, abs(point[0]), abs(point[1]), abs(point[2]))
+    exponent = math.frexp(largest)[1]
     for row in range(CORE_ROWS):
         for axis in range(3):
             ball[row, axis] = mesh[row, axis] = 1.0 if row == AXES + axis else 0.0
     for axis in range(3):
-        ball[CENTRE, axis] = point[axis]
-    mesh[HALF, 0] = 1.0
-    nothing = Hull(hull.places[:0], hull.links[:0])
-    return gap_bounds(ball, False, nothing, mesh, False, hull, np.nan, apart)[1]
+        ball[CENTRE, axis] = math.ldexp(point[axis], -exponent)
+    mesh[HALF, 0] = math.ldexp(1.0, -exponent)
+    nothing = Hull(hull.places[:0], hull.discs[:0], 1.0)
+    high = sure_bounds(ball, False, nothing, mesh, False, hull, SLACK, True, way)[1]
+    for axis in range(3):
+        apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)
+    if high <= SLACK:
+        return 0.0
+    return math.ldexp(high, exponent)
 
 
 @lean_kernel

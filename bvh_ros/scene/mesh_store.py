@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.nodes import node_dtype
+from .farthest import LANES, NUMBERS
 from .meshes import Floats, Mesh
 from .polygon import Polygon
 
@@ -15,7 +16,7 @@ from .polygon import Polygon
 HULL = np.dtype(
     [
         ('vertices', np.int64, (2,)),
-        ('links', np.int64, (2,)),
+        ('discs', np.int64, (2,)),
         ('faces', np.int64, (2,)),
         ('root', np.int64),
         ('radius', np.float64),
@@ -30,8 +31,8 @@ class Hulls(NamedTuple):
     spans: NDArray[np.void]
     """(n,) of HULL, one a mesh."""
     vertices: Floats
-    links: NDArray[np.int32]
-    """See `climbing`."""
+    discs: Floats
+    """See `farthest`."""
     corners: NDArray[np.int32]
     normals: Floats
     nodes: NDArray[Any]
@@ -42,14 +43,14 @@ def _joined(meshes: dict[int, Mesh | Polygon]) -> Hulls:
     spans = np.zeros(max(meshes, default=-1) + 1, HULL)
     rows: list[tuple[NDArray[Any], ...]] = [
         (
-            *(np.empty((0, 3)), np.empty(0, np.int32), np.empty((0, 3), np.int32)),
+            *(np.empty((0, 3)), np.empty((0, NUMBERS, LANES)), np.empty((0, 3), np.int32)),
             *(np.empty((0, 3)), np.empty(0, node_dtype(3))),
         )
     ]
-    ends = dict.fromkeys(('vertices', 'links', 'faces'), 0)
+    ends = dict.fromkeys(('vertices', 'discs', 'faces'), 0)
     for number, mesh in sorted(meshes.items()):
         nodes, root = mesh.tree
-        rows.append((mesh.vertices, mesh.links, mesh.corners, mesh.normals, nodes))
+        rows.append((mesh.vertices, mesh.discs, mesh.corners, mesh.normals, nodes))
         spans['root'][number], spans['radius'][number] = root, mesh.radius
         for name, array in zip(ends, rows[-1], strict=False):
             spans[name][number] = ends[name], ends[name] + len(array)

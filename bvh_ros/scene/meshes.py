@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree.dynamic_bvh import DynamicBVH
-from .climbing import links
+from .farthest import arranged, discs
 from .outline import convex_polygon
 from .surface import surface_of
 
@@ -48,21 +48,26 @@ class Mesh:
             raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
         surface = surface_of(corners)
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-        self.centre: Floats = lo * 0.5 + hi * 0.5
-        """(3,) of the box around the mesh, in the frame of the triangles."""
+        inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
+        self.centre: Floats = np.zeros(3) if inside else lo * 0.5 + hi * 0.5
+        """(3,) of the box around the mesh, in the frame of the triangles; their origin if the box
+        holds that: then nothing is rounded."""
         self.size: Floats = hi - lo
         """(3,) edges of that box."""
-        self.vertices: Floats = surface.vertices - self.centre
-        """(k, 3) seen from the centre."""
-        self.corners: NDArray[np.int32] = surface.corners.astype(np.int32)
+        order = arranged(surface.vertices)
+        row = np.argsort(order)
+        self.vertices: Floats = surface.vertices[order] - self.centre
+        """(k, 3) seen from the centre, neighbours next to each other."""
+        self.corners: NDArray[np.int32] = row[surface.corners].astype(np.int32)
         """(m, 3) rows of `vertices`, one row a triangle."""
         self.normals: Floats = surface.normals
         """(m, 3) outward unit normals of the triangles."""
-        self.edges: NDArray[np.int32] = surface.edges.astype(np.int32)
+        self.edges: NDArray[np.int32] = row[surface.edges].astype(np.int32)
         """(e, 2) rows of `vertices`."""
         self.key = digest(self.vertices, self.corners)
         """The same for equal meshes."""
-        self.radius = math.ldexp(1.0, math.frexp(float(np.linalg.norm(self.size)) * 0.5)[1])
+        farthest = float(np.linalg.norm(self.vertices, axis=1).max())
+        self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
         """A power of two beyond the farthest vertex: steps of it round nothing away."""
 
     @cached_property
@@ -80,9 +85,9 @@ class Mesh:
         return convex_polygon(self.vertices[:, :2])
 
     @cached_property
-    def links(self) -> NDArray[np.int32]:
-        """What `climbing` needs to find the farthest vertex."""
-        return links(self.vertices, self.edges)
+    def discs(self) -> Floats:
+        """What `farthest_vertex` needs."""
+        return discs(self.vertices)
 
 
 def digest(*arrays: NDArray[Any]) -> bytes:

@@ -2,17 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether true shapes touch: the narrow phase, for any pair of kinds.
 
-Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a
-capsule its axis. Growing by a
-tolerance is the same again, so corners come out round (the Minkowski sum with a ball). Two
-boxes are first asked for a separating plane; what that leaves open, GJK decides, and beside a
-cylinder, where GJK gains no more digits, `plane_search`. Seen from above they work on the shadows
-of the cores, whose axes and centres have z = 0.
+Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a capsule its
+axis. Growing by a tolerance is the same again, so corners come out round (the Minkowski sum with a
+ball). Two boxes are first asked for a separating plane; what that leaves open, `sure_gap` decides.
+Seen from above they work on the shadows of the cores, whose axes and centres have z = 0.
+
+**The solid meant** is that of the stored doubles: position, half sizes, and the quaternion brought
+to unit length. Cores are seen from the position of one of the two, so that a pair far from the
+world's origin is as well known as one next to it. A shape and another are one pair, whichever is
+asked about: `ordered` puts the same first.
 
 **Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
 a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
-are apart, a half size, the tolerance) and the rounding of their positions. Axis-aligned boxes are
-decided exactly elsewhere, see `overlaps`.
+are apart, a half size, the tolerance), and to touch only where a point of one is as near to a
+point of the other. Axis-aligned boxes are decided exactly elsewhere, see `overlaps`.
 """
 
 import math
@@ -22,13 +25,10 @@ import numpy as np
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from .contact import CAPSULE, CYLINDER, SPHERE, rotate
-from .gjk import AXES, CENTRE, CORE_ROWS, HALF, gap_bounds
+from .gjk import AXES, CENTRE, CORE_ROWS, HALF, SLACK, WAY_ROOM
 from .hull import MESH, hull_of
-from .plane_search import widest_gap
 from .separation import separation
-
-SLACK = 2.0**-48
-ROUNDING = 2.0**-52
+from .sure_gap import sure_bounds
 
 
 @lean_kernel
@@ -41,12 +41,19 @@ def largest_length(shape, origin):
 
 
 @lean_kernel
-def farthest(one, other):
-    """The largest coordinate of two positions."""
-    largest = 0.0
+def ordered(one, other):
+    """Whether two shapes are in the order in which a pair is looked at."""
+    if one.kind != other.kind:
+        return one.kind < other.kind
     for axis in range(3):
-        largest = max(largest, abs(one.position[axis]), abs(other.position[axis]))
-    return largest
+        if one.position[axis] != other.position[axis]:
+            return one.position[axis] < other.position[axis]
+        if one.half[axis] != other.half[axis]:
+            return one.half[axis] < other.half[axis]
+    for axis in range(4):
+        if one.orientation[axis] != other.orientation[axis]:
+            return one.orientation[axis] < other.orientation[axis]
+    return one.mesh <= other.mesh
 
 
 @lean_kernel
@@ -75,6 +82,13 @@ def fill_core(shape, origin, exponent, planar, core):
 @lean_kernel
 def near(one, hulls, other, other_hulls, tolerance, planar):
     """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other."""
+    if ordered(one, other):
+        return ordered_near(one, hulls, other, other_hulls, tolerance, planar)
+    return ordered_near(other, other_hulls, one, hulls, tolerance, planar)
+
+
+@lean_kernel
+def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     origin = one.position
@@ -83,25 +97,23 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
     round_one, radius = fill_core(one, origin, exponent, planar, first)
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
     reach = radius + other_radius + math.ldexp(tolerance, -exponent)
-    slack = SLACK + math.ldexp(farthest(one, other), -exponent) * ROUNDING
     boxes = not (round_one or one.kind == MESH or round_other or other.kind == MESH)
     if boxes and not planar:
-        gap, sure = separation(first, second, slack)
+        gap, sure = separation(first, second, SLACK)
         if gap > reach:
             return False
         if gap == 0.0 and sure:
             return True
-    way = stack_array(3, np.float64)
+    way = stack_array(WAY_ROOM, np.float64)
     if hulls is None:
         hull = other_hull = None
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
-    low, high = gap_bounds(first, round_one, hull, second, round_other, other_hull, reach, way)
-    limit = reach + slack
-    if low > limit or high <= limit or not (round_one or round_other):
-        return low <= limit
-    widest = widest_gap(first, round_one, hull, second, round_other, other_hull, way, limit, limit)
-    return widest <= limit
+    limit = reach + SLACK
+    low, _ = sure_bounds(
+        first, round_one, hull, second, round_other, other_hull, limit, False, way
+    )
+    return low <= limit
 
 
 @lean_kernel

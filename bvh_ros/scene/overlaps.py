@@ -200,7 +200,8 @@ def closest_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
     closest = closest_in_frames(records['kind'], records['half'], local)
     for row in np.flatnonzero(records['kind'] == ShapeKind.MESH).tolist():
         mesh = columns.meshes[int(records['mesh'][row])]
-        hull.closest_on_hull(hull.Hull(mesh.vertices, mesh.links), local[row], closest[row])
+        vertices = hull.Hull(mesh.vertices, mesh.discs, mesh.radius)
+        hull.closest_on_hull(vertices, local[row], closest[row])
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.nodes import node_dtype
+from .farthest import LANES, NUMBERS
 from .meshes import Floats, Mesh, digest
 from .outline import convex_polygon
 from .shapes import ShapeKind, Shapes, rotations
@@ -20,7 +21,7 @@ class Polygon:
     It stands in for the mesh in a `MeshStore`, as one without triangles.
     """
 
-    links: ClassVar[NDArray[np.int32]] = np.empty(0, np.int32)
+    discs: ClassVar[Floats] = np.empty((0, NUMBERS, LANES))
     corners: ClassVar[NDArray[np.int32]] = np.empty((0, 3), np.int32)
     normals: ClassVar[Floats] = np.empty((0, 3))
     tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)

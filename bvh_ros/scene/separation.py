@@ -15,15 +15,16 @@ from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from .gjk import AXES, CENTRE, HALF
 
-NEARLY_PARALLEL = 2.0**-20  # cross products shorter than this have lost half their digits
-PARALLEL = 2.0**-48  # and here the axes of the boxes do all they could
+# The gap along a cross product is known to slack / its length: down to this length, well enough.
+NEARLY_PARALLEL = 2.0**-6
+PARALLEL = 2.0**-48  # and here the axes of the boxes do all it could
 
 
 @lean_kernel
 def separation(one, other, slack):
-    """(gap, sure): the widest gap between two boxes' shadows on the 15 lines, 0 if each gap is
+    """(gap, sure): a gap between two boxes' shadows on one of the 15 lines, 0 if each gap is
     within `slack`; not `sure` if edges are so nearly parallel that their cross product says
-    nothing. The boxes are at least `gap` apart.
+    little. The boxes are at least `gap` apart.
     """
     turn = stack_array(9, np.float64).reshape(3, 3)  # the other's axes seen from one, in columns
     offset = stack_array(3, np.float64)

@@ -21,7 +21,7 @@ def core(half, turn=None, centre=(0, 0, 0)):
 
 
 def bounds_of(box, cylinder):
-    return gap_bounds(box, False, None, cylinder, True, None, math.nan, np.empty(3))
+    return gap_bounds(box, False, None, cylinder, True, None, math.nan, np.empty(9))
 
 
 @pytest.mark.parametrize(

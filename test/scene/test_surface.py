@@ -8,11 +8,10 @@ import weakref
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, bulging, icosphere
+from scene.reference import box_of_triangles, icosphere
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, mesh_of
-from bvh_ros.scene.climbing import FEW, farthest_vertex
 
 CUBE = box_of_triangles((1, 1, 1))
 
@@ -134,25 +133,6 @@ def test_what_is_no_convex_solid_is_refused_in_a_sentence(triangles, words):
     assert '\n' not in str(refused.value)
     with pytest.raises(ValueError, match=words):
         Mesh(turned(shuffled(triangles)))
-
-
-@pytest.mark.parametrize('splits', [1, 2, 4])
-def test_the_farthest_vertex_is_found_from_anywhere(splits):
-    rng = np.random.default_rng(splits)
-    for triangles in (
-        icosphere(splits) * (1, 0.3, 2),
-        single(turned(cut_cube(3 * splits))),
-        bulging(rng, 12 * 4**splits),
-    ):
-        mesh = Mesh(triangles)
-        assert (len(mesh.links) > 0) == (len(mesh.vertices) > FEW)
-        ways = np.concatenate(
-            [rng.normal(size=(300, 3)), mesh.normals[:100], np.eye(3), -np.eye(3)]
-        )
-        for way in ways:
-            found = farthest_vertex(mesh.vertices, mesh.links, *way)
-            heights = mesh.vertices @ way
-            assert heights[found] >= heights.max() - 1e-6 * np.linalg.norm(way)
 
 
 def test_a_mesh_that_comes_again_is_recognised_while_it_is_in_use():
