@@ -27,9 +27,7 @@ from .farthest import farthest_vertex
 MOST_STEPS = 100
 HANDED_ON = 16  # beside a cylinder: what is open then is for `plane_search`
 CONVERGED = 2.0**-48  # relative gap between the bounds' squares
-# Of lengths about 1: the support points are those of the exact cores to less than this, from the
-# rounding of unit quaternions on.
-SLACK = 2.0**-48
+SLACK = 2.0**-48  # of lengths about 1: all that rounds support points, quaternions included
 HALF, AXES, CENTRE = 0, 1, 4
 CORE_ROWS = 5
 FIRST, SECOND, WAY_ROOM = 3, 6, 9  # of what `gap_bounds` fills in
@@ -171,9 +169,7 @@ def weigh(simplex, count, weights, point):
 
 @lean_kernel
 def missed(simplex, weights):
-    """By how much the corners with their weights, which are brought to a sum of 1, miss the
-    origin: what a tetrahedron says to hold it that is as flat as the rounding of its corners.
-    """
+    """By how much the corners with their weights, brought to a sum of 1, miss the origin."""
     total, square = weights[0] + weights[1] + weights[2] + weights[3], 0.0
     for corner in range(4):
         weights[corner] /= total

@@ -11,7 +11,7 @@ import numpy as np
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
 from .columns import Columns
-from .overlaps import Touching, around, closest_footprint_points, closest_points, from_centre
+from .overlaps import Touching, around, closest_footprint_points, closest_points
 from .registry import Slots
 from .shapes import Floats
 
@@ -53,6 +53,5 @@ def _measured(columns: Columns, slots: Slots, point: Floats) -> Touching:
     """How far obstacles of any shape are from a point; seen from above in a planar scene."""
     planar = columns.footprint is not None
     closest = closest_footprint_points if planar else closest_points
-    points = closest(columns, slots, point)
-    distances, normals = from_centre(points, point, 2 if planar else 3)
+    points, distances, normals = closest(columns, slots, point)
     return Touching(slots, distances, points, normals)

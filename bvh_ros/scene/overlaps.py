@@ -56,8 +56,7 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32)
         touches[narrow] = found
     slots = slots[touches]
     closest = closest_points if columns.footprint is None else closest_footprint_points
-    points = closest(columns, slots, query.centre)
-    distances, normals = from_centre(points, query.centre, ndim)
+    points, distances, normals = closest(columns, slots, query.centre)
     if ndim == 2:
         points[:, 2] = query.height
     return Touching(slots, distances, points, normals)
@@ -186,14 +185,20 @@ def closest_in_boxes(nodes, tight, slots, centre, height, points):
             points[i, axis] = min(max(centre[axis], lo[axis]), hi[axis])
 
 
-def closest_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
-    """The point of each shape closest to `centre`; the centre itself where it lies inside."""
+def closest_points(
+    columns: Columns, slots: Slots, centre: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """The point of each shape closest to `centre`; the centre itself where it lies inside. Then
+    how far it is, and the unit vector to the centre, or zero.
+
+    Far from the world's origin points are rounded more than distances.
+    """
     records = columns.geometry[slots]
     lo, hi = corners(records)
     points = np.clip(centre, lo, hi)
     turned = np.flatnonzero(records['shaped'])
     if not len(turned):
-        return points
+        return points, *from_centre(points, centre, 3)
     records = records[turned]
     matrices = shapes.rotations(records['orientation'])
     local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
@@ -205,7 +210,9 @@ def closest_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
     inside = (closest == local).all(axis=1)
     points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
     points[turned[inside]] = centre
-    return points
+    distances, normals = from_centre(points, centre, 3)
+    distances[turned] = lengths(local - closest)
+    return points, distances, normals
 
 
 def closest_in_frames(kind: NDArray[np.uint8], half: Floats, local: Floats) -> Floats:
@@ -228,7 +235,9 @@ def closest_in_frames(kind: NDArray[np.uint8], half: Floats, local: Floats) -> F
 # ---- seen from above
 
 
-def closest_footprint_points(columns: Columns, slots: Slots, centre: Floats) -> Floats:
+def closest_footprint_points(
+    columns: Columns, slots: Slots, centre: Floats
+) -> tuple[Floats, Floats, Floats]:
     """`closest_points` seen from above; z is that of the centre."""
     points = np.clip(centre, *corners(columns.geometry[slots]))
     points[:, 2] = centre[2]
@@ -241,4 +250,4 @@ def closest_footprint_points(columns: Columns, slots: Slots, centre: Floats) -> 
             footprints[slots[turned]], hulls, centre[:2].copy(), places
         )
         points[turned, :2] = places
-    return points
+    return points, *from_centre(points, centre, 2)

@@ -86,3 +86,16 @@ def test_ties_go_to_the_older():
 def test_bad_input_is_refused(arguments, name):
     with pytest.raises(ValueError, match=rf'\b{name}\b'):
         Scene().nearest(*arguments)
+
+
+def test_far_from_the_origin_distances_keep_their_digits():
+    """The same shapes 8 km away, by steps that round nothing."""
+    rng = np.random.default_rng(12)
+    shapes = random_shapes(rng, 40, 2.0)
+    places = np.round(shapes.position * 2.0**36) * 2.0**-36
+    turned = shapes._replace(position=places, orientation=rng.normal(size=(40, 4)))
+    near, far = scene_of(turned), scene_of(turned._replace(position=places + 8192.0))
+    for point in np.round(rng.uniform(-3, 3, (60, 3)) * 2.0**36) * 2.0**-36:
+        here, there = near.nearest(point, 5), far.nearest(point + 8192.0, 5)
+        assert [hit.name for hit in here] == [hit.name for hit in there]
+        assert [hit.t for hit in here] == pytest.approx([hit.t for hit in there], abs=1e-14)
