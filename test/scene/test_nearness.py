@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes, solids
+from scene.reference import random_shapes, scene_of, solids
 
 from bvh_ros.scene import Scene, Shapes
 
