@@ -64,7 +64,9 @@ if hasattr(os, 'register_at_fork'):  # a child has the pool, but not its threads
 class Arrays:
     """The storage of a tree. Any number of threads may read it while none changes it."""
 
-    ndim: int
+    _ndim: int
+    _margin: float
+    _sibling_search: str
     _nodes: NDArray[Any]
     _heights: NDArray[np.int16]
     _tight: NDArray[Any]
@@ -75,6 +77,21 @@ class Arrays:
     _snapshot: wide.Snapshot | None
     _snapshot_of: int
     _rays_since: int
+
+    @property
+    def ndim(self) -> int:
+        """2 or 3."""
+        return self._ndim
+
+    @property
+    def margin(self) -> float:
+        """By how much boxes in the tree are grown on every side, m."""
+        return self._margin
+
+    @property
+    def sibling_search(self) -> str:
+        """How an insertion looks for the best sibling."""
+        return self._sibling_search
 
     def __len__(self) -> int:
         """How many boxes there are."""
@@ -112,4 +129,6 @@ class Arrays:
                 root = int(self._state[ROOT])
                 if len(self) > 1:
                     self._snapshot = wide.take_snapshot(self._nodes, root)
+                if self._snapshot is None:  # nor will there be one before the tree changes
+                    self._rays_since = -(2**62)
             return self._snapshot

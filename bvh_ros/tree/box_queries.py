@@ -138,6 +138,7 @@ class BoxQueries(Arrays):
         `tree.proximity`).
         """
         where = checks.point('point', point, self.ndim)
+        k = min(checks.capacity('k', k), max(len(self), 1))
         ids, distances = self.nearest_many(
             where[None], k, checks.limit('max_distance', max_distance), checks.mask(mask)
         )
@@ -153,7 +154,7 @@ class BoxQueries(Arrays):
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
         where = checks.points('points', points, self.ndim)
-        k = checks.whole('k', k, 1)
+        k = checks.capacity('k', k)
         count = len(where)
         reaches, seen = (
             checks.limits('max_distance', max_distance, count),

@@ -5,6 +5,7 @@ sentence why not.
 """
 
 import math
+import os
 from typing import Any
 
 import numpy as np
@@ -59,13 +60,28 @@ def floats(name: str, value: ArrayLike) -> Floats:
     """
     try:
         array = np.array(value, order='C')
+        if type(value) is not np.ndarray:
+            _refuse_masked(value, array)
         if array.dtype is FLOAT64:  # much the most common: not worth two more calls
             return array
-        if array.dtype.kind == 'c':
-            raise TypeError('they are complex')
-        return array.astype(np.float64)
-    except (TypeError, ValueError) as error:
+        if array.dtype.kind not in 'biufO':
+            raise TypeError(f'they are of type {array.dtype}')
+        if array.dtype.kind == 'O' and any(isinstance(x, (str, bytes)) for x in array.flat):
+            raise TypeError('they are words')
+        with np.errstate(over='ignore'):  # to inf, which is not finite
+            return array.astype(np.float64)
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise ValueError(f'{name} must be real numbers: {error}') from None
+
+
+def _refuse_masked(value: Any, array: NDArray[Any]) -> None:
+    """numpy takes the numbers under a mask for numbers. (A masked one among plain ones becomes
+    NaN.)
+    """
+    rows = value if array.ndim > 1 and isinstance(value, (list, tuple)) else (value,)
+    for row in rows:
+        if isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row):
+            raise ValueError('some are masked')
 
 
 def floats_to_read(name: str, value: ArrayLike) -> Floats:
@@ -145,18 +161,24 @@ def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
     if value is ALL:  # the default, and much the most common: not worth a microsecond
         return EVERY
-    try:
-        number = int(value)
-    except (TypeError, ValueError):
-        raise ValueError(f'mask must be an integer of 32 bits, not {value!r}') from None
-    if number != value or not 0 <= number <= ALL:
-        raise ValueError(f'mask must be an integer from 0 to {ALL}, not {value!r}')
-    return np.uint32(number)
+    if not isinstance(value, (int, np.integer)):
+        try:
+            number = _one('mask', value)
+        except ValueError:
+            number = -1.0
+        value = int(number) if 0.0 <= number <= ALL and number.is_integer() else value
+    if not isinstance(value, (int, np.integer)) or not 0 <= value <= ALL:
+        raise ValueError(f'mask must be an integer from 0 to {ALL}, not {_shown(value)}')
+    return np.uint32(value)
 
 
 def masks(value: Any, count: int) -> NDArray[np.uint32]:
     """A mask a row, from one for all or an array of shape (count,)."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+        _refuse_masked(value, array)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'mask must be integers: {error}') from None
     if array.ndim == 0:
         return np.full(count, mask(array[()]), np.uint32)
     if array.shape != (count,) or (array.dtype.kind not in 'iu' and array.size):
@@ -170,12 +192,43 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
     return array.astype(np.uint32)
 
 
+def _one(name: str, value: Any) -> float:
+    """One number, from whatever `floats` takes."""
+    array = floats(name, value)
+    if array.shape != ():
+        raise ValueError(f'{name} must be one number, not of shape {array.shape}')
+    return float(array)
+
+
+def _shown(value: Any) -> str:
+    """What was given, in a sentence."""
+    shown = repr(value)
+    return shown if len(shown) < 80 else f'{shown[:60]}...'
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or False."""
+    if value is False or value is True:
+        return value
+    if isinstance(value, (int, np.integer, np.bool_)) and value in (0, 1):
+        return bool(value)
+    raise ValueError(f'{name} must be True or False, not {_shown(value)}')
+
+
+def path(name: str, value: Any) -> str:
+    """The path of a file."""
+    try:
+        file = os.fsdecode(value)
+        if '\0' not in file:
+            return file
+        raise ValueError(f'{name} must not hold a NUL')
+    except TypeError:
+        raise ValueError(f'{name} must be the path of a file, not {_shown(value)}') from None
+
+
 def limit(name: str, value: Any) -> float:
     """A distance >= 0 that may be inf."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise ValueError(f'{name} must be a number, not {value!r}') from None
+    number = value if type(value) is float else _one(name, value)
     if not number >= 0.0:
         raise ValueError(f'{name} must not be negative or NaN, not {number}')
     return number
@@ -194,19 +247,30 @@ def limits(name: str, value: ArrayLike, count: int) -> Floats:
     return array
 
 
-def whole(name: str, value: Any, least: int) -> int:
-    """An integer of at least `least`."""
+def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
+    """An integer of at least `least` and at most `most`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f'{name} must be an integer of at least {least}, not {value!r}')
+        raise ValueError(f'{name} must be an integer of at least {least}, not {_shown(value)}')
+    if most is not None and value > most:
+        raise ValueError(f'{name} must be at most {most}, not {_shown(value)}')
     return int(value)
+
+
+def capacity(name: str, value: Any) -> int:
+    """A number of boxes that a tree can hold, and not none."""
+    return whole(name, value, 1, SLOT_MASK + 1)
 
 
 def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) -> NDArray[np.int64]:
     """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
     (with `once`).
     """
-    array = np.array(given)
-    if array.size == 0:
+    try:
+        array = np.array(given)
+        _refuse_masked(given, array)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f'handles must be integers of shape (n,): {error}') from None
+    if array.shape == (0,):
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in 'iu':
         raise ValueError(

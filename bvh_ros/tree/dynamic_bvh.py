@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
+import inspect
 from os import PathLike
 from threading import Lock
 from typing import Any
@@ -73,6 +74,8 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
     [5.0, 0.5, 0.5]
     """
 
+    COUNTERS = ('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds')
+
     def __init__(
         self,
         ndim: int = 3,
@@ -81,33 +84,44 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         sibling_search: str = 'branch_and_bound',
         capacity: int = 16,
     ) -> None:
-        if isinstance(ndim, bool) or ndim not in (2, 3):
-            raise ValueError(f'ndim must be 2 or 3, not {ndim!r}')
-        if sibling_search not in SEARCHES:
+        self._begin(ndim, margin, sibling_search, capacity)
+
+    def _begin(self, ndim: int, margin: float, sibling_search: str, capacity: int) -> None:
+        """Be a new tree, also where a subclass has its own `__init__`."""
+        self._ndim = checks.whole('ndim', ndim, 2, 3)
+        if not isinstance(sibling_search, str) or sibling_search not in SEARCHES:
             raise ValueError(f'sibling_search must be one of {SEARCHES}, not {sibling_search!r}')
-        self.ndim = int(ndim)
-        self.margin = checks.limit('margin', margin)
-        if np.isinf(self.margin):
+        self._margin = checks.limit('margin', margin)
+        if np.isinf(self._margin):
             raise ValueError('margin must be finite')
-        self.sibling_search = sibling_search
+        self._sibling_search = sibling_search
         self._serial = 1
         self._start()
-        self._counters = dict.fromkeys(
-            ('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds'), 0
-        )
-        self._allocate(checks.whole('capacity', capacity, 1))
+        self._counters = dict.fromkeys(self.COUNTERS, 0)
+        self._allocate(checks.capacity('capacity', capacity))
 
     @classmethod
     def from_boxes(
         cls, lo: ArrayLike, hi: ArrayLike, *, mask: ArrayLike | None = None, margin: float = 0.0
     ) -> 'DynamicBVH':
         """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row
-        order.
+        order. A subclass whose `__init__` takes other arguments than this class' is made without
+        it.
         """
         low = checks.floats('lo', lo)
         if low.ndim != 2 or low.shape[1] not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {low.shape}')
-        tree = cls(low.shape[1], margin=margin, capacity=max(len(low), 1))
+        ndim, capacity = (
+            low.shape[1],
+            checks.capacity('the number of rows of lo', max(len(low), 1)),
+        )
+        try:
+            inspect.signature(cls).bind(ndim, margin=margin, capacity=capacity)
+        except TypeError:
+            tree = cls.__new__(cls)
+            tree._begin(ndim, margin, SEARCHES[1], capacity)
+        else:
+            tree = cls(ndim, margin=margin, capacity=capacity)
         tree.insert_many(low, hi, mask)
         return tree
 
@@ -131,13 +145,13 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
     def _reserve(self, more: int) -> None:
         """Make room for so many more boxes, at least doubling, and check that the numbers last."""
         if self._serial + more - 1 > LAST_SERIAL:
-            raise OverflowError(f'a tree can name {LAST_SERIAL} insertions; make a new one')
+            raise ValueError(f'lo and hi are too many: a tree can name {LAST_SERIAL} insertions')
         old, need = len(self._handles), len(self) + more
         if need <= old:
             return
         capacity = min(max(need, 2 * old), SLOT_MASK + 1)
         if need > capacity:
-            raise OverflowError(f'a tree holds at most {SLOT_MASK + 1} boxes')
+            raise ValueError(f'lo and hi are too many: a tree holds at most {SLOT_MASK + 1} boxes')
         nodes = aligned_empty(2 * capacity, self._nodes.dtype)
         nodes[: 2 * old] = self._nodes
         self._nodes = nodes
@@ -369,19 +383,27 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the tree to one .npz file; `load` gives it back with the same handles."""
-        storing.save(path, self.__getstate__())
+        storing.save(checks.path('path', path), self._packed())
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> 'DynamicBVH':
-        """Read what `save` wrote. ValueError if the file is of another format version or not such
-        a file.
+        """Read what `save` wrote. ValueError if the file is of another format version, not such a
+        file, or of a tree that is not sound. A subclass' `__init__` is not called.
         """
         tree = cls.__new__(cls)
-        tree.__setstate__(storing.load(path))
+        tree.__setstate__(storing.load(checks.path('path', path)))
         return tree
 
-    def __getstate__(self) -> dict[str, Any]:
+    def _packed(self) -> dict[str, Any]:
         return storing.pack(self)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The tree, and what a subclass has added."""
+        own = vars(DynamicBVH(self.ndim))
+        return self._packed() | {
+            'added': {name: value for name, value in vars(self).items() if name not in own}
+        }
+
     def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state.get('added', {}) if isinstance(state, dict) else {})
         storing.unpack(self, state)

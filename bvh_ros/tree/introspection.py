@@ -12,14 +12,12 @@ from . import checks, validation
 from .area import tree_cost
 from .arrays import Arrays, Floats, Ids
 from .kernel_cache import cache_folder
-from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, SLOT_BITS, SLOT_MASK
+from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, SLOT_MASK
 
 
 class Introspection(Arrays):
     """Everything that only looks."""
 
-    margin: float
-    sibling_search: str
     _serial: int
     _counters: dict[str, int]
     _built: tuple[int, float]
@@ -83,6 +81,10 @@ class Introspection(Arrays):
         lo, hi : (m, ndim) arrays
         depths : (m,)
         """
+        first, last, most = (
+            checks.whole(name, value, 0)
+            for name, value in (('first', first), ('last', last), ('most', most))
+        )
         root = int(self._state[ROOT])
         here = np.array([] if root == NONE else [root], np.int64)
         nodes, depths, depth = [here[:0]], [here[:0]], 0
@@ -105,15 +107,10 @@ class Introspection(Arrays):
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
-        complaint, node = validation.check_structure(self._nodes, self._handles, self._state)
-        if complaint == validation.SOUND:
-            complaint, node = validation.check_metrics(
-                self._nodes, self._heights, self._tight, self._state
-            )
-        if complaint == validation.SOUND and self._handles.max() >> SLOT_BITS >= self._serial:
-            complaint, node = validation.FUTURE_HANDLE, 2 * int(self._handles.argmax())
-        if complaint != validation.SOUND:
-            raise RuntimeError(f'{validation.COMPLAINTS[complaint]} (node {node})')
+        arrays = self._nodes, self._heights, self._tight, self._handles, self._state
+        complaint = validation.complaint_about(self.ndim, self.margin, self._serial, arrays)
+        if complaint:
+            raise RuntimeError(complaint)
 
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""

@@ -181,7 +181,7 @@ class RayQueries(Arrays):
             way,
             reach,
             seen,
-            bool(skip_inside),
+            checks.flag('skip_inside', skip_inside),
             mode,
             place,
         )
@@ -213,7 +213,7 @@ class RayQueries(Arrays):
         ways = checks.rows('directions', directions, self.ndim, count)
         reaches = checks.limits('t_max', t_max, 1 if np.isscalar(t_max) else count)
         seen = checks.masks(mask, 1 if np.isscalar(mask) else count)
-        rays = starts, ways, reaches, seen, bool(skip_inside)
+        rays = starts, ways, reaches, seen, checks.flag('skip_inside', skip_inside)
         described = count if mode == raycasting.CLOSEST else 0
         # One piece of memory: three make the allocator give theirs back to the system after each
         # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
@@ -277,7 +277,13 @@ class RayQueries(Arrays):
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
         offsets = np.zeros(count + 1, np.int64)
         slots, ts, axes, exact = raycasting.raycast_every_row(
-            *self.arrays(), starts, ways, reaches, seen, bool(skip_inside), offsets
+            *self.arrays(),
+            starts,
+            ways,
+            reaches,
+            seen,
+            checks.flag('skip_inside', skip_inside),
+            offsets,
         )
         self._tally(count, exact)
         rays = np.repeat(np.arange(count), np.diff(offsets))

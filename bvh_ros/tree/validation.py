@@ -4,11 +4,28 @@
 heights) are checked apart.
 """
 
+from typing import Any
+
 import numpy as np
 
 from .building import height_limit
 from .compiling import kernel
-from .nodes import COUNT, FREE_INNER, FREE_LEAF, NONE, ROOT, SLOT_MASK, is_leaf
+from .nodes import (
+    COUNT,
+    EXACT_RAYS,
+    FREE_INNER,
+    FREE_LEAF,
+    LAST_SERIAL,
+    NONE,
+    RAYS,
+    ROOT,
+    SLOT_BITS,
+    SLOT_MASK,
+    STATE_PLACES,
+    box_dtype,
+    is_leaf,
+    node_dtype,
+)
 
 SOUND = 0
 FUTURE_HANDLE = 13
@@ -26,7 +43,74 @@ COMPLAINTS = {
     11: 'the tree is higher than 4 log2(n) + 4',
     12: 'a box is not finite, or its lo exceeds its hi',
     FUTURE_HANDLE: 'a leaf has a handle that was never given',
+    14: 'a free slot has a handle',
+    15: 'two handles have one serial number',
 }
+
+
+def array_forms(ndim: int, capacity: int, fat: bool) -> dict[str, tuple[Any, tuple[int, ...]]]:
+    """Type and shape of each array of a tree; `fat`: exact boxes are kept beside the nodes."""
+    return {
+        'nodes': (node_dtype(ndim), (2 * capacity,)),
+        'heights': (np.dtype(np.int16), (2 * capacity,)),
+        'tight': (box_dtype(ndim), (capacity if fat else 0,)),
+        'handles': (np.dtype(np.int64), (capacity,)),
+        'state': (np.dtype(np.int64), (STATE_PLACES,)),
+    }
+
+
+def complaint_about(ndim: int, margin: float, serial: int, arrays: Any) -> str | None:
+    """What is broken about a tree of these `arrays` (nodes, heights, tight, handles, state), whose
+    next serial number is `serial`; None if it is sound.
+
+    Nothing is read before it is known to be there: the arrays' forms first, then links, each
+    looked at before it is followed, and only then what hangs on them.
+    """
+    complaint = _look_at_forms(ndim, margin, arrays)
+    if complaint:
+        return complaint
+    if not 1 <= serial <= LAST_SERIAL + 1:
+        return f'the next serial number is {serial}'
+    nodes, heights, tight, handles, state = arrays
+    kind, node = check_structure(nodes, handles, state)
+    if kind == SOUND:
+        kind, node = check_metrics(nodes, heights, tight, state)
+    if kind == SOUND:
+        kind, node = _check_serials(handles, serial)
+    return None if kind == SOUND else f'{COMPLAINTS[kind]} (node {node})'
+
+
+def _look_at_forms(ndim: int, margin: float, arrays: Any) -> str | None:
+    _, _, tight, handles, state = arrays
+    capacity = len(handles)
+    if not 1 <= capacity <= SLOT_MASK + 1:
+        return f'there is room for {capacity} boxes, which is not from 1 to {SLOT_MASK + 1}'
+    if margin > 0.0 and not len(tight):
+        return 'the exact boxes are missing, which a tree with a margin has'
+    forms = array_forms(ndim, capacity, bool(len(tight)))
+    for (name, (dtype, shape)), array in zip(forms.items(), arrays, strict=True):
+        if array.dtype != dtype or array.shape != shape:
+            return (
+                f'the {name} must be {dtype} of shape {shape}, '
+                f'not {array.dtype} of shape {array.shape}'
+            )
+        if not array.flags.carray or array.ctypes.data % 8:
+            return f'the {name} do not lie in memory as kernels read them'
+    if state[RAYS] < 0 or state[EXACT_RAYS] < 0:
+        return 'a number of rays is negative'
+    return None
+
+
+def _check_serials(handles: Any, serial: int) -> tuple[int, int]:
+    """Return (complaint, node); SOUND if every live handle was given, and once."""
+    slots = np.flatnonzero(handles >= 0)
+    serials = handles[slots] >> SLOT_BITS
+    order = np.argsort(serials)
+    slots, serials = slots[order], serials[order]
+    if len(serials) and not (serials[0] > 0 and serials[-1] < serial):
+        return FUTURE_HANDLE, 2 * int(slots[-1 if serials[0] > 0 else 0])
+    twice = np.flatnonzero(serials[1:] == serials[:-1])
+    return (15, 2 * int(slots[twice[0]])) if len(twice) else (SOUND, NONE)
 
 
 @kernel
@@ -58,11 +142,14 @@ def check_structure(nodes, handles, state):
             top += 1
     if leaves != state[COUNT]:
         return 5, state[ROOT]
+    for slot in range(handles.shape[0]):
+        if handles[slot] != NONE and not seen[2 * slot]:
+            return 14, 2 * slot
     free = 0
-    for head in (state[FREE_LEAF], state[FREE_INNER]):
+    for inner_ones, head in enumerate((state[FREE_LEAF], state[FREE_INNER])):
         node = head
         while node != NONE:
-            if node < 0 or node >= nodes.shape[0] or seen[node]:
+            if node < 0 or node >= nodes.shape[0] or seen[node] or node & 1 != inner_ones:
                 return 6, node
             seen[node] = True
             free += 1

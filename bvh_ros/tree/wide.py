@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .area import longest_edge, node_area, unit_scale
+from .building import count_leaves
 from .compiling import inlined, kernel, lean_kernel
 from .machine import WIDTH, stack_array
 from .nodes import DEEPEST, is_leaf
@@ -34,6 +35,12 @@ NODE_COST = 0.0005
 # Scenes of other sizes (m) are left to the binary tree: here no distance in a float64 leaves the
 # normal doubles.
 SMALLEST_SCENE, LARGEST_SCENE = 1e-200, 1e200
+
+# Boxes within so little of the scene are one place to a float32: every ray that comes near would
+# be tested against all of them. Where many are, as of a robot's world with one box beyond the
+# moon, the binary tree is faster, by as much as there are boxes.
+BLURRED = 2.0**-18
+MOST_BLURRED = 64
 
 
 DEEPEST_WIDE = (
@@ -63,8 +70,8 @@ class Snapshot(NamedTuple):
 
 
 def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
-    """Collapse the tree below `root`, an inner node; None where the scene's size is out of
-    range.
+    """Collapse the tree below `root`, an inner node; None where float32 would see too little of
+    the scene.
     """
     lo, hi = nodes['lo'][root], nodes['hi'][root]
     half = float((hi * 0.5 - lo * 0.5).max())
@@ -74,6 +81,8 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
     ):
         return None
     center, per_length = lo * 0.5 + hi * 0.5, 2.0 ** -math.ceil(math.log2(half))
+    if is_blurred(nodes, root, BLURRED / per_length):
+        return None
     places = len(nodes) // 2
     least, shares = np.empty((places, WIDTH), np.float32), np.empty((places, WIDTH), np.uint8)
     count = plan_collapse(nodes, root, least, shares)
@@ -90,6 +99,25 @@ def _on_cache_lines(count: int) -> NDArray[np.float32]:
     room = np.empty(count + 15, np.float32)
     start = -room.ctypes.data % 64 // 4
     return room[start : start + count]
+
+
+@lean_kernel
+def is_blurred(nodes, root, least_edge):
+    """Whether more than MOST_BLURRED boxes lie in a subtree with no edge of `least_edge`."""
+    stack = stack_array(DEEPEST, np.int64)
+    stack[0], top = root, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if is_leaf(node):
+            continue
+        if longest_edge(nodes, node, node) < least_edge:
+            if count_leaves(nodes, node) > MOST_BLURRED:
+                return True
+            continue
+        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
+        top += 2
+    return False
 
 
 @kernel

@@ -171,7 +171,7 @@ def test_a_file_that_makes_no_tree(
     with np.load(path) as file:
         fields = {name: file[name] for name in file.files}
     np.savez(path, **change(fields))
-    with pytest.raises((ValueError, RuntimeError)):
+    with pytest.raises(ValueError):
         DynamicBVH.load(path)
 
 
@@ -206,7 +206,7 @@ def test_one_byte_changed_anywhere(tmp_path: Path) -> None:
         path.write_bytes(data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :])
         try:
             back = DynamicBVH.load(path)
-        except (ValueError, RuntimeError):
+        except ValueError:
             refused += 1
         else:
             assert snapshot(back) == snapshot(tree)

@@ -1,0 +1,255 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Anything for any argument of any method: it is taken, or refused with a ValueError that names
+the argument (a KeyError where a handle is meant), and then the tree is as it was.
+"""
+
+import copy
+import pickle
+from collections.abc import Callable
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tree.reference import snapshot
+
+from bvh_ros import DynamicBVH
+
+Call = Callable[[DynamicBVH, Any], Any]
+
+LO, HI, ONE = np.zeros((5, 3)), np.ones((5, 3)), [1.0, 1.0, 1.0]
+LOW, HIGH = [-1e300] * 3, [1e300] * 3
+
+
+def a_list_in_itself() -> list[Any]:
+    loop: list[Any] = []
+    loop.append(loop)
+    return loop
+
+
+def masked(shape: tuple[int, ...]) -> Any:
+    values = np.ma.ones(shape)
+    values[(1,) * len(shape)] = np.ma.masked
+    return values
+
+
+NUMBERS = [0, -1, 0.5, 2**26 + 1, 2**63, 2**64, 2**70, 10**400, -(10**400), 1e308, 1j, True]
+NUMBERS += [float('inf'), -float('inf'), float('nan'), Fraction(10**400, 3), Decimal('NaN')]
+NUMBERS += [Decimal('Infinity'), Decimal('sNaN'), Decimal('1e999999'), np.bool_(True)]
+NUMBERS += [np.longdouble('1e4000'), np.uint64(2**64 - 1), np.int8(-1), np.float32('nan')]
+THINGS = [None, '', '1', 'nan', b'1', 'x\0y', object(), object, {}, {1: 2}, {1, 2}, slice(3), ...]
+THINGS += [len, (x for x in ONE), range(3), memoryview(b'abc'), NotImplemented, Path('/none/a')]
+TIMES = [np.datetime64('NaT'), np.datetime64('2026-01-01'), np.timedelta64(1, 's')]
+TIMES += [np.timedelta64('NaT'), np.array(['NaT'] * 3, 'M8[s]'), np.full((5, 3), 'NaT', 'm8[ns]')]
+ARRAYS = [[], [[]], [[[]]], [[1], [1, 2]], [1, [2]], [None] * 3, ['1'] * 3, [b'1'] * 3, [1j] * 3]
+ARRAYS += [
+    np.array(5),
+    np.array(5.0),
+    np.array('x'),
+    np.array(None),
+    np.array([5.0]),
+    [10**400] * 3,
+]
+ARRAYS += [np.zeros((0, 3)), np.zeros((3, 0)), np.zeros((5, 3, 1)), np.array([{}] * 3, object)]
+ARRAYS += [np.full((5, 3), '1', object), np.full((5, 3), 10**400, object), np.zeros(3, 'V4')]
+ARRAYS += [np.zeros(3, [('x', float)]), masked((3,)), masked((5, 3)), list(masked((5, 3)))]
+ARRAYS += [np.ma.masked, [np.ma.masked, 1, 1], [[np.ma.masked, 1, 1]] * 5, a_list_in_itself()]
+ARRAYS += [np.full((5, 3), np.nan), [ONE, ONE, [1, 1, np.inf], ONE, ONE], np.zeros(5), [1, 2]]
+VALUES = NUMBERS + THINGS + TIMES + ARRAYS
+
+ARGUMENTS: dict[str, Call] = {
+    # the method and the argument's name
+    'insert lo': lambda t, x: t.insert(x, HIGH),
+    'insert hi': lambda t, x: t.insert(LOW, x),
+    'insert mask': lambda t, x: t.insert(ONE, ONE, x),
+    'insert_many lo': lambda t, x: t.insert_many(x, HI),
+    'insert_many hi': lambda t, x: t.insert_many(LO, x),
+    'insert_many mask': lambda t, x: t.insert_many(LO, HI, x),
+    'remove handle': lambda t, x: t.remove(x),
+    'remove_many handle': lambda t, x: t.remove_many(x),
+    'move handle': lambda t, x: t.move(x, ONE, ONE),
+    'move lo': lambda t, x: t.move(t.ids()[1], x, HIGH),
+    'move hi': lambda t, x: t.move(t.ids()[1], LOW, x),
+    'move displacement': lambda t, x: t.move(t.ids()[1], ONE, ONE, x),
+    'move_many handle': lambda t, x: t.move_many(x, LO, HI),
+    'move_many lo': lambda t, x: t.move_many(t.ids()[:5], x, HI),
+    'move_many hi': lambda t, x: t.move_many(t.ids()[:5], LO, x),
+    'move_many displacement': lambda t, x: t.move_many(t.ids()[:5], LO, HI, x),
+    'set_masks handle': lambda t, x: t.set_masks(x, 1),
+    'set_masks mask': lambda t, x: t.set_masks(t.ids()[:5], x),
+    'boxes handle': lambda t, x: t.boxes(x),
+    'masks handle': lambda t, x: t.masks(x),
+    'raycast origin': lambda t, x: t.raycast(x, ONE),
+    'raycast direction': lambda t, x: t.raycast(ONE, x),
+    'raycast t_max': lambda t, x: t.raycast(ONE, ONE, x),
+    'raycast mask': lambda t, x: t.raycast(ONE, ONE, mask=x),
+    'raycast skip_inside': lambda t, x: t.raycast(ONE, ONE, skip_inside=x),
+    'raycast_all origin': lambda t, x: t.raycast_all(x, ONE),
+    'raycast_all direction': lambda t, x: t.raycast_all(ONE, x),
+    'raycast_all t_max': lambda t, x: t.raycast_all(ONE, ONE, x),
+    'raycast_all mask': lambda t, x: t.raycast_all(ONE, ONE, mask=x),
+    'raycast_all skip_inside': lambda t, x: t.raycast_all(ONE, ONE, skip_inside=x),
+    'occluded t_max': lambda t, x: t.occluded(ONE, ONE, x),
+    'occluded mask': lambda t, x: t.occluded(ONE, ONE, mask=x),
+    'raycast_many origins': lambda t, x: t.raycast_many(x, HI),
+    'raycast_many directions': lambda t, x: t.raycast_many(LO, x),
+    'raycast_many t_max': lambda t, x: t.raycast_many(LO, HI, x),
+    'raycast_many mask': lambda t, x: t.raycast_many(LO, HI, mask=x),
+    'raycast_many skip_inside': lambda t, x: t.raycast_many(LO, HI, skip_inside=x),
+    'raycast_many threads': lambda t, x: t.raycast_many(LO, HI, threads=x),
+    'occluded_many origins': lambda t, x: t.occluded_many(x, HI),
+    'occluded_many t_max': lambda t, x: t.occluded_many(LO, HI, x),
+    'raycast_all_many origins': lambda t, x: t.raycast_all_many(x, HI),
+    'raycast_all_many directions': lambda t, x: t.raycast_all_many(LO, x),
+    'raycast_all_many t_max': lambda t, x: t.raycast_all_many(LO, HI, x),
+    'raycast_all_many mask': lambda t, x: t.raycast_all_many(LO, HI, mask=x),
+    'overlap lo': lambda t, x: t.overlap(x, HIGH),
+    'overlap hi': lambda t, x: t.overlap(LOW, x),
+    'overlap mask': lambda t, x: t.overlap(LOW, HIGH, x),
+    'overlap_many lo': lambda t, x: t.overlap_many(x, HI),
+    'overlap_many hi': lambda t, x: t.overlap_many(LO, x),
+    'overlap_many mask': lambda t, x: t.overlap_many(LO, HI, x),
+    'overlap_many threads': lambda t, x: t.overlap_many(LO, HI, threads=x),
+    'overlap_pairs mask': lambda t, x: t.overlap_pairs(x),
+    'boxcast lo': lambda t, x: t.boxcast(x, HIGH, ONE),
+    'boxcast hi': lambda t, x: t.boxcast(LOW, x, ONE),
+    'boxcast translation': lambda t, x: t.boxcast(ONE, ONE, x),
+    'boxcast mask': lambda t, x: t.boxcast(ONE, ONE, ONE, x),
+    'nearest point': lambda t, x: t.nearest(x),
+    'nearest k': lambda t, x: t.nearest(ONE, x),
+    'nearest max_distance': lambda t, x: t.nearest(ONE, 1, x),
+    'nearest mask': lambda t, x: t.nearest(ONE, mask=x),
+    'nearest_many points': lambda t, x: t.nearest_many(x),
+    'nearest_many k': lambda t, x: t.nearest_many(LO, x),
+    'nearest_many max_distance': lambda t, x: t.nearest_many(LO, 1, x),
+    'nearest_many mask': lambda t, x: t.nearest_many(LO, mask=x),
+    'levels first': lambda t, x: t.levels(x, 2, 9),
+    'levels last': lambda t, x: t.levels(0, x, 9),
+    'levels most': lambda t, x: t.levels(0, 2, x),
+    'new ndim': lambda t, x: DynamicBVH(x),
+    'new margin': lambda t, x: DynamicBVH(margin=x),
+    'new sibling_search': lambda t, x: DynamicBVH(sibling_search=x),
+    'new capacity': lambda t, x: DynamicBVH(capacity=x),
+    'from_boxes lo': lambda t, x: DynamicBVH.from_boxes(x, HI),
+    'from_boxes hi': lambda t, x: DynamicBVH.from_boxes(LO, x),
+    'from_boxes mask': lambda t, x: DynamicBVH.from_boxes(LO, HI, mask=x),
+    'from_boxes margin': lambda t, x: DynamicBVH.from_boxes(LO, HI, margin=x),
+    'save path': lambda t, x: t.save(x),
+    'load path': lambda t, x: DynamicBVH.load(x),
+    '__contains__ handle': lambda t, x: x in t,
+}
+
+
+def some_tree() -> DynamicBVH:
+    lo = np.random.default_rng(1).uniform(0, 20, (8, 3))
+    return DynamicBVH.from_boxes(lo, lo + 1)
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_anything_for_any_argument(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    failures = []
+    for what, call in ARGUMENTS.items():
+        name = what.split()[1]
+        tree = some_tree()
+        before = snapshot(tree)
+        refused = (ValueError, *([KeyError] if name == 'handle' else []))
+        if name == 'path':
+            refused = (*refused, OSError)
+        for value in VALUES:
+            shown = repr(value)[:60]
+            try:
+                call(tree, value)
+                tree = some_tree()
+            except refused as error:
+                if not isinstance(error, OSError) and name not in str(error):
+                    failures.append(f'{what}: {shown}: {error}')
+                if snapshot(tree) != before:
+                    failures.append(f'{what}: {shown} has changed the tree')
+                    tree = some_tree()
+            except Exception as error:
+                failures.append(f'{what}: {shown}: {type(error).__name__}: {error}')
+    assert not failures, '\n'.join(failures)
+
+
+NEVER = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400] * 3, [None] * 3]
+
+
+@pytest.mark.parametrize('value', NEVER, ids=map(str, range(len(NEVER))))
+def test_no_numbers_are_not_taken_for_some(value: Any) -> None:
+    tree = some_tree()
+    for call in (tree.nearest, lambda x: tree.insert(LOW, x), lambda x: tree.raycast(x, ONE)):
+        with pytest.raises(ValueError, match=r'point|hi|origin'):
+            call(value)
+    rows = [value] * 5 if isinstance(value, list) else np.ma.stack([value] * 5)
+    for call in (tree.nearest_many, lambda x: tree.insert_many(LO - 1, x)):
+        with pytest.raises(ValueError, match=r'points|hi'):
+            call(rows)
+    if isinstance(value, np.ma.MaskedArray):
+        for taken in (value.filled(7), np.ma.array(value.filled(7))):  # none is masked
+            tree.nearest(taken)
+
+
+@pytest.mark.parametrize('name', ['ndim', 'margin', 'sibling_search'])
+def test_what_a_tree_is_made_with_stays(name: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(some_tree(), name, 2)
+
+
+# ---- subclasses
+
+
+class Named(DynamicBVH):
+    """With other arguments than the class itself."""
+
+    def __init__(self, name: str, tags: list[str]) -> None:
+        super().__init__(2, margin=0.5)
+        self.name, self.tags = name, tags
+
+
+class Counted(DynamicBVH):
+    """With the same, and more."""
+
+    def __init__(self, *args: Any, owner: str = 'nobody', **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.owner = owner
+
+
+COPIES: dict[str, Callable[[Any], Any]] = {
+    'copy': copy.copy,
+    'deepcopy': copy.deepcopy,
+    'pickle': lambda tree: pickle.loads(pickle.dumps(tree)),
+}
+
+
+@pytest.mark.parametrize('way', COPIES.values(), ids=COPIES.keys())
+def test_a_subclass_is_copied_with_what_it_adds(way: Callable[[Any], Any]) -> None:
+    tree = Named('north', ['a'])
+    handle = tree.insert([0, 0], [1, 1])
+    twin = way(tree)
+    assert type(twin) is Named
+    assert (twin.name, twin.tags, twin.margin, twin.ids().tolist()) == (
+        'north',
+        ['a'],
+        0.5,
+        [handle],
+    )
+    assert (twin.tags is tree.tags) == (way is copy.copy)
+    twin.remove(handle)
+    assert handle in tree
+
+
+def test_a_subclass_is_loaded_and_built(tmp_path: Path) -> None:
+    tree = Named('north', [])
+    tree.insert([0, 0], [1, 1])
+    tree.save(tmp_path / 'tree')
+    for made in (Named.load(tmp_path / 'tree'), Named.from_boxes([[0, 0]], [[1, 1]])):
+        assert type(made) is Named
+        made.insert([0, 0], [2, 2])
+        made.validate()
+        assert len(made) == 2
+    built = Counted.from_boxes(LO, HI, margin=0.25)
+    assert (built.owner, built.margin, len(built)) == ('nobody', 0.25, 5)
