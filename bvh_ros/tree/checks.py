@@ -161,13 +161,13 @@ def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
     if value is ALL:  # the default, and much the most common: not worth a microsecond
         return EVERY
-    if not isinstance(value, (int, np.integer)):
+    if not is_integer(value):
         try:
             number = _one('mask', value)
         except ValueError:
             number = -1.0
         value = int(number) if 0.0 <= number <= ALL and number.is_integer() else value
-    if not isinstance(value, (int, np.integer)) or not 0 <= value <= ALL:
+    if not is_integer(value) or not 0 <= value <= ALL:
         raise ValueError(f'mask must be an integer from 0 to {ALL}, not {_shown(value)}')
     return np.uint32(value)
 
@@ -200,6 +200,11 @@ def _one(name: str, value: Any) -> float:
     return float(array)
 
 
+def is_integer(value: Any) -> bool:
+    """Whether it is one of Python or numpy; to numpy, a duration is one, too, but not to us."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, np.timedelta64)
+
+
 def _shown(value: Any) -> str:
     """What was given, in a sentence."""
     shown = repr(value)
@@ -210,7 +215,7 @@ def flag(name: str, value: Any) -> bool:
     """True or False."""
     if value is False or value is True:
         return value
-    if isinstance(value, (int, np.integer, np.bool_)) and value in (0, 1):
+    if (is_integer(value) or isinstance(value, np.bool_)) and value in (0, 1):
         return bool(value)
     raise ValueError(f'{name} must be True or False, not {_shown(value)}')
 
@@ -249,7 +254,7 @@ def limits(name: str, value: ArrayLike, count: int) -> Floats:
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     """An integer of at least `least` and at most `most`."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+    if isinstance(value, bool) or not is_integer(value) or value < least:
         raise ValueError(f'{name} must be an integer of at least {least}, not {_shown(value)}')
     if most is not None and value > most:
         raise ValueError(f'{name} must be at most {most}, not {_shown(value)}')

@@ -136,7 +136,7 @@ class Introspection(Arrays):
 
     def _slot(self, handle: Any) -> int:
         """Slot of a live handle, else KeyError; what is no integer is no handle either."""
-        if isinstance(handle, (int, np.integer)) and not isinstance(handle, bool) and handle >= 0:
+        if checks.is_integer(handle) and not isinstance(handle, bool) and handle >= 0:
             slot = int(handle) & SLOT_MASK
             if slot < len(self._handles) and self._handles[slot] == handle:
                 return slot

