@@ -60,7 +60,8 @@ def floats(name: str, value: ArrayLike) -> Floats:
     """
     try:
         array = np.array(value, order='C')
-        if type(value) is not np.ndarray:
+        kind = type(value)
+        if kind is not np.ndarray and (array.ndim > 1 or kind not in (list, tuple)):
             _refuse_masked(value, array)
         if array.dtype is FLOAT64:  # much the most common: not worth two more calls
             return array

@@ -133,7 +133,9 @@ def _counters(given: Any, names: Iterable[str]) -> dict[str, int]:
     counts = dict(pairs.tolist())
     if len(counts) != len(pairs) or set(counts) != set(names):
         raise ValueError(f'its counters are {sorted(counts)}')
-    if not all(count.isascii() and count.isdigit() for count in counts.values()):
+    if not all(
+        count.isascii() and count.isdigit() and len(count) < 19 for count in counts.values()
+    ):
         raise ValueError('its counters are not all natural numbers')
     return {name: int(counts[name]) for name in names}
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 
 import numpy as np
+import numpy.ma  # before its `empty` is another one
 import pytest
 
 from bvh_ros import DynamicBVH
