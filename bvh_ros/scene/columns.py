@@ -45,6 +45,7 @@ class Columns:
         self.source = np.empty(0, np.int64)
         self.group = np.empty(0, np.int64)
         self.shadow = np.empty(0, np.bool_)  # where an obstacle was, see slicing.py
+        self.shadows = 0  # how many there are
         self.meshes = MeshStore()
         self._expects_meshes = meshes
 
@@ -62,6 +63,14 @@ class Columns:
                 setattr(self, name, bigger)
         self.tree_handle[old:] = FREE
         self.geometry[old:] = UNTURNED
+
+    def different(self, slots: Slots) -> Slots:
+        """Rows of the first place of each obstacle, ascending: one may stand at two, see
+        slicing.py.
+        """
+        if not self.shadows:
+            return np.arange(len(slots))
+        return np.sort(np.unique(self.node_handle[slots], return_index=True)[1])
 
     def copy(self, slots: Slots, copies: Slots) -> None:
         """Write to some slots what others hold."""
@@ -128,6 +137,7 @@ class Columns:
         self.categories[slots] = 0
         self.group[slots] = 0
         self.source[slots] = 0
+        self.shadows -= int(np.count_nonzero(self.shadow[slots]))
         self.shadow[slots] = False
 
     @property

@@ -60,10 +60,19 @@ class DistanceQueries(SceneQueries):
         the obstacle's centre. Two shapes that are no farther apart than their positions are
         rounded touch, see `narrow_phase`. KeyError if there is no obstacle of this name.
         """
-        slot = self._registry.slot(name)
+        slot = self._registry.slot(name) if isinstance(name, str) else UNKNOWN
         if slot == UNKNOWN:
             raise KeyError(name)
-        found = clearance.nearest_other(self._tree, self._columns, slot)
+        slots = [slot]
+        if self._columns.shadows:  # it may stand at two places, see slicing.py
+            handles = self._columns.node_handle
+            slots = np.flatnonzero(handles == handles[slot]).tolist()
+        every = [clearance.nearest_other(self._tree, self._columns, place) for place in slots]
+        found = min(
+            (one for one in every if one is not None),
+            key=lambda one: (one.distance, self._columns.node_handle[one.slot]),
+            default=None,
+        )
         if found is None:
             return None
         return Clearance(

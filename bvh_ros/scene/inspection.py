@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tree import checks
 from ..tree.arrays import Ids
 from ..tree.dynamic_bvh import DynamicBVH
 from .columns import Columns
@@ -40,7 +41,7 @@ class SceneInspection:
 
     def get(self, name: str) -> Obstacle:
         """What is known of one obstacle. KeyError if there is none of this name."""
-        slot = self._registry.slot(name)
+        slot = self._registry.slot(name) if isinstance(name, str) else UNKNOWN
         if slot == UNKNOWN:
             raise KeyError(name)
         columns = self._columns
@@ -83,6 +84,7 @@ class SceneInspection:
 
     def name_of(self, handle: int) -> str:
         """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
+        handle = checks.whole('handle', handle, 0)
         slots = np.flatnonzero(self._columns.node_handle == handle)
         if handle <= 0 or not len(slots):
             raise KeyError(f'no obstacle has the node handle {handle}')
@@ -131,7 +133,8 @@ class SceneInspection:
 
     def count(self, mask: int) -> int:
         """Number of obstacles that a query with this mask can see."""
-        return int(np.count_nonzero(self._columns.categories & np.uint32(mask)))
+        seen = (self._columns.categories & checks.mask(mask)) != 0
+        return int(np.count_nonzero(seen & ~self._columns.shadow))
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""

@@ -8,7 +8,7 @@ a plain number is all prefix. There is one way to split a name, so that 'p5' is 
 however it was given.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -75,15 +75,18 @@ def as_families(names: Names) -> Families:
     """
     if isinstance(names, Families):
         numbers = _integers(names.numbers)
-        family = np.asarray(names.family, np.int64)
+        family, prefixes = _integers(names.family, 'family'), names.prefixes
         if family.shape != numbers.shape:
             raise ValueError(f'names.family has shape {family.shape}, not {numbers.shape}')
-        prefixes = names.prefixes
+        if family.size and not 0 <= family.min() <= family.max() < len(prefixes):
+            raise ValueError(f'names.family must be from 0 to {len(prefixes) - 1}')
     elif isinstance(names, Numbered):
         numbers, prefixes = _integers(names.numbers), [names.prefix]
         family = np.zeros(len(numbers), np.int64)
     else:
         return _from_strings(names)
+    if not all(isinstance(prefix, str) for prefix in prefixes):
+        raise ValueError('the prefixes of names must be strings')
     in_range = not numbers.size or 0 <= numbers.min() <= numbers.max() < 10**_MOST_DIGITS
     if in_range and not any(prefix[-1:].isdigit() for prefix in prefixes):
         return Families(prefixes, family, numbers)
@@ -105,18 +108,24 @@ def last_of_each(names: Families, rows: Integers) -> Integers:
     return rows[np.sort(order[~np.append(same, False)])]
 
 
-def _integers(numbers: Integers) -> Integers:
+def _integers(numbers: Integers, what: str = 'numbers') -> Integers:
     array = np.asarray(numbers)
-    if array.ndim != 1 or (array.size and array.dtype.kind not in 'iu'):
+    masked = isinstance(numbers, np.ma.MaskedArray)
+    if array.ndim != 1 or masked or (array.size and array.dtype.kind not in 'iu'):
         raise ValueError(
-            f'names.numbers has shape {array.shape} and type {array.dtype}, not (n,) integers'
+            f'names.{what} has shape {array.shape} and type {array.dtype}, not (n,) integers'
         )
+    if array.size and array.max() > np.iinfo(np.int64).max:
+        raise ValueError(f'names.{what} must be integers of 64 bits')
     return array.astype(np.int64, copy=False)
 
 
 def _from_strings(names: Sequence[str]) -> Families:
     if isinstance(names, str):
         raise ValueError('names is one string, not a sequence of strings')
+    if not isinstance(names, Collection):
+        raise ValueError(f'names must be a sequence of strings, not {type(names).__name__}')
+    names = list(names)
     prefixes: dict[str, int] = {}
     pairs = np.empty((len(names), 2), np.int64)
     for row, name in enumerate(names):

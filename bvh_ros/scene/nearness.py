@@ -30,7 +30,7 @@ def nearest(
     distance with a mask.
     """
     k, max_distance, mask = asked
-    count = k
+    count = min(k, len(tree) + 1)
     while True:
         ids, bounds = tree.nearest(
             point[: tree.ndim], count, max(max_distance * ROUNDED, max_distance), mask
@@ -42,7 +42,8 @@ def nearest(
             found = around(tree, slots, point, point[2])
         _, distances, points, normals = found
         order = np.lexsort((columns.node_handle[slots], distances))
-        order = order[distances[order] <= max_distance][:k]
+        order = order[distances[order] <= max_distance]
+        order = order[columns.different(slots[order])][:k]
         everything = len(ids) < count
         if everything or (len(order) == k and bounds[-1] > distances[order[-1]] * ROUNDED):
             return Touching(slots[order], distances[order], points[order], normals[order])

@@ -109,6 +109,15 @@ def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
     return pairs[touches]
 
 
+def each_once(columns: Columns, pairs: Slots) -> Slots:
+    """Pairs of different obstacles, each once, where one may stand at two places."""
+    handles = columns.node_handle[pairs]
+    order = np.argsort(handles, axis=1)
+    pairs, handles = np.take_along_axis(pairs, order, 1), np.take_along_axis(handles, order, 1)
+    row = np.unique(handles, axis=0, return_index=True)[1]
+    return pairs[row[handles[row, 0] != handles[row, 1]]]
+
+
 def corners(records: NDArray[np.void]) -> tuple[Floats, Floats]:
     """Lowest and highest corners of axis-aligned boxes, the same doubles that the tree holds."""
     return records['position'] - records['half'], records['position'] + records['half']

@@ -96,8 +96,8 @@ class SceneQueries:
             hits = box_casting.every(
                 self._tree, origin, direction, checks.mask(mask), bool(skip_inside)
             )
-            return [self._hit(*hit) for hit in hits]
-        return self._cast_one(origin, direction, radius, mask, skip_inside, True)
+            return self._each_once([self._hit(*hit) for hit in hits])
+        return self._each_once(self._cast_one(origin, direction, radius, mask, skip_inside, True))
 
     def raycast_many(
         self,
@@ -259,6 +259,8 @@ class SceneQueries:
         ``categories & mask != 0`` are seen.
         """
         pairs = overlaps.find_pairs(self._tree, self._columns, mask)
+        if self._columns.shadows:
+            pairs = overlaps.each_once(self._columns, pairs)
         return [
             (self._registry.name(one), self._registry.name(two)) for one, two in pairs.tolist()
         ]
@@ -270,9 +272,18 @@ class SceneQueries:
             found = overlaps.find(self._tree, self._columns, query, checks.mask(mask))
         slots, distances, points, normals = found
         order = np.lexsort((self._columns.node_handle[slots], distances))
-        return [
-            self._hit(int(slots[i]), float(distances[i]), points[i], normals[i]) for i in order
-        ]
+        return self._each_once(
+            [self._hit(int(slots[i]), float(distances[i]), points[i], normals[i]) for i in order]
+        )
+
+    def _each_once(self, hits: list[SceneHit]) -> list[SceneHit]:
+        """Of hits of one obstacle at two places, see slicing.py, the first."""
+        if not self._columns.shadows:
+            return hits
+        first: dict[int, SceneHit] = {}
+        for hit in hits:
+            first.setdefault(hit.handle, hit)
+        return list(first.values())
 
     def _hit(self, slot: int, t: float, point: Floats, normal: Floats) -> SceneHit:
         columns = self._columns

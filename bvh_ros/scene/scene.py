@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
 from . import updating
@@ -18,7 +19,7 @@ from .names import Families, Names, as_families
 from .registry import UNKNOWN, Registry, Slots
 from .results import LAST_NODE_HANDLE
 from .shapes import Shapes, along_axes, as_shapes
-from .slicing import Part, SlicedUpdates
+from .slicing import Part, Replacement, SlicedUpdates
 from .updating import Refusal, Rows
 
 NEVER = np.iinfo(np.int64).max
@@ -69,10 +70,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         categorise: Categorise | None = None,
         meshes: bool = False,
     ) -> None:
-        if max_obstacles < 1:
-            raise ValueError(f'max_obstacles must be at least 1, not {max_obstacles}')
-        self.planar = planar
-        self.max_obstacles = max_obstacles
+        self.planar = bool(planar)
+        self.max_obstacles = checks.whole('max_obstacles', max_obstacles, 1)
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
         self.expired = 0
@@ -85,6 +84,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         self._next_node_handle = 1
         self._next_expiry = NEVER
         self._any_shaped = False
+        self._under_way: list[Replacement] = []
 
     # ---- changes
 
@@ -155,6 +155,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         and what moves leaves a shadow.
         """
         called = as_families(part.names)
+        updating.text('source', source), updating.text('group', group)
         formed = updating.form(as_shapes(part.shapes), self.planar)
         if len(called) != formed.total:
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
@@ -166,7 +167,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         present = slots[slots != UNKNOWN]
         stale = self._members(source, group, present) if whole else present[:0]
         new = rows.slot == UNKNOWN
-        room = self.max_obstacles - len(self) + len(stale)
+        room = self._room() + len(stale)
         for row in rows.row[new][room:].tolist():
             reasons[row] = f'the scene is full (max_obstacles is {self.max_obstacles})'
         added, known = rows.take(np.flatnonzero(new)[:room]), rows.take(~new)
@@ -271,6 +272,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
         Names it does not own are left alone.
         """
+        updating.text('source', source)
         slots = np.unique(self._registry.find(as_families(names)))
         slots = slots[slots != UNKNOWN]
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
@@ -280,6 +282,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
         Return how many there were.
         """
+        updating.text('source', source), updating.text('group', group)
         return self._remove(self._members(source, group, np.empty(0, np.int64)))
 
     def remove_namespace(self, source: str, namespace: str | None = None) -> int:
@@ -289,7 +292,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         """
         if namespace is None:
             return self.remove_group(source, '')
-        slots = self._registry.in_namespace(namespace)
+        updating.text('source', source)
+        slots = self._registry.in_namespace(updating.text('namespace', namespace))
         return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
 
     def clear(self) -> int:
@@ -302,7 +306,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
         Costs nothing while none can be due.
         """
-        if now < self._next_expiry:
+        if updating.whole_time('now', now) < self._next_expiry:
             return 0
         expires = self._columns.expires
         removed = self._remove(np.flatnonzero((expires > 0) & (expires <= now)))
@@ -312,10 +316,12 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
     def shift_expiries(self, by: int) -> None:
         """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""
+        by = updating.whole_time('by', by)
         expires = self._columns.expires
         mortal = expires > 0
-        # Never 0, which is for ever.
-        expires[mortal] = np.maximum(expires[mortal] + by, 1)
+        # Never 0, which is for ever, nor later than can be told.
+        times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
+        expires[mortal] = np.maximum(times, 1)
         self._note_next_expiry()
 
     def _note_next_expiry(self) -> None:

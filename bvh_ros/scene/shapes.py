@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..tree import checks
 from .meshes import Mesh
 
 Floats = NDArray[np.float64]
@@ -72,15 +73,15 @@ class Shapes(NamedTuple):
 
         A `size` of shape (3,) holds for all.
         """
-        centres = np.asarray(position, np.float64).reshape(-1, 3)
-        turns = (
-            np.zeros((len(centres), 4))
-            if orientation is None
-            else np.asarray(orientation, np.float64)
-        )
+        centres = _rows('position', position, 3)
+        turns = np.zeros((len(centres), 4))
+        if orientation is not None:
+            turns = _rows('orientation', orientation, 4)
+        if len(turns) != len(centres):
+            raise ValueError(f'there are {len(turns)} orientations for {len(centres)} positions')
         kind = np.full(len(centres), ShapeKind.BOX, np.uint8)
         return cls(
-            kind, centres, turns, np.broadcast_to(np.asarray(size, np.float64), centres.shape)
+            kind, centres, turns, np.broadcast_to(checks.floats('size', size), centres.shape)
         )
 
     @classmethod
@@ -88,7 +89,13 @@ class Shapes(NamedTuple):
         cls, meshes: Sequence[Mesh], position: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
         """Convex meshes; without `orientation` (n, 4) unturned."""
-        rows = cls.boxes(position, np.array([mesh.size for mesh in meshes]), orientation)
+        meshes = list(meshes)
+        if not all(isinstance(mesh, Mesh) for mesh in meshes):
+            raise ValueError('meshes must be a sequence of Mesh')
+        sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
+        if len(_rows('position', position, 3)) != len(meshes):
+            raise ValueError(f'there must be one position for each of {len(meshes)} meshes')
+        rows = cls.boxes(position, sizes, orientation)
         held = np.empty(len(meshes), object)
         held[:] = meshes
         return rows._replace(kind=np.full(len(meshes), ShapeKind.MESH, np.uint8), mesh=held)
@@ -125,11 +132,18 @@ REASONS = (
 
 
 def as_shapes(shapes: Shapes) -> Shapes:
-    """The same with arrays of the right types; ValueError where their lengths disagree."""
-    kind, count = np.asarray(shapes.kind), len(shapes.kind)
-    position = np.asarray(shapes.position, np.float64)
-    orientation = np.asarray(shapes.orientation, np.float64)
-    size = np.asarray(shapes.size, np.float64)
+    """The same with arrays of the right types; ValueError where they cannot be made so, or their
+    lengths disagree.
+    """
+    if not isinstance(shapes, Shapes):
+        raise ValueError(f'shapes must be of type Shapes, not {type(shapes).__name__}')
+    kind = np.asarray(shapes.kind)
+    if kind.ndim != 1 or isinstance(shapes.kind, np.ma.MaskedArray):
+        raise ValueError(f'shapes.kind must be an array of shape (n,), not {kind.shape}')
+    count = len(kind)
+    position = checks.floats_to_read('shapes.position', shapes.position)
+    orientation = checks.floats_to_read('shapes.orientation', shapes.orientation)
+    size = checks.floats_to_read('shapes.size', shapes.size)
     wanted: dict[str, tuple[NDArray[Any], tuple[int, ...]]]
     wanted = {'kind': (kind, (count,)), 'position': (position, (count, 3))}
     wanted |= {'orientation': (orientation, (count, 4)), 'size': (size, (count, 3))}
@@ -140,7 +154,20 @@ def as_shapes(shapes: Shapes) -> Shapes:
         raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
     known = (kind >= 0) & (kind < len(ShapeKind))
     kinds = np.where(known, kind, 255).astype(np.uint8)
-    return Shapes(kinds, position, orientation, size, shapes.mesh)
+    mesh = shapes.mesh
+    if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
+        raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
+    return Shapes(kinds, position, orientation, size, mesh)
+
+
+def _rows(name: str, value: ArrayLike, width: int) -> Floats:
+    """One row (width,) or many (n, width)."""
+    array = checks.floats(name, value)
+    if array.shape in ((0,), (width,)):
+        array = array.reshape(-1, width)
+    if array.ndim != 2 or array.shape[1] != width:
+        raise ValueError(f'{name} must have shape (n, {width}), not {array.shape}')
+    return array
 
 
 def faults(shapes: Shapes) -> NDArray[np.uint8]:
@@ -176,7 +203,7 @@ def _without_mesh(shapes: Shapes, mesh: NDArray[np.bool_]) -> NDArray[np.bool_]:
     without = mesh.copy()
     for row in np.flatnonzero(mesh & (shapes.mesh is not None)).tolist():
         held = None if shapes.mesh is None else shapes.mesh[row]
-        without[row] = held is None or not np.array_equal(held.size, shapes.size[row])
+        without[row] = not isinstance(held, Mesh) or (held.size != shapes.size[row]).any()
     return without
 
 

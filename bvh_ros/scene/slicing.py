@@ -9,6 +9,7 @@ what either message says, never less.
 """
 
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from .columns import Columns
 from .groups import Groups
 from .names import Names, as_families
 from .registry import Registry, Slots
-from .shapes import Shapes
+from .shapes import Shapes, as_shapes
 from .updating import Refusal, Rows
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
@@ -41,16 +42,29 @@ class Part(NamedTuple):
 
     def cut(self, length: int) -> Iterator['Part']:
         """The same in parts of at most so many rows."""
-        names, total = as_families(self.names), len(self.shapes.kind)
+        names, given = as_families(self.names), as_shapes(self.shapes)
+        total = len(given.kind)
         columns: list[Any] = [
             column if column is None else np.broadcast_to(np.asarray(column), (total,))
             for column in self[2:]
         ]
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
-            shapes = self.shapes.take(rows)
+            shapes = given.take(rows)
             rest: list[Any] = [None if column is None else column[rows] for column in columns]
             yield Part(names.take(rows), shapes, *rest)
+
+
+@dataclass
+class Replacement:
+    """A replacement that is under way."""
+
+    source: str
+    group: str
+    left: int
+    """Rows that are still to come; room for them is kept free."""
+    named: list[Slots] = field(default_factory=list)
+    """What came; all else in the group is about to go."""
 
 
 class SlicedUpdates:
@@ -64,6 +78,7 @@ class SlicedUpdates:
     _apply: Callable[..., list[Refusal]]
     _members: Callable[[str, str, Slots], Slots]
     _remove: Callable[[Slots], int]
+    _under_way: list[Replacement]
     __len__: Callable[[], int]
 
     def in_slices(
@@ -88,7 +103,8 @@ class SlicedUpdates:
             Makes the parts, of at most so many rows each; the next is made when the one before
             is applied.
         whole : bool
-            `replace`, and not only `update`.
+            `replace`, and not only `update`. Until the last slice the scene holds old and new
+            obstacles, so up to twice `max_obstacles`; at the end `max_obstacles` holds.
         at_once : bool
             Do not pause: ten times faster in all.
 
@@ -103,29 +119,45 @@ class SlicedUpdates:
             (part,) = parts(length)
             return self._apply(source, group, part, whole)
         refusals: list[Refusal] = []
-        named: list[Slots] = []
+        running = Replacement(source, group, total)
         row = 0
+        if whole:
+            self._under_way.append(running)
         try:
             for part in parts(length):
-                for refusal in self._apply(source, group, part, False, named):
+                running.left -= len(part.shapes.kind)
+                for refusal in self._apply(source, group, part, False, running.named):
                     refusals.append(refusal._replace(row=row + refusal.row))
                 row += len(part.shapes.kind)
                 yield
             yield from self._remove_in_slices(
-                self._members(source, group, np.concatenate(named))
-                if whole
-                else self._shadows(source)
+                self._leaving(running) if whole else self._shadows(source)
             )
         finally:
+            if whole:
+                self._under_way.remove(running)
             self._remove(self._shadows(source))
         return refusals
+
+    def _leaving(self, running: Replacement) -> Slots:
+        """What a replacement has not named so far."""
+        besides = np.concatenate([np.empty(0, np.int64), *running.named])
+        return self._members(running.source, running.group, besides)
+
+    def _room(self) -> int:
+        """How many obstacles may come, once what is under way has ended."""
+        room = self.max_obstacles - len(self)
+        for running in self._under_way:
+            leaving = self._leaving(running)
+            room += int(np.count_nonzero(~self._columns.shadow[leaving])) - max(running.left, 0)
+        return max(room, 0)
 
     def _is_large(self, source: str, group: str, total: int, whole: bool) -> bool:
         if min(total, len(self)) < AT_ONCE:
             return False
         # With less room it has to be known first what goes, to know what may come.
-        others = len(self) - len(self._members(source, group, np.empty(0, np.int64)))
-        return not whole or others + total <= self.max_obstacles
+        mine = self._members(source, group, np.empty(0, np.int64))
+        return not whole or total <= self._room() + len(mine)
 
     def _remove_in_slices(self, slots: Slots) -> Iterator[None]:
         handles = self._columns.tree_handle[slots]
@@ -155,4 +187,5 @@ class SlicedUpdates:
         columns.copy(slots, copies)
         columns.tree_handle[copies] = handles
         columns.shadow[copies] = True
+        columns.shadows += len(copies)
         self._registry.copy(slots, copies)

@@ -82,14 +82,39 @@ class Rows(NamedTuple):
         )
 
 
-def column(name: str, value: ArrayLike, count: int, largest: int) -> NDArray[np.int64]:
-    """One integer for all rows, or one a row, from 0 to `largest`."""
-    array = np.asarray(value)
-    if array.shape not in ((), (count,)) or array.dtype.kind not in 'iu':
-        raise ValueError(f'{name} must be an integer or {count} integers, not {value!r}')
-    if array.size and not 0 <= int(array.min()) <= int(array.max()) <= largest:
-        raise ValueError(f'{name} must be from 0 to {largest}, not {value!r}')
+TIMES = np.iinfo(np.int64)  # what a time in ns can be
+
+
+def column(
+    name: str, value: ArrayLike, count: int, largest: int, least: int = 0
+) -> NDArray[np.int64]:
+    """One integer for all rows, or one a row, from `least` to `largest`."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        raise ValueError(f'{name} must be an integer or {count} integers') from None
+    masked = isinstance(value, np.ma.MaskedArray)
+    if array.shape not in ((), (count,)) or masked or array.dtype.kind not in 'iu':
+        raise ValueError(
+            f'{name} must be an integer of 64 bits or {count} of them, '
+            f'not {array.dtype} of shape {array.shape}'
+        )
+    if array.size and not least <= int(array.min()) <= int(array.max()) <= largest:
+        wrong = int(array.min() if array.min() < least else array.max())
+        raise ValueError(f'{name} must be from {least} to {largest}, not {wrong}')
     return np.broadcast_to(array.astype(np.int64), (count,))
+
+
+def whole_time(name: str, value: Any) -> int:
+    """A time in ns."""
+    return int(column(name, value, 1, TIMES.max, TIMES.min)[0])
+
+
+def text(name: str, value: Any) -> str:
+    """A name of a source or a group."""
+    if not isinstance(value, str):
+        raise ValueError(f'{name} must be a string, not {type(value).__name__}')
+    return value
 
 
 def form(given: Shapes, planar: bool) -> Formed:
@@ -127,8 +152,8 @@ def examine(
     row modifies an earlier one's obstacle.
     """
     count = given.total
-    stamps = np.broadcast_to(np.asarray(columns[0], np.int64), (count,))
-    lives = column('expires', columns[1], count, np.iinfo(np.int64).max)
+    stamps = column('stamp', columns[0], count, TIMES.max, TIMES.min)
+    lives = column('expires', columns[1], count, TIMES.max)
     masks = None
     if columns[2] is not None:
         masks = column('categories', columns[2], count, ALL).astype(np.uint32)

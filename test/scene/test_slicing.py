@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A large update in slices ends as at once, and on the way nothing looks free that is not."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -29,8 +31,37 @@ def random_part(random, stamp, shaped):
 
 
 def occupied(scene):
-    hits = scene.raycast_all([-1, 0, 0], [PLACES, 0, 0])
-    return {round(hit.point[0] + 0.45) for hit in hits}
+    """At which places something stands; no question names an obstacle twice."""
+    ways = [
+        scene.raycast_all([-1, 0, 0], [PLACES, 0, 0]),
+        scene.raycast_all([-1, 0, 0], [PLACES, 0, 0], 0.1),
+        scene.overlap([-1, -1, -1], [PLACES, 1, 1]),
+        scene.overlap_shape(Shapes.boxes([[0, 0, 0]], [2 * PLACES, 1, 1])),
+        scene.nearest([40.3, 0, 0], PLACES),
+    ]
+    for hits in ways:
+        names = [hit.name for hit in hits]
+        assert len(set(names)) == len(names) == len(scene)
+        assert [hit.t for hit in hits] == sorted(hit.t for hit in hits)
+    every = [hit.name for hit in ways[-1]]
+    for few in range(1, 6):
+        assert [hit.name for hit in scene.nearest([40.3, 0, 0], few)] == every[:few]
+    pairs = [tuple(sorted(pair)) for pair in scene.overlap_pairs()]
+    assert all(one != two for one, two in pairs)
+    assert len(set(pairs)) == len(pairs)
+    places = [(x, scene.overlap([x, 0, 0], [x, 0, 0])) for x in range(PLACES)]
+    gaps: dict[str, float] = {}
+    for (x, here), (y, there) in itertools.combinations([p for p in places if p[1]], 2):
+        if y - x <= 2:
+            for one, two in itertools.product(here, there):
+                if one.name != two.name:
+                    for name in (one.name, two.name):
+                        gaps[name] = min(gaps.get(name, 9.0), y - x - 0.9)
+    for name, gap in list(gaps.items())[::7]:
+        found = scene.clearance(name)
+        assert found.name != name
+        assert found.distance <= gap + 1e-9
+    return {x for x, hits in places if hits}
 
 
 def state(scene):
@@ -52,7 +83,7 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
     random = np.random.default_rng([whole, shaped, planar])
     sliced, at_once = Scene(planar=planar), Scene(planar=planar)
     pauses = 0
-    for stamp in range(1, 12):
+    for stamp in range(1, 5):
         part = random_part(random, stamp, shaped)
         before = occupied(sliced)
         update = at_once.replace if whole else at_once.update
@@ -72,7 +103,7 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
         assert occupied(sliced) == after
         sliced.validate()
         assert len(sliced) == len(at_once)
-    assert pauses > 50
+    assert pauses > 15
 
 
 def test_what_happens_between_slices_is_not_undone():
@@ -117,6 +148,32 @@ def test_without_room_for_both_it_is_applied_at_once():
         next(scene.in_slices('s', '', 70, part.cut, whole=True))
     assert [refusal.name for refusal in end.value.value] == [f'c#{k}' for k in range(60, 70)]
     assert len(scene) == 60
+
+
+def test_what_fits_in_the_end_is_taken_and_no_more():
+    """Replacing costs no room; while it is under way others may have what it leaves, no more."""
+    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (100, 3)), [1, 1, 1])
+    for old, new, total in ((60, 60, 60), (60, 60, 80), (90, 40, 100), (40, 90, 100)):
+        scene = Scene(max_obstacles=total)
+        scene.update('s', Numbered('a#', np.arange(old)), shapes.take(slice(old)), stamp=1)
+        part = Part(Numbered('b#', np.arange(new)), shapes.take(slice(new)), 2)
+        work = scene.in_slices('s', '', new, part.cut, whole=True)
+        most = pauses = 0
+        for refusals in pausing(work):
+            if refusals is not None:
+                assert refusals == []
+                break
+            pauses += 1
+            if pauses == 3:
+                names = [f'other {k}' for k in range(total)]
+                given = Shapes.boxes(np.zeros((total, 3)), [1, 1, 1])
+                assert len(scene.update('t', names, given, stamp=3)) == new
+            most = max(most, len(scene))
+            scene.validate()
+        assert pauses > 5
+        assert old < most <= 2 * total
+        assert len(scene) == total
+        assert len(scene.update('s', ['one more'], shapes.take([0]), stamp=4)) == 1
 
 
 def test_whoever_is_late_does_not_pause():
