@@ -44,6 +44,8 @@ class Part(NamedTuple):
         """The same in parts of at most so many rows."""
         names, given = as_families(self.names), as_shapes(self.shapes)
         total = len(given.kind)
+        if len(names) != total:
+            raise ValueError(f'there are {len(names)} names for {total} shapes')
         columns: list[Any] = [
             column if column is None else np.broadcast_to(np.asarray(column), (total,))
             for column in self[2:]
