@@ -65,7 +65,7 @@ class Source(ABC):
         self.longest_slice = 0.0  # s that nobody else had a turn
         self.subscription: FollowingSubscription | None = None
         self._work: Iterator[None] | None = None  # the message that is being applied
-        self._hurried = False  # large messages come faster than they can be applied in slices
+        self._hurried = False  # this message came before the one before was applied in slices
         self._turn: GuardCondition | None = None
 
     def to_compile(self) -> Iterable[Step]:
@@ -99,7 +99,7 @@ class Source(ABC):
 
     def receive(self, serialised: bytes) -> None:
         """Begin to apply a message; what is left of the one before is applied first."""
-        self._hurried = self._hurried or self._work is not None
+        self._hurried = self._work is not None  # until one comes that finds nothing left
         self.finish()
         self.messages += 1
         self._work = self._applying(serialised, self._clock.now().nanoseconds)
