@@ -11,6 +11,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from .farthest import arranged, discs
 from .outline import convex_polygon
@@ -40,7 +41,7 @@ class Mesh:
     """
 
     def __init__(self, triangles: ArrayLike) -> None:
-        corners = np.asarray(triangles, np.float64)
+        corners = checks.floats('triangles', triangles)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
             raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')
         finite = np.isfinite(corners).all(axis=(1, 2))

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree.dynamic_bvh import DynamicBVH
-from ..tree.nodes import SLOT_MASK
+from ..tree.nodes import ALL, SLOT_MASK
 from .columns import Columns
 from .groups import Groups
 from .names import Names, as_families
 from .registry import Registry, Slots
 from .shapes import Shapes, as_shapes
-from .updating import Refusal, Rows
+from .updating import TIMES, Refusal, Rows, column
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all. So is what comes into a scene of fewer obstacles than this, where the tree is
@@ -47,13 +47,16 @@ class Part(NamedTuple):
         if len(names) != total:
             raise ValueError(f'there are {len(names)} names for {total} shapes')
         columns: list[Any] = [
-            column if column is None else np.broadcast_to(np.asarray(column), (total,))
-            for column in self[2:]
+            column('stamp', self.stamp, total, TIMES.max, TIMES.min),
+            column('expires', self.expires, total, TIMES.max),
+            None,
         ]
+        if self.categories is not None:
+            columns[2] = column('categories', self.categories, total, ALL)
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
             shapes = given.take(rows)
-            rest: list[Any] = [None if column is None else column[rows] for column in columns]
+            rest: list[Any] = [None if each is None else each[rows] for each in columns]
             yield Part(names.take(rows), shapes, *rest)
 
 
