@@ -22,7 +22,7 @@ from .validation import array_forms
 VERSION = 1
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
 # A letter of numpy's for each kind of number or text that a value may be.
-VALUES = {'version': 'iu', 'ndim': 'iu', 'margin': 'iuf', 'sibling_search': 'U', 'serial': 'iu'}
+VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
 
 # A node names others, so nodes do not become arbitrarily few bytes: 28 times smaller, at most
 # (those of an empty tree). What is yet smaller would fill the memory with what is no tree.
