@@ -15,6 +15,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.executors import SingleThreadedExecutor
 
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
+from bvh_ros.ros.qos import REQUESTS
 
 
 class FakeNode:
@@ -24,7 +25,7 @@ class FakeNode:
         self.node = rclpy.create_node('bvh', context=context)
         self.requests = []
         for name in ('raycast', 'raycast_all', 'overlap'):
-            self.node.create_service(GetPlan, f'~/{name}', self.answer)
+            self.node.create_service(GetPlan, f'~/{name}', self.answer, qos_profile=REQUESTS)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.thread = threading.Thread(target=self.executor.spin)
@@ -79,14 +80,27 @@ def client(node):
     return client
 
 
-@pytest.fixture(params=['nobody spins', 'spun in a thread'])
+@pytest.fixture(
+    params=['nobody spins', 'spun in a thread', 'between spins', 'left by its executor', 'second']
+)
 def any_client(request, client, context):
-    """The client of a node that nobody spins, and of one that is being spun."""
-    if request.param == 'nobody spins':
+    """The client of a node that nobody spins, that is spun now and then, or all the time."""
+    if request.param in ('nobody spins', 'second'):
+        if request.param == 'second':
+            assert client.raycast((0, 0, 0), (1, 0, 0)) is None
+            client = BvhClient(client.node)
+            client.wait_until_ready(10.0)
         yield client
         return
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(client.node)
+    if request.param != 'spun in a thread':
+        executor.spin_once(0.01)
+        if request.param == 'left by its executor':  # as `rclpy.spin_once` does
+            executor.remove_node(client.node)
+        yield client
+        executor.shutdown()
+        return
     thread = threading.Thread(target=executor.spin)
     thread.start()
     yield client
@@ -168,6 +182,88 @@ def test_async_inside_a_callback(client, context):
         executor.spin_once(0.1)
     executor.shutdown()
     assert [getattr(answer, 'name', answer) for answer in answers] == ['a/0', 3, 2, 'no world']
+
+
+def test_plain_calls_inside_callbacks_and_in_many_threads(client, context):
+    others = [BvhClient(client.node) for _ in range(2)]
+    for other in others:
+        other.wait_until_ready(10.0)
+    answers = []
+
+    def tick():
+        timer.cancel()
+        answers.append(client.raycast((0, 0, 0), (1, 0, 0), 1.0).name)
+
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(client.node)
+    timer = client.node.create_timer(0.01, tick)
+    deadline = time.monotonic() + 5
+    while not answers and time.monotonic() < deadline:
+        executor.spin_once(0.1)
+    assert answers == ['a/0']
+
+    def ask(own, count):
+        for _ in range(10):
+            answers.append(len(own.raycast_all((0, 0, 0), (1, 0, 0), float(count))) - count)
+
+    threads = [
+        threading.Thread(target=ask, args=(own, 2 + k))
+        for k, own in enumerate((client, client, *others))
+    ]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        executor.spin_once(0.001)  # which takes some of the replies
+    assert answers[1:] == [0] * 40
+    executor.shutdown()
+
+
+def test_an_awaited_answer_that_a_plain_call_took(client, context):
+    """The coroutine goes on, though its executor did not see the reply come."""
+    answers = []
+
+    async def tick():
+        timer.cancel()
+        answers.append((await client.raycast_async((0, 0, 0), (1, 0, 0), 1.0)).name)
+
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(client.node)
+    timer = client.node.create_timer(0.01, tick)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    deadline = time.monotonic() + 5
+    while not answers and time.monotonic() < deadline:
+        assert client.raycast((0, 0, 0), (1, 0, 0)) is None
+    executor.shutdown()
+    thread.join()
+    assert answers == ['a/0']
+
+
+def test_a_thousand_requests_on_the_way(client):
+    replies = [client.raycast_async((0, 0, 0), (1, 0, 0)) for _ in range(1000)]
+    for reply in replies:
+        assert client._waiting.until_done(reply, 30.0)
+
+
+def test_nothing_can_be_asked_after_a_shutdown(context, server, node):
+    client = BvhClient(node)
+    client.wait_until_ready(10.0)
+    raised = []
+
+    def ask():
+        with pytest.raises(BvhError) as caught:
+            client.raycast((0, 0, 0), (1, 0, 0), 99.0)
+        raised.append(str(caught.value))
+
+    waiting = threading.Thread(target=ask)
+    waiting.start()
+    time.sleep(0.1)
+    rclpy.shutdown(context=context)
+    waiting.join(5.0)
+    assert raised == ['rclpy is shut down']
+    for call in (client.wait_until_ready, lambda: client.raycast((0, 0, 0), (1, 0, 0))):
+        with pytest.raises(BvhError, match='shut down'):
+            call()
 
 
 def test_calls_do_not_become_slower(client):

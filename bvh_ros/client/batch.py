@@ -5,26 +5,26 @@
 from __future__ import annotations
 
 import random
-import time
 from collections.abc import Iterable
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import ArrayLike, NDArray
 from rclpy.callback_groups import CallbackGroup
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client.errors import BvhError, BvhTimeoutError
+from bvh_ros.client.errors import BvhError
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Rays
+from bvh_ros.ros.qos import DEPTH
 
-DEPTH = 10  # batches that may be on the way
-POLL = 0.02  # seconds between two looks for the node
 JITTER = 1_000_000  # ns
+NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
 class RayChannel:
@@ -36,26 +36,24 @@ class RayChannel:
         self.has_answered = False
         self._waiting: dict[tuple[int, int], tuple[Future, int]] = {}
         self._publisher = node.create_publisher(PointCloud2, f'{name}/rays', DEPTH)
-        self._subscription = node.create_subscription(
+        self.subscription = node.create_subscription(
             PointCloud2, f'{name}/ray_hits', self._receive, DEPTH, callback_group=group
         )
 
-    def wait_until_found(self, timeout: float) -> None:
-        """Wait until the node's ends of both topics are found, or raise BvhTimeoutError."""
-        deadline = time.monotonic() + timeout
-        while not (
-            self._publisher.get_subscription_count() and self._subscription.get_publisher_count()
-        ):
-            if time.monotonic() > deadline:
-                raise BvhTimeoutError(f"no batches at '{self._name}' after {timeout:g} s")
-            time.sleep(POLL)
+    def is_found(self) -> bool:
+        """Whether the node's ends of both topics are found."""
+        return bool(
+            self._publisher.get_subscription_count() and self.subscription.get_publisher_count()
+        )
 
-    def ask(self, rays: Rays, frame_id: str, stamp: int | None) -> Future:
-        """Publish rays; return a future of their hits."""
+    def ask(
+        self, rays: Rays, frame_id: str, stamp: int | None, executor: Executor | None = None
+    ) -> Future:
+        """Publish rays; return a future of their hits, whose callbacks the executor runs."""
         cloud = ray_clouds.rays_cloud(rays)
         cloud.header.frame_id = frame_id
         cloud.header.stamp = Time(nanoseconds=self._stamp() if stamp is None else stamp).to_msg()
-        answer = Future(executor=self._node.executor)
+        answer = Future(executor=executor)
         self._waiting[_key(cloud)] = answer, cloud.width
         self._publisher.publish(cloud)
         return answer
@@ -97,18 +95,18 @@ class RayChannel:
 class NameChannel:
     """Keeps the newest message of names, and who waits for one that it does not tell."""
 
-    def __init__(self, node: Node, name: str, group: CallbackGroup) -> None:
-        self._node = node
+    def __init__(self, node: Node, topic: str, group: CallbackGroup) -> None:
         self.known: dict[int, str] = {}
+        self.has_told = False
         self._waiting: list[tuple[set[int], Future]] = []
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._subscription = node.create_subscription(
-            DiagnosticStatus, f'{name}/names', self._receive, latched, callback_group=group
+        self.subscription = node.create_subscription(
+            DiagnosticStatus, topic, self._receive, latched, callback_group=group
         )
 
     def ask(self, handles: set[int]) -> Future:
         """Return a future that is done once all of these handles are known."""
-        answer = Future(executor=self._node.executor)
+        answer = Future()
         self._waiting.append((handles, answer))
         self._tell()
         return answer
@@ -118,6 +116,7 @@ class NameChannel:
         self._waiting = [one for one in self._waiting if one[1] is not answer]
 
     def _receive(self, status: DiagnosticStatus) -> None:
+        self.has_told = True
         self.known = {int(pair.key): pair.value for pair in status.values}
         self._tell()
 
@@ -150,6 +149,18 @@ def as_rays(origins: ArrayLike, directions: ArrayLike, t_max: ArrayLike, mask: A
 def handles_of(obstacles: Iterable[int]) -> set[int]:
     """Return the different handles of obstacles, without what stands for none."""
     return set(np.unique(np.fromiter(obstacles, np.int64)).tolist()) - {FREE, UNANSWERED}
+
+
+def topic_of_names(node: Node, name: str) -> str:
+    """Where names are told, or '' while nobody does.
+
+    The handles in a view are those of the node, which tells them under its own name only.
+    """
+    for above in (name, name.rpartition('/')[0]):
+        told = node.get_publishers_info_by_topic(f'{above}/names') if above else ()
+        if any(publisher.topic_type == NAMES_TYPE for publisher in told):
+            return f'{above}/names'
+    return ''
 
 
 def _column(name: str, values: NDArray, count: int) -> NDArray:

@@ -17,11 +17,12 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import plans
-from bvh_ros.client.batch import POLL, NameChannel, RayChannel, as_rays, handles_of
+from bvh_ros.client.batch import NameChannel, RayChannel, as_rays, handles_of, topic_of_names
 from bvh_ros.client.errors import BvhTimeoutError
 from bvh_ros.client.plans import Hit
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
+from bvh_ros.ros.qos import REQUESTS
 
 NO_RAYS = np.empty((0, 3))
 PATIENCE = 0.2  # seconds for an answer to no rays
@@ -32,9 +33,9 @@ Answer = TypeVar('Answer')
 class BvhClient:
     """Calls the services of one bvh node.
 
-    The plain calls wait for the answer, whether the node is being spun in another thread or not
-    at all. They must not be used inside a callback of the same executor, which could then never
-    receive the answer: use the `_async` forms there.
+    The plain calls wait for the answer, whether the node is being spun in another thread, now and
+    then, or not at all, and in callbacks, too; there they hold up everything else, so the
+    `_async` forms are better. Any thread may call, and a node may have several clients.
 
     Parameters
     ----------
@@ -52,10 +53,10 @@ class BvhClient:
         self.timeout = timeout
         # A group of their own: a callback that awaits an answer keeps the group it is in busy.
         self._group = ReentrantCallbackGroup()
+        self._waiting = Waiting(node)
         self._raycast = self._client('raycast')
         self._raycast_all = self._client('raycast_all')
         self._overlap = self._client('overlap')
-        self._waiting = Waiting(node)
         self._batches: RayChannel | None = None
         self._names: NameChannel | None = None
 
@@ -67,12 +68,12 @@ class BvhClient:
         BvhTimeoutError
             If it does not in time; the first start on a machine compiles for up to a minute.
         """
-        deadline = time.monotonic() + timeout
         clients = (self._raycast, self._raycast_all, self._overlap)
-        while not all(client.service_is_ready() for client in clients):
-            if time.monotonic() > deadline:
-                raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
-            time.sleep(POLL)
+        found = self._waiting.until(
+            lambda: all(client.service_is_ready() for client in clients), timeout
+        )
+        if not found:
+            raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
 
     def raycast(
         self,
@@ -252,16 +253,16 @@ class BvhClient:
     ) -> Future:
         """Ask as `raycast_many` does; return a future of its result.
 
-        Up to ten may be on the way. `wait_until_batches_are_ready` first: what is asked before the
-        node listens is lost.
+        `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
         """
         rays = as_rays(origins, directions, t_max, mask)
-        return self._ray_channel().ask(rays, frame_id, stamp)
+        return self._ray_channel().ask(rays, frame_id, stamp, self.node.executor)
 
     def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""
         channel, deadline = self._ray_channel(), time.monotonic() + timeout
-        channel.wait_until_found(timeout)
+        if not self._waiting.until(channel.is_found, timeout):
+            raise BvhTimeoutError(f"no batches at '{self.name}' after {timeout:g} s")
         # That both are found here does not say that the node has found us.
         while not channel.has_answered:
             if time.monotonic() > deadline:
@@ -275,25 +276,46 @@ class BvhClient:
 
         Handles that stand for no obstacle are left out. The node tells names at most once a
         second; those of obstacles that have vanished since are missing after `timeout` seconds.
+
+        Raises
+        ------
+        BvhTimeoutError
+            If no names are told at all.
         """
         handles = handles_of(obstacles)
-        if self._names is None:
-            self._names = NameChannel(self.node, self.name, self._group)
-        answer = self._names.ask(handles)
-        self._waiting.until_done(answer, self.timeout if timeout is None else timeout)
-        self._names.forget(answer)
-        known = self._names.known
+        timeout = self.timeout if timeout is None else timeout
+        channel = self._name_channel(timeout)
+        answer = channel.ask(handles)
+        self._waiting.until_done(answer, timeout)
+        channel.forget(answer)
+        if not (channel.has_told or answer.done()):
+            raise BvhTimeoutError(f"'{self.name}' told no names within {timeout:g} s")
+        known = channel.known
         return {handle: known[handle] for handle in sorted(handles) if handle in known}
+
+    def _name_channel(self, timeout: float) -> NameChannel:
+        if self._names is None:
+            if not self._waiting.until(
+                lambda: topic_of_names(self.node, self.name) != '', timeout
+            ):
+                raise BvhTimeoutError(f"nobody tells the names of '{self.name}'")
+            topic = topic_of_names(self.node, self.name)
+            self._names = NameChannel(self.node, topic, self._group)
+            self._waiting.add_subscription(self._names.subscription)
+        return self._names
 
     def _ray_channel(self) -> RayChannel:
         if self._batches is None:  # who asks for single rays only opens no topics
             self._batches = RayChannel(self.node, self.name, self._group)
+            self._waiting.add_subscription(self._batches.subscription)
         return self._batches
 
     def _client(self, service: str) -> Client:
-        return self.node.create_client(
-            GetPlan, f'{self.name}/{service}', callback_group=self._group
+        client = self.node.create_client(
+            GetPlan, f'{self.name}/{service}', qos_profile=REQUESTS, callback_group=self._group
         )
+        self._waiting.add_client(client)
+        return client
 
     def _ask(
         self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]
@@ -313,6 +335,7 @@ class BvhClient:
         self, client: Client, request: GetPlan.Request, timeout: float | None
     ) -> GetPlan.Response:
         timeout = self.timeout if timeout is None else timeout
+        self._waiting.check()
         reply = client.call_async(request)
         if not self._waiting.until_done(reply, timeout):
             client.remove_pending_request(reply)

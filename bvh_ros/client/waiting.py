@@ -1,47 +1,121 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Waiting for an answer, whoever spins the node."""
+"""Waiting for an answer, whoever spins the node, or nobody."""
 
 from __future__ import annotations
 
-import threading
 import time
+from collections.abc import Callable
+from contextlib import ExitStack
 
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.client import Client
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+
+from bvh_ros.client.errors import BvhError
+
+LOOK = 0.1  # seconds between two looks whether the context lives
+POLL = 0.02  # seconds between two looks for the node
 
 
 class Waiting:
-    """Waits for futures, whether the node is being spun in another thread or not at all."""
+    """Waits for futures by taking their answers from the middleware, as an executor would.
+
+    Whether somebody spins the node cannot be known: `rclpy.spin_once` leaves the node with an
+    executor that nobody spins, and the thread that waits may be the one that should spin. So the
+    node's executor is left alone. If it runs, either of the two takes an answer, and gives it to
+    the same future.
+    """
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._executor: SingleThreadedExecutor | None = None
-        self._spinning = threading.Lock()
+        self._clients: list[Client] = []
+        self._subscriptions: list[Subscription] = []
+
+    def add_client(self, client: Client) -> None:
+        """Take the replies to this one while waiting."""
+        self._clients.append(client)
+
+    def add_subscription(self, subscription: Subscription) -> None:
+        """Take the messages of this one while waiting."""
+        self._subscriptions.append(subscription)
+
+    def check(self) -> None:
+        """Raise BvhError if nothing can be asked any more."""
+        if not self._node.context.ok():
+            raise BvhError('rclpy is shut down')
+
+    def until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Return whether something became true within `timeout` seconds; BvhError as below."""
+        deadline = time.monotonic() + timeout
+        while True:
+            self.check()
+            if condition():
+                return True
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(POLL)
 
     def until_done(self, answer: Future, timeout: float) -> bool:
-        """Return whether the answer came within `timeout` seconds."""
-        executor = self._node.executor
-        if executor is None or executor is self._executor:
-            self._spin_until(answer, timeout)
-        else:
-            arrived = threading.Event()
-            answer.add_done_callback(lambda _answer: arrived.set())
-            arrived.wait(timeout)
-        return bool(answer.done())
+        """Return whether the answer came within `timeout` seconds.
 
-    def _spin_until(self, answer: Future, timeout: float) -> None:
-        """Spin the node ourselves; nobody else does.
-
-        The executor is kept: adding the node to one for each call costs ten times the call. Nor is
-        its `spin_until_future_complete` used, which leaves more tasks behind than it runs, so that
-        each call takes longer than the one before.
+        Raises
+        ------
+        BvhError
+            If rclpy is shut down.
         """
         deadline = time.monotonic() + timeout
-        with self._spinning:
-            if self._executor is None:
-                self._executor = SingleThreadedExecutor(context=self._node.context)
-            self._executor.add_node(self._node)
-            while not answer.done() and (left := deadline - time.monotonic()) > 0.0:
-                self._executor.spin_once(left)
+        self.check()
+        taken_by_others = GuardCondition(None, None, context=self._node.context)
+        answer.add_done_callback(lambda _answer: taken_by_others.trigger())
+        while not answer.done() and (left := deadline - time.monotonic()) > 0.0:
+            self._take_what_comes(taken_by_others, min(left, LOOK))
+            self.check()
+        return bool(answer.done())
+
+    def _take_what_comes(self, wake: GuardCondition, timeout: float) -> None:
+        clients, subscriptions = [*self._clients], [*self._subscriptions]
+        with ExitStack() as kept:
+            for entity in (*clients, *subscriptions, wake, self._node.context):
+                kept.enter_context(entity.handle)
+            wait_set = _rclpy.WaitSet(
+                len(subscriptions), 1, 0, len(clients), 0, 0, self._node.context.handle
+            )
+            wait_set.clear_entities()
+            wait_set.add_guard_condition(wake.handle)
+            for client in clients:
+                wait_set.add_client(client.handle)
+            for subscription in subscriptions:
+                wait_set.add_subscription(subscription.handle)
+            wait_set.wait(int(1e9 * timeout))
+            ready = {*wait_set.get_ready_entities('client')}
+            told = {*wait_set.get_ready_entities('subscription')}
+            for client in clients:
+                if client.handle.pointer in ready:
+                    _take_reply(client)
+            for subscription in subscriptions:
+                if subscription.handle.pointer in told:
+                    _take_message(subscription)
+        executor = self._node.executor
+        if (ready or told) and executor is not None:
+            executor.wake()  # what was taken may be what a coroutine there awaits
+
+
+def _take_reply(client: Client) -> None:
+    header, reply = client.handle.take_response(client.srv_type.Response)
+    if header is None:
+        return  # another thread was faster
+    try:
+        future = client.get_pending_request(header.request_id.sequence_number)
+    except KeyError:
+        return  # nobody waits for it any more
+    future.set_result(reply)
+
+
+def _take_message(subscription: Subscription) -> None:
+    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    if taken is not None:
+        subscription.callback(taken[0])

@@ -14,6 +14,7 @@ from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.part import Part
+from bvh_ros.ros.qos import DEPTH
 from bvh_ros.ros.refusals import Refused
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world import World
     from bvh_ros.scene import Scene
 
-DEPTH = 10  # messages that may wait, in either direction
 QOS_PERIOD = 1.0  # seconds
 
 
@@ -60,7 +60,7 @@ class RayBatch(Part):
         self._drawing = drawing
         self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
         subscription = FollowingSubscription(
-            node, PointCloud2, view.topic('rays'), self.receive, depth=DEPTH
+            node, PointCloud2, view.topic('rays'), self.receive, ordered=False
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)

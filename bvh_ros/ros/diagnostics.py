@@ -80,21 +80,23 @@ class Diagnostics(Part):
         """Publish the state as it is now."""
         now = self._clock.now()
         figures, seen = self._survey.look()
+        problem = self._world.problem(now.nanoseconds)
         message = DiagnosticArray()
         message.header.stamp = now.to_msg()
         message.status = [
-            self._world_status(figures, now.nanoseconds),
-            *(self._query_status(queries, seen) for queries in self._queries),
-            *(self._answerer_status(answerer) for answerer in self._answerers),
+            self._world_status(figures, now.nanoseconds, problem),
+            *(self._query_status(queries, seen, problem) for queries in self._queries),
+            *(self._answerer_status(answerer, problem) for answerer in self._answerers),
             *(self._source_status(source, now.nanoseconds) for source in self._world.sources),
         ]
         self._published_at = now.nanoseconds
         self._publisher.publish(message)
 
-    def _world_status(self, figures: Mapping[str, object], now: int) -> DiagnosticStatus:
+    def _world_status(
+        self, figures: Mapping[str, object], now: int, problem: str
+    ) -> DiagnosticStatus:
         scene, features = self._world.scene, self._features()
         level, text = OK, f'{len(scene)} obstacles'
-        problem = self._world.problem(now)
         if problem:
             level, text = ERROR, problem
         elif self._clock.ros_time_is_active and now == self._published_at:
@@ -110,10 +112,14 @@ class Diagnostics(Part):
         }
         return self._status('world', level, text, values)
 
-    def _query_status(self, queries: QueryServices, seen: Mapping[str, int]) -> DiagnosticStatus:
+    def _query_status(
+        self, queries: QueryServices, seen: Mapping[str, int], problem: str
+    ) -> DiagnosticStatus:
         refused, view = queries.refused, queries.view.name
         name = f'queries of {view}' if view else 'queries'
         level, text = self._refused_since(name, refused.count, refused.last)
+        if problem:
+            level, text = ERROR, f'nothing is answered: {problem}'
         count = seen[view]
         nothing = f'no obstacle matches the view {view}' if view and not count else 'answering'
         values = {
@@ -124,9 +130,11 @@ class Diagnostics(Part):
         }
         return self._status(name, level, text or nothing, values)
 
-    def _answerer_status(self, answerer: Answerer) -> DiagnosticStatus:
+    def _answerer_status(self, answerer: Answerer, problem: str) -> DiagnosticStatus:
         refused = answerer.refused
         level, text = self._refused_since(answerer.what, refused.count, refused.last)
+        if problem:
+            level, text = ERROR, f'nothing is answered: {problem}'
         values = {
             **_in_words(answerer.timings, 'answers'),
             'rays answered': answerer.answered,
@@ -150,7 +158,9 @@ class Diagnostics(Part):
             publishers = subscription.publishers()
             values['topic'] = subscription.topic
             values['publishers'] = publishers
-            values['reliability'] = subscription.qos.reliability.name.lower()
+            values |= subscription.figures()
+            if subscription.lost and source.completeness.missing():
+                level, text = WARN, f'obstacles may be unknown: {source.completeness.missing()}'
             if source.has_spoken and not publishers:
                 level, text = WARN, 'its publishers are gone; what they said is kept'
             if subscription.incompatible:

@@ -237,7 +237,7 @@ def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> 
 def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
     """Refuse options that nobody reads: a misspelt `required` would make the world look safe."""
     declared = node.list_parameters([], 0).names
-    for name in _overrides(node):
+    for name in given_at_start(node):
         owner = name.partition('.')[0]
         if name in declared or owner == 'qos_overrides':
             continue
@@ -248,6 +248,7 @@ def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
         node.get_logger().warning(f"parameter '{name}' is not one of this node{hint}")
 
 
-def _overrides(node: Node) -> Sequence[str]:
-    """Return the names of the parameters given at start; rclpy keeps them to itself."""
-    return tuple(getattr(node, '_parameter_overrides', ()))
+def given_at_start(node: Node) -> dict[str, Any]:
+    """Return the parameters given at start; rclpy keeps them to itself."""
+    given = getattr(node, '_parameter_overrides', {})
+    return {name: parameter.value for name, parameter in given.items()}

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 
+from bvh_ros.ros.qos import REQUESTS
+
 if TYPE_CHECKING:
     from rclpy.node import Node
 
@@ -29,7 +31,7 @@ class Part:
 
     def service(self, kind: type, name: str, callback: Callable[..., Any], **given: Any) -> Any:
         """Create a service that lives as long as this part."""
-        service = self.node.create_service(kind, name, callback, **given)
+        service = self.node.create_service(kind, name, callback, qos_profile=REQUESTS, **given)
         self._close.append(partial(self.node.destroy_service, service))
         return service
 

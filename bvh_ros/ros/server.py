@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Protocol
 
 from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from bvh_ros.ros import qos_overrides
 from bvh_ros.ros.clock_jumps import ClockJumps
 from bvh_ros.ros.diagnostics import Diagnostics
 from bvh_ros.ros.drawing import SceneDrawing, TreeDrawing
@@ -75,6 +77,7 @@ class BvhServer:
             self._ends.append(self._tf2)
         try:
             self.world = self._create_world()
+            qos_overrides.check(node, [*self._topics()])
         except ConfigurationError:
             self.destroy()
             raise
@@ -92,6 +95,17 @@ class BvhServer:
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
         return World(settings, scene, frames, sources, self._create_views())
+
+    def _topics(self) -> Iterator[str]:
+        """The topics that this configuration subscribes and whose QoS can be overridden."""
+        topics = [source.settings.topic for source in self.world.sources]
+        if self.settings.batch:
+            topics += [view.topic('rays') for view in self.world.views]
+        if self._scan.pose_topic:
+            topics.append(self._scan.pose_topic)
+        for topic in topics:
+            with contextlib.suppress(RuntimeError, InvalidTopicNameException):  # said later
+                yield self.node.resolve_topic_name(topic)
 
     def _kinds(self) -> set[ShapeKind]:
         """Return the shapes that the sources can bring."""

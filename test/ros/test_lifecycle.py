@@ -83,7 +83,10 @@ def test_a_life(manage, messages):
     assert world.names('raycast', (-5, 0, 0), (5, 0, 0)) == [
         "error: required source 'markers' has not spoken yet"
     ]
-    world.markers(messages.marker(3, at=(6, 0, 0)))
+    world.markers(messages.marker(3, at=(6, 0, 0)))  # what else was told while it was paused?
+    world.until(lambda: 'has to tell all again' in world.names('raycast', (0, 0, 0), (1, 0, 0))[0])
+    everything = messages.marker(0, ns='', action=3), messages.marker(1), messages.marker(3)
+    world.markers(*everything)
     world.until(lambda: world.everything() == {'a/1', 'a/3'})
 
     # Cleaned up: the world is forgotten.

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from bvh_ros.ros.option import ConfigurationError
 
+OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
 GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}
 
 
@@ -98,6 +99,11 @@ def test_wrong_parameters_end_the_node(start_node, parameters, reason):
         ({'sources': ['a'], 'a.type': 'PointCloud2'}, "needs a parameter 'a.topic'"),
         ({'markers.max_age': -1.0}, "'markers.max_age' must be at least 0"),
         ({'markers.requierd': True}, "did you mean 'markers.required'"),
+        ({f'{OVERRIDES}.relability': 'reliable'}, f"did you mean '{OVERRIDES}.reliability'"),
+        ({'qos_overrides./obstacle.subscription.depth': 5}, 'is for nothing here'),
+        ({f'{OVERRIDES}.reliability': 'relaible'}, 'must be one of reliable, best_effort'),
+        ({f'{OVERRIDES}.depth': 0}, 'must be a whole number from 1'),
+        ({f'{OVERRIDES}.depth': 'deep'}, 'must be a whole number from 1'),
         ({**GRID, 'g.unknown': 'maybe'}, "'g.unknown' must be one of free, occupied"),
         ({**GRID, 'g.z_min': 9.0}, "'g.z_min' is above 'g.z_max'"),
     ],

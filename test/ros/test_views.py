@@ -205,3 +205,14 @@ def incomplete(start_node):
 def test_names_that_cannot_be_used_are_refused_at_start(configure, parameters, complaint):
     with pytest.raises(ConfigurationError, match=re.escape(complaint)):
         configure(parameters)
+
+
+def test_a_client_of_a_view_learns_names_from_the_node(viewed, ros):
+    from bvh_ros.client import BvhClient, BvhTimeoutError
+
+    client = BvhClient(ros[0], f'{viewed.name}/arm')
+    hits = client.raycast_many([[-90.0, 0, 0]], [[1.0, 0, 0]])
+    (name,) = client.names(hits.obstacles).values()
+    assert name == client.raycast((-90, 0, 0), (1e6, 0, 0)).name
+    with pytest.raises(BvhTimeoutError, match='nobody tells'):
+        BvhClient(ros[0], '/nobody/bvh').names([1], timeout=0.1)

@@ -93,6 +93,7 @@ class MarkerArraySource(Source):
 
     def _remove_namespace(self, namespace: str | None) -> None:
         if namespace is None:
+            self.tells_all = True
             self.scene.remove_group(self.name, '')
             self._lists.clear()
             return

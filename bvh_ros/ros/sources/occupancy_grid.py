@@ -22,7 +22,6 @@ class OccupancyGridSource(Source):
 
     message_type = OccupancyGrid
     depth = 1  # a map replaces the one before it
-    transient_local = True
     follows_publisher = False
 
     def __init__(self, *args: Any) -> None:
@@ -33,6 +32,7 @@ class OccupancyGridSource(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes."""
+        self.tells_all = True
         options = self.settings.options
         shapes = occupancy_grid.boxes(
             message,

@@ -9,6 +9,7 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
+from bvh_ros.ros.cdr.cloud_head import field_names
 from bvh_ros.ros.conversions import point_cloud2
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
@@ -16,14 +17,25 @@ from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
 
 
+def says_everything(serialised: bytes) -> bool:
+    """Whether a cloud replaces all boxes: it has no ids."""
+    names = field_names(serialised)
+    return bool(names) and 'id' not in names
+
+
 class PointCloud2Source(Source):
     """Replaces its boxes with those of each message, or updates them by id."""
 
     message_type = PointCloud2
 
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.says_everything = says_everything
+
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes, or update and delete by id."""
         cloud = point_cloud2.BoxCloud(message, voxel=self.settings.options['voxel'])
+        self.tells_all = not cloud.by_id
         stamp = nanoseconds(message.header.stamp)
         transform = self.frames.into_node(message.header.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'

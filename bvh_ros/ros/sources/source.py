@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
 
+from bvh_ros.ros.qos import DEPTH
 from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.sources.completeness import Completeness
+from bvh_ros.ros.sources.numbering import Heard
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
 from bvh_ros.scene import Refusal
@@ -44,8 +47,7 @@ class Source(ABC):
     """
 
     message_type: ClassVar[type]
-    depth: ClassVar[int] = 10
-    transient_local: ClassVar[bool] = False
+    depth: ClassVar[int] = DEPTH
     follows_publisher: ClassVar[bool] = True
 
     def __init__(self, node: Node, settings: SourceSettings, scene: Scene, frames: Frames) -> None:
@@ -59,6 +61,9 @@ class Source(ABC):
         self.skipped = 0  # points without a place
         self.spoke_at = 0  # ns on the node's clock
         self.has_spoken = False
+        self.completeness = Completeness()
+        self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
+        self.tells_all = False  # whether the message that is being applied says everything
         self.raw = False  # whether `apply` takes a message as its serialised bytes
         self._node = node
         self._clock = node.get_clock()
@@ -80,9 +85,11 @@ class Source(ABC):
             self.message_type,
             self.settings.topic,
             self.receive,
+            on_irregular=self._note,
             depth=self.depth,
-            transient_local=self.transient_local,
+            latched=True,
             follow=self.follows_publisher,
+            says_everything=self.says_everything,
             raw=True,  # rclpy would drop what it cannot deserialise without telling us
         )
 
@@ -95,7 +102,14 @@ class Source(ABC):
             self._node.destroy_guard_condition(self._turn)
             self._turn = None
         self.finish()
+        if self.has_spoken:
+            self.completeness.forget('it was not listened to for a while')
         self.has_spoken = self.has_spoken and not self.settings.required
+
+    def _note(self, heard: Heard, kept: bool) -> None:
+        """The message that comes now does not just follow those before it."""
+        self.finish()  # what it says is said before
+        self.completeness.note(heard, kept=kept)
 
     def receive(self, serialised: bytes) -> None:
         """Begin to apply a message; what is left of the one before is applied first."""
@@ -123,6 +137,7 @@ class Source(ABC):
     def _applying(self, serialised: bytes, now: int) -> Iterator[None]:
         """Apply one message; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
+        self.tells_all = False
         try:
             items, refusals = yield from self.apply(self._read(serialised), now)
             self.timings.add(began)
@@ -135,6 +150,8 @@ class Source(ABC):
         self.refused.add_rows(refusals)
         if items == 0 or len(refusals) < items:
             self.spoke_at, self.has_spoken = now, True
+            if self.tells_all:
+                self.completeness.note_all_told()
 
     def _in_slices(
         self, group: str, total: int, parts: Callable[[int], Iterator[Part]], *, whole: bool
@@ -172,12 +189,15 @@ class Source(ABC):
         """Start over, after the scene was cleared: a required source must speak again."""
         self._work = None
         self.has_spoken = False
+        self.completeness.forget('what it had told was cleared')
 
     def problem(self, now: int) -> str:
         """Say why the world is incomplete without this source, or return an empty text."""
         settings = self.settings
         if not self.has_spoken:
             return f"required source '{self.name}' has not spoken yet" if settings.required else ''
+        if settings.required and (missing := self.completeness.missing()):
+            return f"required source '{self.name}' has to tell all again: {missing}"
         silent = (now - self.spoke_at) / 1e9
         if settings.max_age and silent > settings.max_age:
             return (

@@ -1,42 +1,57 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscription that follows what the publishers offer."""
+"""A subscription that follows what the publishers offer, and counts what is lost."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
-    QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
     qos_policy_name_from_kind,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from bvh_ros.ros.qos import DEPTH
+from bvh_ros.ros.qos_overrides import OVERRIDABLE, overrides
+from bvh_ros.ros.sources.backlog import Backlog
+from bvh_ros.ros.sources.merging import HOLD, Merger, Told
+from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
 from bvh_ros.ros.sources.unheard import unheard
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+    from rclpy.qos_overriding_options import QoSOverridingOptions
     from rclpy.subscription import Subscription
 
-OVERRIDABLE = (
-    QoSPolicyKind.HISTORY,
-    QoSPolicyKind.DEPTH,
-    QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
+LOG_EVERY = 2.0  # seconds
+
+
+class Kind(NamedTuple):
+    """What a subscription asks for."""
+
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy
+
+
+LATCHED = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+BEST_EFFORT = Kind(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+KINDS = (LATCHED, RELIABLE, BEST_EFFORT)  # each hears all that the ones before it hear
 
 
 class FollowingSubscription:
-    """Subscribes reliably, and best effort where only that is offered.
+    """Subscribes as the publishers offer, each of them as well as it does.
 
-    A reliable subscription never hears a best-effort publisher. When such a one appears and no
-    other offers more, the subscription is made anew; and again when that changes.
+    A reliable subscription never hears a best-effort publisher, nor one that asks for what was
+    kept for late joiners a publisher that keeps nothing. So there is one for each kind; that for
+    best effort only while somebody offers no more.
 
     Parameters
     ----------
@@ -44,18 +59,26 @@ class FollowingSubscription:
     message_type : ROS message class
     topic : str
     callback : callable
+        Takes a message, or its bytes.
+    on_irregular : callable, optional
+        Takes what a message's number says about those before, where it does not just follow, and
+        whether its publisher keeps messages for late joiners; called before `callback`.
     depth : int
         How many messages may wait.
-    transient_local : bool
+    latched : bool
         Whether to ask for what was published earlier.
     follow : bool
-        False keeps to the reliability first asked for.
+        False keeps to one kind.
+    ordered : bool
+        Whether the order of messages matters.
+    says_everything : callable, optional
+        Whether a message needs none of those before it: of such, few may wait.
     raw : bool
         True hands over the serialised bytes.
 
     Raises
     ------
-    RuntimeError, rclpy.exceptions.ParameterException
+    ValueError
         If a QoS override makes no sense.
     """
 
@@ -66,74 +89,193 @@ class FollowingSubscription:
         topic: str,
         callback: Callable[[Any], None],
         *,
-        depth: int,
-        transient_local: bool = False,
+        on_irregular: Callable[[Heard, bool], None] = lambda _heard, _kept: None,
+        depth: int = DEPTH,
+        latched: bool = False,
         follow: bool = True,
+        ordered: bool = True,
+        says_everything: Callable[[Any], bool] | None = None,
         raw: bool = False,
     ) -> None:
         self._node = node
         self._message_type = message_type
         self._callback = callback
+        self._on_irregular = on_irregular
         self._raw = raw
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # why a publisher is not heard, and the remedy
-        # The subscription is replaced outside of its own event's callback.
+        self.lost = 0  # messages
+        self._numbering = Numbering()
+        self._merger = Merger(self._deliver, HOLD if ordered else 0.0)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._holding = node.create_timer(HOLD / 2, self._release, clock=steady, autostart=False)
+        # Subscriptions come and go outside of their own events' callbacks.
         self._change = node.create_guard_condition(self.check)
-        self.qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=depth,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL
-            if transient_local
-            else DurabilityPolicy.VOLATILE,
-        )
-        # rclpy writes the user's overrides into self.qos.
-        self._subscription = self._create(QoSOverridingOptions(OVERRIDABLE))
-        self._follow = follow and self.qos.reliability == ReliabilityPolicy.RELIABLE
+        self._backlog = None if says_everything is None else Backlog(says_everything)
+        self._more = node.create_guard_condition(self._next)
+        given = overrides(node, self.topic)
+        asked = _asked(LATCHED if latched else RELIABLE, given)
+        self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth)
+        self._subscriptions: dict[Kind, Subscription] = {}
+        self._create(asked, OVERRIDABLE)  # rclpy writes the user's depth into the profile
+        self._follows = follow and asked.reliability == ReliabilityPolicy.RELIABLE
+        if asked == LATCHED and self._follows and 'durability' not in given:
+            self._create(RELIABLE)
 
     def check(self) -> None:
-        """Subscribe anew if the publishers now offer another reliability."""
+        """Subscribe best effort, too, as long as somebody offers no more."""
         offered = {
             info.qos_profile.reliability
             for info in self._node.get_publishers_info_by_topic(self.topic)
         }
-        if not (self._follow and offered):
+        if not (self._follows and offered):
             return
-        wanted = max(offered, key=lambda reliability: reliability == ReliabilityPolicy.RELIABLE)
-        if wanted == self.qos.reliability:
+        wanted = ReliabilityPolicy.BEST_EFFORT in offered
+        if wanted == (BEST_EFFORT in self._subscriptions):
             return
-        self._node.get_logger().info(
-            f'{self.topic}: subscribing {wanted.name.lower()} as its publishers offer'
-        )
-        self.qos.reliability = wanted
-        self.incompatible = ''
-        self._node.destroy_subscription(self._subscription)
-        self._subscription = self._create(None)
+        log = self._node.get_logger().info
+        if wanted:
+            log(f'{self.topic}: subscribing best effort, too, as a publisher offers no more')
+            self._create(BEST_EFFORT)
+        else:
+            log(f'{self.topic}: nobody publishes best effort any more')
+            self._take_the_rest(BEST_EFFORT, DEPTH)
+            self._node.destroy_subscription(self._subscriptions.pop(BEST_EFFORT))
 
     def destroy(self) -> None:
         """Listen no longer."""
-        self._node.destroy_subscription(self._subscription)
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+        self._node.destroy_timer(self._holding)
         self._node.destroy_guard_condition(self._change)
+        self._node.destroy_guard_condition(self._more)
 
     def publishers(self) -> int:
-        """Return how many publishers are matched."""
+        """Return how many publishers there are, heard or not."""
         return int(self._node.count_publishers(self.topic))
 
-    def _create(self, overrides: QoSOverridingOptions | None) -> Subscription:
-        return self._node.create_subscription(
+    def figures(self) -> dict[str, object]:
+        """Return who is heard, how, and what was lost, as /diagnostics shows it."""
+        counts = self._counts()
+        kinds = [kind for kind, count in counts.items() if count] or [*counts]
+        figures: dict[str, object] = {
+            'reliability': kinds[0].reliability.name.lower(),
+            'durability': kinds[0].durability.name.lower(),
+            'messages lost': self.lost,
+        }
+        if self._backlog is not None:
+            figures['messages that newer ones replaced'] = self._backlog.superseded
+        return figures
+
+    def _create(self, kind: Kind, overriding: QoSOverridingOptions | None = None) -> None:
+        qos = self._profile(kind)
+        if overriding is not None:
+            self._wanted = qos
+        self._subscriptions[kind] = self._node.create_subscription(
             self._message_type,
             self.topic,
-            self._callback,
-            self.qos,
+            partial(self._receive, kind),
+            qos,
             raw=self._raw,
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible),
-            qos_overriding_options=overrides,
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=partial(self._on_incompatible, kind)
+            ),
+            qos_overriding_options=overriding,
         )
 
-    def _on_incompatible(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        self.incompatible = unheard(self.topic, policy, self.qos)
-        if self._follow and policy == 'RELIABILITY':
-            self._change.trigger()
+    def _profile(self, kind: Kind) -> QoSProfile:
+        history, depth = self._wanted.history, self._wanted.depth
+        return QoSProfile(
+            history=history, depth=depth, reliability=kind.reliability, durability=kind.durability
+        )
+
+    def _receive(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
+        self._take(kind, message, info)
+        if self._backlog is not None:
+            self._take_the_rest(kind, DEPTH - len(self._backlog))
+            self._next()
+
+    def _take(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
+        told = Told(message, info['publication_sequence_number'], _is_kept(kind))
+        counts = self._counts()
+        place = KINDS.index(kind) if kind in KINDS else 0
+        better = any(counts.get(other) for other in KINDS[:place])
+        self._merger.take(
+            told,
+            info['source_timestamp'],
+            others_hear=better or any(other in counts for other in KINDS[place + 1 :]),
+            better_hear=better,
+        )
+        if self._merger.is_holding and self._holding.is_canceled():
+            self._holding.reset()
+
+    def _release(self) -> None:
+        self._merger.release()
+        if not self._merger.is_holding:
+            self._holding.cancel()
+
+    def _deliver(self, told: Told) -> None:
+        publishers = max(self._counts().values(), default=0)
+        heard = self._numbering.note(told.number, publishers)
+        if heard.lost:
+            self.lost += heard.lost
+            self._node.get_logger().warning(
+                f'{self.topic}: {heard.lost} messages were lost, {self.lost} in all; they came '
+                'faster than they were taken, or on a connection that loses some',
+                throttle_duration_sec=LOG_EVERY,
+            )
+        if self._backlog is None:
+            self._hand_over(told, heard)
         else:
-            self._node.get_logger().warning(f'{self.topic}: {self.incompatible}')
+            self._backlog.add(told.message, (told, heard))
+            self._more.trigger()
+
+    def _next(self) -> None:
+        """Hand over one message of those that wait, and another one after others had a turn."""
+        if self._backlog:
+            self._hand_over(*self._backlog.next()[1])
+        if self._backlog:
+            self._more.trigger()
+
+    def _hand_over(self, told: Told, heard: Heard) -> None:
+        if heard is not NEXT:
+            self._on_irregular(heard, told.kept)
+        self._callback(told.message)
+
+    def _take_the_rest(self, kind: Kind, most: int) -> None:
+        """Take what already waits."""
+        handle = self._subscriptions[kind].handle
+        for _ in range(most):
+            with handle:
+                taken = handle.take_message(self._message_type, self._raw)
+            if taken is None:
+                return
+            self._take(kind, *taken)
+
+    def _counts(self) -> dict[Kind, int]:
+        """How many publishers each subscription hears."""
+        return {kind: one.get_publisher_count() for kind, one in self._subscriptions.items()}
+
+    def _on_incompatible(self, kind: Kind, event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        if kind == LATCHED and RELIABLE in self._subscriptions:
+            return  # that one hears who keeps nothing
+        if self._follows and policy == 'RELIABILITY':
+            self._change.trigger()
+            return
+        self.incompatible = unheard(self.topic, policy, self._profile(kind))
+        self._node.get_logger().warning(f'{self.topic}: {self.incompatible}')
+
+
+def _asked(kind: Kind, given: dict[str, Any]) -> Kind:
+    """What to ask for with the user's overrides."""
+    reliability, durability = given.get('reliability'), given.get('durability')
+    return Kind(
+        ReliabilityPolicy[reliability.upper()] if reliability else kind.reliability,
+        DurabilityPolicy[durability.upper()] if durability else kind.durability,
+    )
+
+
+def _is_kept(kind: Kind) -> bool:
+    return kind.durability == DurabilityPolicy.TRANSIENT_LOCAL

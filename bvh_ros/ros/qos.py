@@ -1,0 +1,10 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How much may wait on the way, so that a burst is late and not lost."""
+
+from rclpy.qos import QoSProfile
+
+# Messages, requests or replies. DDS takes memory only for those that do wait. Every client of a
+# service hears all replies, so what one client keeps has to hold those to the others, too.
+DEPTH = 5000
+REQUESTS = QoSProfile(depth=DEPTH)  # reliable and volatile, as services are
