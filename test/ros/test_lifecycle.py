@@ -96,7 +96,7 @@ def test_a_life(manage, messages):
     assert managed.change(Transition.TRANSITION_CONFIGURE)
     assert managed.change(Transition.TRANSITION_ACTIVATE)
     managed.until_services(OFFERED)
-    world.markers(messages.marker(4))
+    world.markers(everything[0], messages.marker(4))
     world.until(lambda: world.everything() == {'a/4'})
 
     assert managed.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
