@@ -152,6 +152,7 @@ class Diagnostics(Part):
             'longest slice of an update [ms]': f'{1e3 * source.longest_slice:.3f}',
             'refused': refused.count,
             'last reason': refused.last,
+            **refused.rows(),
             'points skipped': source.skipped,
         }
         if subscription is not None:

@@ -51,7 +51,7 @@ NODE_OPTIONS = (
 )
 SOURCE_OPTIONS = (
     Option('prefix', '', 'Begins the name of every obstacle of this source.'),
-    Option('required', False, 'Until this source has spoken, every query answers an error.'),
+    Option('required', False, 'Until this source has told all, every query answers an error.'),
     Option(
         'max_age',
         0.0,

@@ -5,13 +5,16 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Sequence
+from itertools import islice
 from typing import Protocol
 
 from bvh_ros.ros.texts import LONGEST_LINE, shortened
 from bvh_ros.scene import Refusal
 
 LOG_EVERY = 2.0  # seconds
+LISTED = 100  # refused rows that are kept with their reasons, the latest
 
 
 class Logger(Protocol):
@@ -34,6 +37,8 @@ class Refused:
     def __init__(self, logger: Logger, what: str) -> None:
         self.count = 0
         self.last = ''
+        self._rows: deque[str] = deque(maxlen=LISTED)
+        self._row_count = 0
         self._logger = logger
         self._what = what
         self._unlogged = 0
@@ -55,6 +60,19 @@ class Refused:
     def add_rows(self, refusals: Sequence[Refusal]) -> None:
         """Count the rows of an update that were refused."""
         if refusals:
-            first = refusals[0]
-            who = f"'{shortened(first.name)}': " if first.name else ''
-            self.add(who + first.reason, len(refusals))
+            self._row_count += len(refusals)
+            told = [_in_words(refusal) for refusal in islice(refusals, LISTED)]
+            self._rows.extend(told)
+            self.add(told[0], len(refusals))
+
+    def rows(self) -> dict[str, object]:
+        """Return the latest rows with their reasons, and how many are not among them."""
+        return {
+            'refused rows': '\n'.join(self._rows),
+            'refused rows not listed': self._row_count - len(self._rows),
+        }
+
+
+def _in_words(refusal: Refusal) -> str:
+    who = f"'{shortened(refusal.name)}'" if refusal.name else f'row {refusal.row}'
+    return shortened(f'{who}: {refusal.reason}', LONGEST_LINE)

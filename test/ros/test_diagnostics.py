@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What /diagnostics tells, over ROS 2."""
 
+import logging
 import math
 
 import pytest
@@ -9,9 +10,10 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from bvh_ros.ros import survey
+from bvh_ros.ros.refusals import LISTED, Refused
 from bvh_ros.ros.timings import MOST, Timings
 from bvh_ros.ros.views import WHOLE
-from bvh_ros.scene import Scene
+from bvh_ros.scene import Refusal, Scene
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
@@ -63,6 +65,8 @@ def test_sources(busy, diagnostics):
     markers = values(seen['source markers'])
     assert (markers['messages'], markers['refused']) == ('1', '1')
     assert 'negative' in markers['last reason']
+    assert markers['refused rows'].startswith("'a/3': ")
+    assert markers['refused rows not listed'] == '0'
     assert (markers['publishers'], markers['reliability']) == ('1', 'reliable')
     assert float(markers['longest slice of an update [ms]']) > 0.0
     assert seen['source boxes'].level == OK
@@ -128,6 +132,18 @@ def test_validate_tells_figures(busy):
 
 
 # ---- the parts
+
+
+def test_refused_rows_are_listed_up_to_a_limit(caplog):
+    refused = Refused(logging.getLogger('test'), 'source')
+    refused.add_rows([Refusal(row, f'a/{row}', f'reason {row}') for row in range(7)])
+    rows = refused.rows()
+    assert rows['refused rows'].splitlines() == [f"'a/{i}': reason {i}" for i in range(7)]
+    assert rows['refused rows not listed'] == 0
+    refused.add_rows([Refusal(row, f'b/{row}', 'no') for row in range(3 * LISTED)])
+    rows = refused.rows()
+    assert len(rows['refused rows'].splitlines()) == LISTED
+    assert rows['refused rows not listed'] == 2 * LISTED + 7
 
 
 def test_durations(monkeypatch):

@@ -1,0 +1,112 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the numbers of messages tell, what is then missing, and what waits, without ROS."""
+
+import random
+
+import pytest
+
+from bvh_ros.ros.sources import completeness, merging
+from bvh_ros.ros.sources.backlog import KEPT, Backlog
+from bvh_ros.ros.sources.completeness import SETTLED, Completeness
+from bvh_ros.ros.sources.merging import HOLD, Merger, Told
+from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
+
+NEW = Heard(is_new=True)
+
+
+@pytest.mark.parametrize(
+    ('numbers', 'publishers', 'last'),
+    [
+        ([1], 1, NEW),
+        ([1, 2, 3], 1, NEXT),
+        ([1, 2, 5], 1, Heard(lost=2)),
+        ([7], 1, Heard(is_new=True, unheard=6)),
+        ([7, 8], 1, NEXT),
+        ([1, 1, 2, 2, 3], 2, NEXT),
+        ([1, 2, 1, 2, 9], 2, Heard(lost=6)),
+        ([1, 2, 40], 2, Heard(is_new=True, unheard=39)),
+        ([1, 2, 3, 1, 5], 1, Heard(lost=3)),  # of the one that is still there
+        ([None], 1, Heard(is_new=True, unheard=1)),
+        ([None, None], 1, NEXT),
+    ],
+)
+def test_numbers(numbers, publishers, last):
+    numbering = Numbering()
+    heard = [numbering.note(number, publishers) for number in numbers]
+    assert heard[-1] == last
+
+
+def test_every_gap_of_many_publishers_is_counted():
+    """Losses anywhere but at the end, publishers interleaved at random, by brute force."""
+    chance = random.Random(1)
+    for publishers in (1, 2, 5):
+        numbering, lost, found = Numbering(), 0, 0
+        sent = [0] * publishers
+        for _ in range(2000):
+            who = chance.randrange(publishers)
+            sent[who] += 1
+            if sent[who] > 1 and chance.random() < 0.05:
+                lost += 1
+                continue
+            found += numbering.note(sent[who], publishers).lost
+        for who in range(publishers):  # each speaks once more
+            found += numbering.note(sent[who] + 1, publishers).lost
+        assert found == lost
+
+
+def test_what_is_missing_until_all_is_told(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(completeness.time, 'monotonic', lambda: now[0])
+    told = Completeness()
+    told.note(NEW, kept=False)
+    assert told.missing() == ''
+    told.note(Heard(lost=3), kept=False)
+    assert told.missing() == '3 of its messages were lost'
+    told.note(NEW, kept=False)  # another publisher does not mend it
+    assert told.missing()
+    told.note_all_told()
+    assert told.missing() == ''
+    told.forget('paused')
+    told.note(Heard(is_new=True, unheard=5), kept=True)
+    assert 'still coming' in told.missing()
+    now[0] += 2 * SETTLED
+    assert told.missing() == ''
+    told.note(Heard(is_new=True, unheard=5), kept=False)
+    assert told.missing() == 'it had spoken before it was heard'
+
+
+def test_two_copies_are_one_and_the_better_one_orders(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(merging.time, 'monotonic', lambda: now[0])
+    out = []
+    merger = Merger(lambda told: out.append(told.message))
+
+    def take(message, number, *, better):
+        told = Told(message, number, kept=False)
+        merger.take(told, 1000 + number, others_hear=True, better_hear=better)
+
+    take('second, early', 2, better=True)
+    take('first', 1, better=False)
+    take('second', 2, better=False)
+    take('second, late', 2, better=True)
+    take('from another', 7, better=True)
+    merger.release()
+    assert out == ['first', 'second']
+    now[0] += 2 * HOLD
+    merger.release()
+    assert out == ['first', 'second', 'from another']
+    assert not merger.is_holding
+
+
+def test_every_change_waits_but_few_that_say_everything():
+    backlog = Backlog(str.isupper)
+    for message in ['a', 'b', *'ABCD', 'c', *'EFGHIJKLM', 'd']:
+        backlog.add(message, None)
+    waiting = ''.join(backlog.next()[0] for _ in range(len(backlog)))
+    assert waiting == 'DcEFGHIJKLMd'
+    assert sum(map(str.isupper, waiting)) == KEPT
+    assert backlog.superseded == 5
+    for message in 'abc' * 1000:
+        backlog.add(message, None)
+    assert len(backlog) == 3000
