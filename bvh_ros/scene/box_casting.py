@@ -17,8 +17,9 @@ from ..tree.compiling import lean_kernel
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.machine import stack_array
 from ..tree.nodes import SLOT_MASK
-from ..tree.ray_hits import locate, raycast_one
+from ..tree.ray_hits import REFUSED, locate, raycast_one
 from ..tree.slab import INSIDE, RAY_ROWS
+from ..tree.turns import IS_CHANGED
 from .results import NO_NODE
 from .shapes import Floats, along_axes
 
@@ -31,11 +32,11 @@ def first(
     """The first box from `origin` to `origin + way`, shape (3,) each and finite."""
     place = np.zeros((2 + RAY_ROWS, 3))
     place[0, 2] = origin[2]
-    nodes, tight, handles, _ = tree.arrays()
     handle, t = raycast_one(
-        *(nodes, tight, handles, tree.state),
-        *(origin, way, 1.0, mask, skip_inside, raycasting.CLOSEST, place),
+        *tree.view()[:4], *(origin, way, 1.0, mask, skip_inside, raycasting.CLOSEST, place)
     )
+    if handle == REFUSED:
+        raise RuntimeError(IS_CHANGED)
     return None if handle < 0 else (handle & SLOT_MASK, t, place[0], place[1])
 
 
@@ -44,8 +45,10 @@ def every(
 ) -> Iterator[BoxHit]:
     """All boxes from `origin` to `origin + way`, nearest first, ties by handle."""
     starts, ways = origin[None, : tree.ndim], way[None, : tree.ndim]
-    _, slots, ts, axes = tree.every_hit(starts, ways, 1.0, mask, skip_inside)
-    nodes, tight, _, _ = tree.arrays()
+    view = tree.view()
+    _, slots, ts, axes = tree.every_hit(view, starts, ways, 1.0, mask, skip_inside)
+    tree.check_unchanged(view)
+    nodes, tight, _, _, _ = view
     places = np.zeros((len(slots), 2, 3))
     places[:, 0, 2] = origin[2]
     hits = zip(slots.tolist(), ts.tolist(), axes.tolist(), places, strict=True)

@@ -89,10 +89,9 @@ def _reached(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Slots:
     box = np.empty(1, box_dtype(tree.ndim))
     lo, hi = query.reach()
     box['lo'], box['hi'] = lo[: tree.ndim], hi[: tree.ndim]
-    nodes, tight, _, root = tree.arrays()
     masks, sizes = np.array([mask]), np.empty(1, np.int64)
-    slots: Slots = overlap_many(nodes, tight, root, box, masks, 0, 1, sizes)
-    return slots
+    handles: Slots = overlap_many(tree.view(), box, masks, 0, 1, sizes)
+    return handles & SLOT_MASK
 
 
 def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:

@@ -14,7 +14,8 @@ import numpy as np
 
 from .compiling import inlined, lean_kernel
 from .machine import stack_array
-from .nodes import DEEPEST, is_leaf
+from .nodes import DEEPEST, NONE, ROOT, is_leaf
+from .turns import begin_query, end_query
 
 # Edges between these need no scaling: their products, and sums of many, are normal doubles.
 SMALLEST_EDGE, LARGEST_EDGE = 2.0**-400, 2.0**400
@@ -80,6 +81,18 @@ def area_scale(nodes, a, b):
     if SMALLEST_EDGE < longest < LARGEST_EDGE:
         return 1.0
     return unit_scale(longest)
+
+
+@lean_kernel
+def cost_now(nodes, tight, handles, state, version):
+    """`tree_cost` of the whole tree, 0 if it is empty; negative if it is changed meanwhile."""
+    if not begin_query(state, version):
+        return -1.0
+    cost = 0.0
+    if state[ROOT] != NONE:
+        cost = tree_cost(nodes, state[ROOT])
+    end_query(state)
+    return cost
 
 
 @lean_kernel

@@ -16,7 +16,10 @@ import numpy as np
 from .compiling import inlined, lean_kernel
 from .lanes import EIGHT, touching8
 from .machine import stack_array, trailing_zeros
-from .nodes import DEEPEST, NONE, SLOT_BITS, is_leaf, leaf_box
+from .nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box
+from .turns import begin_query, end_query
+
+REFUSED = -2
 
 ALL_LANES = np.uint32((1 << EIGHT) - 1)
 
@@ -88,9 +91,16 @@ def _pack_above(blocks, first, last, above):
 
 
 @lean_kernel
-def pack(nodes, tight, root, mask, blocks):
-    """Fill `blocks` level by level; return the topmost block, NONE if the mask sees nothing."""
-    first, boxes = 0, _pack_leaves(nodes, tight, root, mask, blocks)
+def pack(nodes, tight, handles, state, version, mask, blocks):
+    """Fill `blocks` level by level; return the topmost block, NONE if the mask sees nothing,
+    REFUSED if the tree is changed meanwhile.
+    """
+    if not begin_query(state, version):
+        return REFUSED
+    first, boxes = 0, 0
+    if state[ROOT] != NONE:
+        boxes = _pack_leaves(nodes, tight, state[ROOT], mask, blocks)
+    end_query(state)
     empty = stack_array(3, np.float64)
     empty[0] = empty[1] = empty[2] = np.nan
     nothing = empty[: blocks[0].lo.shape[0]]

@@ -7,11 +7,13 @@ are nearest to a point.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import blocks, boxcasting, checks, ordering, overlapping, packets, proximity
-from .arrays import Arrays, Floats, Ids, in_threads
-from .nodes import ALL, NONE, ROOT, aligned_empty, box_dtype
+from . import blocks, boxcasting, checks, ordering, overlapping, packets, proximity, ray_hits
+from .arrays import Arrays, Floats, Ids
+from .nodes import ALL, COUNT, NONE, ROOT, aligned_empty, box_dtype
 from .results import RayHit
 from .slab import RAY_ROWS
+from .turns import IS_CHANGED
+from .workers import in_threads
 
 # Batches of points dense enough for eight neighbours to share their way: as many points a box, and
 # at least so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
@@ -41,16 +43,13 @@ class BoxQueries(Arrays):
         queries = np.empty(count, box_dtype(self.ndim))
         queries['lo'], queries['hi'] = low, high
         sizes = np.empty(count, np.int64)
+        view = self.view()
 
         def work(start: int, stop: int) -> Ids:
-            found: Ids = overlapping.overlap_many(
-                *self._boxes_only(), queries, seen, start, stop, sizes
-            )
-            return found
+            return overlapping.overlap_many(view, queries, seen, start, stop, sizes)
 
-        slots = np.concatenate(in_threads(work, count, threads))
+        handles = np.concatenate(in_threads(work, count, threads))
         offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-        handles = self._handles[slots]
         order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
         return offsets, handles[order]
 
@@ -59,16 +58,21 @@ class BoxQueries(Arrays):
         sorted.
         """
         seen = checks.mask(mask)
-        packed = aligned_empty(blocks.blocks_needed(len(self)), blocks.block_dtype(self.ndim))
-        top = blocks.pack(*self._boxes_only(), seen, packed) if len(self) else NONE
+        view = self.view()
+        boxes = view[3].item(COUNT)
+        packed = aligned_empty(blocks.blocks_needed(boxes), blocks.block_dtype(self.ndim))
+        top = blocks.pack(*view, seen, packed)
+        if top == blocks.REFUSED:
+            raise RuntimeError(IS_CHANGED)
         if top == NONE:
             return np.empty((0, 2), np.int64)
-        slots = np.empty(max(4 * len(self), 64), np.int64)
+        slots = np.empty(max(4 * boxes, 64), np.int64)
         count = blocks.touching_pairs(packed, top, slots)
         if count > len(slots):
             slots = np.empty(count, np.int64)
             blocks.touching_pairs(packed, top, slots)
-        one, other = self._handles[slots[:count].reshape(-1, 2).T]
+        one, other = view[2][slots[:count].reshape(-1, 2).T]
+        self.check_unchanged(view)
         smaller, larger = np.minimum(one, other), np.maximum(one, other)
         order = np.lexsort((larger, smaller))
         return np.column_stack((smaller[order], larger[order]))
@@ -114,19 +118,12 @@ class BoxQueries(Arrays):
         low, high = checks.box(lo, hi, self.ndim)
         way = checks.point('translation', translation, self.ndim)
         ray, place = np.empty((RAY_ROWS, self.ndim)), np.empty((2, self.ndim))
-        slot, t = boxcasting.boxcast(
-            self._nodes,
-            self._tight,
-            self._handles,
-            self._state,
-            low,
-            high,
-            way,
-            checks.mask(mask),
-            ray,
-            place,
+        handle, t = boxcasting.boxcast(
+            *self.view()[:4], low, high, way, checks.mask(mask), ray, place
         )
-        return None if slot < 0 else RayHit(int(self._handles[slot]), t, place[0], place[1])
+        if handle == ray_hits.REFUSED:
+            raise RuntimeError(IS_CHANGED)
+        return None if handle < 0 else RayHit(int(handle), t, place[0], place[1])
 
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
@@ -160,13 +157,17 @@ class BoxQueries(Arrays):
             checks.limits('max_distance', max_distance, count),
             checks.masks(mask, count),
         )
-        slots, distances = np.empty((count, k), np.int64), np.empty((count, k))
-        asked = k, reaches, seen, slots, distances
-        if len(self) and count >= max(PACKETS_PER_BOX * len(self), LEAST_PACKETS):
+        ids, distances = np.empty((count, k), np.int64), np.empty((count, k))
+        asked = k, reaches, seen, ids, distances
+        view = self.view()
+        boxes = view[3].item(COUNT)
+        if boxes and count >= max(PACKETS_PER_BOX * boxes, LEAST_PACKETS):
             keys, order, spare = np.empty((3, count), np.int64)
-            root = self._nodes[self._state[ROOT]]
+            root = view[0][view[3].item(ROOT)]
             ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
-            packets.nearest_packets(*self.arrays(), where, order, *asked)
+            answered = packets.nearest_packets(*view, where, order, *asked)
         else:
-            proximity.nearest_many(*self.arrays(), where, *asked)
-        return self._to_handles(slots), distances
+            answered = proximity.nearest_many(*view, where, *asked)
+        if not answered:
+            raise RuntimeError(IS_CHANGED)
+        return ids, distances

@@ -7,17 +7,19 @@ import numpy as np
 from .compiling import lean_kernel
 from .machine import stack_array
 from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
-from .ray_hits import locate
+from .ray_hits import REFUSED, locate
 from .raycasting import CLOSEST, raycast
 from .slab import EXACT, INSIDE, ORIGIN, aim_box
+from .turns import ANY_VERSION, begin_query, end_query
 
 
 @lean_kernel
 def boxcast(nodes, tight, handles, state, lo, hi, translation, mask, ray, place):
-    """First box met: (slot, t), slot NONE if there is none; point and normal go to `place`.
-
-    `ray` is scratch.
+    """First box met: (handle, t); point and normal go to `place`. Instead of a handle NONE if
+    there is none, REFUSED if the tree is being changed. `ray` is scratch.
     """
+    if not begin_query(state, ANY_VERSION):
+        return REFUSED, np.inf
     aim_box(ray, lo, hi, translation)
     slots, ts, axes = (
         stack_array(1, np.int64),
@@ -30,6 +32,7 @@ def boxcast(nodes, tight, handles, state, lo, hi, translation, mask, ray, place)
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     if found == 0:
+        end_query(state)
         return NONE, np.inf
     # Of all points that touch, the closest to the swept box's centre: where that would be, brought
     # into the box that is met. On the axes along which it does not move, now; `locate` does the
@@ -41,4 +44,6 @@ def boxcast(nodes, tight, handles, state, lo, hi, translation, mask, ray, place)
         if axes[0] == INSIDE or translation[axis] == 0.0:
             centre[axis] = min(max(centre[axis], met_lo[axis]), met_hi[axis])
     locate(nodes, tight, centre, translation, slots[0], ts[0], axes[0], place)
-    return slots[0], ts[0]
+    handle = handles[slots[0]]
+    end_query(state)
+    return handle, ts[0]

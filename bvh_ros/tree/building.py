@@ -10,12 +10,30 @@ bound on the stacks and on the worst query, whatever the scene.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .area import tree_cost
 from .binning import NODE, levels_needed, renew_units, split_range
-from .compiling import inlined, kernel, lean_kernel
+from .compiling import inlined, lean_kernel
 from .machine import LANES, prefetch, stack_array
-from .nodes import COUNT, DEEPEST, FREE_INNER, NONE, ROOT, adopt, free_inner, is_leaf, take_inner
+from .nodes import (
+    BUILT_COST,
+    BUILT_COUNT,
+    COUNT,
+    DEEPEST,
+    FREE_INNER,
+    NONE,
+    REBUILDS,
+    REFITS,
+    ROOT,
+    adopt,
+    free_inner,
+    is_leaf,
+    take_inner,
+)
 
+TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
+_RANGES = 4 * DEEPEST
 NEAR = 64  # leaves of a subtree that is finished while its nodes are in the near caches
 
 
@@ -38,7 +56,9 @@ def _attach(nodes, parent, node):
 @inlined
 def _push(ranges, top, start, stop, levels, parent):
     """Put a range on the stack; returns its new top."""
-    ranges[top, 0], ranges[top, 1], ranges[top, 2], ranges[top, 3] = start, stop, levels, parent
+    place = 4 * top
+    ranges[place], ranges[place + 1] = start, stop
+    ranges[place + 2], ranges[place + 3] = levels, parent
     return top + 1
 
 
@@ -49,26 +69,40 @@ def _adopt_back(nodes, heights, made, first, stop):
         adopt(nodes, heights, np.int64(made[i]))
 
 
-@kernel
-def build(nodes, heights, state, items, numbers, count, levels):
+Room = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+
+
+def room_to_build(count: int) -> Room:
+    """Memory to build a tree of so many boxes, or any part of it: `items`, `numbers` and `made`.
+
+    It is made before anything changes: within a change nothing may be short of memory.
+    """
+    places = 2 * LANES * (count + TREELET)
+    room = np.empty(places + count, np.int32)
+    return room[:places].view(np.float32), room[:places], room[places:]
+
+
+@lean_kernel
+def build(nodes, heights, state, room, count, levels):
     """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
     nodes; return its root.
 
-    `items` (float32) and `numbers` (int32) are one array of eight places an item, see `binning`:
-    `count` items, which are reordered, and room for as many.
+    `room` is from `room_to_build`. Its `items` (float32) and `numbers` (int32) are one array of
+    eight places an item, see `binning`: `count` items, which are reordered, and room for as many.
     """
+    items, numbers, made = room
     if count == 1:
         return np.int64(numbers[NODE])
     renew_units(nodes, items, numbers, 0, count)
-    made, made_count = np.empty(count - 1, np.int32), 0
-    ranges = np.empty((levels + 2, 4), np.int64)  # start, stop, levels allowed, parent
+    made_count = 0
+    ranges = stack_array(_RANGES, np.int64)  # start, stop, levels allowed, parent
     top = _push(ranges, 0, 0, count, levels, NONE)
     root = state[FREE_INNER]  # the first that is taken
     near, near_made = -1, 0  # where the stack ends below the treelet, and what was made before it
     while top > 0:
         top -= 1
-        start, stop = ranges[top, 0], ranges[top, 1]
-        allowed, parent = ranges[top, 2], ranges[top, 3]
+        start, stop = ranges[4 * top], ranges[4 * top + 1]
+        allowed, parent = ranges[4 * top + 2], ranges[4 * top + 3]
         if near < 0 and stop - start <= NEAR:
             near, near_made = top, made_count
             for item in range(start, stop):
@@ -92,26 +126,6 @@ def build(nodes, heights, state, items, numbers, count, levels):
 
 
 @lean_kernel
-def dissolve(nodes, state, root, marks, numbers):
-    """Free the inner nodes from `root` down to the leaves, or to marked nodes (`marks` is empty or
-    one a node); return how many of those there are, in `numbers`.
-    """
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node) or (marks.shape[0] > 0 and marks[node]):
-            numbers[count * LANES + NODE] = node
-            count += 1
-            continue
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
-        free_inner(nodes, state, node)
-    return count
-
-
-@lean_kernel
 def count_leaves(nodes, root):
     stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
@@ -126,19 +140,38 @@ def count_leaves(nodes, root):
     return count
 
 
-@kernel
-def rebuild_subtree(nodes, heights, state, root, count, levels):
+@lean_kernel
+def dissolve(nodes, state, root, most, numbers):
+    """Free the inner nodes from `root` down to the largest subtrees of at most `most` leaves;
+    return how many of those there are, in `numbers`.
+    """
+    stack = stack_array(DEEPEST, np.int64)
+    stack[0], top, count = root, 1, 0
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if is_leaf(node) or (most > 1 and count_leaves(nodes, node) <= most):
+            numbers[count * LANES + NODE] = node
+            count += 1
+            continue
+        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
+        top += 2
+        free_inner(nodes, state, node)
+    return count
+
+
+@lean_kernel
+def rebuild_subtree(nodes, heights, state, root, room, count, levels):
     """Build the subtree below `root` again over its `count` leaves, within `levels` levels; return
     its new root.
     """
     parent = np.int64(nodes[root].parent)
-    items = np.empty(2 * count * LANES, np.float32)
-    numbers = items.view(np.int32)
+    numbers = room[1]
     # Where it hangs is noted before `root` itself is freed and perhaps taken again.
     on_left = parent != NONE and nodes[parent].left == root
     is_root = state[ROOT] == root
-    dissolve(nodes, state, root, np.empty(0, np.bool_), numbers)
-    fresh = build(nodes, heights, state, items, numbers, count, levels)
+    dissolve(nodes, state, root, 1, numbers)
+    fresh = build(nodes, heights, state, room, count, levels)
     nodes[fresh].parent = parent
     if is_root:
         state[ROOT] = fresh
@@ -171,8 +204,8 @@ def build_levels(count):
     return 3 * floor_log2(count) + 2
 
 
-@kernel
-def rebalance(nodes, heights, state):
+@lean_kernel
+def rebalance(nodes, heights, state, room):
     """Rebuild balanced what makes the tree higher than `height_limit` (a scapegoat, Galperin and
     Rivest 1993).
     """
@@ -190,47 +223,56 @@ def rebalance(nodes, heights, state):
             )
             leaves += count_leaves(nodes, other)
             node = parent
-        node = rebuild_subtree(nodes, heights, state, node, leaves, levels_needed(leaves) + 1)
+        levels = levels_needed(leaves) + 1
+        node = rebuild_subtree(nodes, heights, state, node, room, leaves, levels)
         node = np.int64(nodes[node].parent)
         while node != NONE:
             adopt(nodes, heights, node)
             node = np.int64(nodes[node].parent)
 
 
-@kernel
-def build_all(nodes, heights, handles, state):
+@lean_kernel
+def build_all(nodes, heights, handles, state, room):
     """Build the whole tree again over every live slot."""
     count, placed = state[COUNT], 0
     if count == 0:
         state[ROOT] = NONE
         return
-    items = np.empty(2 * count * LANES, np.float32)
-    numbers = items.view(np.int32)
+    numbers = room[1]
     if state[ROOT] != NONE:
-        dissolve(nodes, state, state[ROOT], np.empty(0, np.bool_), numbers)
+        dissolve(nodes, state, state[ROOT], 1, numbers)
     for slot in range(handles.shape[0]):
         if handles[slot] >= 0:
             numbers[placed * LANES + NODE] = 2 * slot
             placed += 1
     levels = build_levels(count)
-    state[ROOT] = build(nodes, heights, state, items, numbers, count, levels)
+    state[ROOT] = build(nodes, heights, state, room, count, levels)
     nodes[state[ROOT]].parent = NONE
 
 
-@kernel
-def refit_all(nodes, heights, root):
+@lean_kernel
+def build_anew(nodes, heights, handles, state, room):
+    """Build the whole tree again, and book its cost."""
+    build_all(nodes, heights, handles, state, room)
+    rebalance(nodes, heights, state, room)
+    cost = tree_cost(nodes, state[ROOT]) if state[ROOT] != NONE else 0.0
+    state[REFITS], state[BUILT_COUNT] = 0, state[COUNT]
+    state.view(np.float64)[BUILT_COST] = cost
+    state[REBUILDS] += 1
+
+
+@lean_kernel
+def refit_all(nodes, heights, root, order):
     """Make every inner box tight again, children before parents, without changing the tree's
-    shape.
+    shape. `order` is scratch, a number an inner node.
     """
     if root == NONE or is_leaf(root):
         return
-    order, stack = np.empty(2 * 1024, np.int64), stack_array(DEEPEST, np.int64)
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
         node = stack[top]
-        if count == order.shape[0]:
-            order = np.append(order, order)
         order[count] = node
         count += 1
         for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
@@ -238,35 +280,11 @@ def refit_all(nodes, heights, root):
                 stack[top] = child
                 top += 1
     for i in range(count - 1, -1, -1):
-        adopt(nodes, heights, order[i])
+        adopt(nodes, heights, np.int64(order[i]))
 
 
-TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
-
-
-@kernel
-def _mark_treelets(nodes, root, marks):
-    """Mark and return the largest subtrees of at most TREELET leaves."""
-    roots, count = np.empty(64, np.int64), 0
-    stack, top = stack_array(DEEPEST, np.int64), 1
-    stack[0] = root
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if count_leaves(nodes, node) > TREELET:
-            stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-            top += 2
-            continue
-        if count == roots.shape[0]:
-            roots = np.append(roots, roots)
-        roots[count] = node
-        marks[node] = True
-        count += 1
-    return roots[:count]
-
-
-@kernel
-def optimize(nodes, heights, state):
+@lean_kernel
+def optimize(nodes, heights, state, room):
     """Rebuild every treelet by SAH, then the tree's top over them.
 
     Less work than a whole build, and less gain: what the upper levels have divided badly stays
@@ -275,33 +293,20 @@ def optimize(nodes, heights, state):
     """
     if state[COUNT] < 3:
         return
-    marks = np.zeros(nodes.shape[0], np.bool_)
-    roots = _mark_treelets(nodes, state[ROOT], marks)
-    top_items = np.empty(2 * roots.shape[0] * LANES, np.float32)
-    top_numbers = top_items.view(np.int32)
-    dissolve(nodes, state, state[ROOT], marks, top_numbers)
+    items, numbers, made = room
+    treelets = dissolve(nodes, state, state[ROOT], TREELET, numbers)
     state[ROOT] = NONE
-    for i in range(roots.shape[0]):
-        root = np.int64(top_numbers[i * LANES + NODE])
+    below = 2 * LANES * treelets  # the top needs what comes before
+    room_below = items[below:], numbers[below:], made
+    for i in range(treelets):
+        root = np.int64(numbers[i * LANES + NODE])
         nodes[root].parent = NONE
         leaves = count_leaves(nodes, root)
         if leaves > 2:
-            root = rebuild_subtree(nodes, heights, state, root, leaves, build_levels(leaves))
-        top_numbers[i * LANES + NODE] = root
-    levels = build_levels(roots.shape[0])
-    root = build(nodes, heights, state, top_items, top_numbers, roots.shape[0], levels)
+            levels = build_levels(leaves)
+            root = rebuild_subtree(nodes, heights, state, root, room_below, leaves, levels)
+        numbers[i * LANES + NODE] = root
+    levels = build_levels(treelets)
+    root = build(nodes, heights, state, room, treelets, levels)
     nodes[root].parent = NONE
     state[ROOT] = root
-
-
-NEITHER, BUILD, OPTIMIZE = range(3)
-
-
-@kernel
-def restructure(nodes, heights, handles, state, how):
-    """Build all or optimize, then rebalance: one kernel, so that the build is compiled once."""
-    if how == BUILD:
-        build_all(nodes, heights, handles, state)
-    elif how == OPTIMIZE:
-        optimize(nodes, heights, state)
-    rebalance(nodes, heights, state)

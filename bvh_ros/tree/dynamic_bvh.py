@@ -2,30 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
+import contextlib
 import inspect
 from os import PathLike
-from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from . import building, checks, moving, storing
+from . import changing, checks, storing
 from .arrays import Floats, Ids
 from .box_queries import BoxQueries
 from .introspection import Introspection
-from .nodes import (
-    LAST_SERIAL,
-    NONE,
-    RAYS,
-    ROOT,
-    SLOT_MASK,
-    aligned_empty,
-    box_dtype,
-    link_free,
-    node_dtype,
-)
 from .ray_queries import RayQueries
+from .storage import clear, new_storage
 
 SEARCHES = ('greedy', 'branch_and_bound')
 
@@ -34,15 +24,19 @@ SEARCHES = ('greedy', 'branch_and_bound')
 REFIT_SHARE = 0.05
 # ... from this share that move far away on, so is building the tree anew, ...
 REBUILD_SHARE = 0.3
-# ... which is also done when refits have made the tree so much costlier than it was when built.
-WORSE = 1.2
-# The cost is looked at after so many moves a box.
-REFITS_BEFORE_A_LOOK = 1
+# (Which is also done when refits have made it too costly, see `changing`.)
+
+Settings = tuple[int, float, str]  # ndim, margin, sibling_search
 
 
 class DynamicBVH(RayQueries, BoxQueries, Introspection):
     """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at
     any time.
+
+    Any number of threads may query a tree at the same time. A change while another thread queries
+    or changes it, and a query while another thread changes it, is refused with a RuntimeError
+    instead of a wrong answer; nothing is changed then, and it may be tried again. Whatever
+    interrupts a change (Ctrl-C, a MemoryError), it is done or it is not begun.
 
     Parameters
     ----------
@@ -95,10 +89,9 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         if np.isinf(self._margin):
             raise ValueError('margin must be finite')
         self._sibling_search = sibling_search
-        self._serial = 1
-        self._start()
-        self._counters = dict.fromkeys(self.COUNTERS, 0)
-        self._allocate(checks.capacity('capacity', capacity))
+        places = checks.capacity('capacity', capacity)
+        self._storage = new_storage(self._ndim, places, self._margin > 0.0)
+        self._wide = 0, 0, None
 
     @classmethod
     def from_boxes(
@@ -125,76 +118,45 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         tree.insert_many(low, hi, mask)
         return tree
 
-    def _start(self) -> None:
-        self._lock = Lock()
-        self._changes = 0
-        self._snapshot, self._snapshot_of, self._rays_since = None, 0, 0
-        self._refits = 0  # boxes moved since the last look at the cost
-        self._built = 0, 0.0  # boxes and cost after the last bulk build
-
-    # ---- storage
-
-    def _allocate(self, capacity: int) -> None:
-        self._nodes = aligned_empty(2 * capacity, node_dtype(self.ndim))
-        self._heights = np.zeros(2 * capacity, np.int16)
-        self._tight = np.empty(capacity if self.margin > 0.0 else 0, box_dtype(self.ndim))
-        self._handles = np.full(capacity, NONE, np.int64)
-        self._state = np.array([NONE, 0, NONE, NONE, 0, 0], np.int64)
-        link_free(self._nodes, self._state, 0, capacity)
-
-    def _reserve(self, more: int) -> None:
-        """Make room for so many more boxes, at least doubling, and check that the numbers last."""
-        if self._serial + more - 1 > LAST_SERIAL:
-            raise ValueError(f'lo and hi are too many: a tree can name {LAST_SERIAL} insertions')
-        old, need = len(self._handles), len(self) + more
-        if need <= old:
-            return
-        capacity = min(max(need, 2 * old), SLOT_MASK + 1)
-        if need > capacity:
-            raise ValueError(f'lo and hi are too many: a tree holds at most {SLOT_MASK + 1} boxes')
-        nodes = aligned_empty(2 * capacity, self._nodes.dtype)
-        nodes[: 2 * old] = self._nodes
-        self._nodes = nodes
-        self._heights = np.concatenate([self._heights, np.zeros(2 * (capacity - old), np.int16)])
-        self._handles = np.concatenate([self._handles, np.full(capacity - old, NONE, np.int64)])
-        if len(self._tight):
-            self._tight = np.concatenate(
-                [self._tight, np.empty(capacity - old, self._tight.dtype)]
-            )
-        link_free(self._nodes, self._state, old, capacity)
-
-    def _keep_exact_boxes(self) -> None:
-        """From the first predicted displacement on, fat and exact boxes differ even where the
-        margin is zero.
-        """
-        if not len(self._tight):
-            self._tight = np.empty(len(self._handles), box_dtype(self.ndim))
-            self._tight['lo'], self._tight['hi'] = self._nodes['lo'][::2], self._nodes['hi'][::2]
-
-    def _row_by_row(self, kernel: Any, count: int, *arguments: Any) -> None:
-        """Have a kernel of `moving` change the tree by so many rows, and keep its height."""
-        row = 0
-        while row < count:
-            row = kernel(*arguments, row)
-            if row < 0:
-                row = -row
-                self._restructure(building.NEITHER)
-
-    def _restructure(self, how: int) -> None:
-        building.restructure(self._nodes, self._heights, self._handles, self._state, how)
+    # ---- changes: each is one kernel of `changing`
 
     @property
     def _thorough(self) -> bool:
         return self.sibling_search == 'branch_and_bound'
 
-    # ---- changes
+    def _change(self, kernel: Any, *arguments: Any) -> int:
+        """Call a kernel until nothing that can be mended is in its way."""
+        while True:
+            storage = self._settled()
+            done: int = kernel(*storage[:5], *arguments)
+            if done >= 0 or done < changing.REASONS:
+                return done
+            self._make_way(done, storage, 1)
+
+    def _settle_soon(self) -> None:
+        """The change is done. What it owes now is done at once, or by the next one."""
+        with contextlib.suppress(RuntimeError, MemoryError):
+            self._settle()
+
+    def _keep_exact_boxes(self) -> None:
+        """From the first predicted displacement on, fat and exact boxes differ even where the
+        margin is zero.
+        """
+        storage = self._settled()
+        while not len(storage.tight):
+            self._replace_storage(storage, len(storage.handles), True)
+            storage = self._settled()
 
     def insert(self, lo: ArrayLike, hi: ArrayLike, mask: int = 1) -> int:
         """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend
         with every insertion.
         """
         low, high = checks.box(lo, hi, self.ndim)
-        return int(self._insert(low[None], high[None], checks.masks(checks.mask(mask), 1))[0])
+        asked = low, high, checks.mask(mask), self.margin, self._thorough
+        handle = self._change(changing.insert_one, *asked)
+        if handle < 0:
+            self._settle_soon()
+        return abs(handle)
 
     def insert_many(self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike | None = None) -> Ids:
         """Insert n boxes, shape (n, ndim) each; return their handles in row order.
@@ -203,60 +165,27 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         already, or more, and it is built anew.
         """
         low, high = checks.boxes(lo, hi, self.ndim)
-        return self._insert(low, high, checks.masks(1 if mask is None else mask, len(low)))
-
-    def _insert(self, low: Floats, high: Floats, masks: NDArray[np.uint32]) -> Ids:
-        count = len(low)
-        self._reserve(count)
-        build = count >= max(2, len(self))
-        new = np.empty(count, np.int64)
-        self._row_by_row(
-            moving.insert_rows,
-            count,
-            self._nodes,
-            self._heights,
-            self._tight,
-            self._handles,
-            self._state,
-            low,
-            high,
-            masks,
-            self.margin,
-            self._serial,
-            self._thorough,
-            not build,
-            new,
-        )
-        self._serial += count
-        self._changes += 1
-        self._counters['inserted'] += count
-        if build:
-            self.rebuild()
+        masks = checks.masks(1 if mask is None else mask, len(low))
+        new = np.empty(len(low), np.int64)
+        self._change_many(changing.INSERT, new, (low, high, low), masks)
         return new
 
     def remove(self, handle: int) -> None:
         """Remove a box. KeyError if the handle names none."""
-        self._remove(np.array([self._slot(handle)]))
+        self._slot(handle)
+        if self._change(changing.remove_one, int(handle)) > 1:
+            self._settle_soon()
 
     def remove_many(self, handles: ArrayLike) -> None:
         """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError),
         none.
         """
-        self._remove(checks.slots_of(self._handles, handles))
-
-    def _remove(self, slots: Ids) -> None:
-        arrays = self._nodes, self._heights, self._handles, self._state
-        self._row_by_row(moving.remove_rows, len(slots), *arrays, slots)
-        self._counters['removed'] += len(slots)
-        self._changes += 1
+        view = self.view()
+        self._change_many(changing.REMOVE, checks.slots_of(view[2], handles), version=view[4])
 
     def clear(self) -> None:
         """Remove all boxes. Their handles stay stale for ever."""
-        self._counters['removed'] += len(self)
-        tally = self._state[RAYS:].copy()
-        self._allocate(len(self._handles))
-        self._state[RAYS:] = tally
-        self._changes += 1
+        self._change(clear)
 
     def move(
         self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None
@@ -267,31 +196,16 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         `displacement`, shape (ndim,), is where the box is expected to be next, relative to now:
         its fat box then reaches there. KeyError if the handle names no box.
         """
-        slot = self._slot(handle)
+        self._slot(handle)
         low, high = checks.box(lo, hi, self.ndim)
         if displacement is not None:
             displacement = checks.point('displacement', displacement, self.ndim)[None]
-        ahead = self._ahead(displacement, 1)
-        changed = moving.move_one(
-            self._nodes,
-            self._heights,
-            self._tight,
-            self._state,
-            2 * slot,
-            low,
-            high,
-            self.margin,
-            ahead[0],
-            self._thorough,
-        )
-        if changed < 0:
-            self._restructure(building.NEITHER)
-        self._counters['reinserted' if changed else 'kept'] += 1
-        self._changes += abs(changed)
-        self._refits += abs(changed)
-        if self._refits >= REFITS_BEFORE_A_LOOK * len(self):
-            self._rebuild_if_worse()
-        return bool(changed)
+        ahead = self._ahead(displacement, 1)[0]
+        asked = int(handle), low, high, self.margin, ahead, self._thorough
+        changed = self._change(changing.move_one, *asked)
+        if changed > 1:
+            self._settle_soon()
+        return changed > 0
 
     def move_many(
         self,
@@ -307,49 +221,13 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         have made the tree costlier, it is built anew. All or, if a handle is unknown (KeyError) or
         given twice (ValueError), none.
         """
-        slots = checks.slots_of(self._handles, handles)
+        view = self.view()
+        slots = checks.slots_of(view[2], handles)
         low, high = checks.boxes(lo, hi, self.ndim, len(slots))
         ahead = self._ahead(displacement, len(slots))
-        near, far = np.empty(len(slots), np.int64), np.empty(len(slots), np.int64)
-        near_count, far_count = moving.sort_rows(
-            self._nodes, self._tight, slots, low, high, self.margin, ahead, near, far
-        )
-        near, far = near[:near_count], far[:far_count]
-        count = near_count + far_count
-        self._counters['kept'] += len(slots) - count
-        if not count:
-            return 0
-        self._changes += 1
-        moved = slots, low, high, self.margin, ahead
-        if far_count >= REBUILD_SHARE * len(self):
-            moving.write_rows(self._nodes, self._tight, near, *moved)
-            moving.write_rows(self._nodes, self._tight, far, *moved)
-            self.rebuild()
-            return count
-        if count < REFIT_SHARE * len(self):
-            self._reinsert(near, *moved)
-        else:
-            moving.write_rows(self._nodes, self._tight, near, *moved)
-            building.refit_all(self._nodes, self._heights, int(self._state[ROOT]))
-            self._counters['refitted'] += near_count
-            self._refits += near_count
-        self._reinsert(far, *moved)
-        if self._refits >= REFITS_BEFORE_A_LOOK * len(self):
-            self._rebuild_if_worse()
-        return count
-
-    def _reinsert(self, rows: Ids, *moved: Any) -> None:
-        arrays = self._nodes, self._heights, self._tight, self._state
-        self._row_by_row(moving.reinsert_rows, len(rows), *arrays, rows, *moved, self._thorough)
-        self._counters['reinserted'] += len(rows)
-        self._refits += len(rows)
-
-    def _rebuild_if_worse(self) -> None:
-        """See what many moves have done to the tree."""
-        self._refits = 0
-        count, cost = self._built
-        if not 0.8 * count < len(self) < 1.25 * count or self.cost() > WORSE * cost:
-            self.rebuild()
+        shares = REFIT_SHARE, REBUILD_SHARE
+        boxes = low, high, ahead
+        return self._change_many(changing.MOVE, slots, boxes, version=view[4], shares=shares)
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
         if displacement is None:
@@ -361,23 +239,20 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
-        slots = checks.slots_of(self._handles, handles)
-        moving.set_masks(self._nodes, slots, checks.masks(mask, len(slots)))
-        self._changes += 1
+        view = self.view()
+        slots = checks.slots_of(view[2], handles)
+        masks = checks.masks(mask, len(slots))
+        self._change(changing.set_masks, view[4], slots, masks)
 
     def rebuild(self) -> None:
         """Build the tree anew by binned SAH over all axes. Handles stay."""
-        self._restructure(building.BUILD)
-        self._refits, self._built = 0, (len(self), self.cost())
-        self._counters['rebuilds'] += 1
-        self._changes += 1
+        self._change_many(changing.BUILD)
 
     def optimize(self) -> None:
         """Lower the tree's cost without building it anew: rebuild its top over subtrees, and the
         subtrees in turn.
         """
-        self._restructure(building.OPTIMIZE)
-        self._changes += 1
+        self._change_many(changing.OPTIMIZE)
 
     # ---- keeping
 
@@ -405,5 +280,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state.get('added', {}) if isinstance(state, dict) else {})
-        storing.unpack(self, state)
+        added = state.get('added', {}) if isinstance(state, dict) else {}
+        fresh = type(self).__new__(type(self))
+        storing.unpack(fresh, state)
+        vars(self).update({**added, **vars(fresh)})  # at once: it is this tree, or as it was

@@ -9,18 +9,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks, validation
-from .area import tree_cost
+from .area import cost_now
 from .arrays import Arrays, Floats, Ids
 from .kernel_cache import cache_folder
-from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, SLOT_MASK
+from .nodes import (
+    BUILT_COST,
+    COUNTERS,
+    EXACT_RAYS,
+    NONE,
+    RAYS,
+    ROOT,
+    SERIAL,
+    SHAPES,
+    SLOT_MASK,
+    STATE_PLACES,
+)
+from .turns import IS_CHANGED
 
 
 class Introspection(Arrays):
     """Everything that only looks."""
-
-    _serial: int
-    _counters: dict[str, int]
-    _built: tuple[int, float]
 
     def __contains__(self, handle: object) -> bool:
         try:
@@ -34,37 +42,54 @@ class Introspection(Arrays):
 
     def ids(self) -> Ids:
         """All handles, ascending."""
-        return np.sort(self._handles[self._handles >= 0])
+        view = self.view()
+        handles = view[2]
+        live = np.sort(handles[handles >= 0])
+        self.check_unchanged(view)
+        return live
 
     def boxes(self, handles: ArrayLike) -> tuple[Floats, Floats]:
         """Exact boxes (without margin) of the handles, shape (n, ndim) each. KeyError if one names
         no box.
         """
-        slots = checks.slots_of(self._handles, handles, once=False)
-        records = self._tight[slots] if len(self._tight) else self._nodes[2 * slots]
+        view = self.view()
+        nodes, tight, live, _, _ = view
+        slots = checks.slots_of(live, handles, once=False)
+        records = tight[slots] if len(tight) else nodes[2 * slots]
+        self.check_unchanged(view)
         return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
             -1, self.ndim
         ).copy()
 
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
-        slots = checks.slots_of(self._handles, handles, once=False)
-        return np.array(self._nodes['mask'][2 * slots], np.uint32)
+        view = self.view()
+        slots = checks.slots_of(view[2], handles, once=False)
+        masks = np.array(view[0]['mask'][2 * slots], np.uint32)
+        self.check_unchanged(view)
+        return masks
 
     @property
     def bounds(self) -> tuple[Floats, Floats] | None:
         """Smallest box around all exact boxes, as (lo, hi); None if the tree is empty."""
-        live = np.flatnonzero(self._handles >= 0)
+        view = self.view()
+        nodes, tight, handles, _, _ = view
+        live = np.flatnonzero(handles >= 0)
+        records = tight[live] if len(tight) else nodes[2 * live]
+        self.check_unchanged(view)
         if not len(live):
             return None
-        records = self._tight[live] if len(self._tight) else self._nodes[2 * live]
         return records['lo'].min(axis=0), records['hi'].max(axis=0)
 
     @property
     def height(self) -> int:
         """Levels of inner nodes; at most 4 log2(n) + 4."""
-        root = int(self._state[ROOT])
-        return 0 if root == NONE else int(self._heights[root])
+        self._settle()
+        view, heights = self._view_and_heights()
+        root = view[3].item(ROOT)
+        height: int = 0 if root == NONE else heights.item(root)
+        self.check_unchanged(view)
+        return height
 
     def levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
         """Boxes (as queries see them, with margin) of the nodes from depth `first` to `last`.
@@ -85,59 +110,81 @@ class Introspection(Arrays):
             checks.whole(name, value, 0)
             for name, value in (('first', first), ('last', last), ('most', most))
         )
-        root = int(self._state[ROOT])
+        view = self.view()
+        all_nodes, root = view[0], view[3].item(ROOT)
         here = np.array([] if root == NONE else [root], np.int64)
         nodes, depths, depth = [here[:0]], [here[:0]], 0
         while len(here) and depth <= last and sum(map(len, nodes)) < most:
             if depth >= first:
                 nodes.append(here)
                 depths.append(np.full(len(here), depth))
-            inner = self._nodes[here[here & 1 == 1]]
+            inner = all_nodes[here[here & 1 == 1]]
+            self.check_unchanged(view)
             here = np.concatenate((inner['left'], inner['right'])).astype(np.int64)
             depth += 1
-        records = self._nodes[np.concatenate(nodes)[:most]]
+        records = all_nodes[np.concatenate(nodes)[:most]]
+        self.check_unchanged(view)
         return records['lo'], records['hi'], np.concatenate(depths)[:most]
 
     def cost(self) -> float:
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of
         inner nodes if that is zero.
         """
-        root = int(self._state[ROOT])
-        return 0.0 if root == NONE else float(tree_cost(self._nodes, root))
+        cost = float(cost_now(*self.view()))
+        if cost < 0.0:
+            raise RuntimeError(IS_CHANGED)
+        return cost
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
-        arrays = self._nodes, self._heights, self._tight, self._handles, self._state
-        complaint = validation.complaint_about(self.ndim, self.margin, self._serial, arrays)
+        *arrays, state = self._copied()
+        serial = state.item(SERIAL)
+        arrays.append(state[:STATE_PLACES])
+        complaint = validation.complaint_about(self.ndim, self.margin, serial, tuple(arrays))
         if complaint:
             raise RuntimeError(complaint)
 
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""
-        arrays = (self._nodes, self._heights, self._tight, self._handles, self._state)
-        return {
+        view = self.view()
+        arrays, (_, _, snapshot) = self._settled()[:5], self._wide
+        _, tight, handles, state, _ = view
+        built_cost = state.view(np.float64).item(BUILT_COST)
+        stats = {
             'boxes': len(self),
-            'capacity': len(self._handles),
+            'capacity': len(handles),
             'ndim': self.ndim,
             'height': self.height,
             'cost': self.cost(),
-            'cost_when_built': self._built[1],  # at the last bulk build; 0 before the first
+            'cost_when_built': built_cost,  # at the last bulk build; 0 before the first
             'bytes': sum(array.nbytes for array in arrays),
-            'snapshot_bytes': self._snapshot.nbytes if self._snapshot else 0,
+            'snapshot_bytes': snapshot.nbytes if snapshot else 0,
             'margin': self.margin,
             'sibling_search': self.sibling_search,
-            'exact_boxes_beside_nodes': bool(len(self._tight)),
-            'wide_snapshot': self._snapshot is not None and self._snapshot_of == self._changes,
+            'exact_boxes_beside_nodes': bool(len(tight)),
+            'wide_snapshot': snapshot is not None and self._wide[0] == state.item(SHAPES),
             'kernel_cache': str(cache_folder()),
-            'rays': int(self._state[RAYS]),
-            'rays_decided_exactly': int(self._state[EXACT_RAYS]),
-            **self._counters,
+            'rays': state.item(RAYS),
+            'rays_decided_exactly': state.item(EXACT_RAYS),
+            **{name: state.item(place) for name, place in COUNTERS.items()},
         }
+        self.check_unchanged(view)
+        return stats
+
+    def _copied(self) -> tuple[NDArray[Any], ...]:
+        """The tree's arrays, all as they were at one time."""
+        self._settle()
+        view, heights = self._view_and_heights()
+        nodes, tight, handles, state, _ = view
+        copies = tuple(array.copy() for array in (nodes, heights, tight, handles, state))
+        self.check_unchanged(view)
+        return copies
 
     def _slot(self, handle: Any) -> int:
         """Slot of a live handle, else KeyError; what is no integer is no handle either."""
         if checks.is_integer(handle) and not isinstance(handle, bool) and handle >= 0:
             slot = int(handle) & SLOT_MASK
-            if slot < len(self._handles) and self._handles[slot] == handle:
+            handles = self._settled().handles
+            if slot < len(handles) and handles[slot] == handle:
                 return slot
         raise KeyError(f'handle {handle!r} names no box of this tree')

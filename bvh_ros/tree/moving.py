@@ -8,17 +8,30 @@ that. While the exact box stays in it the tree has nothing to do. A fat box far 
 one would be (five margins, five displacements) is replaced, so that a box that was large or fast
 for one tick does not stay large.
 
-Kernels that change the tree row by row stop where it has become too high, and return the number of
-rows done, negative then: the caller rebalances it and goes on.
+These are parts of `changing.change_many`; `room` is from `building.room_to_build`.
 """
 
 import numpy as np
 
-from .building import is_too_high
+from .building import build_anew, rebalance, refit_all
 from .compiling import inlined, lean_kernel
 from .insertion import link_leaf, unlink_leaf
 from .machine import stack_array
-from .nodes import NONE, SLOT_BITS, free_leaf, take_leaf
+from .nodes import (
+    COUNT,
+    INSERTED,
+    KEPT,
+    NONE,
+    REFITS,
+    REFITTED,
+    REINSERTED,
+    REMOVED,
+    ROOT,
+    SERIAL,
+    SLOT_BITS,
+    free_leaf,
+    take_leaf,
+)
 
 LARGEST = 1.7976931348623157e308
 SLACK = 5.0
@@ -70,50 +83,36 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
 
 @lean_kernel
 def insert_rows(
-    nodes,
-    heights,
-    tight,
-    handles,
-    state,
-    lo,
-    hi,
-    masks,
-    margin,
-    serial,
-    branch_and_bound,
-    link,
-    new,
-    first,
+    nodes, heights, tight, handles, state, lo, hi, masks, margin, branch_and_bound, link, new, room
 ):
-    """Insert rows of boxes from `first` on, with ascending serial numbers; their handles go to
-    `new`. link False: the caller builds the tree.
+    """Insert rows of boxes, with ascending serial numbers; their handles go to `new`. link False:
+    the caller builds the tree.
     """
     still = stack_array(3, np.float64)
     still[0] = still[1] = still[2] = 0.0
-    for i in range(first, lo.shape[0]):
+    for i in range(lo.shape[0]):
         leaf = take_leaf(nodes, state)
         write_leaf(nodes, tight, leaf, lo[i], hi[i], margin, still)
         nodes[leaf].mask = masks[i]
         heights[leaf] = 0
         slot = leaf >> 1
-        handles[slot] = new[i] = ((serial + i) << SLOT_BITS) | slot
+        handles[slot] = new[i] = (state[SERIAL] + i) << SLOT_BITS | slot
         if link:
             link_leaf(nodes, heights, state, leaf, branch_and_bound)
-            if is_too_high(heights, state):
-                return -(i + 1)
-    return lo.shape[0]
+            rebalance(nodes, heights, state, room)
+    state[SERIAL] += lo.shape[0]
+    state[INSERTED] += lo.shape[0]
 
 
 @lean_kernel
-def remove_rows(nodes, heights, handles, state, slots, first):
-    for i in range(first, slots.shape[0]):
+def remove_rows(nodes, heights, handles, state, slots, room):
+    for i in range(slots.shape[0]):
         leaf = 2 * slots[i]
         unlink_leaf(nodes, heights, state, leaf)
         free_leaf(nodes, state, leaf)
         handles[slots[i]] = NONE
-        if is_too_high(heights, state):
-            return -(i + 1)
-    return slots.shape[0]
+        rebalance(nodes, heights, state, room)
+    state[REMOVED] += slots.shape[0]
 
 
 @lean_kernel
@@ -179,10 +178,9 @@ def reinsert_rows(
     margin,
     displacements,
     branch_and_bound,
-    first,
+    room,
 ):
-    for i in range(first, rows.shape[0]):
-        row = rows[i]
+    for row in rows:
         move_leaf(
             nodes,
             heights,
@@ -195,9 +193,9 @@ def reinsert_rows(
             displacements[row],
             branch_and_bound,
         )
-        if is_too_high(heights, state):
-            return -(i + 1)
-    return rows.shape[0]
+        rebalance(nodes, heights, state, room)
+    state[REINSERTED] += rows.shape[0]
+    state[REFITS] += rows.shape[0]
 
 
 @lean_kernel
@@ -207,25 +205,45 @@ def write_rows(nodes, tight, rows, slots, lo, hi, margin, displacements):
 
 
 @lean_kernel
-def move_one(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
-    """Move one box; 1 if the tree changed, -1 if it also has become too high, else 0."""
-    if fits(nodes, tight, leaf, lo, hi, margin, displacement):
-        write_tight(tight, leaf, lo, hi)
-        return 0
-    move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound)
-    return -1 if is_too_high(heights, state) else 1
-
-
-@lean_kernel
-def set_masks(nodes, slots, masks):
-    """Write the masks of leaves, and widen or narrow those of their ancestors."""
-    for i in range(slots.shape[0]):
-        node = 2 * slots[i]
-        nodes[node].mask = masks[i]
-        node = np.int64(nodes[node].parent)
-        while node != NONE:
-            union = nodes[nodes[node].left].mask | nodes[nodes[node].right].mask
-            if nodes[node].mask == union:
-                break
-            nodes[node].mask = union
-            node = np.int64(nodes[node].parent)
+def move_rows(arrays, slots, boxes, margin, branch_and_bound, shares, order, room):
+    """Few that leave their fat boxes, and those that go far, are inserted again one by one; many
+    that stay near are written in place. Returns how many did either.
+    """
+    nodes, heights, tight, handles, state = arrays
+    lo, hi, ahead = boxes
+    total = slots.shape[0]
+    near_count, far_count = sort_rows(
+        nodes, tight, slots, lo, hi, margin, ahead, order[:total], order[total:]
+    )
+    near, far = order[:near_count], order[total : total + far_count]
+    count = near_count + far_count
+    state[KEPT] += total - count
+    if count == 0:
+        return count
+    if far_count >= shares[1] * state[COUNT]:
+        write_rows(nodes, tight, near, slots, lo, hi, margin, ahead)
+        write_rows(nodes, tight, far, slots, lo, hi, margin, ahead)
+        build_anew(nodes, heights, handles, state, room)
+        return count
+    if count >= shares[0] * state[COUNT]:
+        write_rows(nodes, tight, near, slots, lo, hi, margin, ahead)
+        refit_all(nodes, heights, state[ROOT], room[2])
+        state[REFITTED] += near_count
+        state[REFITS] += near_count
+        near = near[:0]
+    for rows in (near, far):
+        reinsert_rows(
+            nodes,
+            heights,
+            tight,
+            state,
+            rows,
+            slots,
+            lo,
+            hi,
+            margin,
+            ahead,
+            branch_and_bound,
+            room,
+        )
+    return count

@@ -33,9 +33,35 @@ LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
 HIGHEST = 4 * SLOT_BITS + 4
 DEEPEST = 128
 
-# Places in the small state array that kernels read and write.
+# Places in the small state array that kernels read and write. A change is one kernel, which also
+# keeps the books: so whatever interrupts Python, they fit the tree.
 ROOT, COUNT, FREE_LEAF, FREE_INNER, RAYS, EXACT_RAYS = range(6)
-STATE_PLACES = 6
+STATE_PLACES = 6  # so far a file holds them
+(
+    SERIAL,  # of the next insertion
+    REFITS,  # boxes moved since the last look at the cost
+    BUILT_COUNT,  # boxes, ...
+    BUILT_COST,  # ... and cost (a float64) after the last bulk build
+    OWES,  # whether the tree is too high or its cost due for a look, see `changing`
+    CHANGES,  # the version of the tree
+    SHAPES,  # the version of its nodes: exact boxes may move within their fat ones
+    TURN,  # see `turns`
+    INSERTED,
+    REMOVED,
+    KEPT,
+    REINSERTED,
+    REFITTED,
+    REBUILDS,
+) = range(6, 20)
+ALL_PLACES = 20
+COUNTERS = {
+    'inserted': INSERTED,
+    'removed': REMOVED,
+    'kept': KEPT,
+    'reinserted': REINSERTED,
+    'refitted': REFITTED,
+    'rebuilds': REBUILDS,
+}
 
 
 # One object for all trees: numba knows a record at once by its address, another one like it only

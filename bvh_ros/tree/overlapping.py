@@ -4,20 +4,15 @@
 exact.
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
-from .compiling import inlined, kernel, lean_kernel
+from .compiling import inlined, lean_kernel
 from .machine import stack_array
-from .nodes import DEEPEST, NONE, is_leaf, leaf_box
-
-
-@kernel
-def grown(array, need):
-    """A copy with room for `need` items at least, and twice as many as before."""
-    bigger = np.empty(max(2 * array.shape[0], need), array.dtype)
-    for i in range(array.shape[0]):
-        bigger[i] = array[i]
-    return bigger
+from .nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
+from .turns import IS_CHANGED, begin_query, end_query
 
 
 @inlined
@@ -58,17 +53,43 @@ def overlap(nodes, tight, root, query, mask, found, count):
     return count
 
 
-@kernel
-def overlap_many(nodes, tight, root, queries, masks, start, stop, sizes):
-    """Slots that the queries [start, stop) touch, one query after the other; sizes[i] is how many
-    query i does.
+@lean_kernel
+def overlap_rows(nodes, tight, handles, state, version, queries, masks, start, stop, found, sizes):
+    """Handles of the boxes that the queries [start, stop) touch, one query after the other;
+    sizes[i] is how many query i does.
+
+    Returns (queries done, room wanted): fewer than there are where there is no room for what the
+    next one touches, negative if the tree is changed meanwhile.
     """
-    found, count = np.empty(64, np.int64), 0
-    for i in range(start, stop):
-        end = overlap(nodes, tight, root, queries[i], masks[i], found, count)
-        if end > found.shape[0]:  # there are more than fit: make room and ask again
-            found = grown(found, end)
-            overlap(nodes, tight, root, queries[i], masks[i], found, count)
-        sizes[i] = end - count
+    if not begin_query(state, version):
+        return np.int64(-1), np.int64(0)
+    count, end, done = np.int64(0), np.int64(0), np.int64(start)
+    while done < stop:
+        end = overlap(nodes, tight, state[ROOT], queries[done], masks[done], found, count)
+        if end > found.shape[0]:
+            break
+        sizes[done] = end - count
         count = end
-    return found[:count]
+        done += 1
+    for i in range(count):
+        found[i] = handles[found[i]]
+    end_query(state)
+    return done, np.int64(end)
+
+
+def overlap_many(
+    view: Any, queries: NDArray[Any], masks: NDArray[np.uint32], start: int, stop: int, sizes: Any
+) -> NDArray[np.int64]:
+    """`overlap_rows` with as much room as it takes; RuntimeError if the tree is changed
+    meanwhile.
+    """
+    parts, room = [], 64
+    while True:
+        found = np.empty(room, np.int64)
+        done, wanted = overlap_rows(*view, queries, masks, start, stop, found, sizes)
+        if done < 0:
+            raise RuntimeError(IS_CHANGED)
+        parts.append(found[: int(sizes[start:done].sum())])
+        if done == stop:
+            return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        start, room = done, max(2 * room, wanted)

@@ -13,8 +13,9 @@ import numpy as np
 from .compiling import inlined, lean_kernel
 from .lanes import EIGHT, at_most8, count_bits, gap_squares8
 from .machine import stack_array, trailing_zeros
-from .nodes import DEEPEST, NONE, is_leaf, leaf_box
-from .proximity import distance, keep, pruning_limit
+from .nodes import DEEPEST, ROOT, is_leaf, leaf_box
+from .proximity import distance, keep, name_row, pruning_limit
+from .turns import begin_query, end_query
 
 _PLACES = EIGHT * 3  # coordinates of a packet
 _SQUARES = EIGHT * DEEPEST
@@ -81,11 +82,14 @@ def _offer(
 
 @lean_kernel
 def nearest_packets(
-    nodes, tight, handles, root, points, order, k, max_distances, masks, slots, distances
+    nodes, tight, handles, state, version, points, order, k, max_distances, masks, slots, distances
 ):
     """Write the k nearest of every point as `proximity.nearest_many` does, eight rows of `order`
     at a time.
     """
+    if not begin_query(state, version):
+        return False
+    root = state[ROOT]
     packet, limits = stack_array(_PLACES, np.float64), stack_array(EIGHT, np.float64)
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(_SQUARES, np.float64)
     both, counts = stack_array(_BOTH, np.float64), stack_array(EIGHT, np.int64)
@@ -118,5 +122,7 @@ def nearest_packets(
                 distances,
             )
         for lane in range(rows.shape[0]):
-            for j in range(counts[lane], k):
-                slots[rows[lane], j], distances[rows[lane], j] = NONE, np.inf
+            row = rows[lane]
+            name_row(handles, slots[row], distances[row], counts[lane])
+    end_query(state)
+    return True

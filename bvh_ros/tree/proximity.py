@@ -15,8 +15,9 @@ import numpy as np
 
 from .compiling import inlined, lean_kernel
 from .machine import stack_array
-from .nodes import DEEPEST, NONE, is_leaf, leaf_box
+from .nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
 from .slab import PAD, TINY
+from .turns import begin_query, end_query
 
 
 @inlined
@@ -112,11 +113,28 @@ def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, di
     return count
 
 
+@inlined
+def name_row(handles, slots, distances, count):
+    """Handles instead of the first `count` slots; then NONE and inf."""
+    for j in range(slots.shape[0]):
+        if j < count:
+            slots[j] = handles[slots[j]]
+        else:
+            slots[j], distances[j] = NONE, np.inf
+
+
 @lean_kernel
-def nearest_many(nodes, tight, handles, root, points, k, max_distances, masks, slots, distances):
-    """Row by row; rows with fewer than k boxes keep what `slots` and `distances` held there."""
+def nearest_many(
+    nodes, tight, handles, state, version, points, k, max_distances, masks, found, distances
+):
+    """Row by row, handles to `found`, padded with NONE and inf; false if the tree is changed
+    meanwhile.
+    """
+    if not begin_query(state, version):
+        return False
+    root = state[ROOT]
     for i in range(points.shape[0]):
-        row_slots, row_distances = slots[i], distances[i]
+        row_slots, row_distances = found[i], distances[i]
         count = nearest(
             nodes,
             tight,
@@ -129,5 +147,6 @@ def nearest_many(nodes, tight, handles, root, points, k, max_distances, masks, s
             row_slots,
             row_distances,
         )
-        for j in range(count, k):
-            row_slots[j], row_distances[j] = NONE, np.inf
+        name_row(handles, row_slots, row_distances, count)
+    end_query(state)
+    return True

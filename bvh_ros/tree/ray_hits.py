@@ -13,6 +13,7 @@ from .machine import stack_array
 from .nodes import EXACT_RAYS, NONE, RAYS, ROOT, box_dtype, leaf_box, node_dtype
 from .raycasting import ANY, CLOSEST, raycast
 from .slab import DIRECTION, EXACT, INSIDE, aim
+from .turns import ANY_VERSION, begin_query, count_rays, end_query
 
 
 @lean_kernel
@@ -35,7 +36,7 @@ def locate(nodes, tight, origin, direction, slot, t, axis, place):
             place[0, k] = min(max(origin[k] + t * direction[k], lo[k]), hi[k])
 
 
-NOT_FINITE = -2
+NOT_FINITE, REFUSED = -2, -3
 
 
 @lean_kernel
@@ -43,11 +44,14 @@ def raycast_one(
     nodes, tight, handles, state, origin, direction, t_max, mask, skip_inside, mode, place
 ):
     """One ray in one call: (handle, t), and its point and normal in `place`, whose other rows are
-    scratch; instead of a handle NONE if there is none, NOT_FINITE if the input is not.
+    scratch; instead of a handle NONE if there is none, NOT_FINITE if the input is not, REFUSED if
+    the tree is being changed.
     """
     for k in range(origin.shape[0]):
         if not (np.isfinite(origin[k]) and np.isfinite(direction[k])):
             return NOT_FINITE, np.inf
+    if not begin_query(state, ANY_VERSION):
+        return REFUSED, np.inf
     aim(place[2:], origin, direction)
     slots, ts, axes = (
         stack_array(1, np.int64),
@@ -71,10 +75,12 @@ def raycast_one(
     )
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(place[2 + EXACT, 0])
-    if found == 0:
-        return NONE, np.inf
-    locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
-    return handles[slots[0]], ts[0]
+    handle = np.int64(NONE)
+    if found > 0:
+        handle = handles[slots[0]]
+        locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
+    end_query(state)
+    return handle, (ts[0] if found > 0 else np.inf)
 
 
 @functools.cache
@@ -113,7 +119,8 @@ def raycast_rows(
     nodes,
     tight,
     handles,
-    root,
+    state,
+    version,
     ray,
     origins,
     directions,
@@ -127,9 +134,12 @@ def raycast_rows(
     normals,
 ):
     """First hits (CLOSEST) of the rays of `rows`, or to any (ANY) no more than an id; NONE where
-    there is none. `ray` is scratch.
+    there is none. `ray` is scratch. Returns how many took exact arithmetic, negative if the tree
+    is changed meanwhile.
     """
-    exact = np.int64(0)
+    if not begin_query(state, version):
+        return np.int64(-1)
+    root, exact = state[ROOT], np.int64(0)
     slots, distances, axes = (
         stack_array(1, np.int64),
         stack_array(1, np.float64),
@@ -159,4 +169,6 @@ def raycast_rows(
             ids[i] = slots[0]
         else:
             write_hit(handles, ray, slots[0], distances[0], axes[0], i, ids, ts, normals)
+    count_rays(state, rows.shape[0], exact)
+    end_query(state)
     return exact

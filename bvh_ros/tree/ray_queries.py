@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import checks, ray_hits, raycasting, wide_raycasting
-from .arrays import Arrays, Floats, Ids, in_threads
-from .nodes import ALL, EXACT_RAYS, NONE, RAYS
+from .arrays import Arrays, Floats, Ids, View
+from .nodes import ALL, NONE
 from .ray_streams import RAYS_AT_ONCE, make_scratch
 from .results import RayHit, RayHits
 from .slab import RAY_ROWS
+from .turns import IS_CHANGED
+from .workers import in_threads
 
 
 class RayQueries(Arrays):
@@ -81,11 +83,14 @@ class RayQueries(Arrays):
         start = checks.point('origin', origin, self.ndim)
         way = checks.point('direction', direction, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
-        _, slots, ts, axes = self.every_hit(start[None], way[None], reach, seen, skip_inside)
-        return [
-            self._hit(start, way, *row)
-            for row in zip(slots.tolist(), ts.tolist(), axes.tolist(), strict=True)
+        view = self.view()
+        found = self.every_hit(view, start[None], way[None], reach, seen, skip_inside)
+        hits = [
+            self._hit(view, start, way, *row)
+            for row in zip(*(column.tolist() for column in found[1:]), strict=True)
         ]
+        self.check_unchanged(view)
+        return hits
 
     def occluded(
         self,
@@ -151,8 +156,11 @@ class RayQueries(Arrays):
         """
         starts = checks.points('origins', origins, self.ndim)
         ways = checks.points('directions', directions, self.ndim, len(starts))
-        offsets, slots, ts, _ = self.every_hit(starts, ways, t_max, mask, skip_inside)
-        return offsets, self._handles[slots], ts
+        view = self.view()
+        offsets, slots, ts, _ = self.every_hit(view, starts, ways, t_max, mask, skip_inside)
+        ids = view[2][slots]
+        self.check_unchanged(view)
+        return offsets, ids, ts
 
     def _cast(
         self,
@@ -172,11 +180,14 @@ class RayQueries(Arrays):
             checks.point('direction', way, self.ndim)
         reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
         place = np.empty((2 + RAY_ROWS, self.ndim))
+        nodes, _, tight, handles, state, heirs, _ = self._storage
+        if heirs:
+            nodes, _, tight, handles, state, _, _ = self._settled()
         handle, t = ray_hits.raycast_entry(self.ndim)(
-            self._nodes,
-            self._tight,
-            self._handles,
-            self._state,
+            nodes,
+            tight,
+            handles,
+            state,
             start,
             way,
             reach,
@@ -188,12 +199,17 @@ class RayQueries(Arrays):
         if handle == ray_hits.NOT_FINITE:
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)
+        if handle == ray_hits.REFUSED:
+            raise RuntimeError(IS_CHANGED)
         return None if handle < 0 else (handle, t, place)
 
-    def _hit(self, start: Floats, way: Floats, slot: int, t: float, axis: int) -> RayHit:
+    def _hit(
+        self, view: View, start: Floats, way: Floats, slot: int, t: float, axis: int
+    ) -> RayHit:
+        nodes, tight, handles, _, _ = view
         place = np.empty((2, self.ndim))
-        ray_hits.locate(self._nodes, self._tight, start, way, slot, t, axis, place)
-        return RayHit(int(self._handles[slot]), t, place[0], place[1])
+        ray_hits.locate(nodes, tight, start, way, slot, t, axis, place)
+        return RayHit(int(handles[slot]), t, place[0], place[1])
 
     def _first(
         self,
@@ -223,34 +239,34 @@ class RayQueries(Arrays):
             room[count : count + described],
             room[count + described :].reshape(described, self.ndim),
         )
-        exact, left = self._first_wide(rays, mode, threads, hits)
+        view = self.view()
+        left = self._first_wide(view, rays, mode, threads, hits)
         if left.size:
             checks.finite('origins', starts)
             checks.finite('directions', ways)
 
-        def cast(start: int, stop: int) -> int:
+        def cast(start: int, stop: int) -> None:
             scratch, rows = np.empty((RAY_ROWS, self.ndim)), left[start:stop]
-            return ray_hits.raycast_rows(*self.arrays(), scratch, *rays, mode, rows, *hits)
+            if ray_hits.raycast_rows(*view, scratch, *rays, mode, rows, *hits) < 0:
+                raise RuntimeError(IS_CHANGED)
 
-        exact += sum(in_threads(cast, len(left), threads))
-        self._tally(count, exact)
+        in_threads(cast, len(left), threads)
         return hits
 
     def _first_wide(
-        self, rays: tuple[Any, ...], mode: int, threads: int, hits: RayHits
-    ) -> tuple[int, Ids]:
-        """Answer what the wide snapshot can: (how many took exact arithmetic, the rows left)."""
+        self, view: View, rays: tuple[Any, ...], mode: int, threads: int, hits: RayHits
+    ) -> Ids:
+        """Answer what the wide snapshot can; the rows that are left."""
         count = len(hits.ids)
-        snapshot = self._snapshot_for(count)
+        snapshot = self._snapshot_for(count, view)
         if snapshot is None:
-            return 0, np.arange(count)
+            return np.arange(count)
         marks = np.empty(count, np.bool_)
 
-        def cast(start: int, stop: int) -> int:
-            return wide_raycasting.cast_rows(
+        def cast(start: int, stop: int) -> None:
+            exact = wide_raycasting.cast_rows(
                 *snapshot[:-1],
-                *self._boxes_only()[:2],
-                self._handles,
+                *view,
                 *make_scratch(stop - start, self.ndim, snapshot.depth),
                 *rays,
                 mode == raycasting.ANY,
@@ -259,47 +275,25 @@ class RayQueries(Arrays):
                 *hits,
                 marks,
             )
+            if exact < 0:
+                raise RuntimeError(IS_CHANGED)
 
-        exact = sum(in_threads(cast, count, threads, 2 * RAYS_AT_ONCE))
-        return exact, np.flatnonzero(marks)
-
-    def _tally(self, rays: int, exact: int) -> None:
-        """Count rays, and those of them that took exact arithmetic."""
-        with self._lock:
-            self._state[RAYS] += rays
-            self._state[EXACT_RAYS] += exact
+        in_threads(cast, count, threads, 2 * RAYS_AT_ONCE)
+        return np.flatnonzero(marks)
 
     def every_hit(
-        self, starts: Floats, ways: Floats, t_max: ArrayLike, mask: ArrayLike, skip_inside: bool
+        self,
+        view: View,
+        starts: Floats,
+        ways: Floats,
+        t_max: ArrayLike,
+        mask: ArrayLike,
+        skip_inside: bool,
     ) -> tuple[Ids, Ids, Floats, Ids]:
-        """`raycast_all_many` of good input: offsets, slots, t and axes entered."""
+        """`raycast_all_many` of good input: offsets, slots, t and axes entered; right if the tree
+        is unchanged afterwards.
+        """
         count = len(starts)
         reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
-        offsets = np.zeros(count + 1, np.int64)
-        slots, ts, axes, exact = raycasting.raycast_every_row(
-            *self.arrays(),
-            starts,
-            ways,
-            reaches,
-            seen,
-            checks.flag('skip_inside', skip_inside),
-            offsets,
-        )
-        self._tally(count, exact)
-        rays = np.repeat(np.arange(count), np.diff(offsets))
-        order = np.lexsort((self._handles[slots], ts, rays))
-        slots, ts, axes = slots[order], ts[order], axes[order]
-        scratch = np.empty((RAY_ROWS, self.ndim))
-        raycasting.settle_order(
-            self._nodes,
-            self._tight,
-            self._handles,
-            scratch,
-            starts,
-            ways,
-            offsets,
-            slots,
-            ts,
-            axes,
-        )
-        return offsets, slots, ts, axes
+        skips = checks.flag('skip_inside', skip_inside)
+        return raycasting.every_hit(view, starts, ways, reaches, seen, skips)

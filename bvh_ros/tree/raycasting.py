@@ -6,12 +6,14 @@ The nearer child first, the other on a stack with its entry distance, and no vis
 entered after the best hit.
 """
 
-import numpy as np
+from typing import Any
 
-from .compiling import inlined, kernel, lean_kernel
+import numpy as np
+from numpy.typing import NDArray
+
+from .compiling import inlined, lean_kernel
 from .machine import stack_array
-from .nodes import DEEPEST, NONE, is_leaf, leaf_box
-from .overlapping import grown
+from .nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
 from .slab import (
     EXACT,
     INSIDE,
@@ -25,6 +27,10 @@ from .slab import (
     prepare_ray,
     traversal_distance,
 )
+from .turns import IS_CHANGED, begin_query, count_rays, end_query
+
+Ids = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 CLOSEST, ANY, EVERY = range(3)
 
@@ -108,53 +114,58 @@ def is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_a
     return order < 0 or (order == 0 and handles[slot] < handles[other])
 
 
-@kernel
+@lean_kernel
 def raycast_every_row(
-    nodes, tight, handles, root, origins, directions, t_max, masks, skip_inside, offsets
+    nodes,
+    tight,
+    handles,
+    state,
+    version,
+    ray,
+    origins,
+    directions,
+    t_max,
+    masks,
+    skip_inside,
+    offsets,
+    found,
+    first,
 ):
-    """All hits of every ray, as (slots, ts, axes); those of ray i stand at [offsets[i], offsets[i
-    + 1]), in no order.
+    """All hits of every ray from `first` on; those of ray i go to [offsets[i], offsets[i + 1]) of
+    the arrays `found`: slots, ts and axes, in no order. `ray` is scratch.
+
+    Returns (rays done, room wanted): fewer than there are where there is no room for the hits of
+    the next one, negative if the tree is changed meanwhile.
     """
-    ray = np.empty((RAY_ROWS, origins.shape[1]))
-    slots, ts, axes = np.empty(64, np.int64), np.empty(64), np.empty(64, np.int64)
-    exact = np.int64(0)
-    for i in range(origins.shape[0]):
-        aim(ray, origins[i], directions[i])
+    if not begin_query(state, version):
+        return np.int64(-1), np.int64(0)
+    slots, ts, axes = found
+    done, exact, end = np.int64(first), np.int64(0), np.int64(0)
+    while done < origins.shape[0]:
+        aim(ray, origins[done], directions[done])
         end = raycast(
             nodes,
             tight,
             handles,
-            root,
+            state[ROOT],
             ray,
-            t_max[i],
-            masks[i],
+            t_max[done],
+            masks[done],
             skip_inside,
             EVERY,
             slots,
             ts,
             axes,
-            offsets[i],
+            offsets[done],
         )
-        if end > slots.shape[0]:  # there are more than fit: make room and cast it again
-            slots, ts, axes = grown(slots, end), grown(ts, end), grown(axes, end)
-            raycast(
-                nodes,
-                tight,
-                handles,
-                root,
-                ray,
-                t_max[i],
-                masks[i],
-                skip_inside,
-                EVERY,
-                slots,
-                ts,
-                axes,
-                offsets[i],
-            )
-        offsets[i + 1] = end
+        if end > slots.shape[0]:
+            break
         exact += np.int64(ray[EXACT, 0])
-    return slots[: offsets[-1]], ts[: offsets[-1]], axes[: offsets[-1]], exact
+        done += 1
+        offsets[done] = end
+    count_rays(state, done - first, exact)
+    end_query(state)
+    return done, np.int64(end)
 
 
 @lean_kernel
@@ -191,3 +202,35 @@ def settle_order(nodes, tight, handles, ray, origins, directions, offsets, slots
             slots[place], ts[place], axes[place] = slot, t, axis
         for j in range(offsets[i] + 1, offsets[i + 1]):
             ts[j] = max(ts[j], ts[j - 1])
+
+
+def every_hit(
+    view: Any, starts: Floats, ways: Floats, t_max: Floats, masks: Any, skip_inside: bool
+) -> tuple[Ids, Ids, Floats, Ids]:
+    """All hits of all rays in their order, with as much room as it takes: offsets, slots, t and
+    axes entered. RuntimeError if the tree is changed before they are found.
+    """
+    count = len(starts)
+    offsets = np.zeros(count + 1, np.int64)
+    scratch = np.empty((RAY_ROWS, starts.shape[1]))
+    asked = starts, ways, t_max, masks, skip_inside, offsets
+    done, found = 0, _room_for_hits(64)
+    while done < count:
+        done, wanted = raycast_every_row(*view, scratch, *asked, found, done)
+        if done < 0:
+            raise RuntimeError(IS_CHANGED)
+        if done < count:
+            full, found = found, _room_for_hits(max(2 * len(found[0]), wanted))
+            for old, new in zip(full, found, strict=True):
+                new[: len(old)] = old
+    nodes, tight, handles, _, _ = view
+    total = offsets[-1]
+    slots, ts, axes = found[0][:total], found[1][:total], found[2][:total]
+    order = np.lexsort((handles[slots], ts, np.repeat(np.arange(count), np.diff(offsets))))
+    slots, ts, axes = slots[order], ts[order], axes[order]
+    settle_order(nodes, tight, handles, scratch, starts, ways, offsets, slots, ts, axes)
+    return offsets, slots, ts, axes
+
+
+def _room_for_hits(count: int) -> tuple[Ids, Floats, Ids]:
+    return np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)

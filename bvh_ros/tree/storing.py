@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from .nodes import SLOT_MASK, aligned_empty
+from .nodes import COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN
+from .storage import allocate
 from .validation import array_forms
 
 VERSION = 1
@@ -32,15 +33,19 @@ LARGEST_VALUE = 4096  # bytes
 
 def pack(tree: Any) -> dict[str, Any]:
     """The arrays and values that make up a tree, by name."""
-    arrays: dict[str, Any] = {name: getattr(tree, f'_{name}') for name in ARRAYS}
+    nodes, heights, tight, handles, state = tree._copied()
     return {
         'version': VERSION,
-        **arrays,
+        'nodes': nodes,
+        'heights': heights,
+        'tight': tight,
+        'handles': handles,
+        'state': state[:STATE_PLACES],
         'ndim': tree.ndim,
         'margin': tree.margin,
         'sibling_search': tree.sibling_search,
-        'serial': tree._serial,
-        'counters': list(tree._counters.items()),
+        'serial': int(state[SERIAL]),
+        'counters': [(name, int(state[place])) for name, place in COUNTERS.items()],
     }
 
 
@@ -156,13 +161,15 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
 def unpack(tree: Any, packed: Any) -> None:
     """Fill a new tree; ValueError if what was kept is not a sound one."""
     kept = _sound(packed, tree.COUNTERS)
-    ndim, capacity = kept['ndim'], len(kept['handles'])
-    tree._begin(ndim, kept['margin'], kept['sibling_search'], 1)
-    tree._serial, tree._counters = kept['serial'], kept['counters']
-    for name, (dtype, shape) in array_forms(ndim, capacity, bool(len(kept['tight']))).items():
-        own = aligned_empty(shape[0], dtype) if name == 'nodes' else np.empty(shape, dtype)
-        own[:] = kept[name]
-        setattr(tree, f'_{name}', own)
+    tree._begin(kept['ndim'], kept['margin'], kept['sibling_search'], 1)
+    storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
+    for name in ARRAYS[:-1]:
+        getattr(storage, name)[:] = kept[name]
+    state = storage.state
+    state[:STATE_PLACES], state[SERIAL], state[TURN] = kept['state'], kept['serial'], 0
+    for name, count in kept['counters'].items():
+        state[COUNTERS[name]] = count
+    tree._storage = storage
     try:
         tree.validate()
     except RuntimeError as error:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from .area import longest_edge, node_area, unit_scale
 from .building import count_leaves
-from .compiling import inlined, kernel, lean_kernel
+from .compiling import inlined, lean_kernel
 from .machine import WIDTH, stack_array
-from .nodes import DEEPEST, is_leaf
-from .overlapping import grown
+from .nodes import COUNT, DEEPEST, ROOT, is_leaf
+from .turns import IS_CHANGED, begin_query, end_query
 
 # Batches for which building pays, measured: a ray through the binary tree costs five times one
 # through the snapshot, and building costs a box what that saves on 0.2 (100,000 boxes) to 0.4
@@ -69,10 +69,12 @@ class Snapshot(NamedTuple):
         return self.planes.nbytes + self.kids.nbytes + self.masks.nbytes
 
 
-def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
-    """Collapse the tree below `root`, an inner node; None where float32 would see too little of
-    the scene.
+def take_snapshot(view: tuple[Any, ...]) -> Snapshot | None:
+    """Collapse a tree of two boxes or more, see `arrays.View`; None where float32 would see too
+    little of the scene, RuntimeError if the tree is changed meanwhile.
     """
+    nodes, _, _, state, version = view
+    root, inner = state.item(ROOT), state.item(COUNT) - 1
     lo, hi = nodes['lo'][root], nodes['hi'][root]
     half = float((hi * 0.5 - lo * 0.5).max())
     if (
@@ -81,14 +83,23 @@ def take_snapshot(nodes: NDArray[Any], root: int) -> Snapshot | None:
     ):
         return None
     center, per_length = lo * 0.5 + hi * 0.5, 2.0 ** -math.ceil(math.log2(half))
-    if is_blurred(nodes, root, BLURRED / per_length):
+    blurred = is_blurred(nodes, state, version, BLURRED / per_length)
+    if blurred < 0:
+        raise RuntimeError(IS_CHANGED)
+    if blurred:
         return None
     places = len(nodes) // 2
     least, shares = np.empty((places, WIDTH), np.float32), np.empty((places, WIDTH), np.uint8)
-    count = plan_collapse(nodes, root, least, shares)
+    order = np.empty(max(inner, 1), np.int64)
+    count = plan_collapse(nodes, state, version, least, shares, order)
+    if count < 0:
+        raise RuntimeError(IS_CHANGED)
     planes = _on_cache_lines(count * 2 * WIDTH * nodes['lo'].shape[1])
     kids, masks = np.empty(count * WIDTH, np.int32), np.empty(count * WIDTH, np.uint32)
-    depth = collapse(nodes, root, shares, center, per_length, planes, kids, masks)
+    arrays = planes, kids, masks
+    depth = collapse(nodes, state, version, shares, center, per_length, arrays, order)
+    if depth < 0:
+        raise RuntimeError(IS_CHANGED)
     return Snapshot(planes, kids, masks, center, per_length, depth)
 
 
@@ -102,61 +113,67 @@ def _on_cache_lines(count: int) -> NDArray[np.float32]:
 
 
 @lean_kernel
-def is_blurred(nodes, root, least_edge):
-    """Whether more than MOST_BLURRED boxes lie in a subtree with no edge of `least_edge`."""
+def is_blurred(nodes, state, version, least_edge):
+    """Whether more than MOST_BLURRED boxes lie in a subtree with no edge of `least_edge`; negative
+    if the tree is changed meanwhile.
+    """
+    if not begin_query(state, version):
+        return -1
     stack = stack_array(DEEPEST, np.int64)
-    stack[0], top = root, 1
-    while top > 0:
+    stack[0], top, blurred = state[ROOT], 1, 0
+    while top > 0 and blurred == 0:
         top -= 1
         node = stack[top]
         if is_leaf(node):
             continue
         if longest_edge(nodes, node, node) < least_edge:
             if count_leaves(nodes, node) > MOST_BLURRED:
-                return True
+                blurred = 1
             continue
         stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
         top += 2
-    return False
+    end_query(state)
+    return blurred
 
 
-@kernel
-def post_order(nodes, root):
-    """Inner nodes below and with `root`, parents before children: read it backwards for children
-    first.
+@lean_kernel
+def post_order(nodes, root, order):
+    """Number the inner nodes below and with `root`, parents before children: read it backwards for
+    children first. Returns how many there are.
     """
-    order, stack = np.empty(64, np.int64), stack_array(DEEPEST, np.int64)
+    stack = stack_array(DEEPEST, np.int64)
     stack[0], top, count = root, 1, 0
     while top > 0:
         top -= 1
         node = stack[top]
         if is_leaf(node):
             continue
-        if count == order.shape[0]:
-            order = grown(order, count + 1)
         order[count] = node
         count += 1
         stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
         top += 2
-    return order[:count]
+    return count
 
 
-@kernel
-def plan_collapse(nodes, root, least, shares):
+@lean_kernel
+def plan_collapse(nodes, state, version, least, shares, order):
     """Least cost of wide nodes, their area and `NODE_COST` each, by dynamic programming (Ylitie et
     al. 2017, section 3.1).
 
     least[k, j - 1]: of the subtree of inner node 2 k + 1 when it may take up to j lanes of the
     wide node above. shares[k, j - 1]: how many of those lanes its left child gets; 0 if it takes
-    one lane, as a wide node of its own.
+    one lane, as a wide node of its own. `order` is scratch. Returns how many wide nodes the plan
+    makes, negative if the tree is changed meanwhile.
 
     Whatever the costs are, shares[k, WIDTH - 1] is from 1 to WIDTH - 1, and no other one is more
     than its lanes allow: what fills the nodes needs nothing else to stay within them.
     """
+    if not begin_query(state, version):
+        return -1
+    root = state[ROOT]
     scale = unit_scale(longest_edge(nodes, root, root))
     visit = np.float32(NODE_COST * node_area(nodes, root, scale))
-    order = post_order(nodes, root)
-    for place in range(order.shape[0] - 1, -1, -1):
+    for place in range(post_order(nodes, root, order) - 1, -1, -1):
         node = order[place]
         left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
         here, share = least[node >> 1], shares[node >> 1]
@@ -176,7 +193,9 @@ def plan_collapse(nodes, root, least, shares):
         for lanes in range(2, WIDTH):
             if here[lanes - 2] < here[lanes - 1]:
                 here[lanes - 1], share[lanes - 1] = here[lanes - 2], share[lanes - 2]
-    return count_wide(nodes, root, shares)
+    count = count_wide(nodes, root, shares)
+    end_query(state)
+    return count
 
 
 @lean_kernel
@@ -226,16 +245,20 @@ def _up32(x):
     return np.nextafter(np.float32(x), np.float32(np.inf))
 
 
-@kernel
-def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
-    """Fill the arrays of a `Snapshot`; return its depth.
+@lean_kernel
+def collapse(nodes, state, version, shares, center, per_length, arrays, queue):
+    """Fill the arrays of a `Snapshot`; return its depth, negative if the tree is changed
+    meanwhile. `queue` is scratch.
 
     Node by node in the order of breadth, so that the top, which every ray visits, lies together.
     """
+    if not begin_query(state, version):
+        return -1
+    planes, kids, masks = arrays
+    root = state[ROOT]
     ndim = nodes[root].lo.shape[0]
     stride = 2 * ndim * WIDTH
     members = stack_array(WIDTH, np.int64)
-    queue = np.empty(kids.shape[0] // WIDTH, np.int64)
     queue[0], made, at = root, 1, 0
     depth, level_end = 0, 0
     while at < made:
@@ -264,4 +287,5 @@ def collapse(nodes, root, shares, center, per_length, planes, kids, masks):
                     queue[made] = members[lane]
                     made += 1
         at += 1
+    end_query(state)
     return depth

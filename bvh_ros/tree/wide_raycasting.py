@@ -24,6 +24,7 @@ from .ray_streams import (
     sort_by_octant,
 )
 from .slab import DIRECTION, EXACT, INSIDE, INVERSE, ORIGIN, aim, near_plane, plane_distance
+from .turns import begin_query, count_rays, end_query
 from .wide_filter import NOWHERE, limit32, start_ray
 from .wide_lanes import seen16, stream16
 
@@ -43,6 +44,8 @@ def cast_rows(
     nodes,
     tight,
     handles,
+    state,
+    version,
     ray,
     octants,
     rows,
@@ -66,7 +69,10 @@ def cast_rows(
 ):
     """First hits of the rays [start, stop), or of any hit no more than an id; those not suited are
     marked in `left_over`, some of which may not be finite. From `ray` to `stack`: a `Scratch`.
+    Returns how many took exact arithmetic, negative if the tree is changed meanwhile.
     """
+    if not begin_query(state, version):
+        return np.int64(-1)
     boxes, scratch = (nodes, tight, handles), (ray, lists, found, hits, stack)
     asked = origins, directions, t_max, masks, skip_inside, any_hit
     tally, ends = stack_array(2, np.int64), stack_array(OCTANTS, np.int64)
@@ -83,6 +89,11 @@ def cast_rows(
                 end = min(ends[octant], begin + RAYS_AT_ONCE)
                 cast_group(wide, boxes, rays, batch[begin:end], scratch, asked, tally, answers)
                 begin = end
+    suited = np.int64(0)
+    for i in range(start, stop):
+        suited += not left_over[i]
+    count_rays(state, suited, tally[DECIDED_EXACTLY])
+    end_query(state)
     return tally[DECIDED_EXACTLY]
 
 

@@ -54,7 +54,7 @@ def test_equal_sources_share_machine_code_wherever_they_are(tmp_path):
     elsewhere = tmp_path / 'bvh_ros'
     shutil.copytree(here, elsewhere)
     called = start(here)
-    assert 'insert_rows' in called
+    assert 'insert_one' in called
     assert {name: misses for name, (_, misses) in start(elsewhere).items()} == dict.fromkeys(
         called, 0
     )

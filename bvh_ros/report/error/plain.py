@@ -17,6 +17,7 @@ import numpy as np
 
 from ... import DynamicBVH, RayHits
 from ...tree import best_hit, ray_hits, raycasting, wide_raycasting
+from ...tree.arrays import View
 from ..scenes import Boxes, Rays
 
 
@@ -99,19 +100,21 @@ def rounded_decisions() -> Any:
 class BinaryTree(DynamicBVH):
     """A tree whose batches go through the binary tree, too: no wide snapshot."""
 
-    def _snapshot_for(self, count: int) -> None:
+    def _snapshot_for(self, count: int, view: View) -> None:
         return None
 
 
 def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
     """A batch through the binary tree whose boxes and rays are rounded to float32."""
     tree = BinaryTree.from_boxes(*boxes)
-    tree._nodes, tree._tight = _rounded(tree._nodes), _rounded(tree._tight)
+    storage = tree._storage
+    nodes, tight = _rounded(storage.nodes), _rounded(storage.tight)
+    tree._storage = storage._replace(nodes=nodes, tight=tight)
     kernel = binary_kernel()
 
-    def rows(nodes: Any, tight: Any, handles: Any, root: Any, *rest: Any) -> Any:
-        ray, origins, directions = (array.astype(np.float32) for array in rest[:3])
-        return kernel(nodes, tight, handles, root, ray, origins, directions, *rest[3:])
+    def rows(*arguments: Any) -> Any:
+        view, rays, rest = arguments[:5], arguments[5:8], arguments[8:]
+        return kernel(*view, *(array.astype(np.float32) for array in rays), *rest)
 
     def run() -> RayHits:
         with replaced(wide_raycasting.cast_rows, rows):

@@ -1,0 +1,246 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Changes while other threads query, and forks while they do: an answer is right, or a
+RuntimeError says why there is none.
+"""
+
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+
+import numpy as np
+import pytest
+from tree.reference import effort
+
+from bvh_ros import DynamicBVH
+
+# Boxes stand in one of two places, all at once. Further ones come and go, and make the arrays
+# grow, where masks hide them. So each answer is that for one of the two places.
+RUN = """
+    import collections, sys, threading, time
+    import numpy as np
+    from bvh_ros import DynamicBVH
+
+    rng = np.random.default_rng(0)
+    N = 1500
+    places = rng.uniform(0, 60, (2, N, 3))
+    o, d = rng.uniform(0, 60, (800, 3)), rng.normal(size=(800, 3))
+    few = slice(0, 40)
+    SEEN = 1
+
+    def lists(*arrays):
+        return [np.asarray(array).tolist() for array in arrays]
+
+    questions = {
+        'raycast': lambda t: [(h.id, h.t) if h else None for h in
+                              (t.raycast(o[0], d[0], mask=SEEN),)],
+        'raycast_all': lambda t: [(h.id, h.t) for h in t.raycast_all(o[1], d[1], mask=SEEN)],
+        'occluded': lambda t: t.occluded(o[2], d[2], mask=SEEN),
+        'raycast_many': lambda t: lists(*t.raycast_many(o, d, mask=SEEN)),
+        'threads': lambda t: lists(*t.raycast_many(o, d, mask=SEEN, threads=3)),
+        'occluded_many': lambda t: lists(t.occluded_many(o[few], d[few], mask=SEEN)),
+        'raycast_all_many': lambda t: lists(*t.raycast_all_many(o[few], d[few], mask=SEEN)),
+        'overlap': lambda t: lists(t.overlap(o[3], o[3] + 3, SEEN)),
+        'overlap_many': lambda t: lists(*t.overlap_many(o, o + 3, SEEN, threads=2)),
+        'overlap_pairs': lambda t: lists(t.overlap_pairs(SEEN)),
+        'nearest_many': lambda t: lists(*t.nearest_many(o, 2, mask=SEEN)),
+        'nearest': lambda t: lists(*t.nearest(o[5], 2, mask=SEEN)),
+        'boxcast': lambda t: t.boxcast(o[4], o[4] + 1, d[4] * 50, SEEN).t,
+        'boxes': lambda t: lists(*t.boxes(handles)),
+        'masks': lambda t: lists(t.masks(handles)),
+        'shape': lambda t: (t.height < 99, t.cost() > 0, len(t) >= N, len(t.stats()) > 9),
+        'ids': lambda t: (t.ids()[:N].tolist(), t.bounds is None, len(t.levels(0, 3, 99)[0]) > 0),
+        'validate': lambda t: t.validate(),
+        'copy': lambda t: t.__getstate__()['ndim'],
+    }
+    which, margin = sys.argv[1].split(','), float(sys.argv[2])
+    trees = [DynamicBVH(margin=margin) for _ in places]
+    for tree, lo in zip(trees, places):
+        tree.insert_many(lo, lo + 1)
+    handles = trees[0].ids()
+    right = {name: [questions[name](tree) for tree in trees] for name in which}
+    tree = trees[0]
+    stop = time.monotonic() + float(sys.argv[3])
+    counts = collections.Counter()
+
+    def attempt(name, call):
+        try:
+            answer = call()
+        except RuntimeError as error:
+            assert 'by another thread' in str(error), error
+            counts[name, 'refused'] += 1
+            return None
+        counts[name, 'done'] += 1
+        return answer
+
+    def ask(first):
+        turn = first
+        while time.monotonic() < stop:
+            name = which[turn % len(which)]
+            turn += 1
+            answer = attempt(name, lambda: (questions[name](tree),))
+            if answer is not None and answer[0] not in right[name]:
+                counts[name, 'WRONG'] += 1
+
+    def change(seed):
+        turns = np.random.default_rng(seed)
+        extra = np.array([], np.int64)
+        while time.monotonic() < stop:
+            kind = turns.integers(8)
+            if kind < 3:
+                lo = places[turns.integers(2)]
+                attempt('move', lambda: tree.move_many(handles, lo, lo + 1))
+            elif kind == 3:
+                new = attempt('insert', lambda: tree.insert_many(o, o + 1, 4))
+                extra = extra if new is None else np.append(extra, new)
+            elif kind == 4 and len(extra):
+                if attempt('remove', lambda: (tree.remove_many(extra),)) is not None:
+                    extra = extra[:0]
+            elif kind == 5:
+                attempt('optimize', tree.optimize)
+            elif kind == 6:
+                new = attempt('one', lambda: tree.insert([0, 0, 0], [1, 1, 1], 4))
+                extra = extra if new is None else np.append(extra, new)
+            else:
+                attempt('rebuild', tree.rebuild)
+            time.sleep(0.001)
+
+    threads = [threading.Thread(target=ask, args=(k,), daemon=True) for k in range(3)]
+    threads += [threading.Thread(target=change, args=(k,), daemon=True) for k in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not any(thread.is_alive() for thread in threads), 'hangs'
+    tree.validate()
+    assert not [key for key in counts if key[1] == 'WRONG'], counts
+    for name in which:
+        assert counts[name, 'done'], (name, counts)
+    assert sum(n for key, n in counts.items() if key[1] == 'refused'), counts
+    tree.insert([0, 0, 0], [1, 1, 1])
+"""
+
+QUERIES = (
+    'raycast,raycast_all,occluded,overlap,nearest,boxcast',
+    'raycast_many,threads,occluded_many,raycast_all_many',
+    'overlap_many,overlap_pairs,nearest_many',
+    'boxes,masks,shape,ids,validate,copy',
+)
+
+
+@pytest.mark.parametrize('queries', QUERIES)
+@pytest.mark.parametrize('margin', [0.0, 0.2])
+def test_queries_while_others_change(queries: str, margin: float) -> None:
+    seconds = str(effort(2, 60))
+    ended = subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(RUN), queries, str(margin), seconds],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
+    """It is done between two kernels, where no turn is taken; the query says that it was."""
+    lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    view = tree.view()
+    tree.insert([0, 0, 0], [1, 1, 1])
+    with pytest.raises(RuntimeError, match='changed'):
+        tree.check_unchanged(view)
+    with pytest.raises(RuntimeError, match='changed'):
+        tree._snapshot_for(10**6, view)
+    tree.validate()
+
+
+def test_worker_threads_do_not_pile_up() -> None:
+    lo = np.random.default_rng(2).uniform(0, 20, (500, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    for threads in range(2, 12):
+        tree.raycast_many(lo, lo, threads=threads)
+        tree.overlap_many(lo, lo + 1, threads=threads)
+    mine = [thread for thread in threading.enumerate() if thread.name.startswith('bvh_ros')]
+    assert len(mine) <= (os.cpu_count() or 1)
+
+
+FORK = """
+    import os, signal, sys, threading, time
+    import numpy as np
+    from bvh_ros import DynamicBVH
+
+    changes = sys.argv[1] == 'changes'
+    lo = np.random.default_rng(3).uniform(0, 60, (3000, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    tree.raycast_many(lo, lo, threads=2)
+    stop = False
+
+    def busy():
+        while not stop:
+            try:
+                if changes:
+                    tree.move(int(handles[0]), lo[1], lo[1] + 1)
+                    tree.rebuild()
+                else:
+                    tree._wide = 0, 0, None  # a snapshot is built by each batch
+                    tree.raycast_many(lo, lo, threads=2)
+            except RuntimeError:
+                pass
+
+    handles = tree.ids()
+    threads = [threading.Thread(target=busy) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    codes = []
+    for turn in range(int(sys.argv[2])):
+        time.sleep(0.003 * (turn % 5))
+        child = os.fork()
+        if child == 0:
+            signal.alarm(30)
+            code = 0
+            try:
+                tree.raycast_many(lo, lo, threads=2)
+                tree.insert([0, 0, 0], [1, 1, 1])
+                tree.move_many(handles[:50], lo[50:100], lo[50:100] + 1)
+                tree.raycast_many(lo, lo)
+                tree.validate()
+            except RuntimeError as error:
+                code = 1 if 'by another thread' in str(error) else 2
+            except BaseException:
+                code = 3
+            os._exit(code)
+        codes.append(os.waitpid(child, 0)[1])
+    stop = True
+    for thread in threads:
+        thread.join()
+    tree.validate()
+    allowed = {0, 256} if changes else {0}
+    assert set(codes) <= allowed and 0 in codes, codes
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, 'fork'), reason='this system does not fork')
+@pytest.mark.parametrize('meanwhile', ['queries', 'changes'])
+def test_forks_in_the_middle(meanwhile: str) -> None:
+    """A child has a tree of its own, and whose turn it was in the parent does not matter. Only a
+    tree that was being changed is half changed: the child is told.
+    """
+    ended = subprocess.run(
+        [
+            sys.executable,
+            '-W',
+            'ignore',
+            '-c',
+            textwrap.dedent(FORK),
+            meanwhile,
+            str(effort(20, 500)),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
