@@ -163,7 +163,7 @@ def touch(tree, solids, prints, ray, radius, hits, j, work, point, normal):
         contact(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
     if prints is not None:
         records, hulls = prints
-        touch_footprint(records[slot], hulls, lo, hi, ray, t, feature, work, point, normal)
+        touch_footprint(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
 
 
 @lean_kernel

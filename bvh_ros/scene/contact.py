@@ -13,7 +13,8 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.slab import DIRECTION, INSIDE, ORIGIN, meets
-from .hull import MESH, closest_on_hull, enter_mesh, hull_of
+from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, scale_of, time_of
+from .hull import MESH, closest_on_mesh, enter_mesh
 from .mesh_rays import FACE
 from .ray_shapes import (
     ROUND,
@@ -40,95 +41,115 @@ def rotate(quaternion, vector, sign):
 
 
 @lean_kernel
-def to_frame(shape, ray, local):
-    """Fill `local` with origin and unit direction in the shape's frame.
-
-    Return the direction's length.
-    """
-    total = length(ray[DIRECTION])
+def to_frame(shape, lo, hi, ray, radius, local):
+    """Fill `local` with origin and unit direction in the shape's frame."""
+    largest, size = 0.0, radius
     for axis in range(3):
-        local[0, axis] = ray[ORIGIN, axis]
-        local[1, axis] = ray[DIRECTION, axis] / total if total > 0.0 else 0.0
+        largest = max(largest, abs(ray[ORIGIN, axis]))
         if shape.shaped:
-            local[0, axis] -= shape.position[axis]
+            largest = max(largest, abs(shape.position[axis]))
+            size = max(size, shape.half[axis])
+        else:
+            largest = max(largest, abs(lo[axis]), abs(hi[axis]))
+    scale = scale_of(max(largest, size))
+    size *= scale
+    for axis in range(3):
+        local[0, axis] = ray[ORIGIN, axis] * scale
+        if shape.shaped:
+            local[0, axis] -= shape.position[axis] * scale
+        size = max(size, abs(local[0, axis]))
+    pace = point_along(ray, scale, local[1, :3])
     if shape.shaped and shape.kind != SPHERE:
         rotate(shape.orientation, local[0], -1.0)
         rotate(shape.orientation, local[1], -1.0)
-    return total
+    return Frame(pace, scale, SLACK * size + COORDINATES * (largest * scale))
 
 
 @lean_kernel
 def enter_shape(shape, hulls, lo, hi, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
 
-    t is in units of the ray's direction.
+    t is in units of the ray's direction. What misses, but would not if the shape were larger by
+    the frame's slack, touches: so rounding makes no hit a miss.
     """
     if not shape.shaped and radius == 0.0:
         hit, t, axis = meets(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
-    total = to_frame(shape, ray, work)
-    origin, way, low, high = work[0], work[1], work[2], work[3]
-    reach = t_max * total
-    half = shape.half
+    frame = to_frame(shape, lo, hi, ray, radius, work)
+    scale, slack = frame.scale, frame.slack
+    reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
     s, feature = np.inf, np.int64(INSIDE)
     if shape.kind == MESH:
         if hulls is not None:
-            s, feature = enter_mesh(hulls, shape, origin, way, radius, reach, low)
-    elif shape.kind == SPHERE:
-        s, feature = enter_sphere(origin, way, half[0] + radius, reach)
-    elif shape.kind == CYLINDER:
-        if radius == 0.0:
-            s, feature = enter_cylinder(origin, way, half[0], half[2], reach)
-        else:
-            s, feature = enter_rounded_cylinder(origin, way, half[0], half[2], radius, reach)
+            s, feature = enter_mesh(hulls, shape, frame, ball, reach, work)
+    elif shape.kind == CYLINDER and ball > 0.0:
+        radius, height = half[0] * scale, half[2] * scale
+        s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
     else:
-        for axis in range(3):
-            low[axis] = -half[axis] if shape.shaped else lo[axis]
-            high[axis] = half[axis] if shape.shaped else hi[axis]
-        if shape.kind == CAPSULE:  # a box without width, grown
-            radius += half[0]
-            low[0] = low[1] = high[0] = high[1] = 0.0
-            low[2], high[2] = half[0] - half[2], half[2] - half[0]
-        if radius == 0.0:
-            s, feature = enter_box(origin, way, low, high, reach)
-        else:
-            s, feature = enter_rounded_box(origin, way, low, high, radius, reach)
-    return (min(s / total, t_max) if 0.0 < s < np.inf else s), feature
+        s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
+        if s == np.inf and shape.shaped:
+            s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
+    return time_of(s, frame.pace, t_max), feature
 
 
 @lean_kernel
-def closest_point(shape, hulls, point, out):
-    """The point of a shape at the origin of its frame that is closest to `point`.
+def enter_form(shape, lo, hi, scale, ball, slack, reach, work):
+    """(s, feature) of a shape that has a closed form, larger by `slack`."""
+    origin, way, low, high, half = work[0], work[1], work[2], work[3], shape.half
+    if shape.kind == SPHERE:
+        return enter_sphere(origin, way, half[0] * scale + ball + slack, reach)
+    if shape.kind == CYLINDER:
+        radius, height = half[0] * scale + slack, half[2] * scale + slack
+        return enter_cylinder(origin, way, radius, height, reach)
+    for axis in range(3):
+        low[axis] = -half[axis] * scale if shape.shaped else lo[axis] * scale
+        high[axis] = half[axis] * scale if shape.shaped else hi[axis] * scale
+    if shape.kind == CAPSULE:  # a box without width, grown
+        ball += half[0] * scale
+        low[0] = low[1] = high[0] = high[1] = 0.0
+        low[2], high[2] = low[2] + half[0] * scale, high[2] - half[0] * scale
+    if ball > 0.0:
+        return enter_rounded_box(origin, way, low, high, ball + slack, reach)
+    for axis in range(3):
+        low[axis] -= slack
+        high[axis] += slack
+    return enter_box(origin, way, low, high, reach)
+
+
+@lean_kernel
+def closest_point(shape, hulls, scale, point, out):
+    """The point of a shape, times scale, at the origin of its frame that is closest to `point`.
 
     `point` itself inside.
     """
-    half = shape.half
     if shape.kind == MESH:
         if hulls is not None:
-            closest_on_hull(hull_of(hulls, shape), point, out)
+            closest_on_mesh(hulls, shape, scale, point, out)
         return
+    radius, height = shape.half[0] * scale, shape.half[2] * scale
     if shape.kind == BOX:
         for axis in range(3):
-            out[axis] = min(max(point[axis], -half[axis]), half[axis])
+            half = shape.half[axis] * scale
+            out[axis] = min(max(point[axis], -half), half)
         return
     if shape.kind == CYLINDER:
-        far, level = math.hypot(point[0], point[1]), min(max(point[2], -half[2]), half[2])
+        far, level = math.hypot(point[0], point[1]), min(max(point[2], -height), height)
         out[2] = level
     else:
-        level = axis_point(shape, point[2])
+        level = axis_point(shape, scale, point[2])
         far = math.hypot(math.hypot(point[0], point[1]), point[2] - level)
-    shrink = half[0] / far if far > half[0] else 1.0
+    shrink = radius / far if far > radius else 1.0
     out[0], out[1] = point[0] * shrink, point[1] * shrink
     if shape.kind != CYLINDER:
         out[2] = level + (point[2] - level) * shrink if shrink < 1.0 else point[2]
 
 
 @lean_kernel
-def axis_point(shape, z):
+def axis_point(shape, scale, z):
     """z of the closest point on a capsule's axis without its ends; of a sphere that is its
     centre.
     """
-    straight = shape.half[2] - shape.half[0]
+    straight = (shape.half[2] - shape.half[0]) * scale
     return min(max(z, -straight), straight)
 
 
@@ -136,29 +157,43 @@ def axis_point(shape, z):
 def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
     """Fill in the obstacle's point that is met at t, and the outward normal.
 
-    Zero if the start lies in the obstacle.
+    The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
+    rounding: there it would be noise.
     """
-    s = t * to_frame(shape, ray, work)
-    centre, way, closest, outward = work[0], work[1], work[2], work[3]
+    frame = to_frame(shape, lo, hi, ray, radius, work)
+    s = t * frame.pace if t > 0.0 else 0.0
+    centre, way, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
+    noise = frame.slack + SLACK * s
     for axis in range(3):
-        if shape.shaped:
-            centre[axis] += s * way[axis]
-        else:
-            centre[axis] += t * ray[DIRECTION, axis]
-        inside = min(max(centre[axis], lo[axis]), hi[axis])
-        closest[axis] = centre[axis] if shape.shaped else inside
+        centre[axis] += s * way[axis]
         outward[axis] = 0.0
-    if shape.shaped and (radius > 0.0 or shape.kind != MESH):  # a thin ray is on the mesh already
-        closest_point(shape, hulls, centre, closest)
-    if feature == INSIDE or radius > 0.0:
+        if not shape.shaped:  # in metres: what lies on a face lies there exactly
+            centre[axis] = ray[ORIGIN, axis] + t * ray[DIRECTION, axis]
+            closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+    if not shape.shaped:
+        scale, noise = 1.0, noise / scale
+    elif radius == 0.0 and shape.kind == MESH:  # the ray is on the mesh already
+        closest[0], closest[1], closest[2] = centre[0], centre[1], centre[2]
+    else:
+        closest_point(shape, hulls, scale, centre, closest)
+    if radius > 0.0:
         for axis in range(3):
             outward[axis] = centre[axis] - closest[axis]
-        if (
-            length(outward) == 0.0 and feature != INSIDE
-        ):  # the ball is smaller than the rounding of its place
-            for axis in range(3):
-                outward[axis] = -way[axis]
-    elif feature >= FACE:
+        if length(outward) <= noise:
+            outward[0] = outward[1] = outward[2] = 0.0
+    elif feature != INSIDE:
+        face_normal(shape, hulls, lo, hi, feature, scale, work)
+    to_world(shape, scale, closest, outward, point, normal)
+    if feature == INSIDE and length(normal) == 0.0:
+        for axis in range(3):
+            point[axis] = ray[ORIGIN, axis]
+
+
+@lean_kernel
+def face_normal(shape, hulls, lo, hi, feature, scale, work):
+    """Fill in the direction outwards where a thin ray enters; a flat face's point lies on it."""
+    centre, way, closest, outward = work[0], work[1], work[2], work[3]
+    if feature >= FACE:
         if hulls is not None:
             face = hulls.spans[shape.mesh].faces[0] + feature - FACE
             for axis in range(3):
@@ -166,28 +201,24 @@ def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
     elif feature == ROUND:
         outward[0], outward[1] = centre[0], centre[1]
         if shape.kind != CYLINDER:
-            outward[2] = centre[2] - axis_point(shape, centre[2])
+            outward[2] = centre[2] - axis_point(shape, scale, centre[2])
     else:
         outward[feature] = -math.copysign(1.0, way[feature])
         if shape.shaped:
-            closest[feature] = outward[feature] * shape.half[feature]
+            closest[feature] = outward[feature] * (shape.half[feature] * scale)
         else:
             closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
-    to_world(shape, closest, outward, point, normal)
-    if feature == INSIDE and length(normal) == 0.0:
-        for axis in range(3):
-            point[axis] = ray[ORIGIN, axis]
 
 
 @lean_kernel
-def to_world(shape, closest, outward, point, normal):
+def to_world(shape, scale, closest, outward, point, normal):
     """Bring a point and a direction of any length back from the shape's frame.
 
     The direction becomes a unit vector or zero.
     """
     total = length(outward)
     for axis in range(3):
-        point[axis] = closest[axis]
+        point[axis] = closest[axis] / scale
         normal[axis] = outward[axis] / total if total > 0.0 else 0.0
     if shape.shaped:
         if shape.kind != SPHERE:

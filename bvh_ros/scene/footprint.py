@@ -19,15 +19,12 @@ from numpy.typing import NDArray
 
 from .shapes import Floats, ShapeKind, Shapes, rotations
 
-# A zonogon is kept by its corners, counter-clockwise (some may coincide), and as the overlap of
-# three strips |normal . p| <= width. A disc is a point grown by `radius`. All relative to
-# `centre`.
+# A zonogon is kept by its corners, counter-clockwise (some may coincide). A disc is a point grown
+# by `radius`. All relative to `centre`.
 FOOTPRINT = np.dtype(
     [
         ('centre', np.float64, (2,)),
         ('corners', np.float64, (6, 2)),
-        ('normals', np.float64, (3, 2)),
-        ('widths', np.float64, (3,)),
         ('radius', np.float64),
         ('along', np.float64, (2,)),
         ('straight', np.float64),
@@ -75,7 +72,6 @@ def footprints(shapes: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
     some['half_axes'][:, 0] = half[:, 0] * np.abs(axis[:, 2])
     some['half_axes'][:, 1] = half[:, 0]
     some['corners'] = zonogon(generators)
-    some['normals'], some['widths'] = strips(generators)
     prints[rows] = some
     return prints
 
@@ -90,17 +86,3 @@ def zonogon(generators: Floats) -> Floats:
     first = upper.sum(axis=1, keepdims=True)
     right = np.concatenate([-first, 2 * np.cumsum(upper[:, :2], axis=1) - first], axis=1)
     return np.concatenate([right, -right], axis=1)
-
-
-def strips(generators: Floats) -> tuple[Floats, Floats]:
-    """Unit normals (n, 3, 2) and half widths (n, 3) of the strips whose overlap is the zonogon."""
-    size = np.hypot(generators[:, :, 0], generators[:, :, 1])
-    longest = np.take_along_axis(generators, np.argmax(size, axis=1)[:, None, None], axis=1)
-    normals = np.stack([-generators[:, :, 1], generators[:, :, 0]], axis=2)
-    # A missing generator leaves room for the strip that ends a flat zonogon; a point takes x and
-    # y.
-    normals = np.where(size[:, :, None] > 0, normals, longest)
-    normals[(size == 0).all(axis=1)] = ((1.0, 0.0), (0.0, 1.0), (1.0, 0.0))
-    normals /= np.hypot(normals[:, :, 0], normals[:, :, 1])[:, :, None]
-    widths = np.abs(np.einsum('nkj,nij->nki', normals, generators)).sum(axis=2)
-    return normals, widths

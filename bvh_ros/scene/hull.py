@@ -14,9 +14,11 @@ import numpy as np
 from ..tree.compiling import lean_kernel
 from ..tree.machine import stack_array
 from ..tree.slab import INSIDE
+from .approach import approach_by
+from .farthest import farthest_vertex
 from .gjk import AXES, CENTRE, CORE_ROWS, FIRST, HALF, SECOND, SLACK, WAY_ROOM, dot
 from .mesh_rays import Surface, enter_surface
-from .ray_shapes import NEWTON_STEPS, ROUND, ROUNDING
+from .ray_shapes import ROUND, length
 from .sure_gap import sure_bounds
 
 MESH = 4  # ShapeKind, as a kernel can read it
@@ -46,23 +48,6 @@ def hull_of(hulls, shape):
 
 
 @lean_kernel
-def enter_mesh(hulls, shape, origin, way, radius, reach, scratch):
-    """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
-    if radius > 0.0:
-        return enter_rounded_hull(hull_of(hulls, shape), origin, way, radius, reach, scratch)
-    span = hulls.spans[shape.mesh]
-    first, stop = span.faces[0], span.faces[1]
-    surface = Surface(
-        hulls.vertices[span.vertices[0] : span.vertices[1]],
-        hulls.corners[first:stop],
-        hulls.nodes[2 * first : 2 * stop],
-        span.root,
-        span.radius,
-    )
-    return enter_surface(surface, origin, way, reach)
-
-
-@lean_kernel
 def hull_gap(hull, point, apart):
     """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there."""
     ball = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
@@ -86,29 +71,45 @@ def hull_gap(hull, point, apart):
 
 
 @lean_kernel
-def enter_rounded_hull(hull, origin, way, radius, reach, point):
-    """Newton's iteration for distance(s) = radius, see `ray_shapes.approach_rim`."""
-    apart = stack_array(3, np.float64)
+def measure_hull(solid, point, normal):
+    """`approach`'s measure of a mesh times a scale: how far the plane through its vertex farthest
+    towards the point keeps it off, and its closest point.
+    """
+    hull, scale = solid
+    place = stack_array(3, np.float64)
     for axis in range(3):
-        point[axis] = origin[axis]
-    distance = hull_gap(hull, point, apart)
-    if distance <= radius:
-        return 0.0, INSIDE
-    s = 0.0
-    for _ in range(NEWTON_STEPS):
-        slope = dot(apart, way) / distance
-        if slope >= 0.0:
-            return np.inf, ROUND
-        step = (radius - distance) / slope
-        s += step
-        if s > reach:
-            return np.inf, ROUND
-        for axis in range(3):
-            point[axis] = origin[axis] + s * way[axis]
-        distance = hull_gap(hull, point, apart)
-        if distance <= radius or step <= ROUNDING * s:
-            break
-    return s, ROUND
+        place[axis] = point[axis] / scale
+    distance = hull_gap(hull, place, normal)
+    size = length(normal)
+    if distance == 0.0 or size == 0.0:
+        return 0.0, 0.0
+    for axis in range(3):
+        normal[axis] /= size
+    vertex = hull.places[farthest_vertex(hull, normal[0], normal[1], normal[2])]
+    return (dot(normal, place) - dot(normal, vertex)) * scale, distance * scale
+
+
+approach_hull = approach_by(measure_hull)
+
+
+@lean_kernel
+def enter_mesh(hulls, shape, frame, radius, reach, work):
+    """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
+    origin, way = work[0], work[1]
+    if radius > 0.0:
+        solid = hull_of(hulls, shape), frame.scale
+        s, _ = approach_hull(solid, radius, reach, frame.slack, work)
+        return s, np.int64(INSIDE if s == 0.0 else ROUND)
+    span = hulls.spans[shape.mesh]
+    first, stop = span.faces[0], span.faces[1]
+    surface = Surface(
+        hulls.vertices[span.vertices[0] : span.vertices[1]],
+        hulls.corners[first:stop],
+        hulls.nodes[2 * first : 2 * stop],
+        span.root,
+        span.radius,
+    )
+    return enter_surface(surface, frame.scale, origin, way, reach)
 
 
 @lean_kernel
@@ -119,3 +120,14 @@ def closest_on_hull(hull, point, out):
     for axis in range(3):
         out[axis] = point[axis] - apart[axis] if distance > 0.0 else point[axis]
     return distance
+
+
+@lean_kernel
+def closest_on_mesh(hulls, shape, scale, point, out):
+    """`closest_on_hull` of a shape's mesh times scale."""
+    place = stack_array(3, np.float64)
+    for axis in range(3):
+        place[axis] = point[axis] / scale
+    closest_on_hull(hull_of(hulls, shape), place, out)
+    for axis in range(3):
+        out[axis] *= scale

@@ -51,8 +51,10 @@ class Surface(NamedTuple):
 
 
 @lean_kernel
-def enter_surface(surface, origin, way, reach):
-    """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered."""
+def enter_surface(surface, scale, origin, way, reach):
+    """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
+    The ray is given in lengths times `scale`.
+    """
     ray = stack_array(15, np.float64).reshape(RAY_ROWS, 3)
     along = 0.0
     for axis in range(3):
@@ -61,20 +63,20 @@ def enter_surface(surface, origin, way, reach):
     if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # a point: along any line through it
         ray[DIRECTION, 0] = 1.0
         along, reach = -origin[0], 0.0
-    begin = along - surface.radius
-    if not (begin <= reach and along + surface.radius >= 0.0):
+    begin, end = along - surface.radius * scale, along + surface.radius * scale
+    if not (begin <= reach and end >= 0.0):
         return np.inf, ROUND
     for axis in range(3):
-        ray[ORIGIN, axis] = origin[axis] + begin * ray[DIRECTION, axis]
+        ray[ORIGIN, axis] = (origin[axis] + begin * ray[DIRECTION, axis]) / scale
     s, face = first_crossing(surface, ray)
-    entry = begin + s
+    entry = begin + s * scale
     if entry > 0.0:
         return (entry if entry <= reach else np.inf), FACE + face
     for axis in range(3):
         ray[ORIGIN, axis] += 2.0 * surface.radius * ray[DIRECTION, axis]
         ray[DIRECTION, axis] = -ray[DIRECTION, axis]
     s, face = first_crossing(surface, ray)
-    return (0.0 if along + surface.radius - s >= 0.0 else np.inf), np.int64(INSIDE)
+    return (0.0 if end - s * scale >= 0.0 else np.inf), np.int64(INSIDE)
 
 
 @lean_kernel

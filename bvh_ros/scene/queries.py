@@ -61,9 +61,11 @@ class SceneQueries:
         SceneHit or None
             `t` is where the ray's point or the ball's centre is between start (0) and goal (1).
             `point` lies on the obstacle, `normal` leads from there to the ball's centre. An
-            obstacle that contains the start is met at ``t = 0`` with a zero normal. Among
-            axis-aligned boxes it is decided exactly whether a ray or a ball touches, and which
-            obstacle is first. Ties go to the smaller handle.
+            obstacle that contains the start is met at ``t = 0`` with a zero normal; the normal is
+            zero as well where the ball's centre is no farther from the obstacle than rounding.
+            Among axis-aligned boxes it is decided exactly whether a ray or a ball touches, and
+            which obstacle is first; other shapes touch too where that cannot be told apart, see
+            `frame`. Ties go to the smaller handle.
 
         Raises
         ------

@@ -19,10 +19,9 @@ import numpy as np
 
 from ..tree.compiling import lean_kernel
 from ..tree.slab import INSIDE
+from .approach import ROUNDING, approach_by
 
 ROUND = 3
-ROUNDING = 2.0**-50
-NEWTON_STEPS = 64
 
 
 @lean_kernel
@@ -154,53 +153,44 @@ def enter_cylinder(origin, way, radius, half_height, reach):
 
 
 @lean_kernel
-def enter_rounded_cylinder(origin, way, radius, half_height, ball, reach):
+def measure_cylinder(solid, point, normal):
+    """`approach`'s measure: the distance, and a unit vector from the closest point."""
+    radius, half_height = solid
+    across = math.hypot(point[0], point[1])
+    beside, beyond = max(across - radius, 0.0), max(abs(point[2]) - half_height, 0.0)
+    distance = math.hypot(beside, beyond)
+    if distance > 0.0:
+        normal[0] = normal[1] = 0.0
+        if beside > 0.0:
+            normal[0] = beside / distance * (point[0] / across)
+            normal[1] = beside / distance * (point[1] / across)
+        normal[2] = math.copysign(beyond / distance, point[2])
+    return distance, distance
+
+
+approach_cylinder = approach_by(measure_cylinder)
+
+
+@lean_kernel
+def enter_rounded_cylinder(radius, half_height, ball, reach, slack, work):
     """The grown cylinder is the union of a wider one, a longer one and two tori along the rims.
 
-    A ray enters a union where it first enters a part.
+    A ray enters a union where it first enters a part. `work` as for `approach`.
     """
+    origin, way = work[0], work[1]
     if cylinder_distance(origin[0], origin[1], origin[2], radius, half_height) <= ball:
         return 0.0, INSIDE
     side, _ = enter_cylinder(origin, way, radius + ball, half_height, reach)
     cap, _ = enter_cylinder(origin, way, radius, half_height + ball, reach)
     face = min(side, cap)
-    rim, slope = approach_rim(origin, way, radius, half_height, ball, min(face, reach))
-    # A grazing ball: Newton stops where the distance is right to the last digit, the closed forms
-    # where s is.
-    if face - rim <= ROUNDING * (length(origin) + radius + half_height + ball) / slope:
+    solid, limit = (radius, half_height), min(face, reach)
+    rim, slope = approach_cylinder(solid, ball, limit, slack, work)
+    # A grazing ball: `approach` stops where the distance is right to the last digit, the closed
+    # forms where s is.
+    size = length(origin) + radius + half_height + ball
+    if rim == np.inf or (face < np.inf and (rim - face) * slope <= ROUNDING * size):
         rim = face
     return rim, ROUND
-
-
-@lean_kernel
-def approach_rim(origin, way, radius, half_height, ball, limit):
-    """Newton's iteration for distance(s) = ball; (s, slope), or infinities.
-
-    The distance from a convex shape is a convex function of s: from the left Newton never steps
-    over the root, and where the slope is not falling any more there is none.
-    """
-    s, slope = 0.0, -np.inf
-    for _ in range(NEWTON_STEPS):
-        x, y = origin[0] + s * way[0], origin[1] + s * way[1]
-        z = origin[2] + s * way[2]
-        distance = cylinder_distance(x, y, z, radius, half_height)
-        if distance <= ball:
-            break
-        across, beyond = math.hypot(x, y), abs(z) - half_height
-        slope = 0.0
-        if across > radius:
-            slope += (across - radius) / distance * (x * way[0] + y * way[1]) / across
-        if beyond > 0.0:
-            slope += beyond / distance * math.copysign(1.0, z) * way[2]
-        if slope >= 0.0:
-            return np.inf, np.inf
-        step = (ball - distance) / slope
-        s += step
-        if s > limit:
-            return np.inf, np.inf
-        if step <= ROUNDING * s:
-            break
-    return s, -slope
 
 
 @lean_kernel

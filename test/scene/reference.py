@@ -65,7 +65,7 @@ class Solid(NamedTuple):
 def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     """max over unit n of n . offset - support(n), not below 0; by ever closer samples of n."""
     angles = np.broadcast_to(np.linspace(-math.pi, math.pi, 181), (len(offsets), 181))
-    for _ in range(9):
+    for _ in range(14):
         normals = np.stack([np.cos(angles), np.sin(angles)], axis=2)
         gaps = np.einsum('nka,na->nk', normals, offsets) - support(normals)
         best = np.take_along_axis(angles, np.argmax(gaps, axis=1)[:, None], axis=1)

@@ -1,0 +1,268 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""No shape that a ray or a ball touches looks free, and none that it passes looks touched.
+
+Sure beyond 1e-12 of L, the largest length in play (coordinates, sizes, radius). What is true is
+known from how a segment is made: through a point that is within the shape by so much, or in the
+tangent plane at a point of the surface, lifted or lowered by so much. 10^6 with
+BVH_ROS_LONG_TESTS=1.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scene.reference import bulging, solids, widest_gap
+from tree.reference import effort
+
+from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
+
+SURE = 1e-12  # of L
+BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
+X = np.array([1.0, 0.0, 0.0])
+
+
+class Body:
+    """An obstacle alone in a scene, and how far it reaches from a point along unit vectors."""
+
+    def __init__(self, rng, kind, planar):
+        scale = 10.0 ** rng.integers(-6, 7)
+        size = rng.uniform(0.2, 2.0, 3) * scale
+        if rng.random() < 0.3:
+            size[rng.integers(3)] *= 10.0 ** rng.uniform(-4 if kind == MESH else -9, 0)
+        if kind == MESH:
+            mesh = Mesh(bulging(rng) * size)
+        elif kind != BOX:
+            size[1] = size[0]
+            size[2] = size[0] if kind == SPHERE else size[2] + size[0] * (kind == CAPSULE)
+        turn = leaning(rng)
+        self.position = rng.normal(size=3) * scale * rng.choice([0.0, 1.0, 1e3])
+        self.kind, self.planar = kind, planar
+        if kind == MESH:
+            shapes = Shapes.of_meshes([mesh], self.position[None], turn[None])
+            self.solid = solids(shapes)[0]
+            self.corners = mesh.vertices @ self.solid.matrix.T
+            self.position = self.position + self.solid.matrix @ mesh.centre
+            size = mesh.size
+        else:
+            shapes = Shapes(np.array([kind]), self.position[None], turn[None], size[None])
+            self.solid = solids(shapes)[0]
+        self.size, self.inner = float(size.max()), float(size.min()) / 2
+        if kind == MESH:
+            faces = np.einsum('ni,ni->n', mesh.normals, mesh.vertices[mesh.corners[:, 0]])
+            self.inner = float(faces.min())
+        self.scene = Scene(planar=planar)
+        assert self.scene.update('test', ['it'], shapes, stamp=1) == []
+
+    def farthest(self, normals):
+        """Points (n, 3), from the position, of the shape farthest along vectors (n, 3)."""
+        if self.kind == MESH:
+            return self.corners[np.argmax(normals @ self.corners.T, axis=1)]
+        local, half = normals @ self.solid.matrix, self.solid.half
+        if self.kind == BOX:
+            return np.copysign(half, local) @ self.solid.matrix.T
+        radial = local.copy()
+        radial[:, 2] *= self.kind != CYLINDER
+        radial *= half[0] / np.linalg.norm(radial, axis=1)[:, None]
+        if self.kind == CYLINDER:
+            radial[:, 2] = np.copysign(half[2], local[:, 2])
+        elif self.kind == CAPSULE:
+            radial[:, 2] += np.copysign(half[2] - half[0], local[:, 2])
+        return radial @ self.solid.matrix.T
+
+    def gaps(self, places, normals):
+        """Distances of points (n, 3), from the position, 0 inside.
+
+        Seen from above by what lines keep them off, those with the given normals among them.
+        """
+        if self.planar:
+            along = np.einsum('ni,ni->n', normals[:, :2], places[:, :2])
+            best = along - self.reach(normals[:, :2])
+            return np.maximum(widest_gap(places[:, :2], self.reach), best)
+        if self.kind != MESH:
+            return self.solid.distances(places + self.position)
+        raise NotImplementedError
+
+    def reach(self, normals):
+        if self.kind != MESH:
+            return self.solid.support_from_above(normals)
+        return (normals @ self.corners[:, :2].T).max(axis=-1)
+
+
+def leaning(rng):
+    """About any axis, by 1e-15 to 180 degrees; or upside down, or lying, and then so much more."""
+    angle = math.radians(180 * 10.0 ** rng.uniform(-17, 0))
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    small = np.array([*(axis * math.sin(angle / 2)), math.cos(angle / 2)])
+    x, y, z, w = small
+    if rng.random() < 0.3:  # after half a quarter, or a quarter turn about x
+        s = math.sqrt(0.5)
+        small = np.array([s * (x + w), s * (y + z), s * (z - y), s * (w - x)])
+    return rng.normal(size=4) if rng.random() < 0.2 else small
+
+
+def units(rng, count, planar):
+    ways = rng.normal(size=(count, 3))
+    ways[:, 2] *= not planar
+    ways[rng.random(count) < 0.1] = X
+    return ways / np.linalg.norm(ways, axis=1)[:, None]
+
+
+def across(rng, normals, planar):
+    """Unit vectors at right angles."""
+    if planar:
+        return np.column_stack([-normals[:, 1], normals[:, 0], 0 * normals[:, 0]])
+    ways = np.cross(normals, units(rng, len(normals), False))
+    bad = np.linalg.norm(ways, axis=1) < 0.1
+    ways[bad] = np.cross(normals[bad], np.roll(normals[bad], 1, axis=1) + 0.3 * X)
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    ways -= normals * np.einsum('ni,ni->n', normals, ways)[:, None]
+    return ways / np.linalg.norm(ways, axis=1)[:, None]
+
+
+def segments(rng, body, count, radius):
+    """Starts, goals (from the position), by how much each touches (negative: by how much not)."""
+    planar = body.planar
+    normals = units(rng, count, planar)
+    ways = across(rng, normals, planar)
+    lift = 10.0 ** rng.uniform(-14, 0, count) * np.where(rng.random(count) < 0.5, 1, -1)
+    lift *= body.size
+    lift = np.maximum(lift, -0.9 * radius)
+    points = body.farthest(normals) + (radius + lift)[:, None] * normals
+    touch = -lift
+    inner = rng.random(count) < (0.5 if radius.max() > 0 else 0.6)
+    share = 10.0 ** rng.uniform(-12, 0, count)
+    within = body.farthest(normals) * (1 - share)[:, None]
+    tilted = units(rng, count, planar) * 10.0 ** rng.uniform(-9, 0, count)[:, None]
+    ways = np.where(inner[:, None], ways + tilted, ways)
+    points = np.where(inner[:, None], within, points)
+    touch = np.where(inner, radius + share * body.inner, touch)
+    before, after = 10.0 ** rng.uniform(-6, 3, (2, count)) * body.size
+    before[rng.random(count) < 0.1] = 0.0
+    after[rng.random(count) < 0.1] = 0.0
+    starts, goals = points - before[:, None] * ways, points + after[:, None] * ways
+    if planar:
+        starts[:, 2], goals[:, 2] = rng.normal(size=(2, count)) * body.size
+    return starts, goals, touch
+
+
+def lengths(body, starts, goals, radius):
+    """L: coordinates and sizes, a row each."""
+    ends = np.abs([starts, goals, starts + body.position, goals + body.position])
+    own = max(float(np.abs(body.position).max()), body.size)
+    return np.maximum(np.maximum(ends.max(axis=(0, 2)), radius), own)
+
+
+def check_hits(body, starts, goals, radius, t, normals, large):
+    """Where a hit is the ball just touches, and it did not before."""
+    if not len(t) or (body.kind == MESH and not body.planar):
+        return
+    ways = goals - starts
+    for share in (1.0, 0.99, 0.5):
+        gaps = body.gaps(starts + (share * t)[:, None] * ways, normals) - radius
+        # Seen from above a thin shape is missed by the samples of normals, next to it.
+        clear = (t > 0) & ((radius >= 1e-6 * large) | (not body.planar))
+        assert (gaps >= -SURE * large)[clear].all(), share
+        if share == 1.0:
+            assert (gaps <= SURE * large).all()
+
+
+KINDS = [(kind, planar) for kind in ShapeKind for planar in (False, True)]
+
+
+@pytest.mark.parametrize(('kind', 'planar'), KINDS)
+def test_thin_rays(kind, planar):
+    rng = np.random.default_rng([int(kind), planar, 1])
+    none, passed, met = np.zeros(400), 0, 0
+    for _ in range(effort(40, 500)):
+        body = Body(rng, kind, planar)
+        starts, goals, touch = segments(rng, body, 400, none)
+        begin, end = starts + body.position, goals + body.position
+        large = lengths(body, starts, goals, none)
+        handles, t, _, normals = body.scene.raycast_many(begin, end - begin, 1.0)
+        hit = handles != NO_NODE
+        missed = ~hit & (touch > SURE * large)
+        assert not missed.any(), (touch[missed], large[missed])
+        false = hit & (touch < -SURE * large)
+        assert not false.any(), (touch[false], large[false])
+        check_hits(body, starts[hit], goals[hit], 0.0, t[hit], normals[hit], large[hit])
+        lengths_of = np.linalg.norm(normals[hit], axis=1)
+        assert (np.abs(lengths_of - 1) < 1e-9)[t[hit] > 0].all()
+        for row in rng.integers(0, 400, effort(10, 40)):
+            every = body.scene.raycast_all(begin[row], end[row])
+            one = body.scene.raycast(begin[row], end[row])
+            assert (
+                [one.t] == [t[row]] == [at.t for at in every] if hit[row] else not (one or every)
+            )
+        passed, met = passed + (~hit).sum(), met + hit.sum()
+    assert min(passed, met) > 1000
+
+
+@pytest.mark.parametrize(('kind', 'planar'), KINDS)
+def test_balls(kind, planar):
+    rng = np.random.default_rng([int(kind), planar, 2])
+    passed, met, count = 0, 0, 60
+    for _ in range(effort(40, 500)):
+        body = Body(rng, kind, planar)
+        radius = 10.0 ** rng.uniform(-9, 1, count) * body.size
+        starts, goals, touch = segments(rng, body, count, radius)
+        begin, end = starts + body.position, goals + body.position
+        large = lengths(body, starts, goals, radius)
+        asked = list(zip(begin, end, radius.tolist(), strict=True))
+        found = [body.scene.raycast(*row) for row in asked]
+        hit = np.array([one is not None for one in found])
+        t = np.array([one.t if one else np.inf for one in found])
+        missed = ~hit & (touch > SURE * large)
+        assert not missed.any(), (radius[missed], touch[missed], large[missed])
+        false = hit & (touch < -SURE * large)
+        assert not false.any(), (radius[false], touch[false], large[false])
+        normals = np.array([one.normal for one in found if one]).reshape(-1, 3)
+        check_hits(body, starts[hit], goals[hit], radius[hit], t[hit], normals, large[hit])
+        for row in range(0, count, 8):
+            every = body.scene.raycast_all(*asked[row])
+            assert [one.t for one in every] == ([t[row]] if hit[row] else [])
+        passed, met = passed + (~hit).sum(), met + hit.sum()
+    assert min(passed, met) > 200
+
+
+@pytest.mark.parametrize(('kind', 'planar'), KINDS)
+def test_what_overlaps_at_an_end_is_met(kind, planar):
+    """Also where it is only by rounding that an end touches."""
+    rng = np.random.default_rng([int(kind), planar, 3])
+    touching = 0
+    for _ in range(effort(30, 300)):
+        body = Body(rng, kind, planar)
+        normals = units(rng, 20, planar)
+        ends = body.farthest(normals) + body.position
+        starts = ends + units(rng, 20, planar) * 10.0 ** rng.uniform(-3, 2, (20, 1)) * body.size
+        for start, end in zip(starts, ends, strict=True):
+            if body.scene.overlap(end, end):
+                touching += 1
+                if kind != MESH or planar:  # a thin ray meets triangles, which are rounded
+                    assert body.scene.raycast(start, end) is not None
+                    assert body.scene.raycast(end, start) is not None
+                radius = 1e-3 * body.size
+                assert body.scene.raycast(start, end, radius) is not None
+                assert body.scene.raycast(end, start, radius).t == 0.0
+    assert touching > 100
+
+
+@pytest.mark.parametrize(('kind', 'planar'), KINDS)
+def test_the_normal_of_a_ball_at_the_start_is_none_or_outwards(kind, planar):
+    """From within the surface's rounding: zero; a little above it: outwards."""
+    rng = np.random.default_rng([int(kind), planar, 4])
+    for _ in range(effort(30, 300)):
+        body = Body(rng, kind, planar)
+        normals = units(rng, 20, planar)
+        places = body.farthest(normals)
+        large = max(float(np.abs(body.position).max()), body.size)
+        for normal, place in zip(normals, places, strict=True):
+            for lift in (0.0, 1e-16, 1e-10, 1e-3):
+                start = body.position + place + lift * large * normal
+                hit = body.scene.raycast(start, start + normal * body.size, 0.1 * large)
+                assert hit.t == 0.0
+                if lift >= 1e-10:
+                    assert hit.normal @ normal > 0.999
+                elif hit.normal.any():
+                    raise AssertionError((hit.normal, normal))
