@@ -49,8 +49,10 @@ def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, mea
                 way[axis] = start[axis]
         if low > enough:
             return low, high
-    below, above = walk(one, round_one, hull, other, round_other, other_hull, limit, enough, way)
-    return max(low, below), above
+    below, above = walk(
+        one, round_one, hull, other, round_other, other_hull, limit, enough, high, way
+    )
+    return max(low, below), min(high, above)
 
 
 @lean_kernel
@@ -60,9 +62,9 @@ def certain(low, high, limit, measured):
 
 
 @lean_kernel
-def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, way):
+def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, best, way):
     """`gjk.gap_bounds` with more digits, starting along `way`, until one of the bounds is above
-    `enough` or not above `limit`, or they agree.
+    `enough` or not above `limit`, or they agree. Points closer than `best` are written to `way`.
     """
     simplex, normal = stack_array(24, np.float64).reshape(4, 6), stack_array(3, np.float64)
     weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
@@ -84,7 +86,7 @@ def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, wa
         if not distance < high:
             break
         high = distance
-        count = keep(simplex, count, weights, point, way)
+        count = keep(simplex, count, weights, point, way, high < best)
         if high <= limit or high == 0.0:
             break
         aim(way, normal)
@@ -116,20 +118,21 @@ def known(simplex, count):
 
 
 @lean_kernel
-def keep(simplex, count, weights, point, way):
-    """Write down the closest point and the cores' points in it; keep the corners that make it,
-    and return how many.
+def keep(simplex, count, weights, point, way, closer):
+    """Write down the closest point, and if it is `closer` the cores' points in it; keep the
+    corners that make it, and return how many.
     """
-    kept = 0
     for axis in range(3):
-        way[axis], way[FIRST + axis] = point[axis, 0], 0.0
+        way[axis] = point[axis, 0]
+        if closer:
+            way[FIRST + axis] = 0.0
+            for i in range(count):
+                way[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
+            way[SECOND + axis] = way[FIRST + axis] - point[axis, 0]
+    kept = 0
     for i in range(count):
         if weights[i, 0] > 0.0:
-            for axis in range(3):
-                way[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
             for axis in range(6):
                 simplex[kept, axis] = simplex[i, axis]
             kept += 1
-    for axis in range(3):
-        way[SECOND + axis] = way[FIRST + axis] - point[axis, 0]
     return kept

@@ -114,12 +114,9 @@ def shape_of(one, row):
 
 @pytest.mark.skipif(not LONG, reason='compiles the parts of the kernels once more')
 def test_how_often_more_digits_are_needed():
-    """Of pairs anyhow next to each other hardly ever; of contacts down to 1e-12, often."""
+    """Seldom: of pairs anyhow next to each other, and of contacts down to 1e-12."""
     rng = np.random.default_rng(7)
-    for manners, gaps, least, most in (
-        (('free',), [0.1, 0.03], 0.0, 0.02),
-        (('upright', 'parallel'), [1e-10, 1e-12], 0.2, 1.0),
-    ):
+    for manners, gaps in ((('free',), [0.1, 0.03]), (('upright', 'parallel'), [1e-10, 1e-12])):
         made = contacts(300, rng, manners, gaps, (0.0,), (BOX, MESH))
         pairs, geometry, hulls = pairs_of(made, scene_of(made))
         open_ones = 0
@@ -135,7 +132,7 @@ def test_how_often_more_digits_are_needed():
             )
             open_ones += not certain(*bounds, SLACK, True)
         print(f'{manners}: {open_ones} of {len(made)} need more digits')
-        assert least <= open_ones / len(made) <= most
+        assert open_ones <= 0.05 * len(made)
 
 
 def test_upright_boxes_edge_to_edge():
