@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
+from bvh_ros.ros.cdr import point_cloud2 as decoder
+from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.part import Part
 from bvh_ros.ros.qos import DEPTH
-from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.refusals import Refused, explain
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
 
@@ -60,28 +61,40 @@ class RayBatch(Part):
         self._drawing = drawing
         self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
         subscription = FollowingSubscription(
-            node, PointCloud2, view.topic('rays'), self.receive, ordered=False
+            node, PointCloud2, view.topic('rays'), self.receive, ordered=False, raw=True
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)
 
-    def receive(self, request: PointCloud2) -> None:
+    def receive(self, serialised: bytes) -> None:
         """Answer one cloud."""
         began = time.perf_counter_ns()
         try:
-            reply = self._reply(request)
+            request = decoder.read(serialised)
+        except ValueError as error:  # from whom, and what was asked, is not known
+            self.refused.add(str(error))
+            return
+        try:
+            self._publish(self._reply(request), request)
+            self.timings.add(began)
+            return
         except ValueError as error:
-            reply = self._refusal(request, str(error))
+            reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            reply = self._refusal(request, f'internal error: {error!r}')
-        reply.header = request.header
-        self._publisher.publish(reply)
+            reason = explain(error)
+        # Not earlier: an error holds in memory whatever its function was working on.
+        self._publish(self._refusal(request, reason), request)
         self.timings.add(began)
 
-    def _reply(self, request: PointCloud2) -> PointCloud2:
+    def _publish(self, reply: PointCloud2, request: PointCloud) -> None:
+        seconds, rest = divmod(request.stamp, 1_000_000_000)
+        reply.header.stamp.sec, reply.header.stamp.nanosec = seconds, rest
+        reply.header.frame_id = request.frame_id
+        self._publisher.publish(reply)
+
+    def _reply(self, request: PointCloud) -> PointCloud2:
         scene = self._world.at(self.node.get_clock().now().nanoseconds)
-        stamp = nanoseconds(request.header.stamp)
-        transform = self._world.frames.into_node(request.header.frame_id, stamp)
+        transform = self._world.frames.into_node(request.frame_id, request.stamp)
         rays = ray_clouds.rays(request)
         if transform is not None:
             rays = moved(transform, rays)
@@ -100,8 +113,7 @@ class RayBatch(Part):
             return self._cast(scene, rays)
         self.refused.add(reason, refused)
         hits = Hits.unanswered(len(bad))
-        hits.put(~bad, self._cast(scene, rays.take(~bad)))
-        return hits
+        return hits.put(~bad, self._cast(scene, rays.take(~bad)))
 
     def _cast(self, scene: Scene, rays: Rays) -> Hits:
         view = self.view
@@ -110,7 +122,7 @@ class RayBatch(Part):
             *scene.raycast_many(rays.origins, rays.directions, rays.t_max, masks, view.skip_inside)
         )
 
-    def _refusal(self, request: PointCloud2, reason: str) -> PointCloud2:
+    def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
         height, width = ray_clouds.rows_of(request)
         self.refused.add(reason, height * width)
         return ray_clouds.hits_cloud(

@@ -1,26 +1,37 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C and SIGTERM end the node quietly, whatever it is doing."""
+"""Ctrl-C and SIGTERM end the node quietly and soon, whatever it is doing."""
 
 from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+PATIENCE = 0.5  # seconds that a callback which is running gets to come to its end
 
 
 class Interrupts:
     """Notes SIGINT and SIGTERM, and while the node starts ends the process at once.
 
     To be made before `rclpy.init`, whose own handlers end the spinning and then call this one.
+    Spinning ends after the callback that is running. Where that takes longer, a thread ends the
+    process: Python's own handlers wait for the callback, too.
     """
 
     def __init__(self) -> None:
         self.received = False
         self._starting = False
+        self._heard, self._told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        os.set_blocking(self._heard, True)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
+        # The number of every signal is written there as soon as it comes.
+        signal.set_wakeup_fd(self._told, warn_on_full_buffer=False)
+        threading.Thread(target=self._end_soon, name='interrupts', daemon=True).start()
 
     @contextmanager
     def while_starting(self) -> Iterator[None]:
@@ -39,3 +50,10 @@ class Interrupts:
         self.received = True
         if self._starting:
             os._exit(0)
+
+    def _end_soon(self) -> None:
+        wanted = signal.SIGINT, signal.SIGTERM
+        while os.read(self._heard, 1)[0] not in wanted:
+            pass
+        time.sleep(PATIENCE)
+        os._exit(0)

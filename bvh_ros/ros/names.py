@@ -5,8 +5,11 @@
 from __future__ import annotations
 
 import struct
+import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 
@@ -16,6 +19,11 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.scene import Scene
+
+
+SLICE = 0.01  # seconds after which others get a turn
+NAMES_AT_A_TIME = 1024
+DONE = object()
 
 
 class NamesPublisher(Watched):
@@ -36,20 +44,42 @@ class NamesPublisher(Watched):
         self._status = f'{node.get_fully_qualified_name().lstrip("/")}: names'
         self._population: tuple[int, int] | None = None
         self._pairs: dict[int, bytes] = {}  # by handle, ascending
+        self._work: Iterator[None] | None = None  # a message that is being put together
+        self._turn = node.create_guard_condition(self._go_on)
+        self._close.append(lambda: node.destroy_guard_condition(self._turn))
 
-    def message(self) -> bytes | None:
-        """Return the serialised DiagnosticStatus, or None if nobody came or went."""
-        if self._scene.population == self._population:
-            return None
-        self._population = self._scene.population
-        newest = next(reversed(self._pairs), 0)
-        fresh = {handle: pair(handle, name) for handle, name in self._scene.names(after=newest)}
-        known = self._pairs | fresh
-        self._pairs = {handle: known[handle] for handle in self._scene.handles().tolist()}
+    def message(self) -> None:
+        """Begin to put together a DiagnosticStatus, unless nobody came or went."""
+        if self._work is None and self._scene.population != self._population:
+            self._population = self._scene.population
+            self._work = self._tell()
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Put together some of the message, and the rest after others had their turn."""
+        end = time.perf_counter() + SLICE
+        while self._work is not None and time.perf_counter() < end:
+            if next(self._work, DONE) is DONE:
+                self._work = None
+        if self._work is not None:
+            self._turn.trigger()
+
+    def _tell(self) -> Iterator[None]:
+        handles, slots = self._scene.newcomers(next(reversed(self._pairs), 0))
+        for begin in range(0, len(handles), NAMES_AT_A_TIME):
+            some = slice(begin, begin + NAMES_AT_A_TIME)
+            for handle, name in self._scene.names_of(handles[some], slots[some]):
+                self._pairs[handle] = pair(handle, name)
+            yield
+        known = np.fromiter(self._pairs, np.int64, len(self._pairs))
+        for handle in known[~np.isin(known, self._scene.handles())].tolist():
+            del self._pairs[handle]
+        yield
         head = DiagnosticStatus(name=self._status, message=f'{len(self._pairs)} obstacles')
         # What is serialised ends with the number of values: none so far.
         before = serialize_message(head)[:-4]
-        return b''.join((before, struct.pack('=I', len(self._pairs)), *self._pairs.values()))
+        count = struct.pack('=I', len(self._pairs))
+        self.send(b''.join((before, count, *self._pairs.values())))
 
 
 def pair(handle: int, name: str) -> bytes:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
@@ -18,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from bvh_ros.ros.interrupts import Interrupts
 from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.spinning import SturdyExecutor
 from bvh_ros.ros.texts import as_line
 
 WRONG_CONFIGURATION = 2  # exit code
@@ -47,8 +48,8 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
     try:
         with interrupts.while_starting():
             node = _start(executable, create, args)
-            executor = SingleThreadedExecutor()
-        rclpy.spin(node, executor)
+            executor = SturdyExecutor()
+        executor.spin_until_shutdown(node)
     except ExternalShutdownException:
         pass
     except (ConfigurationError, RCLError) as error:

@@ -34,6 +34,14 @@ NODE_OPTIONS = (
         minimum=1,
         maximum=2**31 - 1,
     ),
+    Option(
+        'max_hits',
+        5_000,
+        'An answer of raycast_all or overlap with more obstacles than this is an error: while a '
+        'reply is written nobody else is answered, 10 us an obstacle.',
+        minimum=1,
+        maximum=2**31 - 1,
+    ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option('batch', True, 'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits.'),
     Option(
@@ -128,6 +136,7 @@ class Settings:
     planar: bool
     margin: float  # m
     max_obstacles: int
+    max_hits: int
     batch: bool
     use_tf: bool
     sources: tuple[SourceSettings, ...]

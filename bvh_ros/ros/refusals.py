@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -15,6 +16,16 @@ from bvh_ros.scene import Refusal
 
 LOG_EVERY = 2.0  # seconds
 LISTED = 100  # refused rows that are kept with their reasons, the latest
+
+
+def explain(error: Exception) -> str:
+    """Return what went wrong inside; never raises."""
+    if isinstance(error, MemoryError):
+        return 'there is not enough memory'
+    try:
+        return f'internal error: {error!r}'
+    except Exception:  # from its own text
+        return f'internal error: {type(error).__name__}'
 
 
 class Logger(Protocol):
@@ -45,7 +56,7 @@ class Refused:
         self._log_again = -float('inf')
 
     def add(self, reason: str, count: int = 1) -> None:
-        """Count `count` refusals for one reason."""
+        """Count `count` refusals for one reason; never raises."""
         self.count += count
         self.last = reason = shortened(reason, LONGEST_LINE)
         self._unlogged += count
@@ -53,7 +64,8 @@ class Refused:
         if now < self._log_again:
             return
         more = f' ({self._unlogged - 1} more since the last report)' if self._unlogged > 1 else ''
-        self._logger.warning(f'{self._what} refused: {reason}{more}')
+        with contextlib.suppress(Exception):  # whoever refuses goes on, logged or not
+            self._logger.warning(f'{self._what} refused: {reason}{more}')
         self._unlogged = 0
         self._log_again = now + LOG_EVERY
 

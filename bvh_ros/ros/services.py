@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,9 @@ from std_srvs.srv import Trigger
 
 from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.part import Part
-from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.refusals import Refused, explain
 from bvh_ros.ros.timings import Timings
+from bvh_ros.scene import TooManyHitsError
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -55,6 +57,7 @@ class QueryServices(Part):
         self._clock = node.get_clock()
         self._world = world
         self._drawing = drawing
+        self._most = world.settings.max_hits
         self._serve('raycast', self._raycast)
         self._serve('raycast_all', self._raycast_all)
         self._serve('overlap', self._overlap, oriented=True)
@@ -74,12 +77,14 @@ class QueryServices(Part):
     def _raycast_all(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
         view = self.view
         return scene.raycast_all(
-            query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+            *(query.start, query.goal, query.tolerance, view.mask, view.skip_inside),
+            most=self._most,
         )
 
     def _overlap(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
         return scene.overlap(
-            query.start, query.goal, query.orientation, query.tolerance, self.view.mask
+            *(query.start, query.goal, query.orientation, query.tolerance, self.view.mask),
+            most=self._most,
         )
 
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
@@ -95,10 +100,12 @@ class QueryServices(Part):
                 self._drawing.add_query(query, hits, is_box=oriented)
             self.timings.add(began)
             return
+        except TooManyHitsError as error:
+            reason = f'{error} (max_hits): ask for a smaller part of the world'
         except ValueError as error:
             reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            reason = f'internal error: {error!r}'
+            reason = explain(error)
         self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)
 
@@ -122,8 +129,10 @@ class TriggerServices(Part):
             try:
                 response.message = act()
                 response.success = True
+                return response
             except Exception as error:
-                response.message = f'{type(error).__name__}: {error}'
+                response.message = explain(error)
+            with contextlib.suppress(Exception):
                 self.node.get_logger().error(f'{name}: {response.message}')
             return response
 

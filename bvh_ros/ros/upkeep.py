@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bvh_ros.ros.part import Part
+from bvh_ros.ros.world import EXPIRED_AT_ONCE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -23,11 +24,16 @@ class Upkeep(Part):
     def __init__(self, node: Node, world: World) -> None:
         super().__init__(node)
         self._world = world
+        self._turn = node.create_guard_condition(self._expire)
+        self._close.append(lambda: node.destroy_guard_condition(self._turn))
         self.every(EXPIRY_PERIOD, self._expire)
         self.every(QOS_PERIOD, self._check_qos)
 
     def _expire(self) -> None:
-        self._world.scene.expire(self.node.get_clock().now().nanoseconds)
+        scene, now = self._world.scene, self.node.get_clock().now().nanoseconds
+        scene.expire(now, EXPIRED_AT_ONCE)
+        if scene.has_expired(now):
+            self._turn.trigger()
 
     def _check_qos(self) -> None:
         for source in self._world.sources:

@@ -18,7 +18,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.frames import Transform
 from bvh_ros.ros.part import Part
 from bvh_ros.ros.part_settings import LASER_SCAN
-from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.refusals import Refused, explain
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
 
@@ -89,15 +89,17 @@ class VirtualScan(Part):
         began = time.perf_counter_ns()
         now = self.node.get_clock().now()
         place = Transform(np.zeros(3), np.array(rotations.IDENTITY))
-        hits = Hits.unanswered(len(self._pattern.directions))
+        hits, reason = Hits.unanswered(len(self._pattern.directions)), ''
         try:
             place = self._place(pose)
             hits = self._measure(self._world.at(now.nanoseconds), place)
             self.answered += len(hits.t)
         except ValueError as error:
-            self.refused.add(str(error), len(hits.t))
+            reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            self.refused.add(f'internal error: {error!r}', len(hits.t))
+            reason = explain(error)
+        if reason:
+            self.refused.add(reason, len(hits.t))
         scan = self._message(hits, place)
         frame = self._settings.frame_id or self._world.frames.frame_id
         scan.header = Header(frame_id=frame, stamp=pose.header.stamp if stamp else now.to_msg())

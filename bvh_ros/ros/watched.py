@@ -72,10 +72,14 @@ class Watched(Part):
         if message is None and self._to_tell > 0:
             message = self._last
         if message is not None:
-            self._to_tell -= self._to_tell > 0
-            self._last = message
-            self._published_at = time.monotonic()
-            self._publisher.publish(message)
+            self.send(message)
+
+    def send(self, message: Any) -> None:
+        """Publish a message, which is the newest from now on."""
+        self._to_tell -= self._to_tell > 0
+        self._last = message
+        self._published_at = time.monotonic()
+        self._publisher.publish(message)
 
     def _destroy_timer(self) -> None:
         self.node.destroy_timer(self._timer)

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Scene
 
 
+EXPIRED_AT_ONCE = 8192  # obstacles, about 10 ms
+
+
 class IncompleteWorldError(ValueError):
     """A source that the answers depend on is missing; the text says which and why."""
 
@@ -32,7 +35,8 @@ class World:
     views: Sequence[View]  # that of everything first
 
     def at(self, now: int) -> Scene:
-        """Return the scene as it is at `now` (ns on the node's clock): what is due has expired.
+        """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
+        very many that are due the last go a little later, so that nobody has to wait for them.
 
         Raises
         ------
@@ -42,7 +46,7 @@ class World:
         problem = self.problem(now)
         if problem:
             raise IncompleteWorldError(problem)
-        self.scene.expire(now)
+        self.scene.expire(now, EXPIRED_AT_ONCE)
         return self.scene
 
     def problem(self, now: int) -> str:

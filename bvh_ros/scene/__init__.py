@@ -4,23 +4,26 @@
 
 from .meshes import Mesh, mesh_of
 from .names import Families, Numbered
-from .results import NO_NODE, Obstacle, SceneHit
+from .refusals import Block, Refusal, Refusals
+from .results import NO_NODE, Obstacle, SceneHit, TooManyHitsError
 from .scene import Scene
 from .shapes import ShapeKind, Shapes
 from .slicing import Part
-from .updating import Refusal
 
 __all__ = [
     'NO_NODE',
+    'Block',
     'Families',
     'Mesh',
     'Numbered',
     'Obstacle',
     'Part',
     'Refusal',
+    'Refusals',
     'Scene',
     'SceneHit',
     'ShapeKind',
     'Shapes',
+    'TooManyHitsError',
     'mesh_of',
 ]

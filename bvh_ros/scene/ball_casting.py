@@ -32,6 +32,7 @@ from .columns import Columns
 from .exact_balls import START, Root
 from .ray_shapes import ROUND
 from .registry import Slots
+from .results import require_few
 from .shapes import Floats
 
 SLACK = 2.0**-46
@@ -106,9 +107,10 @@ def cast_ball(
     mask: np.uint32,
     skip_inside: bool,
     every: bool,
+    most: int | None = None,
 ) -> tuple[Slots, Floats, Floats, Floats]:
     """The first obstacle that a ball meets from `origin` to `origin + way`, or all in order, ties
-    by handle: slots, t, points and normals.
+    by handle: slots, t, points and normals. TooManyHitsError if it may touch more than `most`.
     """
     ndim = tree.ndim
     arrays, solids, prints = tree.arrays(), columns.solids(), columns.prints()
@@ -125,6 +127,8 @@ def cast_ball(
         count = find(
             arrays, solids, prints, radius, slack, mask, skip_inside, every, scratch, hits
         )
+    if every:
+        require_few(count, most)
     slots = hits[0][:count]
     times, features = np.empty((3, count)), np.empty((3, count), np.int64)
     bracket(arrays, solids, prints, radius, slack, scratch, slots, times, features)

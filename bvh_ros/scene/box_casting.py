@@ -20,7 +20,7 @@ from ..tree.nodes import SLOT_MASK
 from ..tree.ray_hits import REFUSED, locate, raycast_one
 from ..tree.slab import INSIDE, RAY_ROWS
 from ..tree.turns import IS_CHANGED
-from .results import NO_NODE
+from .results import NO_NODE, require_few
 from .shapes import Floats, along_axes
 
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
@@ -41,13 +41,21 @@ def first(
 
 
 def every(
-    tree: DynamicBVH, origin: Floats, way: Floats, mask: np.uint32, skip_inside: bool
+    tree: DynamicBVH,
+    origin: Floats,
+    way: Floats,
+    mask: np.uint32,
+    skip_inside: bool,
+    most: int | None = None,
 ) -> Iterator[BoxHit]:
-    """All boxes from `origin` to `origin + way`, nearest first, ties by handle."""
+    """All boxes from `origin` to `origin + way`, nearest first, ties by handle; TooManyHitsError
+    if there are more than `most`.
+    """
     starts, ways = origin[None, : tree.ndim], way[None, : tree.ndim]
     view = tree.view()
     _, slots, ts, axes = tree.every_hit(view, starts, ways, 1.0, mask, skip_inside)
     tree.check_unchanged(view)
+    require_few(len(slots), most)
     nodes, tight, _, _, _ = view
     places = np.zeros((len(slots), 2, 3))
     places[:, 0, 2] = origin[2]

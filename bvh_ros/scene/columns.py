@@ -49,6 +49,10 @@ class Columns:
         self.meshes = MeshStore()
         self._expects_meshes = meshes
 
+    def clear(self) -> None:
+        """Forget everybody."""
+        self.__init__(self.footprint is not None, self._expects_meshes)  # type: ignore[misc]
+
     def grow(self, count: int) -> None:
         """Make room for the slots below `count`, at least doubling."""
         old = len(self.tree_handle)
@@ -123,7 +127,7 @@ class Columns:
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""
         slots = np.flatnonzero(self.tree_handle != FREE)
-        return slots[np.argsort(self.node_handle[slots])]
+        return slots[np.argsort(self.node_handle[slots], kind='stable')]
 
     def forget(self, slots: Slots) -> None:
         """Mark slots as free. What scans whole columns must not find them."""

@@ -73,6 +73,11 @@ class Groups:
             if group.members == 0:
                 del self._by_number[number], self._groups[group.source, group.name]
 
+    def clear(self) -> None:
+        """Everybody left."""
+        self._groups.clear()
+        self._by_number.clear()
+
     def by_source(self) -> dict[str, int]:
         """Number of obstacles of each source that ever had one."""
         counts = dict.fromkeys(self._sources, 0)

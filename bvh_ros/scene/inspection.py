@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene tells about itself."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -73,14 +74,23 @@ class SceneInspection:
 
     def names(self, after: int = 0) -> list[tuple[int, str]]:
         """(node handle, name) of the obstacles with a handle above `after`, by handle."""
+        return list(self.names_of(*self.newcomers(after)))
+
+    def newcomers(self, after: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Node handles above `after`, ascending, and a number for each that `names_of` takes."""
         slots = self._columns.used()
         slots = slots[~self._columns.shadow[slots]]
         handles = self._columns.node_handle[slots]
         first = int(np.searchsorted(handles, after, side='right'))
-        return [
-            (handle, self._registry.name(slot))
-            for handle, slot in zip(handles[first:].tolist(), slots[first:].tolist(), strict=True)
-        ]
+        return handles[first:], slots[first:]
+
+    def names_of(
+        self, handles: NDArray[np.int64], slots: NDArray[np.int64]
+    ) -> Iterator[tuple[int, str]]:
+        """(node handle, name) of those newcomers that are still there."""
+        there = self._columns.node_handle[slots] == handles
+        for handle, slot in zip(handles[there].tolist(), slots[there].tolist(), strict=True):
+            yield handle, self._registry.name(slot)
 
     def name_of(self, handle: int) -> str:
         """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
@@ -96,9 +106,12 @@ class SceneInspection:
 
     def shapes_of(self, source: str, most: int) -> Shapes:
         """Shapes of the first obstacles of a source, by handle."""
-        slots = self._columns.used()
-        mine = slots[self._columns.source[slots] == self._groups.source(source)][:most]
-        geometry = self._columns.geometry[mine]
+        mine = np.flatnonzero(self._columns.source == self._groups.source(source))
+        handles = self._columns.node_handle[mine]
+        if len(mine) > most:
+            first = np.argpartition(handles, most)[:most]
+            mine, handles = mine[first], handles[first]
+        geometry = self._columns.geometry[mine[np.argsort(handles, kind='stable')]]
         return Shapes(
             geometry['kind'], geometry['position'], geometry['orientation'], geometry['half'] * 2.0
         )
@@ -148,9 +161,9 @@ class SceneInspection:
             raise RuntimeError('node handles do not ascend with those of the tree')
         if len(self._registry) != len(slots):
             raise RuntimeError(f'{len(self._registry)} names for {len(slots)} obstacles')
-        for slot in slots.tolist():
-            name = self._registry.name(slot)
-            if self._registry.slot(name) != slot:
-                raise RuntimeError(f'the name {name!r} leads to another obstacle')
+        astray = slots[self._registry.leads_to(slots) != slots]
+        if len(astray):
+            name = self._registry.name(int(astray[0]))
+            raise RuntimeError(f'the name {name!r} leads to another obstacle')
         if sum(self._groups.by_source().values()) != len(slots):
             raise RuntimeError('the groups count other than the obstacles there are')

@@ -25,6 +25,10 @@ HULL = np.dtype(
 )
 
 
+# The arrays are made anew once they hold so many times the vertices in use, and so many more.
+MOST_FORGOTTEN, FEW_FORGOTTEN = 2, 1000
+
+
 class Hulls(NamedTuple):
     """All meshes of a scene for the kernels, one after the other."""
 
@@ -39,26 +43,64 @@ class Hulls(NamedTuple):
     """Of the meshes' trees, two a triangle."""
 
 
-def _joined(meshes: dict[int, Mesh | Polygon]) -> Hulls:
-    spans = np.zeros(max(meshes, default=-1) + 1, HULL)
-    rows: list[tuple[NDArray[Any], ...]] = [
-        (
-            *(np.empty((0, 3)), np.empty((0, NUMBERS, LANES)), np.empty((0, 3), np.int32)),
-            *(np.empty((0, 3)), np.empty(0, node_dtype(3))),
-        )
-    ]
-    ends = dict.fromkeys(('vertices', 'discs', 'faces'), 0)
-    for number, mesh in sorted(meshes.items()):
+class _Rows:
+    """Rows of many meshes, one after the other, with room for more."""
+
+    def __init__(self, none: NDArray[Any]) -> None:
+        self._array, self.used = none, 0
+
+    def append(self, more: NDArray[Any]) -> tuple[int, int]:
+        """Where the new rows begin and end."""
+        begin, end = self.used, self.used + len(more)
+        if end > len(self._array):
+            bigger = np.zeros((max(end, 2 * begin), *more.shape[1:]), self._array.dtype)
+            bigger[:begin] = self._array[:begin]
+            self._array = bigger
+        self._array[begin:end], self.used = more, end
+        return begin, end
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        return self._array[: self.used]
+
+
+class _Joined:
+    """The rows of meshes in arrays that grow: one more does not move the others."""
+
+    def __init__(self) -> None:
+        self._hulls: Hulls | None = None
+        self._spans = np.zeros(0, HULL)
+        self._columns = [
+            *(_Rows(np.empty((0, 3))), _Rows(np.empty((0, NUMBERS, LANES)))),
+            *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
+            _Rows(np.empty(0, node_dtype(3))),
+        ]
+
+    def add(self, number: int, mesh: Mesh | Polygon) -> None:
+        if number >= len(self._spans):
+            spans = np.zeros(max(number + 1, 2 * len(self._spans)), HULL)
+            spans[: len(self._spans)] = self._spans
+            self._spans = spans
+        self._hulls = None
         nodes, root = mesh.tree
-        rows.append((mesh.vertices, mesh.discs, mesh.corners, mesh.normals, nodes))
-        spans['root'][number], spans['radius'][number] = root, mesh.radius
-        for name, array in zip(ends, rows[-1], strict=False):
-            spans[name][number] = ends[name], ends[name] + len(array)
-            ends[name] += len(array)
-    return Hulls(spans, *map(np.concatenate, zip(*rows, strict=True)))
+        given = (mesh.vertices, mesh.discs, mesh.corners, mesh.normals, nodes)
+        places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
+        self._spans['root'][number], self._spans['radius'][number] = root, mesh.radius
+        for name, place in zip(('vertices', 'discs', 'faces'), places, strict=False):
+            self._spans[name][number] = place
+
+    def hulls(self) -> Hulls:
+        if self._hulls is None:
+            self._hulls = Hulls(self._spans, *(column.rows for column in self._columns))
+        return self._hulls
+
+    @property
+    def size(self) -> int:
+        """Vertices, those of forgotten meshes too."""
+        return self._columns[0].used
 
 
-NO_HULLS = _joined({})
+NO_HULLS = _Joined().hulls()
 
 
 class MeshStore:
@@ -68,7 +110,9 @@ class MeshStore:
         self._numbers: dict[bytes, int] = {}
         self._meshes: dict[int, Mesh | Polygon] = {}
         self._uses: dict[int, int] = {}
-        self._hulls: Hulls | None = None
+        self._free: list[int] = []  # numbers
+        self._used = 0  # vertices
+        self._joined = _Joined()
 
     def __len__(self) -> int:
         return len(self._meshes)
@@ -80,25 +124,31 @@ class MeshStore:
         """Number of a mesh, used once more."""
         number = self._numbers.get(mesh.key)
         if number is None:
-            number = next(k for k in range(len(self._meshes) + 1) if k not in self._meshes)
+            number = self._free.pop() if self._free else len(self._meshes)
+            self._joined.add(number, mesh)
             self._numbers[mesh.key], self._meshes[number], self._uses[number] = number, mesh, 0
-            self._hulls = None
+            self._used += len(mesh.vertices)
         self._uses[number] += 1
         return number
 
     def release(self, number: int) -> None:
         """Use a mesh once less; one that nobody uses is forgotten."""
         self._uses[number] -= 1
-        if not self._uses[number]:
-            del self._numbers[self._meshes.pop(number).key], self._uses[number]
-            self._hulls = None
+        if self._uses[number]:
+            return
+        mesh = self._meshes.pop(number)
+        del self._numbers[mesh.key], self._uses[number]
+        self._free.append(number)
+        self._used -= len(mesh.vertices)
+        if self._joined.size > MOST_FORGOTTEN * self._used + FEW_FORGOTTEN:
+            self._joined = _Joined()
+            for other, kept in self._meshes.items():
+                self._joined.add(other, kept)
 
     @property
     def hulls(self) -> Hulls:
         """The meshes for the kernels."""
-        if self._hulls is None:
-            self._hulls = _joined(self._meshes)
-        return self._hulls
+        return self._joined.hulls()
 
     @property
     def nbytes(self) -> int:

@@ -21,6 +21,7 @@ from .columns import Columns
 from .mesh_store import NO_HULLS
 from .query_shape import QueryShape
 from .registry import Slots
+from .results import require_few
 from .shapes import Floats, ShapeKind
 
 
@@ -33,8 +34,12 @@ class Touching(NamedTuple):
     normals: Floats
 
 
-def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32) -> Touching:
-    """The obstacles whose distance from the query's shape is at most its tolerance."""
+def find(
+    tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32, most: int | None = None
+) -> Touching:
+    """The obstacles whose distance from the query's shape is at most its tolerance;
+    TooManyHitsError if they are more than `most`.
+    """
     ndim = tree.ndim
     slots = _reached(tree, query, mask)
     records = columns.geometry[slots]
@@ -55,6 +60,7 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32)
         )
         touches[narrow] = found
     slots = slots[touches]
+    require_few(len(slots), most)
     closest = closest_points if columns.footprint is None else closest_footprint_points
     points, distances, normals = closest(columns, slots, query.centre)
     if ndim == 2:
@@ -62,7 +68,9 @@ def find(tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32)
     return Touching(slots, distances, points, normals)
 
 
-def find_boxes(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Touching:
+def find_boxes(
+    tree: DynamicBVH, query: QueryShape, mask: np.uint32, most: int | None = None
+) -> Touching:
     """`find` where all obstacles are axis-aligned boxes, and the query is one: by the tree's boxes
     alone.
     """
@@ -72,6 +80,7 @@ def find_boxes(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Touching
         boxes = tight[slots] if len(tight) else nodes[2 * slots]
         lo, hi = query.lo[: tree.ndim], query.hi[: tree.ndim]
         slots = slots[boxes_within(boxes['lo'], boxes['hi'], lo, hi, query.tolerance)]
+    require_few(len(slots), most)
     return around(tree, slots, query.centre, query.height)
 
 

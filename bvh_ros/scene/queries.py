@@ -17,7 +17,7 @@ from . import ball_casting, box_casting, casting, overlaps
 from .columns import Columns
 from .query_shape import QueryShape, box_query, shape_query
 from .registry import Registry, Slots
-from .results import NO_NODE, SceneHit
+from .results import NO_NODE, SceneHit, require_few
 from .shapes import Floats, Shapes, along_axes
 
 Masks = NDArray[np.uint32]
@@ -88,18 +88,23 @@ class SceneQueries:
         radius: float = 0.0,
         mask: int = ALL,
         skip_inside: bool = False,
+        most: int | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles on the way, nearest first, ties by handle.
 
-        Arguments as `raycast`.
+        Arguments as `raycast`. TooManyHitsError, a ValueError, if there are more than `most`: an
+        answer is never cut short. For a ball that counts what it may touch, before the last digit
+        is looked at.
         """
         origin, direction, radius = self._segment(start, goal, radius)
         if radius == 0.0 and not self._any_shaped:
             hits = box_casting.every(
-                self._tree, origin, direction, checks.mask(mask), bool(skip_inside)
+                self._tree, origin, direction, checks.mask(mask), bool(skip_inside), most
             )
             return self._each_once([self._hit(*hit) for hit in hits])
-        return self._each_once(self._cast_one(origin, direction, radius, mask, skip_inside, True))
+        return self._each_once(
+            self._cast_one(origin, direction, radius, mask, skip_inside, True, most)
+        )
 
     def raycast_many(
         self,
@@ -183,17 +188,26 @@ class SceneQueries:
         return casting.cast_all(self._tree, self._columns, rays, bool(skip_inside), every)
 
     def _cast_one(
-        self, origin: Floats, way: Floats, radius: float, mask: int, skip_inside: bool, every: bool
+        self,
+        origin: Floats,
+        way: Floats,
+        radius: float,
+        mask: int,
+        skip_inside: bool,
+        every: bool,
+        most: int | None = None,
     ) -> list[SceneHit]:
         seen = checks.mask(mask)
         if radius > 0.0:
             slots, ts, points, normals = ball_casting.cast_ball(
-                self._tree, self._columns, origin, way, radius, seen, bool(skip_inside), every
+                *(self._tree, self._columns, origin, way, radius, seen, bool(skip_inside), every),
+                most,
             )
         else:
             masks = checks.masks(seen, 1)
             found = self._cast(origin[None], way[None], np.ones(1), masks, skip_inside, every)
             _, slots, ts, points, normals = found
+            require_few(len(slots), most)
             order = np.lexsort((self._columns.node_handle[slots], ts))
             slots, ts, points, normals = slots[order], ts[order], points[order], normals[order]
         if self.planar:
@@ -210,6 +224,7 @@ class SceneQueries:
         orientation: ArrayLike = (0.0, 0.0, 0.0, 0.0),
         tolerance: float = 0.0,
         mask: int = ALL,
+        most: int | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles that touch a box, nearest to its centre first, ties by handle.
 
@@ -225,6 +240,8 @@ class SceneQueries:
             it count, m.
         mask : int
             Only obstacles with ``categories & mask != 0`` are seen.
+        most : int, optional
+            More than so many are refused: an answer is never cut short.
 
         Returns
         -------
@@ -236,9 +253,11 @@ class SceneQueries:
         Raises
         ------
         ValueError
-            If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape.
+            If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape, or (as
+            TooManyHitsError) there are more hits than `most`.
         """
-        return self._touching(box_query(start, goal, orientation, tolerance, self.planar), mask)
+        query = box_query(start, goal, orientation, tolerance, self.planar)
+        return self._touching(query, mask, most)
 
     def overlap_shape(
         self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL
@@ -267,11 +286,11 @@ class SceneQueries:
             (self._registry.name(one), self._registry.name(two)) for one, two in pairs.tolist()
         ]
 
-    def _touching(self, query: QueryShape, mask: int) -> list[SceneHit]:
+    def _touching(self, query: QueryShape, mask: int, most: int | None = None) -> list[SceneHit]:
         if query.aligned and not self._any_shaped:
-            found = overlaps.find_boxes(self._tree, query, checks.mask(mask))
+            found = overlaps.find_boxes(self._tree, query, checks.mask(mask), most)
         else:
-            found = overlaps.find(self._tree, self._columns, query, checks.mask(mask))
+            found = overlaps.find(self._tree, self._columns, query, checks.mask(mask), most)
         slots, distances, points, normals = found
         order = np.lexsort((self._columns.node_handle[slots], distances))
         return self._each_once(

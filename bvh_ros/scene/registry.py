@@ -3,6 +3,7 @@
 """Which slot each name owns, and the name of each slot."""
 
 import random
+from collections.abc import Collection
 from typing import TypeAlias
 
 import numpy as np
@@ -94,13 +95,24 @@ class Registry:
             self._leave(prefix, count)
         self._prefix_of[slots] = _NOBODY
 
-    def in_namespace(self, namespace: str) -> Slots:
+    def clear(self) -> None:
+        """Forget all names."""
+        seed = self._seed
+        self.__init__()  # type: ignore[misc]
+        self._seed = seed
+
+    def leads_to(self, slots: Slots) -> Slots:
+        """The slots that the names of some slots lead to."""
+        found = np.empty(len(slots), np.int64)
+        find_slots(*self._hashed(), self._prefix_of[slots], self._number_of[slots], found)
+        return found
+
+    def in_namespaces(self, namespaces: Collection[str]) -> Slots:
         """Slots of the names `namespace`/x, where x has no slash: a/b/7 is not in a."""
-        beginning = f'{namespace}/'
         inside = [
             number
             for prefix, number in self._number_of_prefix.items()
-            if prefix.startswith(beginning) and '/' not in prefix[len(beginning) :]
+            if '/' in prefix and prefix.rpartition('/')[0] in namespaces
         ]
         return np.flatnonzero(np.isin(self._prefix_of, inside))
 

@@ -13,6 +13,16 @@ NO_NODE = 0xFFFFFFFF  # instead of a node handle: nothing is hit
 LAST_NODE_HANDLE = 2**31 - 1
 
 
+class TooManyHitsError(ValueError):
+    """More obstacles are met than whoever asks wants to be told of."""
+
+
+def require_few(count: int, most: int | None) -> None:
+    """Raise TooManyHitsError if there are more than `most`; None is no limit."""
+    if most is not None and count > most:
+        raise TooManyHitsError(f'there may be {count} hits, more than {most}')
+
+
 class SceneHit(NamedTuple):
     """An obstacle that a query meets."""
 

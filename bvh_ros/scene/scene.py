@@ -16,18 +16,21 @@ from .distance_queries import DistanceQueries
 from .groups import NOBODY, Groups
 from .inspection import SceneInspection
 from .names import Families, Names, as_families
+from .refusals import Refusals
 from .registry import UNKNOWN, Registry, Slots
+from .removals import Removals
 from .results import LAST_NODE_HANDLE
 from .shapes import Shapes, along_axes, as_shapes
 from .slicing import Part, Replacement, SlicedUpdates
-from .updating import Refusal, Rows
+from .updating import Rows
 
 NEVER = np.iinfo(np.int64).max
+BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
 
-class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
+class Scene(DistanceQueries, SceneInspection, SlicedUpdates, Removals):
     """Obstacles that come and go, and the questions about them.
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
@@ -97,7 +100,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
-    ) -> list[Refusal]:
+    ) -> Refusals:
         """Add or modify obstacles.
 
         Parameters
@@ -118,7 +121,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
         Returns
         -------
-        list of Refusal
+        sequence of Refusal
             The rows that are not taken over, in order, and why. Their obstacles stay as they were.
 
         Raises
@@ -140,7 +143,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
-    ) -> list[Refusal]:
+    ) -> Refusals:
         """`update`, and remove the obstacles of this group that are not named. The group '' is all
         that the source owns.
 
@@ -150,10 +153,11 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
     def _apply(
         self, source: str, group: str, part: Part, whole: bool, named: list[Slots] | None = None
-    ) -> list[Refusal]:
+    ) -> Refusals:
         """Apply rows. With `named` they are a slice of an update: what they name is added to it,
         and what moves leaves a shadow.
         """
+        self._require_memory(len(part.shapes.kind))
         called = as_families(part.names)
         updating.text('source', source), updating.text('group', group)
         formed = updating.form(as_shapes(part.shapes), self.planar)
@@ -161,15 +165,16 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
         slots = self._registry.find(called)
         owner = self._groups.source(source)
-        rows, reasons = updating.examine(
-            called, formed, slots, self._columns.source, owner, part[2:]
+        rows = updating.examine(
+            *(called, formed, slots, self._columns.source, owner, part[2:]),
+            self._groups.source_name,
         )
         present = slots[slots != UNKNOWN]
         stale = self._members(source, group, present) if whole else present[:0]
         new = rows.slot == UNKNOWN
         room = self._room() + len(stale)
-        for row in rows.row[new][room:].tolist():
-            reasons[row] = f'the scene is full (max_obstacles is {self.max_obstacles})'
+        full = rows.row[new][room:]
+        formed.reasons.add(full, f'the scene is full (max_obstacles is {self.max_obstacles})')
         added, known = rows.take(np.flatnonzero(new)[:room]), rows.take(~new)
         if self._next_node_handle + len(added.row) - 1 > LAST_NODE_HANDLE:
             raise OverflowError(
@@ -188,15 +193,13 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
             # All columns are looked at only where the last shape may have gone; not for every
             # slice.
             self._any_shaped = named is not None or self._columns.any_shaped
-        return [
-            Refusal(row, called.text(row), self._sentence(reasons[row])) for row in sorted(reasons)
-        ]
+        return formed.reasons.refusals(called.text)
 
-    def _sentence(self, reason: str | int) -> str:
-        """A reason in words; a number is that of the source that owns the name."""
-        if isinstance(reason, str):
-            return reason
-        return f"its name belongs to the source '{self._groups.source_name(reason)}'"
+    def _require_memory(self, rows: int) -> None:
+        """Raise MemoryError now, and not when half of the rows are applied."""
+        full = len(self._tree) + rows > len(self._columns.tree_handle)
+        grown = 2 * len(self._columns.tree_handle) if full else 0
+        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, np.uint8)  # asked for, not used
 
     def _members(self, source: str, group: str, besides: Slots) -> Slots:
         """Members of a group ('': all of the source), besides some."""
@@ -259,6 +262,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         columns.source[place], columns.group[place] = numbers
 
     def _remove(self, slots: Slots) -> int:
+        if len(slots) == len(self._tree) > 0:
+            return self._remove_all()
         if len(slots):
             self._tree.remove_many(self._columns.tree_handle[slots])
             self._registry.discard(slots)
@@ -272,10 +277,7 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
 
         Names it does not own are left alone.
         """
-        updating.text('source', source)
-        slots = np.unique(self._registry.find(as_families(names)))
-        slots = slots[slots != UNKNOWN]
-        return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
+        return self.discard(self.find(source, names))
 
     def remove_group(self, source: str, group: str) -> int:
         """Remove the obstacles of a group ('': all that the source owns).
@@ -292,27 +294,8 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates):
         """
         if namespace is None:
             return self.remove_group(source, '')
-        updating.text('source', source)
-        slots = self._registry.in_namespace(updating.text('namespace', namespace))
-        return self._remove(slots[self._columns.source[slots] == self._groups.source(source)])
-
-    def clear(self) -> int:
-        """Remove all obstacles; return how many there were."""
-        self.newest = 0
-        return self._remove(self._columns.used())
-
-    def expire(self, now: int) -> int:
-        """Remove the obstacles with 0 < expires <= now (ns); return how many there were.
-
-        Costs nothing while none can be due.
-        """
-        if updating.whole_time('now', now) < self._next_expiry:
-            return 0
-        expires = self._columns.expires
-        removed = self._remove(np.flatnonzero((expires > 0) & (expires <= now)))
-        self.expired += removed
-        self._note_next_expiry()
-        return removed
+        updating.text('namespace', namespace)
+        return self.discard(self.find(source, [], {namespace}))
 
     def shift_expiries(self, by: int) -> None:
         """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""

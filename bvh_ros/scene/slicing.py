@@ -20,15 +20,15 @@ from ..tree.nodes import ALL, SLOT_MASK
 from .columns import Columns
 from .groups import Groups
 from .names import Names, as_families
+from .refusals import Refusals
 from .registry import Registry, Slots
 from .shapes import Shapes, as_shapes
-from .updating import TIMES, Refusal, Rows, column
+from .updating import TIMES, Rows, column
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
-# as long in all. So is what comes into a scene of fewer obstacles than this, where the tree is
-# built in bulk.
+# as long in all.
 AT_ONCE = 120_000
-SLICE = 4096  # rows, about 10 ms
+SLICE = 1024  # rows, 2 to 5 ms
 
 
 class Part(NamedTuple):
@@ -80,7 +80,8 @@ class SlicedUpdates:
     _columns: Columns
     _registry: Registry
     _groups: Groups
-    _apply: Callable[..., list[Refusal]]
+    _apply: Callable[..., Refusals]
+    _require_memory: Callable[[int], None]
     _members: Callable[[str, str, Slots], Slots]
     _remove: Callable[[Slots], int]
     _under_way: list[Replacement]
@@ -95,7 +96,7 @@ class SlicedUpdates:
         *,
         whole: bool,
         at_once: bool = False,
-    ) -> Generator[None, None, list[Refusal]]:
+    ) -> Generator[None, None, Refusals]:
         """Apply `total` rows and pause now and then; return the refusals at the end.
 
         Parameters
@@ -118,12 +119,13 @@ class SlicedUpdates:
         ValueError, OverflowError
             As `update`; what is applied by then stays.
         """
+        self._require_memory(total)
         sliced = not at_once and self._is_large(source, group, total, whole)
         length = SLICE if sliced else max(total, 1)
         if length >= total:
             (part,) = parts(length)
             return self._apply(source, group, part, whole)
-        refusals: list[Refusal] = []
+        refusals = Refusals()
         running = Replacement(source, group, total)
         row = 0
         if whole:
@@ -131,8 +133,7 @@ class SlicedUpdates:
         try:
             for part in parts(length):
                 running.left -= len(part.shapes.kind)
-                for refusal in self._apply(source, group, part, False, running.named):
-                    refusals.append(refusal._replace(row=row + refusal.row))
+                refusals.extend(self._apply(source, group, part, False, running.named), first=row)
                 row += len(part.shapes.kind)
                 yield
             yield from self._remove_in_slices(
@@ -158,7 +159,7 @@ class SlicedUpdates:
         return max(room, 0)
 
     def _is_large(self, source: str, group: str, total: int, whole: bool) -> bool:
-        if min(total, len(self)) < AT_ONCE:
+        if total < AT_ONCE:
             return False
         # With less room it has to be known first what goes, to know what may come.
         mine = self._members(source, group, np.empty(0, np.int64))

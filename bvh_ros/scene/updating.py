@@ -5,6 +5,7 @@
 Which rows are good, in canonical form, and why the others are refused.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,22 +15,15 @@ from ..tree.nodes import ALL
 from . import shapes
 from .names import BARE, Families, last_of_each
 from .polygon import outlined
+from .refusals import Reasons
 from .registry import UNKNOWN, Slots
 from .shapes import Floats, Shapes
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
 
 
-class Refusal(NamedTuple):
-    """A row that was not taken over; the obstacle of that name, if any, is as before."""
-
-    row: int
-    name: str
-    reason: str
-
-
 class Formed(NamedTuple):
-    """The good ones among `total` shapes, in canonical form; what is wrong with the others."""
+    """The good ones among `total` shapes, in canonical form."""
 
     total: int
     row: NDArray[np.int64]  # (m,) their numbers, ascending; what follows has a row for each
@@ -37,7 +31,7 @@ class Formed(NamedTuple):
     shaped: NDArray[np.bool_]  # anything but an axis-aligned box
     lo: Floats
     hi: Floats
-    faults: dict[int, str]  # by number of the row
+    reasons: Reasons  # what is wrong with the others
 
     def take(self, which: NDArray[Any]) -> 'Formed':
         """Some of the good ones; the arrays themselves where that is all of them."""
@@ -121,17 +115,19 @@ def form(given: Shapes, planar: bool) -> Formed:
     """Look at shapes alone: nothing here depends on the world."""
     count = len(given.kind)
     code = shapes.faults(given)
-    faults = {int(row): shapes.REASONS[code[row]] for row in np.flatnonzero(code)}
+    reasons = Reasons(count)
+    for fault in np.unique(code[code != shapes.FINE]).tolist():
+        reasons.add(code == fault, shapes.REASONS[fault])
     row = np.flatnonzero(code == shapes.FINE)
     form, aligned = shapes.canonical(given if len(row) == count else given.take(row))
     with np.errstate(over='ignore', invalid='ignore'):
         lo, hi = shapes.bounds(form, aligned)
     if planar:
         form = outlined(form)
-    formed = Formed(count, row, form, ~aligned, lo, hi, faults)
+    formed = Formed(count, row, form, ~aligned, lo, hi, reasons)
     if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
         finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
-        faults.update((int(large), shapes.REASONS[shapes.TOO_LARGE]) for large in row[~finite])
+        reasons.add(row[~finite], shapes.REASONS[shapes.TOO_LARGE])
         formed = formed.take(finite)
     return formed
 
@@ -143,10 +139,10 @@ def examine(
     owners: NDArray[np.int64],
     source: int,
     columns: tuple[ArrayLike, ArrayLike, ArrayLike | None],
-) -> tuple[Rows, dict[int, str | int]]:
-    """The rows to apply, and the reason of each refused row: a sentence, or the number of the
-    source that owns its name. `columns` are stamps, expiries and categories, one for all or one a
-    row.
+    source_name: Callable[[int], str],
+) -> Rows:
+    """The rows to apply; `given.reasons` says why the others are refused. `columns` are stamps,
+    expiries and categories, one for all or one a row.
 
     Of several good rows with one name the last is applied: a message is read in order, and a later
     row modifies an earlier one's obstacle.
@@ -157,14 +153,15 @@ def examine(
     masks = None
     if columns[2] is not None:
         masks = column('categories', columns[2], count, ALL).astype(np.uint32)
-    reasons: dict[int, str | int] = {**given.faults, **_name_faults(names)}
+    _refuse_names(names, given.reasons)
     known = slots != UNKNOWN
     if known.any():
         foreign = np.flatnonzero(known & (owners[slots] != source))
-        reasons.update((int(row), int(owners[slots[row]])) for row in foreign)
-    good = np.ones(count, np.bool_)
-    good[list(reasons)] = False
-    given = given.take(good[given.row])
+        owner = owners[slots[foreign]]
+        for other in np.unique(owner).tolist():
+            reason = f"its name belongs to the source '{source_name(other)}'"
+            given.reasons.add(foreign[owner == other], reason)
+    given = given.take(given.reasons.good[given.row])
     row = given.row
     last = last_of_each(names, row)
     if len(last) < len(row):
@@ -173,19 +170,16 @@ def examine(
     at = row if len(row) < count else slice(None)
     _, _, form, shaped, lo, hi, _ = given
     masks = None if masks is None else masks[at]
-    found = Rows(row, slots[at], form, shaped, lo, hi, masks, stamps[at], lives[at])
-    return found, reasons
+    return Rows(row, slots[at], form, shaped, lo, hi, masks, stamps[at], lives[at])
 
 
-def _name_faults(names: Families) -> dict[int, str]:
-    faults: dict[int, str] = {}
-    for place, prefix in enumerate(names.prefixes):
-        if prefix.startswith(ERROR_PREFIX):
-            reason = f"names that begin with '{ERROR_PREFIX}' are reserved for error replies"
-            bad = names.family == place
-        elif not prefix:
-            reason, bad = 'its name is empty', (names.family == place) & (names.numbers == BARE)
-        else:
-            continue
-        faults.update(dict.fromkeys(np.flatnonzero(bad).tolist(), reason))
-    return faults
+def _refuse_names(names: Families, reasons: Reasons) -> None:
+    prefixes = names.prefixes
+    reserved = [place for place, one in enumerate(prefixes) if one.startswith(ERROR_PREFIX)]
+    empty = [place for place, one in enumerate(prefixes) if not one]
+    if reserved:
+        reason = f"names that begin with '{ERROR_PREFIX}' are reserved for error replies"
+        reasons.add(np.isin(names.family, reserved), reason)
+    if empty:
+        bad = np.isin(names.family, empty) & (names.numbers == BARE)
+        reasons.add(bad, 'its name is empty')

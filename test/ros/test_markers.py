@@ -1,8 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""MarkerArrays to steps on the scene."""
+"""MarkerArrays to changes of the scene."""
 
+import logging
 import math
+from random import Random
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +12,6 @@ import pytest
 
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
-from bvh_ros.ros.conversions.markers import Delete, DeleteAll, ReplaceList, Update
 from bvh_ros.ros.frames import FrameError, Transform
 from bvh_ros.scene import Scene, ShapeKind
 
@@ -54,60 +55,70 @@ def into_map(frame_id, stamp):
     raise FrameError(f"no transform from '{frame_id}'")
 
 
-def steps(*array, prefix=''):
-    reading = markers.steps(table(array), now=NOW, into_node=into_map, prefix=prefix)
-    return reading.steps, reading.refusals
+def ended(work):
+    """What a generator returns in the end."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
 
 
-def names_of(step):
-    return list(step.names.texts())
+def change(*array, prefix=''):
+    return ended(markers.change(table(array), now=NOW, into_node=into_map, prefix=prefix))
 
 
-def test_thousands_become_one_step():
+def names_of(change):
+    return list(change.names.texts())
+
+
+def test_thousands_become_one_change():
     array = [
         marker(i, shape=(CUBE, SPHERE, CYLINDER)[i % 3], at=(i, 2 * i, 3 * i), scale=(4, 5, 6))
         for i in range(3000)
     ]
-    (update,), refusals = steps(*array)
-    assert not refusals
-    assert isinstance(update, Update)
-    assert names_of(update)[:2] == ['a/0', 'a/1']
-    assert update.shapes.kind[:3].tolist() == [ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER]
-    assert update.shapes.position[-1].tolist() == [2999, 5998, 8997]
-    assert (update.shapes.size == (4, 5, 6)).all()
-    assert (update.stamp == NOW).all()
-    assert not update.expires.any()
+    found = change(*array)
+    assert not found.refusals
+    assert names_of(found)[:2] == ['a/0', 'a/1']
+    assert found.shapes.kind[:3].tolist() == [ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER]
+    assert found.shapes.position[-1].tolist() == [2999, 5998, 8997]
+    assert (found.shapes.size == (4, 5, 6)).all()
+    assert (found.stamp == NOW).all()
+    assert not found.expires.any()
 
 
-def test_order_is_kept():
-    found, refusals = steps(
-        marker(action=3),
+def test_what_is_undone_is_not_done():
+    found = change(
+        marker(9, 'b'),
+        marker(ns='b', action=3),
         marker(1),
         marker(2),
         marker(1, action=2),
         marker(2, action=2),
         marker(1, at=(5, 0, 0)),
         marker(1, at=(6, 0, 0)),
-        marker(ns='', action=3),
+        marker(3, 'b', action=2),
     )
-    assert not refusals
-    assert [type(step) for step in found] == [DeleteAll, Update, Delete, Update, DeleteAll]
-    assert found[0].namespace == 'a'
-    assert names_of(found[1]) == ['a/1', 'a/2']
-    assert names_of(found[2]) == ['a/1', 'a/2']
-    assert names_of(found[3]) == ['a/1', 'a/1']
-    assert found[3].shapes.position[:, 0].tolist() == [5, 6]  # the scene takes the last
-    assert found[4].namespace is None
+    assert not found.refusals
+    assert not found.clears
+    assert found.namespaces == ['b']
+    assert list(found.removed.texts()) == ['a/1', 'a/2', 'b/3']
+    assert names_of(found) == ['a/1', 'a/1']
+    assert found.shapes.position[:, 0].tolist() == [5, 6]  # the scene takes the last
+    found = change(marker(1), marker(ns='b', action=3), marker(ns='', action=3), marker(2))
+    assert found.clears
+    assert found.namespaces == []
+    assert names_of(found) == ['a/2']
 
 
 def test_stamps_and_lifetimes():
-    found, refusals = steps(
+    update = change(
         marker(1, stamp=5_000_000_001),
         marker(2, stamp=5_000_000_001, lifetime=1_500_000_000),
         marker(3),
         marker(4, lifetime=-1),
     )
-    (update,) = found
+    refusals = update.refusals
     assert update.stamp.tolist() == [5_000_000_001, 5_000_000_001, NOW]
     assert update.expires.tolist() == [0, NOW + 1_500_000_000, 0]
     assert refusals[0].row == 3
@@ -115,7 +126,7 @@ def test_stamps_and_lifetimes():
 
 
 def test_other_frames_are_transformed_or_refused():
-    found, refusals = steps(
+    update = change(
         marker(1, frame='map', at=(1, 2, 3)),
         marker(2, frame='turned', at=(1, 2, 3)),
         marker(3, frame='nowhere'),
@@ -123,7 +134,7 @@ def test_other_frames_are_transformed_or_refused():
         marker(6, frame='turned', stamp=9),
         marker(4, frame='nowhere', shape=CUBE_LIST),
     )
-    (update,) = found
+    refusals = update.refusals
     assert names_of(update) == ['a/1', 'a/2', 'a/5', 'a/6']
     assert np.allclose(update.shapes.position, [[1, 2, 3], [9, -2, 3], [4, 5, 6], [10, 0, 0]])
     assert np.allclose(update.shapes.orientation[[1, 3]], [[0, 0, 1, 0], [0, 0, 1, 0]])
@@ -135,17 +146,45 @@ def test_other_frames_are_transformed_or_refused():
 def test_lists_have_elements_in_the_markers_frame():
     quarter = (0, 0, math.sqrt(0.5), math.sqrt(0.5))
     points = [(1, 0, 0), (0, 1, 0)]
-    (step,), refusals = steps(
+    step = change(
         marker(7, 'n', CUBE_LIST, at=(10, 0, 0), turn=quarter, scale=(1, 2, 3), points=points)
     )
-    assert not refusals
-    assert isinstance(step, ReplaceList)
-    assert step.name == 'n/7'
+    assert not step.refusals
+    assert step.lists == {'n/7': 2}
+    assert names_of(step) == ['n/7#0', 'n/7#1']
     assert np.allclose(step.shapes.position, [[10, 1, 0], [9, 0, 0]])
     assert np.allclose(step.shapes.orientation, [quarter, quarter])
     assert (step.shapes.size == (1, 2, 3)).all()
-    (empty,), _ = steps(marker(7, 'n', SPHERE_LIST))
+    empty = change(marker(7, 'n', SPHERE_LIST))
     assert len(empty.shapes.kind) == 0
+    assert empty.lists == {'n/7': 0}
+    moved = change(
+        marker(6, 'n'),
+        marker(7, 'n', CUBE_LIST, frame='turned', at=(1, 2, 3), points=points),
+        marker(8, 'n', SPHERE_LIST, points=points[:1]),
+    )
+    assert names_of(moved) == ['n/6', 'n/7#0', 'n/7#1', 'n/8#0']
+    assert list(moved.singles.texts()) == ['n/6']
+    assert np.allclose(moved.shapes.position[1:3], [[8, -2, 3], [9, -3, 3]])
+    assert np.allclose(moved.shapes.orientation[1:3], [[0, 0, 1, 0]] * 2)
+
+
+def test_a_name_that_is_a_list_and_a_single_one_is_what_it_is_at_last():
+    points = [(1, 0, 0), (0, 1, 0)]
+    several = marker(1, shape=CUBE_LIST, points=points)
+    fewer = marker(1, shape=SPHERE_LIST, points=points[:1])
+    bad_list, bad_single = (
+        marker(1, shape=CUBE_LIST, at=(math.nan, 0, 0)),
+        marker(1, scale=(-1, 1, 1)),
+    )
+    for array, names in (
+        ((marker(1), several), ['a/1#0', 'a/1#1']),
+        ((several, marker(1)), ['a/1']),
+        ((several, fewer), ['a/1#0']),
+        ((several, marker(2), bad_list), ['a/1#0', 'a/1#1', 'a/2']),
+        ((several, bad_single), ['a/1#0', 'a/1#1', 'a/1']),  # which the scene refuses
+    ):
+        assert names_of(change(*array)) == names
 
 
 CORNERS = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
@@ -167,13 +206,13 @@ def test_triangles_become_a_mesh_in_the_frame_of_the_marker():
             stamp=7,
         ),
     )
-    (_, step), refusals = steps(*array)
-    assert refusals == []
-    assert names_of(step) == ['n/2']
-    assert step.shapes.kind.tolist() == [ShapeKind.MESH]
-    assert step.shapes.size.tolist() == [[1, 2, 3]]
-    assert step.shapes.mesh[0].centre.tolist() == [0.5, 1, 1.5]
-    assert step.stamp.tolist() == [7]
+    step = change(*array)
+    assert step.refusals == []
+    assert names_of(step) == ['a/1', 'n/2']
+    assert step.shapes.kind.tolist() == [ShapeKind.BOX, ShapeKind.MESH]
+    assert step.shapes.size[1].tolist() == [1, 2, 3]
+    assert step.shapes.mesh[1].centre.tolist() == [0.5, 1, 1.5]
+    assert step.stamp.tolist() == [NOW, 7]
     scene = Scene()
     assert scene.update('test', step.names, step.shapes, stamp=1) == []
     hit = scene.raycast((8.9, -0.2, 9), (8.9, -0.2, 0))
@@ -203,29 +242,104 @@ def test_triangles_become_a_mesh_in_the_frame_of_the_marker():
 )
 def test_a_marker_that_cannot_be_used_does_not_harm_the_others(bad, reason):
     bad.id = 5
-    found, refusals = steps(marker(1), bad, marker(2))
-    names = [name for step in found for name in names_of(step)]
-    assert names == ['a/1', 'a/2']
+    found = change(marker(1), bad, marker(2))
+    refusals = found.refusals
+    assert names_of(found) == ['a/1', 'a/2']
     assert [(refusal.row, refusal.name) for refusal in refusals] == [(1, 'a/5')]
     assert reason in refusals[0].reason
 
 
 def test_names_of_many_namespaces_and_negative_ids():
     array = [marker(k - 3, ns=ns) for k in range(6) for ns in ('a', '', 'b/c', 'a')]
-    (update,), refusals = steps(*array)
-    assert not refusals
+    update = change(*array)
+    assert not update.refusals
     assert names_of(update) == [f'{m.ns}/{m.id}' for m in array]
 
 
 def test_prefix_begins_every_name():
-    found, _ = steps(
+    found = change(
+        marker(ns='b', action=3),
         marker(1),
         marker(2, action=2),
         marker(3, shape=CUBE_LIST),
-        marker(action=3),
         prefix='left.',
     )
-    assert names_of(found[0]) == ['left.a/1']
-    assert names_of(found[1]) == ['left.a/2']
-    assert found[2].name == 'left.a/3'
-    assert found[3].namespace == 'left.a'
+    assert names_of(found) == ['left.a/1']
+    assert list(found.removed.texts()) == ['left.a/2']
+    assert list(found.lists) == ['left.a/3']
+    assert found.namespaces == ['left.b']
+
+
+class ToldScene:
+    """What markers leave, told one by one."""
+
+    def __init__(self):
+        self.known = {}
+
+    def tell(self, one):
+        name, at = f'{one.ns}/{one.id}', one.pose.position.x
+        listed = one.type in (CUBE_LIST, SPHERE_LIST)
+        if one.action == 3:
+            for other in [n for n in self.known if one.ns in ('', n.rpartition('/')[0])]:
+                del self.known[other]
+        elif one.action == 2:
+            self.known.pop(name, None)
+        elif one.type == ARROW or one.header.frame_id == 'nowhere':
+            return
+        elif listed and not math.isnan(at):
+            self.known[name] = {f'#{k}': point.x + at for k, point in enumerate(one.points)}
+        elif not listed and one.scale.x > 0:
+            self.known[name] = {'': at}
+
+    def places(self):
+        return {n + k: at for n, parts in self.known.items() for k, at in parts.items()}
+
+
+def random_marker(random):
+    shape = random.choice([CUBE, SPHERE, CUBE_LIST, SPHERE_LIST, ARROW])
+    action = random.choice([0] * 8 + [2, 3])
+    namespace = random.choice(['a', 'b', 'a/c', '', 'a'])
+    if action == 3 and random.random() < 0.5:
+        namespace = namespace or 'b'
+    bad = random.random() < 0.15
+    return marker(
+        random.randrange(-1, 3),
+        namespace,
+        shape,
+        action,
+        at=(math.nan if bad and shape >= CUBE_LIST else random.randrange(99), 0, 0),
+        scale=(-1 if bad and shape < CUBE_LIST else 1,) * 3,
+        frame='nowhere' if random.random() < 0.05 else '',
+        points=[(random.randrange(50), 0, 0) for _ in range(random.randrange(4))],
+    )
+
+
+@pytest.fixture
+def source_of():
+    """A source of markers without a node."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from bvh_ros.ros.sources.marker_array import MarkerArraySource
+
+    def make(scene):
+        node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
+        settings = SimpleNamespace(name='test', prefix='')
+        source = MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
+        source.raw = False
+        return source
+
+    return make
+
+
+def test_any_message_ends_as_if_it_were_read_marker_by_marker(source_of):
+    random = Random(7)
+    for _ in range(100):
+        scene, told = Scene(), ToldScene()
+        source = source_of(scene)
+        for _ in range(6):
+            array = [random_marker(random) for _ in range(random.randrange(12))]
+            ended(source.apply(SimpleNamespace(markers=array), NOW))
+            for one in array:
+                told.tell(one)
+            found = {name: scene.get(name).position[0] for _, name in scene.names()}
+            assert found == told.places()
+        scene.validate()

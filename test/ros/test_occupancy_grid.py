@@ -3,6 +3,7 @@
 """Grids: the rectangles cover the occupied cells, each once, and are few."""
 
 import math
+import tracemalloc
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,24 @@ import pytest
 
 from bvh_ros.ros.conversions import occupancy_grid
 
-OPTIONS = {'occupied_at': 65, 'unknown_occupied': False, 'z_min': 0.0, 'z_max': 2.0}
+OPTIONS = {'occupied_at': 65, 'unknown_occupied': False, 'z_min': 0.0, 'z_max': 2.0, 'most': 1000}
+
+
+def ended(work):
+    """What a generator returns in the end."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
+
+
+def rectangles(mask, most=100_000):
+    return ended(occupancy_grid.rectangles(mask, lambda part: part, most))
+
+
+def boxes(message, **options):
+    return ended(occupancy_grid.boxes(message, **options))
 
 
 def grid(cells, resolution=0.5, at=(0, 0, 0), turn=(0, 0, 0, 1)):
@@ -38,7 +56,31 @@ def painted(rectangles, shape):
 @pytest.mark.parametrize('shape', [(1, 1), (1, 9), (9, 1), (7, 5), (20, 31)])
 def test_rectangles_cover_each_cell_once(density, shape):
     mask = np.random.default_rng(3).random(shape) < density
-    assert np.array_equal(painted(occupancy_grid.rectangles(mask), shape), mask)
+    assert np.array_equal(painted(rectangles(mask), shape), mask)
+
+
+def test_bands_are_joined(monkeypatch):
+    random = np.random.default_rng(4)
+    for shape in ((40, 7), (7, 40), (23, 23)):
+        mask = np.repeat(np.repeat(random.random(shape) < 0.4, 3, axis=0), 2, axis=1)
+        whole = sorted(rectangles(mask).tolist())
+        for band in (1, 30, 100):
+            monkeypatch.setattr(occupancy_grid, 'BAND', band)
+            assert sorted(rectangles(mask).tolist()) == whole
+            assert sorted(rectangles(mask, len(whole)).tolist()) == whole
+            with pytest.raises(ValueError, match='more than'):
+                rectangles(mask, len(whole) - 1)
+        monkeypatch.undo()
+
+
+def test_what_is_only_announced_costs_nothing():
+    for shape in ((0, 2**32 - 1), (2**32 - 1, 0)):
+        message = grid(np.zeros((1, 0)))
+        message.info.width, message.info.height = shape
+        tracemalloc.start()
+        assert len(boxes(message, **OPTIONS).kind) == 0
+        assert tracemalloc.get_traced_memory()[1] < 100_000
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(
@@ -52,7 +94,7 @@ def test_rectangles_cover_each_cell_once(density, shape):
     ],
 )
 def test_rectangles_of_simple_masks(mask, expected):
-    found = occupancy_grid.rectangles(np.asarray(mask, dtype=bool))
+    found = rectangles(np.asarray(mask, dtype=bool))
     if expected is None:
         assert len(found) == 2
     else:
@@ -61,22 +103,20 @@ def test_rectangles_of_simple_masks(mask, expected):
 
 def test_rows_apart_are_not_merged():
     mask = np.array([[1, 1], [0, 0], [1, 1]], dtype=bool)
-    assert sorted(occupancy_grid.rectangles(mask).tolist()) == [[0, 0, 2, 1], [0, 2, 2, 3]]
+    assert sorted(rectangles(mask).tolist()) == [[0, 0, 2, 1], [0, 2, 2, 3]]
 
 
 def test_values_that_are_occupied():
     cells = [[0, 64, 65, 100, 127, -1, -2]]
-    assert occupancy_grid.boxes(grid(cells), **OPTIONS).size[:, 0].tolist() == [1.5]
-    both = occupancy_grid.boxes(grid(cells), **{**OPTIONS, 'unknown_occupied': True})
+    assert boxes(grid(cells), **OPTIONS).size[:, 0].tolist() == [1.5]
+    both = boxes(grid(cells), **{**OPTIONS, 'unknown_occupied': True})
     assert both.size[:, 0].tolist() == [2.5]
 
 
 def test_boxes_lie_along_the_yaw_of_the_origin():
     yaw = math.radians(90)
     turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
-    shapes = occupancy_grid.boxes(
-        grid([[0, 100, 100]], at=(10, 20, 3), turn=turn), **{**OPTIONS, 'z_min': -1.0}
-    )
+    shapes = boxes(grid([[0, 100, 100]], at=(10, 20, 3), turn=turn), **{**OPTIONS, 'z_min': -1.0})
     # x from 0.5 to 1.5 and y from 0 to 0.5 in the grid; x of the grid is y of the world.
     assert np.allclose(shapes.position, [[10 - 0.25, 20 + 1.0, 3 + 0.5]])
     assert np.allclose(shapes.size, [[1.0, 0.5, 3.0]])
@@ -106,7 +146,7 @@ def lying(**values):
 )
 def test_a_grid_that_contradicts_itself_is_refused(message, reason):
     with pytest.raises(ValueError, match=reason):
-        occupancy_grid.boxes(message, **OPTIONS)
+        boxes(message, **OPTIONS)
 
 
 def test_willow_garage(shared_data):
@@ -117,6 +157,6 @@ def test_willow_garage(shared_data):
     columns, rows = np.floor(cells[:, :2] / 0.1 + 1e-6).astype(int).T
     mask = np.zeros((rows.max() + 1, columns.max() + 1), dtype=bool)
     mask[rows, columns] = True
-    found = occupancy_grid.rectangles(mask)
+    found = rectangles(mask)
     assert np.array_equal(painted(found, mask.shape), mask)
     assert len(found) < len(cells) / 2

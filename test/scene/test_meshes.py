@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene.mesh_store import MeshStore
 
 CUBE = box_of_triangles((1, 1, 1))
 DENTED = np.concatenate([CUBE[1:], [[*CUBE[0, :2], (0, 0, 0)]]])
@@ -204,3 +205,21 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert scene._columns.hulls() is None
     assert scene.get('0').kind == ShapeKind.BOX
     assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
+
+
+def test_meshes_that_come_and_go_are_found_in_arrays_that_do_not_grow_for_ever():
+    store, rng = MeshStore(), np.random.default_rng(2)
+    meshes = [Mesh(CUBE * (1 + k)) for k in range(20)]
+    held = {}
+    for _ in range(3000):
+        mesh = meshes[rng.integers(20)]
+        if mesh.key in held and rng.random() < 0.6:
+            store.release(held.pop(mesh.key))
+        elif mesh.key not in held:
+            held[mesh.key] = store.take(mesh)
+        for known in meshes[:3]:
+            if known.key in held:
+                begin, end = store.hulls.spans[held[known.key]]['vertices']
+                assert np.array_equal(store.hulls.vertices[begin:end], known.vertices)
+    assert len(store) == len(held)
+    assert len(store.hulls.vertices) < 3000

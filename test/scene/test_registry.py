@@ -77,7 +77,7 @@ def test_names_come_and_go_as_in_a_dictionary(stride):
         assert len(registry) == len(known)
     assert all(registry.name(slot) == name for name, slot in known.items())
     inside = sorted(slot for name, slot in known.items() if name.startswith('b/'))
-    assert registry.in_namespace('b').tolist() == inside
+    assert registry.in_namespaces({'b'}).tolist() == inside
 
 
 def test_a_number_and_a_string_are_one_name():

@@ -1,85 +1,68 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A MarkerArray as a list of steps on the scene, many markers a step."""
+"""A MarkerArray as one change of the scene: what goes, and what comes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.marker_table import Integers, MarkerTable
+from bvh_ros.ros.conversions.marker_order import (
+    ADD_OR_MODIFY,
+    LISTED,
+    LISTED_SHAPES,
+    MESH,
+    NOTHING,
+    SINGLE,
+    SINGLE_SHAPES,
+    TRIANGLES,
+    Mask,
+    last_of_lists,
+    order_of,
+)
+from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
+from bvh_ros.ros.conversions.mesh_reading import examined
 from bvh_ros.ros.frames import FrameError, Transform
-from bvh_ros.scene import Families, Refusal, ShapeKind, Shapes, mesh_of
+from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
+from bvh_ros.scene.shapes import faults
 
-# visualization_msgs/msg/Marker
-ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
-SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
-LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
-TRIANGLES = 11
 TYPE_NAMES = (
     *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
     *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
     'ARROW_STRIP',
 )
 # By marker type.
-_KINDS = np.zeros(max(SINGLE_SHAPES) + 1, np.uint8)
-_KINDS[list(SINGLE_SHAPES)] = list(SINGLE_SHAPES.values())
+_KINDS = np.zeros(12, np.uint8)
+for _kinds in (SINGLE_SHAPES, LISTED_SHAPES):
+    _KINDS[list(_kinds)] = list(_kinds.values())
+AT_A_TIME = 256  # lists or frames between two pauses
+ELEMENTS = 8192  # between two pauses
 IntoNode = Callable[[str, int], 'Transform | None']
 
 
-class Update(NamedTuple):
-    """Add these obstacles, or modify those that exist."""
+class Change(NamedTuple):
+    """What a message asks for. What goes goes first."""
 
-    names: Families
-    shapes: Shapes
+    clears: bool  # everything of the source goes
+    namespaces: list[str]  # whose obstacles go
+    removed: Families  # who goes, as a single obstacle or as a list
+    names: Families  # (n,) who comes or is modified: single ones, and elements of lists
+    shapes: Shapes  # (n,)
     stamp: Integers  # (n,) ns
     expires: Integers  # (n,) ns on the node's clock, 0 = never
+    lists: dict[str, int]  # list markers, and how many elements each has now
+    singles: Families  # those among the names that are no elements
+    refusals: Refusals  # the markers that cannot be used
 
 
-class ReplaceList(NamedTuple):
-    """The elements `name#0`, `name#1`, ... of a list marker replace its former ones."""
-
-    name: str
-    shapes: Shapes
-    stamp: int
-    expires: int
-
-
-class Delete(NamedTuple):
-    """Remove these obstacles, and the elements of these list markers."""
-
-    names: Families
-
-
-class DeleteAll(NamedTuple):
-    """Remove a namespace, or everything of the source if it is None."""
-
-    namespace: str | None
-
-
-Step = Update | ReplaceList | Delete | DeleteAll
-
-# What a row asks for; consecutive rows of the first two become one step.
-SINGLE, REMOVAL, LISTED, MESH, SWEEP, NOTHING = range(6)
-
-
-class Reading(NamedTuple):
-    """A message, understood."""
-
-    steps: list[Step]
-    refusals: list[Refusal]
-
-
-def steps(table: MarkerTable, *, now: int, into_node: IntoNode, prefix: str = '') -> Reading:
-    """Read markers in order.
-
-    Consecutive markers that are added, or deleted, become one step, so that thousands of them go
-    down as arrays.
+def change(
+    table: MarkerTable, *, now: int, into_node: IntoNode, prefix: str = '', planar: bool = False
+) -> Generator[None, None, Change]:
+    """Read markers; pause now and then, nothing is changed yet.
 
     Parameters
     ----------
@@ -91,143 +74,199 @@ def steps(table: MarkerTable, *, now: int, into_node: IntoNode, prefix: str = ''
         to apply; raises FrameError.
     prefix : str
         Begins every obstacle's name.
-
-    Returns
-    -------
-    Reading
-        What to do, in order, and the markers that cannot be used.
+    planar : bool
+        Whether the scene is.
     """
-    reader = _Reader(table, now, into_node, prefix)
-    wish = reader.wishes()
-    rows = np.flatnonzero(wish != NOTHING)
-    wish = wish[rows]
-    begins = np.flatnonzero(np.diff(wish, prepend=NOTHING) | (wish > REMOVAL)).tolist()
-    for begin, end in pairwise([*begins, len(rows)]):
-        reader.read(int(wish[begin]), rows[begin:end])
-    return Reading(reader.steps, sorted(reader.refusals))
+    reader = _Reader(table, into_node, prefix, planar)
+    order = order_of(table)
+    reader.faulty[order.wish == NOTHING] = True
+    good = order.alive.copy()
+    yield from reader.find_frames(good)
+    yield from reader.make_meshes(np.flatnonzero(good & (order.wish == MESH)))
+    yield from reader.read_lists(np.flatnonzero(good & (order.wish == LISTED)))
+    good &= ~reader.faulty
+    if reader.points:
+        bad = reader.bad_singles(good & (order.wish == SINGLE))  # the scene says why
+        good = last_of_lists(order, good & ~bad) | bad
+    rows = np.flatnonzero(good)
+    counts = reader.counts(rows)
+    of = np.repeat(rows, counts)
+    shapes = yield from reader.shapes(rows, of)
+    names, singles, lists = reader.names(rows, counts)
+    stamp = np.where(table.stamp == 0, now, table.stamp)[of]
+    lifetime = table.lifetime[of]
+    return Change(
+        order.clears,
+        [f'{prefix}{table.namespaces[space]}' for space in order.swept.tolist()],
+        reader.single_names(order.removed),
+        names,
+        shapes,
+        stamp,
+        np.where(lifetime > 0, lifetime + now, 0),
+        lists,
+        singles,
+        reader.refusals(),
+    )
 
 
 class _Reader:
-    def __init__(self, table: MarkerTable, now: int, into_node: IntoNode, prefix: str) -> None:
+    """Reads one message, stage by stage."""
+
+    def __init__(self, table: MarkerTable, into_node: IntoNode, prefix: str, planar: bool) -> None:
         self.table = table
         self.into_node = into_node
         self.prefix = prefix
-        self.stamps = np.where(table.stamp == 0, now, table.stamp)
-        self.expires = np.where(table.lifetime > 0, table.lifetime + now, 0)
-        self.steps: list[Step] = []
-        self.refusals: list[Refusal] = []
+        self.planar = planar
+        self.faulty = np.zeros(len(table.id), np.bool_)
+        self.reasons: dict[int, str] = {}  # of the rows where it is not the type or action
+        self.meshes: dict[int, Mesh] = {}
+        self.points: dict[int, Floats] = {}  # of lists
+        self.moved: Mask | None = None  # rows in other frames
+        self.shift = np.zeros((0, 3))
+        self.turn = np.zeros((0, 4))
 
-    def wishes(self) -> Integers:
-        """What each row asks for; NOTHING where that cannot be, which is refused."""
-        kind, action = self.table.type, self.table.action
-        wish = np.full(len(kind), NOTHING)
-        add = action == ADD_OR_MODIFY
-        wish[add & np.isin(kind, list(SINGLE_SHAPES))] = SINGLE
-        wish[add & np.isin(kind, list(LISTED_SHAPES))] = LISTED
-        wish[add & (kind == TRIANGLES)] = MESH
-        wish[action == DELETE] = REMOVAL
-        wish[action == DELETE_ALL] = SWEEP
-        for row in np.flatnonzero(wish == NOTHING).tolist():
-            self._refuse(row, self._fault(int(kind[row]), int(action[row])))
-        brief = add & (wish != NOTHING) & (self.table.lifetime < 0)
-        for row in np.flatnonzero(brief).tolist():
-            self._refuse(row, f'negative lifetime {self.table.lifetime[row] / 1e9:g} s')
-        wish[brief] = NOTHING
-        return wish
+    def refuse(self, row: int, reason: str) -> None:
+        self.faulty[row] = True
+        self.reasons[row] = reason
 
-    def read(self, wish: int, rows: Integers) -> None:
-        """Turn consecutive rows that ask for the same into a step."""
-        if wish == SINGLE:
-            self._update(rows)
-        elif wish == REMOVAL:
-            self.steps.append(Delete(self._names(rows)))
-        elif wish == LISTED:
-            self._list(int(rows[0]))
-        elif wish == MESH:
-            self._mesh(rows)
-        else:
-            namespace = self.table.namespaces[self.table.namespace[rows[0]]]
-            self.steps.append(DeleteAll(self.prefix + namespace if namespace else None))
+    def refusals(self) -> Refusals:
+        return Refusals(Block(np.flatnonzero(self.faulty), self._name, self._reason))
 
-    def _update(self, rows: Integers) -> None:
-        table = self.table
-        kind = _KINDS[table.type[rows]]
-        size = table.scale[rows]
-        self._place(rows, Shapes(kind, table.position[rows], table.orientation[rows], size))
-
-    def _mesh(self, rows: Integers) -> None:
-        """The triangles of one marker, three points each; scale multiplies them."""
-        row, table = int(rows[0]), self.table
-        points = table.points(row) * table.scale[row]
-        if len(points) % 3 or not len(points):
-            self._refuse(row, f'{len(points)} points are not triangles')
-            return
-        try:
-            mesh = mesh_of(points.reshape(-1, 3, 3))
-        except ValueError as error:
-            self._refuse(row, str(error))
-            return
-        self._place(rows, Shapes.of_meshes([mesh], table.position[rows], table.orientation[rows]))
-
-    def _place(self, rows: Integers, shapes: Shapes) -> None:
-        """Make a step of shapes that are given in the frames of their markers."""
-        known = self._into_node(rows, shapes)
-        if not known.all():
-            rows, shapes = rows[known], shapes.take(known)
-        if len(rows):
-            names = self._names(rows)
-            self.steps.append(Update(names, shapes, self.stamps[rows], self.expires[rows]))
-
-    def _into_node(self, rows: Integers, shapes: Shapes) -> NDArray[np.bool_]:
-        """Bring shapes into the node's frame; which of them are there, the others are refused."""
-        frame, stamp = self.table.frame[rows], self.table.stamp[rows]
-        known = np.ones(len(rows), np.bool_)
-        own = set()
+    def find_frames(self, good: Mask) -> Generator[None, None, None]:
+        """Look up how markers get into the node's frame; refuse those that cannot."""
+        table, rows = self.table, np.flatnonzero(good)
+        frame, stamp = table.frame[rows], table.stamp[rows]
+        own = np.zeros(len(table.frame_ids), np.bool_)  # whatever the time
         order = np.lexsort((stamp, frame))
         moves = np.diff(frame[order], prepend=-1) | np.diff(stamp[order], prepend=0)
-        for begin, end in pairwise([*np.flatnonzero(moves).tolist(), len(rows)]):
-            group = order[begin:end]  # of one frame and one stamp
-            number, first = int(frame[group[0]]), int(stamp[group[0]])
-            if number in own:
+        ends = [*np.flatnonzero(moves).tolist(), len(rows)]
+        for place, (begin, end) in enumerate(pairwise(ends)):
+            if place % AT_A_TIME == AT_A_TIME - 1:
+                yield
+            group = rows[order[begin:end]]  # of one frame and one stamp
+            frame_number = int(table.frame[group[0]])
+            if own[frame_number]:
                 continue
             try:
-                transform = self.into_node(self.table.frame_ids[number], first)
+                transform = self.into_node(
+                    table.frame_ids[frame_number], int(table.stamp[group[0]])
+                )
             except FrameError as error:
-                known[group] = False
-                for row in rows[group].tolist():
-                    self._refuse(row, str(error))
+                self.faulty[group] = True
+                good[group] = False
+                self.reasons.update(dict.fromkeys(group.tolist(), str(error)))
                 continue
-            if transform is None:  # whatever the time
-                own.add(number)
-                continue
-            shapes.position[group] = transform.points(shapes.position[group])
-            shapes.orientation[group] = transform.orientations(shapes.orientation[group])
-        return known
+            if transform is None:
+                own[frame_number] = True
+            else:
+                self._note_transform(group, transform)
 
-    def _list(self, row: int) -> None:
+    def _note_transform(self, rows: Integers, transform: Transform) -> None:
+        if self.moved is None:
+            count = len(self.faulty)
+            self.moved = np.zeros(count, np.bool_)
+            self.shift, self.turn = np.zeros((count, 3)), np.zeros((count, 4))
+        self.moved[rows] = True
+        self.shift[rows], self.turn[rows] = transform.translation, transform.rotation
+
+    def make_meshes(self, rows: Integers) -> Generator[None, None, None]:
+        """Examine lists of triangles, three points each; scale multiplies them."""
+        for row in rows.tolist():
+            points = self.table.points(row) * self.table.scale[row]
+            if len(points) % 3 or not len(points):
+                self.refuse(row, f'{len(points)} points are not triangles')
+                continue
+            try:
+                triangles = points.reshape(-1, 3, 3)
+                self.meshes[row] = yield from examined(triangles, self.planar)
+            except ValueError as error:
+                self.refuse(row, str(error))
+                yield
+
+    def read_lists(self, rows: Integers) -> Generator[None, None, None]:
+        """Find the points of list markers."""
         table = self.table
-        shared, size = table.position[row], table.scale[row]
-        if not all(np.isfinite(x).all() for x in (shared, table.orientation[row], size)):
-            self._refuse(row, 'pose or scale of the list is not finite')
-            return
-        try:
-            transform = self.into_node(table.frame_ids[table.frame[row]], int(table.stamp[row]))
-        except FrameError as error:
-            self._refuse(row, str(error))
-            return
-        points = table.points(row)
-        turn = rotations.normalised(table.orientation[row])
-        n = len(points)
-        shapes = Shapes(
-            np.full(n, LISTED_SHAPES[int(table.type[row])], dtype=np.uint8),
-            rotations.rotate(turn, points) + shared,
-            np.tile(turn, (n, 1)),
-            np.tile(size, (n, 1)),
-        )
-        stamp, expires = int(self.stamps[row]), int(self.expires[row])
-        self.steps.append(ReplaceList(self._name(row), moved(shapes, transform), stamp, expires))
+        given = np.hstack((table.position[rows], table.orientation[rows], table.scale[rows]))
+        finite = np.isfinite(given).all(axis=1)
+        for row in rows[~finite].tolist():
+            self.refuse(row, 'pose or scale of the list is not finite')
+        for number, row in enumerate(rows[finite].tolist()):
+            self.points[row] = table.points(row)
+            if number % AT_A_TIME == AT_A_TIME - 1:
+                yield
 
-    def _names(self, rows: Integers) -> Families:
+    def bad_singles(self, which: Mask) -> Mask:
+        """Which single markers the scene would refuse for their shapes."""
+        rows, table = np.flatnonzero(which), self.table
+        given = table.position[rows], table.orientation[rows], table.scale[rows]
+        bad = np.zeros(len(which), np.bool_)
+        bad[rows] = faults(Shapes(_KINDS[table.type[rows]], *given)) != 0
+        return bad
+
+    def counts(self, rows: Integers) -> Integers:
+        """How many obstacles each marker is."""
+        if not self.points:
+            return np.ones(len(rows), np.int64)
+        found = (len(self.points[row]) if row in self.points else 1 for row in rows.tolist())
+        return np.fromiter(found, np.int64, len(rows))
+
+    def shapes(self, rows: Integers, of: Integers) -> Generator[None, None, Shapes]:
+        """Obstacles in the node's frame; `of` is the marker that each comes from."""
+        table = self.table
+        kind = _KINDS[table.type[of]]
+        shapes = Shapes(kind, table.position[of], table.orientation[of], table.scale[of])
+        if self.meshes:
+            held = np.empty(len(of), object)
+            for at in np.flatnonzero(table.type[of] == TRIANGLES).tolist():
+                held[at] = mesh = self.meshes[int(of[at])]
+                kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
+            shapes = shapes._replace(mesh=held)
+        listed = np.flatnonzero(np.isin(table.type[of], list(LISTED_SHAPES)))
+        points = [self.points[row] for row in rows.tolist() if row in self.points]
+        local = np.concatenate(points) if points else np.empty((0, 3))
+        for begin in range(0, len(listed), ELEMENTS):
+            yield
+            some = slice(begin, begin + ELEMENTS)
+            place = listed[some]
+            turn = rotations.normalised(shapes.orientation[place])
+            shapes.position[place] += rotations.rotate(turn, local[some])
+            shapes.orientation[place] = turn
+        if self.moved is not None:
+            yield from self._move(shapes, of)
+        return shapes
+
+    def _move(self, shapes: Shapes, of: Integers) -> Generator[None, None, None]:
+        """Bring what stands in other frames into the node's."""
+        elsewhere = np.flatnonzero(self.moved[of]) if self.moved is not None else of[:0]
+        for begin in range(0, len(elsewhere), ELEMENTS):
+            yield
+            place = elsewhere[begin : begin + ELEMENTS]
+            marker = of[place]
+            move = Transform(self.shift[marker], self.turn[marker])
+            shapes.position[place] = move.points(shapes.position[place])
+            shapes.orientation[place] = move.orientations(shapes.orientation[place])
+
+    def names(self, rows: Integers, counts: Integers) -> tuple[Families, Families, dict[str, int]]:
+        """Names of all obstacles, of those that are no elements of lists, and list markers."""
+        single = self.single_names(rows)
+        if not self.points:
+            return single, single, {}
+        listed = np.array([row in self.points for row in rows.tolist()], np.bool_)
+        lists = [f'{self._name(row)}' for row in rows[listed].tolist()]
+        prefixes = [*single.prefixes, *(f'{name}#' for name in lists)]
+        family, numbers = single.family.copy(), np.repeat(single.numbers, counts)
+        family[listed] = len(single.prefixes) + np.arange(len(lists))
+        places = np.arange(len(numbers)) - np.repeat(np.cumsum(counts) - counts, counts)
+        element = np.repeat(listed, counts)
+        numbers[element] = places[element]
+        sizes = dict(zip(lists, counts[listed].tolist(), strict=True))
+        return (
+            Families(prefixes, np.repeat(family, counts), numbers),
+            single.take(np.flatnonzero(~listed)),
+            sizes,
+        )
+
+    def single_names(self, rows: Integers) -> Families:
         """Two families a namespace: `ns/` and, for negative ids, `ns/-`."""
         table, number = self.table, self.table.id[rows]
         used, place = np.unique(table.namespace[rows], return_inverse=True)
@@ -239,13 +278,14 @@ class _Reader:
         namespace = self.table.namespaces[self.table.namespace[row]]
         return f'{self.prefix}{namespace}/{self.table.id[row]}'
 
-    def _refuse(self, row: int, reason: str) -> None:
-        self.refusals.append(Refusal(row, self._name(row), reason))
-
-    @staticmethod
-    def _fault(kind: int, action: int) -> str:
+    def _reason(self, row: int) -> str:
+        if row in self.reasons:
+            return self.reasons[row]
+        kind, action = int(self.table.type[row]), int(self.table.action[row])
         if action != ADD_OR_MODIFY:
             return f'unknown marker action {action}'
+        if self.table.lifetime[row] < 0:
+            return f'negative lifetime {self.table.lifetime[row] / 1e9:g} s'
         type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
         return (
             f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'

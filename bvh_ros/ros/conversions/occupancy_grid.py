@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,12 @@ from bvh_ros.scene import ShapeKind, Shapes
 
 # An origin may be off the vertical by what rounding does to a quaternion, not by more.
 MAX_TILT = 1e-6
+BAND = 500_000  # cells that are looked at without a pause, in 10 ms
 
 
 def boxes(
-    grid: Any, *, occupied_at: int, unknown_occupied: bool, z_min: float, z_max: float
-) -> Shapes:
+    grid: Any, *, occupied_at: int, unknown_occupied: bool, z_min: float, z_max: float, most: int
+) -> Generator[None, None, Shapes]:
     """Return the occupied part of a grid as disjoint boxes along the origin's yaw.
 
     Parameters
@@ -31,11 +33,19 @@ def boxes(
         Whether cells of value -1 are.
     z_min, z_max : float
         Vertical extent of the boxes above the grid's plane, m.
+    most : int
+        More boxes than this are refused, all of them.
+
+    Yields
+    ------
+    None
+        Now and then: a large grid takes long.
 
     Raises
     ------
     ValueError
-        If size and data disagree, the resolution is not a length or the origin is tilted.
+        If size and data disagree, the resolution is not a length, the origin is tilted or there
+        are too many boxes.
     """
     info = grid.info
     cells = np.asarray(grid.data, dtype=np.int8)
@@ -47,11 +57,13 @@ def boxes(
     if not (math.isfinite(info.resolution) and info.resolution > 0.0):
         raise ValueError(f'resolution {info.resolution} is not a length')
     at, turn = _origin(info.origin)
-    cells = cells.reshape(info.height, info.width)
-    occupied = cells >= occupied_at
-    if unknown_occupied:
-        occupied |= cells < 0
-    extent = rectangles(occupied) * float(info.resolution)
+
+    def occupied(part: NDArray[np.int8]) -> NDArray[np.bool_]:
+        cells = part >= occupied_at
+        return cells | (part < 0) if unknown_occupied else cells
+
+    found = yield from rectangles(cells.reshape(info.height, info.width), occupied, most)
+    extent = found * float(info.resolution)
     low, high = extent[:, :2], extent[:, 2:]
     n = len(extent)
     middle = np.column_stack((0.5 * (low + high), np.full(n, 0.5 * (z_min + z_max))))
@@ -63,26 +75,75 @@ def boxes(
     )
 
 
-def rectangles(occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Cover the true cells of a (rows, columns) mask exactly, by disjoint rectangles.
+def rectangles(
+    cells: NDArray[Any], occupied: Callable[[NDArray[Any]], NDArray[np.bool_]], most: int
+) -> Generator[None, None, NDArray[np.int64]]:
+    """Cover the occupied cells of a (rows, columns) grid exactly, by disjoint rectangles.
 
     Runs of cells along a row are merged with equal runs in the rows next to it; both directions
-    are tried and the one that needs fewer rectangles is kept.
+    are tried and the one that needs fewer rectangles is kept. Pauses now and then.
 
     Returns
     -------
     (n, 4) int64 array
         First column, first row, end column, end row (ends exclusive).
+
+    Raises
+    ------
+    ValueError
+        If there are more than `most`.
     """
-    along_rows = _merged_runs(occupied)
-    along_columns = _merged_runs(occupied.T)
-    if len(along_rows) <= len(along_columns):
-        return along_rows
-    return along_columns[:, (1, 0, 3, 2)]
+    if not cells.size:  # however many rows or columns are announced
+        return np.empty((0, 4), np.int64)
+    along_rows = yield from _merged_runs(cells, occupied, most)
+    enough = most if along_rows is None else len(along_rows) - 1
+    along_columns = yield from _merged_runs(cells.T, occupied, enough)
+    if along_columns is not None:
+        return along_columns[:, (1, 0, 3, 2)]
+    if along_rows is None:
+        raise ValueError(f'the grid has more than {most} rectangles of occupied cells')
+    return along_rows
 
 
-def _merged_runs(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+def _merged_runs(
+    cells: NDArray[Any], occupied: Callable[[NDArray[Any]], NDArray[np.bool_]], most: int
+) -> Generator[None, None, NDArray[np.int64] | None]:
+    """Rectangles of equal runs in consecutive rows; None if there are more than `most`."""
+    done: list[NDArray[np.int64]] = []
+    count, band = 0, max(BAND // cells.shape[1], 1)
+    for first in range(0, len(cells), band):
+        part = occupied(cells[first : first + band])
+        runs = _merged_runs_of_band(part)
+        runs[:, (1, 3)] += first
+        if done:
+            done[-1] = _without_continued(done[-1], runs, first)
+            count += len(done[-1])
+        done.append(runs)
+        if count + len(runs) > most:
+            return None
+        yield
+    return np.concatenate(done)
+
+
+def _without_continued(
+    before: NDArray[np.int64], runs: NDArray[np.int64], first: int
+) -> NDArray[np.int64]:
+    """Let rectangles that begin with row `first` begin where equal ones end; return the others of
+    those before.
+    """
+    ends, begins = np.flatnonzero(before[:, 3] == first), np.flatnonzero(runs[:, 1] == first)
+    # Both in order of their first columns, which are different.
+    _, old, new = np.intersect1d(
+        before[ends, 0], runs[begins, 0], assume_unique=True, return_indices=True
+    )
+    old, new = ends[old], begins[new]
+    same = before[old, 2] == runs[new, 2]
+    runs[new[same], 1] = before[old[same], 1]
+    return np.delete(before, old[same], axis=0)
+
+
+def _merged_runs_of_band(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).view(np.int8), axis=1)
     row, start = np.nonzero(edges == 1)
     end = np.nonzero(edges == -1)[1]
     # Equal runs of consecutive rows become neighbours, and a rectangle ends where they stop.

@@ -17,7 +17,6 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.frames import Transform
 from bvh_ros.scene import SceneHit
 
-KEPT = 16  # poses; a first hit needs one
 ERROR = 'error: '  # begins the frame_id of a reply that is no answer
 
 Vector = tuple[float, float, float]
@@ -77,7 +76,7 @@ class Replies:
     """
 
     def __init__(self) -> None:
-        self._kept = [PoseStamped() for _ in range(KEPT)]
+        self._kept: list[PoseStamped] = []
 
     def fill(self, plan: Path, hits: Sequence[SceneHit], frame_id: str, newest: int) -> None:
         """Write the answer to a query into a Path.
@@ -93,8 +92,8 @@ class Replies:
             Time of the newest update that the answer knows of, ns.
         """
         _set_header(plan.header, frame_id, newest)
+        self._kept += [PoseStamped() for _ in range(len(hits) - len(self._kept))]
         poses = self._kept[: len(hits)]
-        poses += [PoseStamped() for _ in range(len(hits) - len(poses))]
         for pose, hit in zip(poses, hits, strict=True):
             turn = rotations.from_normal(*hit.normal.tolist())
             _set_pose(pose, hit.name, hit.stamp, hit.point.tolist(), turn)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured
-from bvh_ros.scene import Refusal, ShapeKind, Shapes
+from bvh_ros.scene import Block, Refusals, ShapeKind, Shapes
 
 CENTRE = ('x', 'y', 'z')
 SIZE = ('sx', 'sy', 'sz')
@@ -52,7 +52,8 @@ class BoxCloud:
         self.total = len(self._points)
         self.by_id = 'id' in names
         """Updates these ids; otherwise replaces everything."""
-        self.refusals: list[Refusal] = []
+        self.refusals = Refusals()
+        """Rows whose id is no good."""
         self._ids: NDArray[np.int64] | None = None
         self._good: NDArray[np.bool_] | None = None
         if not self.total:
@@ -94,24 +95,33 @@ class BoxCloud:
         return Boxes(numbers, shapes, deleted, skipped)
 
 
-def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], list[Refusal]]:
+def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], Refusals]:
     """Return the ids as integers, which rows to use, and the rows refused."""
-    refusals: list[Refusal] = []
+    refused = []
     good = np.ones(len(values), dtype=bool)
     if values.dtype.kind == 'f':
         # Doubles beyond 2^53 no longer tell neighbouring ids apart.
         with np.errstate(invalid='ignore'):
             good = (values == np.rint(values)) & (np.abs(values) <= 2.0**53)
-        for row in np.flatnonzero(~good):
-            refusals.append(Refusal(int(row), '', f'id {values[row]} is not a whole number'))
+        refused.append(
+            Block(
+                np.flatnonzero(~good),
+                lambda row: '',
+                lambda row: f'id {values[row]} is not a whole number',
+            )
+        )
     ids = np.where(good, values, 0).astype(np.int64)
     last = _last_of_each(ids, good)
     if last is not None:
-        for row in np.flatnonzero(good & ~last):
-            reason = f'id {ids[row]} comes again in this cloud; the last one counts'
-            refusals.append(Refusal(int(row), str(ids[row]), reason))
-        good &= last
-    return ids, good, refusals
+        refused.append(
+            Block(
+                np.flatnonzero(good & ~last),
+                lambda row: str(ids[row]),
+                lambda row: f'id {ids[row]} comes again in this cloud; the last one counts',
+            )
+        )
+        good = good & last
+    return ids, good, Refusals(*refused)
 
 
 def _last_of_each(ids: NDArray[np.int64], good: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

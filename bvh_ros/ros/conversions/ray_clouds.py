@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
+from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions.cloud_fields import DATATYPES, all_or_none, columns, structured
 
 ORIGIN = ('x', 'y', 'z')
@@ -20,6 +21,7 @@ NORMAL = ('nx', 'ny', 'nz')
 FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
 UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
 EVERYTHING = 0xFFFFFFFF  # the mask that sees every obstacle
+LEAST_RAY = 24  # bytes: origin and direction as float32
 CODES = {kind: code for code, kind in DATATYPES.items()}
 
 Floats = NDArray[np.float64]
@@ -73,17 +75,24 @@ class Hits(NamedTuple):
     @classmethod
     def unanswered(cls, count: int) -> Hits:
         """Return rows that say that nobody knows."""
-        nothing = np.full((count, 3), np.nan)
-        obstacles = np.full(count, UNANSWERED, np.uint32)
-        return cls(obstacles, np.full(count, np.nan), nothing, np.zeros((count, 3)))
+        # One row in memory, whatever the count.
+        obstacle, nan = np.array([UNANSWERED], np.uint32), np.array([np.nan])
+        return cls(
+            np.broadcast_to(obstacle, (count,)),
+            np.broadcast_to(nan, (count,)),
+            np.broadcast_to(nan, (count, 3)),
+            np.broadcast_to(np.zeros(1), (count, 3)),
+        )
 
-    def put(self, rows: NDArray[np.bool_], others: Hits) -> None:
-        """Overwrite some of the rows."""
-        self.obstacles[rows], self.t[rows] = others.obstacles, others.t
-        self.points[rows], self.normals[rows] = others.points, others.normals
+    def put(self, rows: NDArray[np.bool_], others: Hits) -> Hits:
+        """Return the same with some of the rows overwritten."""
+        hits = Hits(*map(np.array, self))
+        hits.obstacles[rows], hits.t[rows] = others.obstacles, others.t
+        hits.points[rows], hits.normals[rows] = others.points, others.normals
+        return hits
 
 
-def rays(cloud: PointCloud2) -> Rays:
+def rays(cloud: PointCloud | PointCloud2) -> Rays:
     """Read the rays of a cloud.
 
     Parameters
@@ -166,13 +175,13 @@ def hits_cloud(found: Hits, height: int, width: int, real: DTypeLike) -> PointCl
     return cloud
 
 
-def rows_of(cloud: PointCloud2) -> tuple[int, int]:
+def rows_of(cloud: PointCloud) -> tuple[int, int]:
     """Return height and width of the reply to a cloud that cannot be read.
 
-    A size that its own data contradict by promising more points than there are bytes is not
+    A size that its own data contradict, by promising more points than could stand in them, is not
     believed: one row says then that nothing is answered.
     """
-    believed = 0 < cloud.height * cloud.width <= len(cloud.data)
+    believed = 0 < cloud.height * cloud.width * LEAST_RAY <= len(cloud.data)
     return (cloud.height, cloud.width) if believed else (1, 1)
 
 
@@ -183,7 +192,7 @@ def _put(table: NDArray[np.void], names: tuple[str, ...], values: Floats) -> Non
 
 def _cloud(table: NDArray[np.void], height: int, width: int) -> PointCloud2:
     data = array('B')
-    data.frombytes(table.tobytes())
+    data.frombytes(table.view(np.uint8).data)
     return PointCloud2(
         height=height,
         width=width,

@@ -15,9 +15,11 @@ from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
-from bvh_ros.ros.sources.source import Applying, Slices, Source
+from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.ros.warm_up import Step
-from bvh_ros.scene import Families, Numbered, Part
+from bvh_ros.scene import Families, Part
+from bvh_ros.scene.names import as_families
+from bvh_ros.scene.slicing import AT_ONCE
 
 
 class MarkerArraySource(Source):
@@ -27,7 +29,7 @@ class MarkerArraySource(Source):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self._lists: set[str] = set()  # markers that are kept as lists of elements
+        self._lists: dict[str, int] = {}  # list markers, and how many elements each has at most
         other = definitions.difference(MarkerArray, decoder.DEFINITION)
         self.raw = not other
         if other:
@@ -41,61 +43,79 @@ class MarkerArraySource(Source):
         return [('decode markers', partial(decoder.read, decoder.EMPTY))] if self.raw else []
 
     def apply(self, message: Any, now: int) -> Applying:
-        """Follow the markers in order."""
+        """Remove what the markers remove, then add and modify."""
         columns = decoder.read(message) if self.raw else table(message.markers)
-        steps, refusals = markers.steps(
-            columns, now=now, into_node=self.frames.into_node, prefix=self.settings.prefix
+        change = yield from markers.change(
+            columns,
+            now=now,
+            into_node=self.frames.into_node,
+            prefix=self.settings.prefix,
+            planar=self.scene.planar,
         )
-        items = len(columns.id)
-        for step in steps:
-            if isinstance(step, markers.Update):
-                refusals += yield from self._update(step)
-            elif isinstance(step, markers.ReplaceList):
-                items += len(step.shapes.kind)
-                refusals += yield from self._replace_list(step)
-            elif isinstance(step, markers.Delete):
-                self.scene.remove(self.name, step.names)
-                self._remove_lists(self._lists_among(step.names))
-            else:
-                self._remove_namespace(step.namespace)
-        return items, refusals
+        self.tells_all = change.clears
+        part = Part(change.names, change.shapes, change.stamp, change.expires)
+        count, refusals = len(change.names), change.refusals
+        removed = self._with_elements(change.removed)
+        gone = self.scene.find(self.name, removed, change.namespaces)
+        at_once = count < AT_ONCE
+        if at_once:
+            self.scene.remove_group(self.name, '') if change.clears else self.scene.discard(gone)
+        self._forget_lists(change)
+        for name, size in change.lists.items():  # before: should anything go wrong on the way
+            self._lists[name] = max(size, self._lists.get(name, 0))
+        whole = change.clears and not at_once
+        refused = yield from self._in_slices('', count, part.cut, whole=whole)
+        if not at_once:  # not before: others have asked meanwhile
+            yield from self.scene.discard_in_slices(gone, besides=change.names)
+        refusals.extend(refused)
+        self._settle_lists(change)
+        return len(columns.id) + count - len(change.singles), refusals
 
     def forget(self) -> None:
         """Start over."""
         super().forget()
         self._lists.clear()
 
-    def _update(self, step: markers.Update) -> Slices:
-        part = Part(step.names, step.shapes, step.stamp, step.expires)
-        refusals = yield from self._in_slices('', len(step.names), part.cut, whole=False)
-        # A list marker that became a single one; a refused update keeps the list.
-        changed = self._lists_among(step.names)
-        self._remove_lists(changed.difference(refusal.name for refusal in refusals))
-        return refusals
+    def _with_elements(self, names: Families) -> Families:
+        """These names, and the elements of those that are lists."""
+        lists = self._lists_among(names)
+        return self._elements({name: (0, self._lists[name]) for name in lists}, names)
 
-    def _replace_list(self, step: markers.ReplaceList) -> Slices:
-        n = len(step.shapes.kind)
-        names = Numbered(step.name + '#', np.arange(n))
-        part = Part(names, step.shapes, step.stamp, step.expires)
-        refusals = yield from self._in_slices(step.name, n, part.cut, whole=True)
-        if step.name not in self._lists:
-            self._lists.add(step.name)
-            self.scene.remove(self.name, [step.name])
-        return refusals
+    def _forget_lists(self, change: markers.Change) -> None:
+        if change.clears:
+            self._lists.clear()
+        for name in self._lists_among(change.removed):
+            del self._lists[name]
+        if change.namespaces and self._lists:
+            spaces = set(change.namespaces)
+            for name in [n for n in self._lists if n.rpartition('/')[0] in spaces]:
+                del self._lists[name]
+
+    def _settle_lists(self, change: markers.Change) -> None:
+        """Remove what lists no longer have, and what changed between a list and a single one."""
+        ended = self._lists_among(change.singles).difference(change.lists)
+        # A refused update keeps the list.
+        ended = {name for name in ended if len(self.scene.find(self.name, [name]))}
+        left = {name: (0, self._lists.pop(name)) for name in ended}
+        for name, size in change.lists.items():
+            left[name] = size, self._lists[name]
+            self._lists[name] = size
+        if left:
+            singles = list(change.lists)
+            self.scene.remove(self.name, self._elements(left, as_families(singles)))
 
     def _lists_among(self, names: Families) -> set[str]:
-        return self._lists.intersection(names.texts()) if self._lists else set()
+        return self._lists.keys() & names.texts() if self._lists else set()
 
-    def _remove_lists(self, names: set[str]) -> None:
-        for name in names:
-            self.scene.remove_group(self.name, name)
-        self._lists -= names
-
-    def _remove_namespace(self, namespace: str | None) -> None:
-        if namespace is None:
-            self.tells_all = True
-            self.scene.remove_group(self.name, '')
-            self._lists.clear()
-            return
-        self.scene.remove_namespace(self.name, namespace)
-        self._lists = {name for name in self._lists if name.rpartition('/')[0] != namespace}
+    @staticmethod
+    def _elements(lists: dict[str, tuple[int, int]], names: Families) -> Families:
+        """Elements of lists from one number to another, after other names."""
+        lists = {name: (begin, end) for name, (begin, end) in lists.items() if end > begin}
+        first = len(names.prefixes)
+        counts = [end - begin for begin, end in lists.values()]
+        numbers = [np.arange(begin, end) for begin, end in lists.values()]
+        return Families(
+            [*names.prefixes, *(f'{name}#' for name in lists)],
+            np.concatenate((names.family, first + np.repeat(np.arange(len(lists)), counts))),
+            np.concatenate((names.numbers, *numbers)),
+        )

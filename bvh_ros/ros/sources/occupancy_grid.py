@@ -34,12 +34,13 @@ class OccupancyGridSource(Source):
         """Replace all boxes."""
         self.tells_all = True
         options = self.settings.options
-        shapes = occupancy_grid.boxes(
+        shapes = yield from occupancy_grid.boxes(
             message,
             occupied_at=options['occupied_at'],
             unknown_occupied=options['unknown'] == 'occupied',
             z_min=options['z_min'],
             z_max=options['z_max'],
+            most=self.scene.max_obstacles,
         )
         stamp = nanoseconds(message.header.stamp)
         shapes = moved(shapes, self.frames.into_node(message.header.frame_id, stamp))

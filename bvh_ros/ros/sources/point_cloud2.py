@@ -9,10 +9,10 @@ from typing import Any
 
 from sensor_msgs.msg import PointCloud2
 
+from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.cloud_head import field_names
 from bvh_ros.ros.conversions import point_cloud2
 from bvh_ros.ros.conversions.markers import moved
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
 
@@ -31,13 +31,15 @@ class PointCloud2Source(Source):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self.says_everything = says_everything
+        self.raw = True
 
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes, or update and delete by id."""
-        cloud = point_cloud2.BoxCloud(message, voxel=self.settings.options['voxel'])
+        given = decoder.read(message)
+        cloud = point_cloud2.BoxCloud(given, voxel=self.settings.options['voxel'])
         self.tells_all = not cloud.by_id
-        stamp = nanoseconds(message.header.stamp)
-        transform = self.frames.into_node(message.header.frame_id, stamp)
+        stamp = given.stamp
+        transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'
         items = len(cloud.refusals)
 
@@ -51,5 +53,7 @@ class PointCloud2Source(Source):
                 names = Numbered(prefix, boxes.numbers)
                 yield Part(names, moved(boxes.shapes, transform), stamp or now)
 
-        refusals = yield from self._in_slices('', cloud.total, parts, whole=not cloud.by_id)
-        return items, [*cloud.refusals, *refusals]
+        whole = not cloud.by_id
+        refusals = yield from self._in_slices('', cloud.total, parts, whole=whole)
+        refusals.extend(cloud.refusals)
+        return items, refusals

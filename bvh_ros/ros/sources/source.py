@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from rclpy.serialization import deserialize_message
 
 from bvh_ros.ros.qos import DEPTH
-from bvh_ros.ros.refusals import Refused
+from bvh_ros.ros.refusals import Refused, explain
 from bvh_ros.ros.sources.completeness import Completeness
 from bvh_ros.ros.sources.numbering import Heard
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.timings import Timings
-from bvh_ros.scene import Refusal
+from bvh_ros.scene import Refusal, Refusals
 
 if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Part, Scene
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
-Slices = Generator[None, None, list[Refusal]]
+Slices = Generator[None, None, Refusals]
 SLICE = 0.01  # seconds after which others get a turn
 DONE = object()
 
@@ -141,17 +141,18 @@ class Source(ABC):
         try:
             items, refusals = yield from self.apply(self._read(serialised), now)
             self.timings.add(began)
+            self.refused.add_rows(refusals)
+            if items == 0 or len(refusals) < items:
+                self.spoke_at, self.has_spoken = now, True
+                if self.tells_all:
+                    self.completeness.note_all_told()
+            return
         except ValueError as error:
-            self.refused.add(str(error))
-            return
+            reason = str(error)
         except Exception as error:  # a fault of ours must not silence the other sources
-            self.refused.add(f'internal error: {error!r}')
-            return
-        self.refused.add_rows(refusals)
-        if items == 0 or len(refusals) < items:
-            self.spoke_at, self.has_spoken = now, True
-            if self.tells_all:
-                self.completeness.note_all_told()
+            reason = explain(error)
+        # Not earlier: an error holds in memory whatever its function was working on.
+        self.refused.add(reason)
 
     def _in_slices(
         self, group: str, total: int, parts: Callable[[int], Iterator[Part]], *, whole: bool

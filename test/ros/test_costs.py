@@ -1,0 +1,190 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is refused, malformed or only announced costs little memory, and no life."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from array import array
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import PointCloud2, PointField
+from visualization_msgs.msg import MarkerArray
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SMALL_MULTIPLE = 12  # of the bytes; DDS, the message and the reply are some of them
+ANYWAY = 30_000_000  # bytes that come and go whatever is done
+MOST = 1000
+PARAMETERS = {
+    'sources': ['markers', 'c', 'g'],
+    'c': {'type': 'PointCloud2', 'topic': 'c'},
+    'g': {'type': 'OccupancyGrid', 'topic': 'g'},
+    'max_obstacles': MOST,
+    'max_hits': 5,
+}
+
+
+def octets(count):
+    data = array('B')
+    data.frombytes(bytes(count))
+    return data
+
+
+def grid(width, height):
+    message = OccupancyGrid()
+    message.info.width, message.info.height, message.info.resolution = width, height, 1.0
+    return 'g', message
+
+
+def junk(**given):
+    return 'bvh/rays', PointCloud2(height=1, **given)
+
+
+def memory(world, what):
+    status = Path(f'/proc/{world.process.pid}/status').read_text()
+    return 1024 * int(status.partition(f'{what}:')[2].split()[0])
+
+
+def bombs(messages):
+    """Messages by what is wrong with them, each with its topic."""
+    nothing, size = (0, 2**32 - 1), 8_000_000
+    points = np.arange(300_000)
+    arrows = [messages.marker(k, type=0) for k in range(10_000)]
+    return {
+        'rows without cells': grid(*nothing),
+        'columns without cells': grid(*nothing[::-1]),
+        'a point a byte': junk(width=size, point_step=1, row_step=size, data=octets(size)),
+        'points without bytes': junk(width=2**32 - 1, data=octets(0)),
+        'very many fields': junk(width=1, fields=[PointField(name='x')] * 100_000),
+        'more than there is room for': ('c', messages.cloud(dict.fromkeys('xyz', points))),
+        'ids that are none': (
+            'c',
+            messages.cloud({**dict.fromkeys('xyz', points), 'id': points + 0.5}),
+        ),
+        'markers of no use': ('bvh/obstacles', MarkerArray(markers=arrows)),
+    }
+
+
+def test_what_is_refused_costs_little(start_node, messages):
+    world = start_node(PARAMETERS)
+    below = ((0, 0, -5), (1, 0, -5))
+    for what, (topic, message) in bombs(messages).items():
+        Path(f'/proc/{world.process.pid}/clear_refs').write_text('5')  # forget the peak so far
+        before = memory(world, 'VmHWM')
+        world.publish(topic, message, qos=LATCHED if topic == 'g' else 10)
+        time.sleep(0.3)
+        assert world.names('raycast', *below, timeout=30) == [], what
+        grown = memory(world, 'VmHWM') - before
+        size = len(serialize_message(message))
+        assert grown <= SMALL_MULTIPLE * size + ANYWAY, f'{what}: {grown} for {size} bytes'
+    assert 'fields' in world.said()
+    assert 'is full' in world.said()
+    reply = world.names('raycast', (0, 0, 0), (1, 0, 0), frame='x' * 1_000_000)
+    assert reply[0].startswith('error: ')
+    assert world.trigger('validate').success
+    assert world.end(signal.SIGTERM) == 0
+
+
+def test_too_little_memory_is_a_reason_not_an_end(start_node, messages):
+    world = start_node({**PARAMETERS, 'max_obstacles': 5_000_000})
+    room = memory(world, 'VmSize') + 150_000_000
+    resource.prlimit(world.process.pid, resource.RLIMIT_AS, (room, room))
+    points = np.random.default_rng(0).uniform(0, 100, (1_000_000, 3)).T
+    world.publish('c', messages.cloud(dict(zip('xyz', points, strict=True)), kind='<f4'))
+    world.until(lambda: 'not enough memory' in world.said(), timeout=30)
+    assert world.status('source c').values['refused'] != '0'
+    world.publish('c', messages.cloud({'x': [5], 'y': [0], 'z': [0]}))
+    world.until(lambda: world.names('raycast', (0, 0, 0), (9, 0, 0)) == ['c#0'])
+    assert world.trigger('validate').success
+
+
+def test_an_answer_beyond_max_hits_is_an_error_and_none_is_cut_short(start_node, messages):
+    world = start_node({**PARAMETERS, 'views': ['all'], 'all': {'include': ['*']}})
+    turned = (0, 0, 0.1, 1)
+    everywhere = ((-50, -50, -50), (50, 50, 50))
+    along, ball = ((-1, 0, 0), (99, 0, 0)), {'tolerance': 0.1}
+    for turn in ((0, 0, 0, 1), turned):
+        for count in (5, 6):
+            cubes = [messages.marker(k, (2 * k, 0, 0), turn=turn) for k in range(count)]
+            world.markers(*cubes)
+            world.until(lambda: len(world.names('raycast_all', *along)) == (5, 1)[count - 5])  # noqa: B023
+            for view in ('', 'all/'):
+                for ask, where, given in (
+                    ('raycast_all', along, {}),
+                    ('raycast_all', along, ball),
+                    ('overlap', everywhere, {}),
+                    ('overlap', everywhere, {'turn': turned}),
+                    ('overlap', everywhere, ball),
+                ):
+                    names = world.names(view + ask, *where, **given)
+                    if count == 5:
+                        assert sorted(names) == [f'a/{k}' for k in range(5)]
+                    else:
+                        (name,) = names
+                        assert name.startswith('error: ')
+                        assert 'max_hits' in name
+                assert world.names(f'{view}raycast', *along) == ['a/0']
+        world.trigger('clear')
+
+
+def of_many_steps(messages, kind, count):
+    """A message that used to be as many changes as it has markers."""
+    marker = messages.marker
+    if kind == 'DELETEALL and ADD in turns':
+        array = [marker(k, ns=f'n{k // 2}', action=3 * (1 - k % 2)) for k in range(count)]
+    elif kind == 'lists and single ones in turns':
+        array = [marker(k, type=(6, 1)[k % 2], points=[(k, 0, 0)]) for k in range(count)]
+    else:
+        array = [marker(k // 3, action=2 * (k % 2)) for k in range(count)]
+    return MarkerArray(markers=array)
+
+
+@pytest.mark.parametrize(
+    'kind', ['DELETEALL and ADD in turns', 'lists and single ones in turns', 'ADD and DELETE']
+)
+def test_time_grows_with_the_length_of_a_message_whatever_its_order(world, messages, kind):
+    def seconds():
+        fields = Path(f'/proc/{world.process.pid}/stat').read_text().rpartition(')')[2].split()
+        return sum(map(int, fields[11:13])) / os.sysconf('SC_CLK_TCK')
+
+    took = []
+    for count in (4_000, 16_000):
+        last = messages.marker(0, (0, 0, count), ns='end')
+        world.publish('bvh/obstacles', of_many_steps(messages, kind, count))
+        before = seconds()
+        world.markers(last)
+        above, below = (0, 0, count + 2), (0, 0, count - 2)
+        world.until(lambda: world.names('raycast', above, below) == ['end/0'], timeout=60)  # noqa: B023
+        took.append(seconds() - before)
+    assert took[1] <= 8 * took[0] + 0.5
+    assert world.trigger('validate').success
+
+
+BUSY = """
+import hashlib
+from bvh_ros.ros.interrupts import Interrupts
+interrupts = Interrupts()
+print('busy', flush=True)
+hashlib.pbkdf2_hmac('sha256', b'', b'', 500_000_000)  # minutes in C, where Python hears nothing
+"""
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_heeded_whatever_runs(how):
+    with subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b'busy\n'
+        process.send_signal(how)
+        began = time.monotonic()
+        assert process.wait(60) == 0
+        assert time.monotonic() - began < 10.0  # half a second, where the machine is idle
