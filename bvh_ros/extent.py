@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from bvh_ros.ros.diagnostics import HIGHEST, LOWEST
+from bvh_ros.ros.parts.diagnostics import HIGHEST, LOWEST
 
 Vector = tuple[float, float, float]
 

@@ -15,8 +15,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.interrupts import Interrupts
-from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.spinning import SturdyExecutor
 from bvh_ros.ros.texts import as_line

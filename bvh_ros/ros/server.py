@@ -11,33 +11,33 @@ from typing import TYPE_CHECKING, Protocol
 from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from bvh_ros.ros import qos_overrides
-from bvh_ros.ros.clock_jumps import ClockJumps
-from bvh_ros.ros.diagnostics import Diagnostics
-from bvh_ros.ros.drawing import SceneDrawing, TreeDrawing
-from bvh_ros.ros.frames import Frames, listen_to_tf2
-from bvh_ros.ros.names import NamesPublisher
-from bvh_ros.ros.option import ConfigurationError
-from bvh_ros.ros.parameters import read_settings
-from bvh_ros.ros.part_settings import GROUPS, draw_settings, scan_settings
-from bvh_ros.ros.query_drawing import QueryDrawing
-from bvh_ros.ros.services import QueryServices, TriggerServices
+from bvh_ros.ros.config import qos_overrides
+from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import read_settings
+from bvh_ros.ros.config.part_settings import GROUPS, draw_settings, scan_settings
+from bvh_ros.ros.parts.diagnostics import Diagnostics
+from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
+from bvh_ros.ros.parts.maintenance import Maintenance
+from bvh_ros.ros.parts.names import NamesPublisher
+from bvh_ros.ros.parts.query_drawing import QueryDrawing
+from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
-from bvh_ros.ros.upkeep import Upkeep
-from bvh_ros.ros.views import Categoriser, View, create_views
 from bvh_ros.ros.warm_up import warm_up
-from bvh_ros.ros.world import World
+from bvh_ros.ros.world.clock_jumps import ClockJumps
+from bvh_ros.ros.world.frames import Frames, listen_to_tf2
+from bvh_ros.ros.world.views import Categoriser, View, create_views
+from bvh_ros.ros.world.world import World
 from bvh_ros.scene import Scene, ShapeKind
-from bvh_ros.tree import kernel_cache
+from bvh_ros.tree.jit import kernel_cache
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.batch import RayBatch
-    from bvh_ros.ros.parameters import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.parts.batch import RayBatch
+    from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source
-    from bvh_ros.ros.virtual_scan import VirtualScan
 
 
 class Destroyable(Protocol):
@@ -161,19 +161,19 @@ class BvhServer:
         yield NamesPublisher(node, world.scene)
         yield SceneDrawing(node, world, self._draw)
         yield TreeDrawing(node, world, self._draw)
-        yield Upkeep(node, world)
+        yield Maintenance(node, world)
         yield Diagnostics(node, world, queries, answerers, self.features)
 
     def _create_answerers(self, drawing: QueryDrawing) -> Iterator[RayBatch | VirtualScan]:
         """Create what answers many rays at once; who does without imports none of it."""
         node, world = self.node, self.world
         if self.settings.batch:
-            from bvh_ros.ros.batch import RayBatch
+            from bvh_ros.ros.parts.batch import RayBatch
 
             for view in world.views:
                 yield RayBatch(node, world, view, drawing)
         if self._scan.pose_topic:
-            from bvh_ros.ros.virtual_scan import VirtualScan
+            from bvh_ros.ros.parts.virtual_scan import VirtualScan
 
             try:
                 yield VirtualScan(node, world, self._scan, self._scanning_view())

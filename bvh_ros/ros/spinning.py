@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-from bvh_ros.ros.refusals import explain
+from bvh_ros.ros.parts.refusals import explain
 
 if TYPE_CHECKING:
     from rclpy.node import Node

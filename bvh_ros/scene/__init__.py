@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
-from .meshes import Mesh, mesh_of
-from .names import Families, Numbered
+from .geometry.meshes import Mesh, mesh_of
+from .geometry.shapes import ShapeKind, Shapes
 from .refusals import Block, Refusal, Refusals
 from .results import NO_NODE, Obstacle, SceneHit, TooManyHitsError
 from .scene import Scene
-from .shapes import ShapeKind, Shapes
 from .slicing import Part
+from .store.names import Families, Numbered
 
 __all__ = [
     'NO_NODE',

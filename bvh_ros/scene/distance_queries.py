@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.nodes import ALL
-from . import clearance, nearness
+from .distance import clearance, nearness
 from .queries import SceneQueries
-from .registry import UNKNOWN
 from .results import Clearance, SceneHit
+from .store.registry import UNKNOWN
 
 
 class DistanceQueries(SceneQueries):

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import checks
-from ..tree.arrays import Ids
 from ..tree.dynamic_bvh import DynamicBVH
-from .columns import Columns
-from .groups import Groups
-from .registry import UNKNOWN, Registry
+from ..tree.store.arrays import Ids
+from .geometry.shapes import Floats, ShapeKind, Shapes
 from .results import LAST_NODE_HANDLE, Obstacle
-from .shapes import Floats, ShapeKind, Shapes
+from .store.columns import Columns
+from .store.groups import Groups
+from .store.registry import UNKNOWN, Registry
 
 
 class SceneInspection:

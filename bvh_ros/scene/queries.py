@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import ALL
-from . import ball_casting, box_casting, casting, overlaps
-from .columns import Columns
-from .query_shape import QueryShape, box_query, shape_query
-from .registry import Registry, Slots
+from .casting import ball_casting, box_casting, casting
+from .distance import overlaps
+from .geometry.query_shape import QueryShape, box_query, shape_query
+from .geometry.shapes import Floats, Shapes, along_axes
 from .results import NO_NODE, SceneHit, require_few
-from .shapes import Floats, Shapes, along_axes
+from .store.columns import Columns
+from .store.registry import Registry, Slots
 
 Masks = NDArray[np.uint32]
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
-from . import updating
-from .columns import Columns
-from .groups import Groups
-from .names import Names, as_families
-from .registry import UNKNOWN, Registry, Slots
+from .store import updating
+from .store.columns import Columns
+from .store.groups import Groups
+from .store.names import Names, as_families
+from .store.registry import UNKNOWN, Registry, Slots
 
 AT_A_TIME = 8192  # obstacles, about 10 ms
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .shapes import ShapeKind
+from .geometry.shapes import ShapeKind
 
 NO_NODE = 0xFFFFFFFF  # instead of a node handle: nothing is hit
 LAST_NODE_HANDLE = 2**31 - 1

@@ -10,19 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import SLOT_MASK
-from . import updating
-from .columns import Columns, as_index
 from .distance_queries import DistanceQueries
-from .groups import NOBODY, Groups
+from .geometry.shapes import Shapes, along_axes, as_shapes
 from .inspection import SceneInspection
-from .names import Families, Names, as_families
 from .refusals import Refusals
-from .registry import UNKNOWN, Registry, Slots
 from .removals import Removals
 from .results import LAST_NODE_HANDLE
-from .shapes import Shapes, along_axes, as_shapes
 from .slicing import Part, Replacement, SlicedUpdates
-from .updating import Rows
+from .store import updating
+from .store.columns import Columns, as_index
+from .store.groups import NOBODY, Groups
+from .store.names import Families, Names, as_families
+from .store.registry import UNKNOWN, Registry, Slots
+from .store.updating import Rows
 
 NEVER = np.iinfo(np.int64).max
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
@@ -160,12 +160,12 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates, Removals):
         self._require_memory(len(part.shapes.kind))
         called = as_families(part.names)
         updating.text('source', source), updating.text('group', group)
-        formed = updating.form(as_shapes(part.shapes), self.planar)
+        formed = updating.canonicalise(as_shapes(part.shapes), self.planar)
         if len(called) != formed.total:
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
         slots = self._registry.find(called)
         owner = self._groups.source(source)
-        rows = updating.examine(
+        rows = updating.validate_rows(
             *(called, formed, slots, self._columns.source, owner, part[2:]),
             self._groups.source_name,
         )

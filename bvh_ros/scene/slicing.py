@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike
 
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import ALL, SLOT_MASK
-from .columns import Columns
-from .groups import Groups
-from .names import Names, as_families
+from .geometry.shapes import Shapes, as_shapes
 from .refusals import Refusals
-from .registry import Registry, Slots
-from .shapes import Shapes, as_shapes
-from .updating import TIMES, Rows, column
+from .store.columns import Columns
+from .store.groups import Groups
+from .store.names import Names, as_families
+from .store.registry import Registry, Slots
+from .store.updating import TIMES, Rows, column
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all.

@@ -12,10 +12,10 @@ import math
 
 import numpy as np
 
-from .compiling import inlined, lean_kernel
-from .machine import stack_array
+from .jit.compiling import inlined, lean_kernel
+from .jit.intrinsics import stack_array
 from .nodes import DEEPEST, NONE, ROOT, is_leaf
-from .turns import begin_query, end_query
+from .store.turns import begin_query, end_query
 
 # Edges between these need no scaling: their products, and sums of many, are normal doubles.
 SMALLEST_EDGE, LARGEST_EDGE = 2.0**-400, 2.0**400

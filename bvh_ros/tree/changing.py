@@ -10,12 +10,12 @@ change of one box is refused until `change_many` has seen to it.
 
 import numpy as np
 
-from . import building
 from .area import tree_cost
-from .building import build_anew, is_too_high
-from .compiling import inlined, lean_kernel
-from .insertion import link_leaf, unlink_leaf
-from .machine import stack_array
+from .build import building
+from .build.building import build_anew, is_too_high
+from .insertion import insert_leaf, remove_leaf
+from .jit.compiling import inlined, lean_kernel
+from .jit.intrinsics import stack_array
 from .moving import fits, insert_rows, move_leaf, move_rows, remove_rows, write_leaf, write_tight
 from .nodes import (
     BUILT_COST,
@@ -37,7 +37,7 @@ from .nodes import (
     free_leaf,
     take_leaf,
 )
-from .turns import ANY_VERSION, begin_change, end_change
+from .store.turns import ANY_VERSION, begin_change, end_change
 
 # Why a change is refused, besides those in `turns`.
 FULL, OWING, UNKNOWN, NO_NUMBERS = -3, -4, -5, -6
@@ -96,7 +96,7 @@ def insert_one(nodes, heights, tight, handles, state, lo, hi, mask, margin, bran
     nodes[leaf].mask = mask
     handle = state[SERIAL] << SLOT_BITS | leaf >> 1
     handles[leaf >> 1] = handle
-    link_leaf(nodes, heights, state, leaf, branch_and_bound)
+    insert_leaf(nodes, heights, state, leaf, branch_and_bound)
     state[SERIAL] += 1
     state[INSERTED] += 1
     return -handle if _end_one(heights, state) else handle
@@ -118,7 +118,7 @@ def remove_one(nodes, heights, tight, handles, state, handle):
     if slot == NONE:
         end_change(state, False)
         return np.int64(UNKNOWN)
-    unlink_leaf(nodes, heights, state, 2 * slot)
+    remove_leaf(nodes, heights, state, 2 * slot)
     free_leaf(nodes, state, 2 * slot)
     handles[slot] = NONE
     state[REMOVED] += 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .compiling import kernel
+from .jit.compiling import kernel
 from .nodes import ALL, SLOT_MASK
 
 Floats = NDArray[np.float64]

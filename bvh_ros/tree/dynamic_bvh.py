@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import changing, checks, storing
-from .arrays import Floats, Ids
-from .box_queries import BoxQueries
+from . import changing, checks
+from .boxes.box_queries import BoxQueries
 from .introspection import Introspection
-from .ray_queries import RayQueries
-from .storage import clear, new_storage
+from .rays.ray_queries import RayQueries
+from .store import files as storing
+from .store.arrays import Floats, Ids
+from .store.storage import clear, new_storage
 
 SEARCHES = ('greedy', 'branch_and_bound')
 

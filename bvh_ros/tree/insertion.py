@@ -12,9 +12,9 @@ Construction for Ray Tracing", section 3, for the bound.
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .compiling import inlined, lean_kernel
-from .machine import prefetch, stack_array
-from .nodes import DEEPEST, NONE, ROOT, adopt, free_inner, is_leaf, replace_child, take_inner
+from .jit.compiling import inlined, lean_kernel
+from .jit.intrinsics import prefetch, stack_array
+from .nodes import DEEPEST, NONE, ROOT, free_inner, is_leaf, refit_node, replace_child, take_inner
 from .rotation import rotate
 
 
@@ -120,7 +120,7 @@ def refit_ancestors(nodes, heights, state, node):
     """
     quiet = 0
     while node != NONE and quiet < 2:
-        changed = adopt(nodes, heights, node)
+        changed = refit_node(nodes, heights, node)
         rotated = rotate(nodes, heights, node)
         # A rotation looks two levels down, so two levels without change leave nothing to do above.
         quiet = 0 if changed or rotated else quiet + 1
@@ -128,7 +128,7 @@ def refit_ancestors(nodes, heights, state, node):
 
 
 @lean_kernel
-def link_leaf(nodes, heights, state, leaf, branch_and_bound):
+def insert_leaf(nodes, heights, state, leaf, branch_and_bound):
     """Insert a leaf whose box and mask are written: find its sibling, give both a new parent,
     refit and rotate above.
     """
@@ -151,7 +151,7 @@ def link_leaf(nodes, heights, state, leaf, branch_and_bound):
 
 
 @lean_kernel
-def unlink_leaf(nodes, heights, state, leaf):
+def remove_leaf(nodes, heights, state, leaf):
     """Take a leaf out of the tree: its sibling takes their parent's place; refit and rotate above.
     The leaf is not freed.
     """

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import checks, validation
 from .area import cost_now
-from .arrays import Arrays, Floats, Ids
-from .kernel_cache import cache_folder
+from .jit.kernel_cache import cache_folder
 from .nodes import (
     BUILT_COST,
     COUNTERS,
@@ -24,7 +23,8 @@ from .nodes import (
     SLOT_MASK,
     STATE_PLACES,
 )
-from .turns import IS_CHANGED
+from .store.arrays import Arrays, Floats, Ids
+from .store.turns import IS_CHANGED
 
 
 class Introspection(Arrays):

@@ -13,10 +13,10 @@ These are parts of `changing.change_many`; `room` is from `building.room_to_buil
 
 import numpy as np
 
-from .building import build_anew, rebalance, refit_all
-from .compiling import inlined, lean_kernel
-from .insertion import link_leaf, unlink_leaf
-from .machine import stack_array
+from .build.building import build_anew, rebalance, refit_all
+from .insertion import insert_leaf, remove_leaf
+from .jit.compiling import inlined, lean_kernel
+from .jit.intrinsics import stack_array
 from .nodes import (
     COUNT,
     INSERTED,
@@ -98,7 +98,7 @@ def insert_rows(
         slot = leaf >> 1
         handles[slot] = new[i] = (state[SERIAL] + i) << SLOT_BITS | slot
         if link:
-            link_leaf(nodes, heights, state, leaf, branch_and_bound)
+            insert_leaf(nodes, heights, state, leaf, branch_and_bound)
             rebalance(nodes, heights, state, room)
     state[SERIAL] += lo.shape[0]
     state[INSERTED] += lo.shape[0]
@@ -108,7 +108,7 @@ def insert_rows(
 def remove_rows(nodes, heights, handles, state, slots, room):
     for i in range(slots.shape[0]):
         leaf = 2 * slots[i]
-        unlink_leaf(nodes, heights, state, leaf)
+        remove_leaf(nodes, heights, state, leaf)
         free_leaf(nodes, state, leaf)
         handles[slots[i]] = NONE
         rebalance(nodes, heights, state, room)
@@ -118,9 +118,9 @@ def remove_rows(nodes, heights, handles, state, slots, room):
 @lean_kernel
 def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
     """Take the leaf out and insert it at its new place."""
-    unlink_leaf(nodes, heights, state, leaf)
+    remove_leaf(nodes, heights, state, leaf)
     write_leaf(nodes, tight, leaf, lo, hi, margin, displacement)
-    link_leaf(nodes, heights, state, leaf, branch_and_bound)
+    insert_leaf(nodes, heights, state, leaf, branch_and_bound)
 
 
 @inlined
@@ -146,7 +146,7 @@ def _is_near(nodes, leaf, lo, hi):
 
 
 @lean_kernel
-def sort_rows(nodes, tight, slots, lo, hi, margin, displacements, near, far):
+def classify_moves(nodes, tight, slots, lo, hi, margin, displacements, near, far):
     """Number the rows whose box has left its fat box, near and far; return how many of each.
 
     For the others only the exact box is written.
@@ -212,7 +212,7 @@ def move_rows(arrays, slots, boxes, margin, branch_and_bound, shares, order, roo
     nodes, heights, tight, handles, state = arrays
     lo, hi, ahead = boxes
     total = slots.shape[0]
-    near_count, far_count = sort_rows(
+    near_count, far_count = classify_moves(
         nodes, tight, slots, lo, hi, margin, ahead, order[:total], order[total:]
     )
     near, far = order[:near_count], order[total : total + far_count]

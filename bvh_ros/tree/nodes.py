@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiling import inlined, lean_kernel
+from .jit.compiling import inlined, lean_kernel
 
 NONE = -1
 ALL = 0xFFFFFFFF  # the query mask that sees every box
@@ -166,7 +166,7 @@ def replace_child(nodes, state, parent, old, new):
 
 
 @inlined
-def adopt(nodes, heights, node):
+def refit_node(nodes, heights, node):
     """Make box, mask and height of an inner node those of its children; true if any of them
     changed.
     """

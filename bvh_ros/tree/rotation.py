@@ -17,8 +17,8 @@ list.
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .compiling import inlined, lean_kernel
-from .nodes import HIGHEST, NONE, adopt, is_leaf
+from .jit.compiling import inlined, lean_kernel
+from .nodes import HIGHEST, NONE, is_leaf, refit_node
 
 
 @inlined
@@ -34,8 +34,8 @@ def _exchange(nodes, heights, node, child, uncle_of, niece):
         nodes[uncle_of].right = child
     nodes[niece].parent = node
     nodes[child].parent = uncle_of
-    adopt(nodes, heights, uncle_of)
-    adopt(nodes, heights, node)
+    refit_node(nodes, heights, uncle_of)
+    refit_node(nodes, heights, node)
 
 
 @lean_kernel

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .building import height_limit
-from .compiling import kernel
+from .build.building import height_limit
+from .jit.compiling import kernel
 from .nodes import (
     COUNT,
     EXACT_RAYS,

@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros import survey
-from bvh_ros.ros.refusals import LISTED, Refused
-from bvh_ros.ros.timings import MOST, Timings
-from bvh_ros.ros.views import WHOLE
+from bvh_ros.ros.parts.refusals import LISTED, Refused
+from bvh_ros.ros.parts.timings import MOST, Timings
+from bvh_ros.ros.world import survey
+from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.scene import Refusal, Scene
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
@@ -182,7 +182,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
         scene = SlowScene()
         views = (WHOLE,)
 
-    looks = survey.Survey(World())
+    looks = survey.SceneStatistics(World())
     for _ in range(100):
         figures, _seen = looks.look()
         assert 'age of these figures' in figures

@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines
-from bvh_ros.ros.drawing import obstacles
+from bvh_ros.ros.parts.drawing import obstacles
 from bvh_ros.scene import ShapeKind, Shapes
 from bvh_ros.tree import DynamicBVH
 

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import TransformSettings
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.frames import FrameError, Frames, listen_to_tf2
-from bvh_ros.ros.option import ConfigurationError
-from bvh_ros.ros.parameters import TransformSettings
+from bvh_ros.ros.world.frames import FrameError, Frames, listen_to_tf2
 
 
 class FakeBuffer:

@@ -12,7 +12,7 @@ import pytest
 
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
-from bvh_ros.ros.frames import FrameError, Transform
+from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Scene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11

@@ -13,7 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from bvh_ros.ros.option import ConfigurationError
+from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.texts import LONGEST_LINE, as_line, shortened
 

@@ -13,7 +13,7 @@ from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 
 from bvh_ros.ros.conversions import plans
-from bvh_ros.ros.frames import FrameError, Frames, Transform
+from bvh_ros.ros.world.frames import FrameError, Frames, Transform
 from bvh_ros.scene import SceneHit
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.option import ConfigurationError
-from bvh_ros.ros.parameters import ViewSettings
-from bvh_ros.ros.views import Categoriser, create_views
+from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import ViewSettings
+from bvh_ros.ros.world.views import Categoriser, create_views
 from bvh_ros.scene import Numbered, Scene, Shapes
-from bvh_ros.scene.names import as_families
+from bvh_ros.scene.store.names import as_families
 
 PATTERNS = st.text(alphabet='ab#/01*?[!]-', max_size=6)
 PREFIXES = st.text(alphabet='ab#/01', max_size=4).filter(lambda text: text[-1:] not in '01')

@@ -14,10 +14,10 @@ from geometry_msgs.msg import PoseStamped
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
+from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.part_settings import SCAN_OPTIONS, scan_settings
 from bvh_ros.ros.conversions import scans
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
-from bvh_ros.ros.option import ConfigurationError
-from bvh_ros.ros.part_settings import SCAN_OPTIONS, scan_settings
 
 BOXES, TIMEOUT = 60, 30.0
 RNG = np.random.default_rng(3)

@@ -50,7 +50,7 @@ class Feature(NamedTuple):
 
 
 class Contact(NamedTuple):
-    solids: tuple[Solid, Solid]
+    geometry_arrays: tuple[Solid, Solid]
     positions: np.ndarray
     turns: np.ndarray
     gap: float
@@ -266,7 +266,7 @@ def contacts(count, rng, manners, gaps, offsets, kinds=tuple(FEATURES)):
 
 def scene_of(made, planar=False):
     """Obstacles '0', '1', ...: two a contact."""
-    bodies = [body for one in made for body in one.solids]
+    bodies = [body for one in made for body in one.geometry_arrays]
     held = np.empty(len(bodies), object)
     held[:] = [body.mesh for body in bodies]
     shapes = Shapes(

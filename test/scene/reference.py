@@ -74,7 +74,7 @@ def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     return np.maximum(gaps.max(axis=1), 0.0)
 
 
-def solids(shapes: Shapes) -> list[Solid]:
+def geometry_arrays(shapes: Shapes) -> list[Solid]:
     turns = np.where(np.any(shapes.orientation, axis=1)[:, None], shapes.orientation, [0, 0, 0, 1])
     matrices = Rotation.from_quat(turns).as_matrix()
     return [

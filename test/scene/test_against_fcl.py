@@ -15,9 +15,9 @@ from scene.widest_gap import widest_gap
 
 from bvh_ros.report.error.contacts import contacts
 from bvh_ros.report.error.pairs import fcl_objects
-from bvh_ros.scene.narrow_phase import near_pairs
-from bvh_ros.scene.query_shape import solids as records_of
-from bvh_ros.scene.shapes import canonical
+from bvh_ros.scene.distance.narrow_phase import near_pairs
+from bvh_ros.scene.geometry.query_shape import geometry_arrays as records_of
+from bvh_ros.scene.geometry.shapes import canonical
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 PAIRS = 50_000 if LONG else 1_500

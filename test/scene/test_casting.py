@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import first_contact, random_shapes, solids
+from scene.reference import first_contact, geometry_arrays, random_shapes
 
 from bvh_ros.scene import Scene, Shapes
 
@@ -18,7 +18,7 @@ def filled(rng, count, planar=False, margin=0.0):
     shapes = random_shapes(rng, count)
     scene = Scene(planar=planar, margin=margin)
     assert scene.update('test', [f'o/{i}' for i in range(count)], shapes, stamp=1) == []
-    return scene, solids(shapes)
+    return scene, geometry_arrays(shapes)
 
 
 def segment(rng, world):

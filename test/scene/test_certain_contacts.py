@@ -15,11 +15,11 @@ from scene.contacts import BOX, CYLINDER, MESH, contacts, outside, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.clearance import gap as distance_of
-from bvh_ros.scene.gjk import CORE_ROWS, SLACK, WAY_ROOM, gap_bounds
-from bvh_ros.scene.hull import hull_of
-from bvh_ros.scene.narrow_phase import fill_core, largest_length, near_pairs
-from bvh_ros.scene.sure_gap import certain
+from bvh_ros.scene.distance.clearance import gap as distance_of
+from bvh_ros.scene.distance.gjk import CORE_ROWS, SLACK, WAY_ROOM, gap_bounds
+from bvh_ros.scene.distance.narrow_phase import fill_core, largest_length, near_pairs
+from bvh_ros.scene.distance.sure_gap import certain
+from bvh_ros.scene.geometry.hull import hull_of
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 COUNT = 200_000 if LONG else 400  # of each of five kinds
@@ -60,7 +60,7 @@ def faults(made, planar):
             yield 'wrong decision', one
         if abs(distance - max(one.gap, 0.0)) > EXACT * one.size:
             yield f'wrong distance {distance}', one
-        places = zip(one.solids, one.positions, one.turns, points[0], strict=True)
+        places = zip(one.geometry_arrays, one.positions, one.turns, points[0], strict=True)
         if max(outside(*place, planar) for place in places) > COMMON * one.size:
             yield 'a point outside', one
 
@@ -86,7 +86,7 @@ def test_a_common_point_of_what_overlaps_deeply():
         if distance_of(geometry[a], geometry[b], hulls, False, points) == 0.0:
             common += 1
             assert (points[0] == points[1]).all()
-            for place in zip(one.solids, one.positions, one.turns, points, strict=True):
+            for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
                 assert outside(*place) <= COMMON * one.size
     assert common > COUNT / 4
 
@@ -105,7 +105,7 @@ def test_tolerances(gap):
 
 
 def shape_of(one, row):
-    body = one.solids[row]
+    body = one.geometry_arrays[row]
     position, turn = one.positions[row : row + 1], one.turns[row : row + 1]
     if body.mesh is not None:
         return Shapes.of_meshes([body.mesh], position, turn)
@@ -171,6 +171,6 @@ def test_meshes_far_from_their_own_origin():
 def test_kinds_are_what_they_are_called():
     """The contacts that are made hold every kind of shape with every other."""
     made = contacts(400, np.random.default_rng(9), ('free',), [1e-3], (0.0,))
-    seen = {tuple(sorted(body.kind for body in one.solids)) for one in made}
+    seen = {tuple(sorted(body.kind for body in one.geometry_arrays)) for one in made}
     assert {(BOX, CYLINDER), (CYLINDER, CYLINDER), (CYLINDER, MESH), (MESH, MESH)} <= seen
     assert len(seen) == 15

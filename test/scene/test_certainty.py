@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import bulging, solids, widest_gap
+from scene.reference import bulging, geometry_arrays, widest_gap
 from tree.reference import effort
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
@@ -40,13 +40,13 @@ class Body:
         self.kind, self.planar = kind, planar
         if kind == MESH:
             shapes = Shapes.of_meshes([mesh], self.position[None], turn[None])
-            self.solid = solids(shapes)[0]
+            self.solid = geometry_arrays(shapes)[0]
             self.corners = mesh.vertices @ self.solid.matrix.T
             self.position = self.position + self.solid.matrix @ mesh.centre
             size = mesh.size
         else:
             shapes = Shapes(np.array([kind]), self.position[None], turn[None], size[None])
-            self.solid = solids(shapes)[0]
+            self.solid = geometry_arrays(shapes)[0]
         self.size, self.inner = float(size.max()), float(size.min()) / 2
         if kind == MESH:
             faces = np.einsum('ni,ni->n', mesh.normals, mesh.vertices[mesh.corners[:, 0]])

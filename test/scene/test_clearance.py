@@ -6,7 +6,7 @@ boxes.
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes, solids
+from scene.reference import geometry_arrays, random_shapes
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
@@ -41,7 +41,7 @@ def assert_is_clearance(world, number, found):
 def test_every_shape_has_its_nearest(spread):
     rng = np.random.default_rng(int(spread))
     shapes = random_shapes(rng, 25, spread)
-    scene, world = Scene(margin=rng.choice([0.0, 0.3])), solids(shapes)
+    scene, world = Scene(margin=rng.choice([0.0, 0.3])), geometry_arrays(shapes)
     names = [str(i) for i in range(25)]
     scene.update('test', names, shapes, stamp=1)
     touching = scene.overlap_pairs()
@@ -74,7 +74,7 @@ def test_as_python_fcl_between_boxes():
             fcl.CollisionObject(
                 fcl.Box(*(2 * solid.half)), fcl.Transform(solid.matrix, solid.position)
             )
-            for solid in solids(shapes)
+            for solid in geometry_arrays(shapes)
         ]
         expected = 0.0 if fcl.collide(*pair) else fcl.distance(*pair)
         assert scene.clearance('a').distance == pytest.approx(expected, abs=1e-9)

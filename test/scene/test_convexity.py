@@ -11,8 +11,8 @@ from scene.test_surface import CUBE, cut_cube, shuffled, single, turned
 from scipy.spatial import ConvexHull
 
 from bvh_ros.scene import Mesh, Shapes
-from bvh_ros.scene.convexity import lying
-from bvh_ros.scene.surface import NOISE, goes_around
+from bvh_ros.scene.geometry.convexity import lying
+from bvh_ros.scene.geometry.surface import NOISE, goes_around
 
 DECADES = (-320, -300, -101, -99, -90, -60, -30, 0, 30, 60, 90, 99, 101, 150, 300)
 

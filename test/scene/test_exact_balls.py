@@ -17,9 +17,10 @@ import pytest
 from tree.adversary import coordinates, nudge
 from tree.reference import effort
 
-from bvh_ros.scene import Scene, Shapes, exact_balls
-from bvh_ros.scene.ball_casting import _undecided
-from bvh_ros.scene.exact_balls import Root
+from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene.casting import exact_balls
+from bvh_ros.scene.casting.ball_casting import _undecided
+from bvh_ros.scene.casting.exact_balls import Root
 
 HALVINGS = 250  # two roots that agree in so many digits are equal: checked below
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.scene.gjk import gap_bounds
+from bvh_ros.scene.distance.gjk import gap_bounds
 
 BOX, SPHERE, CYLINDER = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER
 

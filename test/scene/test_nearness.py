@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes, scene_of, solids
+from scene.reference import geometry_arrays, random_shapes, scene_of
 
 from bvh_ros.scene import Scene, Shapes
 
@@ -23,7 +23,7 @@ def test_nearest_as_brute_force(planar, margin):
     rng = np.random.default_rng([3, planar])
     shapes = random_shapes(rng, 60)
     masks = rng.integers(1, 4, 60)
-    scene, world = Scene(planar=planar, margin=margin), solids(shapes)
+    scene, world = Scene(planar=planar, margin=margin), geometry_arrays(shapes)
     scene.update('test', [str(i) for i in range(60)], shapes, stamp=1, categories=masks)
     inside = 0
     for _ in range(40):

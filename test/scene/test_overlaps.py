@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene.reference import random_shapes, solids, widest_gap
+from scene.reference import geometry_arrays, random_shapes, widest_gap
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
@@ -101,7 +101,7 @@ def test_turned_boxes_overlap_as_python_fcl_says(tolerance):
 def test_ball_queries_equal_brute_force(planar):
     rng = np.random.default_rng(12)
     shapes = random_shapes(rng, 60)
-    world = solids(shapes)
+    world = geometry_arrays(shapes)
     scene = Scene(planar=planar)
     scene.update('test', [str(i) for i in range(60)], shapes, stamp=1)
     touching = 0
@@ -132,7 +132,7 @@ def test_rectangles_seen_from_above_equal_a_search_for_a_separating_line(toleran
     """Two convex sets are as far apart as the best line between them says."""
     rng = np.random.default_rng(13)
     shapes = random_shapes(rng, 80)
-    world = solids(shapes)
+    world = geometry_arrays(shapes)
     scene = Scene(planar=True)
     scene.update('test', [str(i) for i in range(80)], shapes, stamp=1)
     touching = 0

@@ -22,7 +22,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.outline import convex_polygon
+from bvh_ros.scene.geometry.outline import convex_polygon
 
 
 class Outline(NamedTuple):
@@ -178,7 +178,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
 
 def test_a_scene_without_meshes_has_no_polygons():
     scene = scene_of(Shapes.boxes(np.eye(3), (1, 1, 1), np.ones((3, 4))), planar=True)
-    assert scene._columns.prints()[1] is None
+    assert scene._columns.footprint_arrays()[1] is None
     assert Scene(planar=True)._columns.meshes.nbytes == 0
 
 

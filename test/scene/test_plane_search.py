@@ -17,10 +17,10 @@ from scene import reference
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-from bvh_ros.scene.clearance import gap as distance_of
-from bvh_ros.scene.narrow_phase import near_pairs, near_query
-from bvh_ros.scene.query_shape import solids
-from bvh_ros.scene.shapes import canonical
+from bvh_ros.scene.distance.clearance import gap as distance_of
+from bvh_ros.scene.distance.narrow_phase import near_pairs, near_query
+from bvh_ros.scene.geometry.query_shape import geometry_arrays
+from bvh_ros.scene.geometry.shapes import canonical
 
 BOX, SPHERE, CYLINDER, CAPSULE = list(ShapeKind)[:4]
 ROUND_FEATURES = [(CYLINDER, 'rim'), (CYLINDER, 'side'), (CYLINDER, 'end')]
@@ -182,7 +182,7 @@ def contacts(sizes, gap, rng):
 def records_of(made):
     parts = zip(*(one.shapes for one in made), strict=True)
     form, aligned = canonical(Shapes(*(np.concatenate(part) for part in list(parts)[:4])))
-    return solids(form, ~aligned)
+    return geometry_arrays(form, ~aligned)
 
 
 SIZES = [(1.0, 1.0), (1e-6, 1.0), (1e3, 1e-3), (1e-6, 1e6), (1e6, 1e6)]
@@ -229,7 +229,7 @@ def test_distance_beside_a_cylinder(gap):
         distance = distance_of(records[2 * i], records[2 * i + 1], None, False, points)
         assert distance == pytest.approx(max(gap, 0.0), rel=1e-14, abs=1e-14), i
         assert np.linalg.norm(points[1] - points[0]) == pytest.approx(distance, abs=1e-9), i
-        for solid, point in zip(reference.solids(made[i].shapes), points, strict=True):
+        for solid, point in zip(reference.geometry_arrays(made[i].shapes), points, strict=True):
             assert solid.distances(point[None])[0] < 1e-9, i
         apart = points @ made[i].normal - made[i].points @ made[i].normal
         assert gap < 0 or apart == pytest.approx([0, 0], abs=1e-9), i

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Families, Numbered, Scene, Shapes
-from bvh_ros.scene.names import as_families
-from bvh_ros.scene.registry import UNKNOWN, Registry
+from bvh_ros.scene.store.names import as_families
+from bvh_ros.scene.store.registry import UNKNOWN, Registry
 
 
 def calls_of(work):

@@ -7,13 +7,13 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes, solids
+from scene.reference import geometry_arrays, random_shapes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.scene.footprint import footprints
-from bvh_ros.scene.shapes import bounds, canonical
+from bvh_ros.scene.geometry.footprint import footprints
+from bvh_ros.scene.geometry.shapes import bounds, canonical
 
 COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
 
@@ -53,7 +53,7 @@ def test_bounds_hold_the_shape_and_little_more():
     form, aligned = canonical(shapes)
     lo, hi = bounds(form, aligned)
     assert 100 < np.count_nonzero(aligned) < 1000
-    for i, solid in enumerate(solids(shapes)):
+    for i, solid in enumerate(geometry_arrays(shapes)):
         # The farthest points along the axes: of a box corners, of a cylinder the rims.
         if solid.kind == ShapeKind.BOX:
             reach = np.abs(solid.matrix) @ solid.half
@@ -75,20 +75,20 @@ def test_a_box_from_above_is_the_hull_of_its_corners():
     rng = np.random.default_rng(2)
     shapes = random_shapes(rng, 600)
     form, _ = canonical(shapes)
-    prints = footprints(form, np.ones(600, np.bool_))
+    footprint_arrays = footprints(form, np.ones(600, np.bool_))
     signs = np.array(list(itertools.product([-1, 1], repeat=3)))
     boxes = 0
-    for i, solid in enumerate(solids(shapes)):
+    for i, solid in enumerate(geometry_arrays(shapes)):
         if solid.kind != ShapeKind.BOX:
             continue
         boxes += 1
         flat = ((signs * solid.half) @ solid.matrix.T)[:, :2]
         hull = ConvexHull(flat)
-        area = ConvexHull(prints[i]['corners']).volume
+        area = ConvexHull(footprint_arrays[i]['corners']).volume
         assert area == pytest.approx(hull.volume, rel=1e-9)
-        outside = prints[i]['corners'] @ hull.equations[:, :2].T + hull.equations[:, 2]
+        outside = footprint_arrays[i]['corners'] @ hull.equations[:, :2].T + hull.equations[:, 2]
         assert outside.max() < 1e-9
-        edges = np.diff(prints[i]['corners'], axis=0)
+        edges = np.diff(footprint_arrays[i]['corners'], axis=0)
         turns = edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0]
         assert turns.min() > -1e-12
     assert boxes > 100

@@ -7,7 +7,7 @@ closed form of a distance.
 import numpy as np
 
 from bvh_ros.scene import ShapeKind
-from bvh_ros.scene.shapes import rotations, unit_quaternions
+from bvh_ros.scene.geometry.shapes import rotations, unit_quaternions
 
 SAMPLES = 20_000
 WINDOW = 0.25  # of the search about the best sample, on the plane that touches the sphere there

@@ -14,7 +14,8 @@ import numpy.ma  # before its `empty` is another one
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree import ray_streams, wide
+from bvh_ros.tree.wide import ray_streams
+from bvh_ros.tree.wide import snapshot as wide
 
 PAGE = mmap.PAGESIZE
 
@@ -68,7 +69,7 @@ def ask_everything(ndim: int, boxes: int, rays: int, decade: int) -> None:
 
 def run() -> None:
     ray_streams_made, snapshot_taken = ray_streams.make_scratch, wide.take_snapshot
-    from bvh_ros.tree import ray_queries
+    from bvh_ros.tree.rays import ray_queries
 
     ray_queries.make_scratch = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
 

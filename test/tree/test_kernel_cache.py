@@ -16,7 +16,7 @@ import gc, json, sys
 import numpy as np
 import bvh_ros
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.kernel_parts import Kernel
+from bvh_ros.tree.jit.kernel_parts import Kernel
 
 assert bvh_ros.__path__[0] == sys.argv[1]
 tree = DynamicBVH()
@@ -69,7 +69,7 @@ def test_a_kernel_is_compiled_for_one_signature():
 
 
 PROBE = """
-from bvh_ros.tree.compiling import kernel
+from bvh_ros.tree.jit.compiling import kernel
 from bvh_ros.tree.insertion import refit_ancestors
 
 

@@ -12,9 +12,9 @@ from hypothesis.extra.numpy import arrays
 from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree import ray_queries
-from bvh_ros.tree.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, Scratch, make_scratch
-from bvh_ros.tree.wide import LEAST_RAYS
+from bvh_ros.tree.rays import ray_queries
+from bvh_ros.tree.wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, Scratch, make_scratch
+from bvh_ros.tree.wide.snapshot import LEAST_RAYS
 
 OCTANTS: dict[str, tuple[int, ...]] = {
     'one octant': (1, 1, 1),

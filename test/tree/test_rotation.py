@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import NONE, ROOT, adopt, is_leaf, take_inner, take_leaf
+from bvh_ros.tree.nodes import NONE, ROOT, is_leaf, refit_node, take_inner, take_leaf
 from bvh_ros.tree.rotation import rotate
 
 Shape = int | tuple['Shape', 'Shape']  # a row of boxes, or two subtrees
@@ -35,7 +35,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
         nodes[node][side] = child
         nodes[child]['parent'] = node
     nodes[node]['parent'] = NONE
-    adopt(nodes, heights, node)
+    refit_node(nodes, heights, node)
     return node
 
 
@@ -139,4 +139,4 @@ def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
 
 def repair_heights(tree: DynamicBVH) -> None:
     for node in inner_nodes(tree):
-        adopt(tree._nodes, tree._heights, node)
+        refit_node(tree._nodes, tree._heights, node)

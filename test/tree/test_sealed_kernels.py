@@ -17,7 +17,8 @@ import pytest
 from numba.core import config
 
 import bvh_ros
-from bvh_ros.tree import checks, compiling, kernel_cache, private_folder
+from bvh_ros.tree import checks
+from bvh_ros.tree.jit import compiling, kernel_cache, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
 

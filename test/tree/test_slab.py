@@ -19,15 +19,15 @@ from tree.reference import (
     seen,
 )
 
-from bvh_ros.tree.slab import (
+from bvh_ros.tree.rays.slab import (
     RAY_ROWS,
-    aim,
     compare_distances,
     compare_hits,
-    enters,
-    meets,
+    intersect_exact,
+    intersect_node,
     plane_distance,
     prepare_ray,
+    set_ray,
     traversal_distance,
 )
 
@@ -38,9 +38,9 @@ each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
 def ray_rows(origin: Floats, direction: Floats) -> Floats:
-    """A ray with room for what `prepare_ray` and `meets` add."""
+    """A ray with room for what `prepare_ray` and `intersect_exact` add."""
     rows = np.empty((RAY_ROWS, len(origin)))
-    aim(rows, origin, direction)
+    set_ray(rows, origin, direction)
     return rows
 
 
@@ -56,7 +56,7 @@ def test_leaves_are_decided_exactly(ndim: int, scale: float) -> None:
         rows = ray_rows(origins[ray], directions[ray])
         expected = {hit.row: hit for hit in seen(hits, np.arange(12), float(t_max[ray]))}
         for row in range(12):
-            met, t, axis = meets(lo[row], hi[row], rows, t_max[ray])
+            met, t, axis = intersect_exact(lo[row], hi[row], rows, t_max[ray])
             assert met == (row in expected)
             if met:
                 assert axis == expected[row].axis
@@ -73,7 +73,7 @@ def test_two_hits_are_in_their_exact_order(ndim: int, scale: float) -> None:
         rows = ray_rows(origins[ray], directions[ray])
         for a in hits:
             for b in hits[:4]:
-                t_a, t_b = (meets(lo[h.row], hi[h.row], rows, np.inf)[1] for h in (a, b))
+                t_a, t_b = (intersect_exact(lo[h.row], hi[h.row], rows, np.inf)[1] for h in (a, b))
                 order = compare_hits(
                     lo[a.row], hi[a.row], t_a, a.axis, lo[b.row], hi[b.row], t_b, b.axis, rows
                 )
@@ -100,7 +100,9 @@ def test_inner_nodes_never_lose_a_hit(ndim: int, scale: float) -> None:
             t = (
                 t if Fraction(t) >= hit.t else math.nextafter(t, math.inf)
             )  # the least t_max that counts
-            entry = enters(lo[hit.row], hi[hit.row], rows, traversal_distance(t, power), wide)
+            entry = intersect_node(
+                lo[hit.row], hi[hit.row], rows, traversal_distance(t, power), wide
+            )
             assert entry < math.inf, (ray, hit)
 
 
@@ -157,4 +159,4 @@ def test_plane_distance(plane: float, origin: float, direction: float) -> None:
 
 def test_inside_is_an_axis_of_its_own() -> None:
     box = np.zeros(3), np.ones(3)
-    assert meets(*box, ray_rows(np.full(3, 0.5), np.ones(3)), 0.0) == (True, 0.0, INSIDE)
+    assert intersect_exact(*box, ray_rows(np.full(3, 0.5), np.ones(3)), 0.0) == (True, 0.0, INSIDE)

@@ -11,7 +11,7 @@ shapes the outward normals lean away from the inside.
 import numpy as np
 
 from ...scene import ShapeKind, Shapes
-from ...scene.shapes import rotations, unit_quaternions
+from ...scene.geometry.shapes import rotations, unit_quaternions
 from ..scenes import Floats
 
 FACING = 3  # one contact of so many is along an axis of the first shape

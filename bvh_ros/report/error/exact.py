@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import Any
 
-from ...scene.shapes import ShapeKind, Shapes
+from ...scene.geometry.shapes import ShapeKind, Shapes
 
 Whole = list[int]
 ROOT_BITS = 256

@@ -16,8 +16,10 @@ import numba
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree import best_hit, ray_hits, raycasting, wide_raycasting
-from ...tree.arrays import View
+from ...tree.rays import ray_hits, raycasting
+from ...tree.store.arrays import View
+from ...tree.wide import best_hit
+from ...tree.wide import raycasting as wide_raycasting
 from ..scenes import Boxes, Rays
 
 
@@ -64,7 +66,7 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 @cache
 def binary_kernel() -> Any:
     """`ray_hits.raycast_rows` without the exact decision."""
-    one = rewired(raycasting.raycast, meets=_plain_meets, is_before=_plain_is_before)
+    one = rewired(raycasting.raycast, intersect_exact=_plain_meets, is_before=_plain_is_before)
     return rewired(ray_hits.raycast_rows, raycast=one)
 
 
@@ -76,7 +78,7 @@ def wide_kernel() -> Any:
     group = rewired(
         wide_raycasting.cast_group,
         traverse=rewired(wide_raycasting.traverse, visit_leaf=visit),
-        write_hits=rewired(wide_raycasting.write_hits, settle_axis=_plain_axis),
+        write_hits=rewired(wide_raycasting.write_hits, exact_entry_axis=_plain_axis),
     )
     return rewired(wide_raycasting.cast_rows, cast_group=group)
 

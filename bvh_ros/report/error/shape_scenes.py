@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import DynamicBVH
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
-from ...scene.shapes import bounds, canonical
+from ...scene.geometry.shapes import bounds, canonical
 from ..page import Page
 from ..scenes import EDGE, Boxes, Rays, incoherent_rays, spread
 from . import recordings

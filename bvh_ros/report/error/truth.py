@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ...scene.shapes import Shapes
+from ...scene.geometry.shapes import Shapes
 from ..scenes import Boxes, Floats, Rays
 from .exact import Whole, WholeShapes, bits_below_the_point, enter_slabs, whole
 

@@ -26,9 +26,9 @@ from bvh_ros.ros.conversions.marker_order import (
 )
 from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
 from bvh_ros.ros.conversions.mesh_reading import examined
-from bvh_ros.ros.frames import FrameError, Transform
+from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
-from bvh_ros.scene.shapes import faults
+from bvh_ros.scene.geometry.shapes import faults
 
 TYPE_NAMES = (
     *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),

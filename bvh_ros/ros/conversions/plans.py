@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.frames import Transform
+from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import SceneHit
 
 ERROR = 'error: '  # begins the frame_id of a reply that is no answer

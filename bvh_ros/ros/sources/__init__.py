@@ -10,15 +10,15 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.option import FARTHEST, Option
-from bvh_ros.ros.parameters import SourceSettings
+from bvh_ros.ros.config.option import FARTHEST, Option
+from bvh_ros.ros.config.parameters import SourceSettings
 from bvh_ros.scene import ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.frames import Frames
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
 
 

@@ -18,8 +18,8 @@ from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.ros.warm_up import Step
 from bvh_ros.scene import Families, Part
-from bvh_ros.scene.names import as_families
 from bvh_ros.scene.slicing import AT_ONCE
+from bvh_ros.scene.store.names import as_families
 
 
 class MarkerArraySource(Source):

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 
+from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.conversions import occupancy_grid
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.option import ConfigurationError
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
 

@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
 
+from bvh_ros.ros.parts.refusals import Refused, explain
+from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import DEPTH
-from bvh_ros.ros.refusals import Refused, explain
 from bvh_ros.ros.sources.completeness import Completeness
 from bvh_ros.ros.sources.numbering import Heard
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
-from bvh_ros.ros.timings import Timings
 from bvh_ros.scene import Refusal, Refusals
 
 if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
     from rclpy.node import Node
 
-    from bvh_ros.ros.frames import Frames
-    from bvh_ros.ros.parameters import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.warm_up import Step
+    from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Part, Scene
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]

@@ -18,8 +18,8 @@ from rclpy.qos import (
     qos_policy_name_from_kind,
 )
 
+from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH
-from bvh_ros.ros.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.sources.backlog import Backlog
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering

@@ -1,0 +1,159 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The services: raycast, raycast_all and overlap as GetPlan, and the triggers."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from nav_msgs.srv import GetPlan
+from std_srvs.srv import Trigger
+
+from bvh_ros.ros.conversions import plans
+from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.refusals import Refused, explain
+from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.scene import TooManyHitsError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.parts.query_drawing import QueryDrawing
+    from bvh_ros.ros.world.views import View
+    from bvh_ros.ros.world.world import World
+    from bvh_ros.scene import Scene, SceneHit
+
+Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
+
+
+class QueryServices(Part):
+    """Answers `raycast`, `raycast_all` and `overlap` of a view, or says why it cannot.
+
+    A request that cannot be answered never looks free: the reply holds one pose whose frame_id
+    begins with `error: `.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    world : World
+        Asked before each answer whether it is complete.
+    view : View
+        What these services see.
+    drawing : QueryDrawing
+        Is told of questions and answers while somebody looks.
+    """
+
+    def __init__(self, node: Node, world: World, view: View, drawing: QueryDrawing) -> None:
+        super().__init__(node)
+        self.view = view
+        self.refused = Refused(
+            node.get_logger(), f"query of '{view.name}'" if view.name else 'query'
+        )
+        self.timings = Timings()
+        self._replies = plans.Replies()
+        self._clock = node.get_clock()
+        self._world = world
+        self._drawing = drawing
+        self._most = world.settings.max_hits
+        self._serve('raycast', self._raycast)
+        self._serve('raycast_all', self._raycast_all)
+        self._serve('overlap', self._overlap, oriented=True)
+
+    def _serve(self, name: str, answer: Answer, *, oriented: bool = False) -> None:
+        def callback(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
+            self._reply(request, response, answer, oriented)
+            return response
+
+        self.service(GetPlan, self.view.topic(name), callback)
+
+    def _raycast(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        view = self.view
+        hit = scene.raycast(query.start, query.goal, query.tolerance, view.mask, view.skip_inside)
+        return () if hit is None else (hit,)
+
+    def _raycast_all(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        view = self.view
+        return scene.raycast_all(
+            *(query.start, query.goal, query.tolerance, view.mask, view.skip_inside),
+            most=self._most,
+        )
+
+    def _overlap(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        return scene.overlap(
+            *(query.start, query.goal, query.orientation, query.tolerance, self.view.mask),
+            most=self._most,
+        )
+
+    def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
+        began = time.perf_counter_ns()
+        now = self._clock.now().nanoseconds
+        plan, frames = response.plan, self._world.frames
+        try:
+            scene = self._world.at(now)
+            query = plans.query(request, frames.into_node, oriented=oriented)
+            hits = answer(scene, query)
+            self._replies.fill(plan, hits, frames.frame_id, scene.newest)
+            if self._drawing.is_watched:
+                self._drawing.add_query(query, hits, is_box=oriented)
+            self.timings.add(began)
+            return
+        except TooManyHitsError as error:
+            reason = f'{error} (max_hits): ask for a smaller part of the world'
+        except ValueError as error:
+            reason = str(error)
+        except Exception as error:  # whatever went wrong, the way must not look free
+            reason = explain(error)
+        self.refused.add(reason)
+        plans.fill_error(plan, request, reason, frames.frame_id, now)
+
+
+class TriggerServices(Part):
+    """`~/clear`, `~/rebuild` and `~/validate`."""
+
+    def __init__(self, node: Node, world: World) -> None:
+        super().__init__(node)
+        self._scene = world.scene
+        self._sources = world.sources
+        for name, act in (
+            ('~/clear', self._clear),
+            ('~/rebuild', self._rebuild),
+            ('~/validate', self._validate),
+        ):
+            self._serve(name, act)
+
+    def _serve(self, name: str, act: Callable[[], str]) -> None:
+        def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.message = act()
+                response.success = True
+                return response
+            except Exception as error:
+                response.message = explain(error)
+            with contextlib.suppress(Exception):
+                self.node.get_logger().error(f'{name}: {response.message}')
+            return response
+
+        self.service(Trigger, name, callback)
+
+    def _clear(self) -> str:
+        removed = self._scene.clear()
+        for source in self._sources:
+            source.forget()
+        return f'removed {removed} obstacles'
+
+    def _rebuild(self) -> str:
+        self._scene.rebuild()
+        return self._tree_in_words()
+
+    def _validate(self) -> str:
+        self._scene.validate()
+        return f'valid: {self._tree_in_words()}'
+
+    def _tree_in_words(self) -> str:
+        stats = self._scene.stats()
+        return '{} obstacles, height {}, cost {:.3f}'.format(
+            len(self._scene), stats['height'], stats['cost']
+        )

@@ -1,0 +1,3 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The world that the parts of the node work on."""

@@ -1,0 +1,65 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The world that every part of the node works on: scene, frames, sources and views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bvh_ros.ros.config.parameters import Settings
+    from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.world.frames import Frames
+    from bvh_ros.ros.world.views import View
+    from bvh_ros.scene import Scene
+
+
+EXPIRED_AT_ONCE = 8192  # obstacles, about 10 ms
+
+
+class IncompleteWorldError(ValueError):
+    """A source that the answers depend on is missing; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What is known, where it comes from, and whether that is enough to answer."""
+
+    settings: Settings
+    scene: Scene
+    frames: Frames
+    sources: Sequence[Source]
+    views: Sequence[View]  # that of everything first
+
+    def at(self, now: int) -> Scene:
+        """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
+        very many that are due the last go a little later, so that nobody has to wait for them.
+
+        Raises
+        ------
+        IncompleteWorldError
+            If a source is missing or silent for too long; an answer might look free.
+        """
+        problem = self.problem(now)
+        if problem:
+            raise IncompleteWorldError(problem)
+        self.scene.expire(now, EXPIRED_AT_ONCE)
+        return self.scene
+
+    def problem(self, now: int) -> str:
+        """Say why the world is incomplete, or return an empty text."""
+        for source in self.sources:
+            problem = source.problem(now)
+            if problem:
+                return problem
+        return ''
+
+    def shift(self, by: int, now: int) -> None:
+        """Follow the clock, which jumped by so many ns to `now`: ages and remaining lives stay."""
+        self.scene.shift_expiries(by)
+        self.scene.newest = min(self.scene.newest, now)
+        for source in self.sources:
+            source.spoke_at += by

@@ -1,0 +1,236 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a swept ball meets; among axis-aligned boxes decided as real arithmetic decides.
+
+The closed form of `ray_shapes.enter_rounded_box` rounds: each offset of the origin from a face
+once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
+sum of lengths) leaves origin + s * way within 40 u L of the surface of the box grown by the radius
+(u = 2**-53, L the sum of the largest offsets, the length of the way and the radius). Nor can a box
+be missed, or met wrongly, that is not within 40 u L of being so. A ball smaller by the slack of
+128 u L therefore comes surely late, and one larger by it surely early:
+
+    ------|-----------|------------|----->  t        before `early` the box is surely not touched,
+        early         t          late               after `late` it surely was
+
+Two boxes whose brackets do not meet are in order. What the brackets leave open, `exact_balls`
+decides. Other shapes are met at their t, as computed.
+"""
+
+from functools import cmp_to_key
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.jit.compiling import lean_kernel
+from ...tree.nodes import DEEPEST, NONE
+from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, RAY_ROWS, set_ray
+from ..distance import overlaps
+from ..geometry.shapes import Floats
+from ..results import require_few
+from ..store.columns import Columns
+from ..store.registry import Slots
+from . import exact_balls
+from .casting import cast, enter_obstacle, plain, touch
+from .exact_balls import START, Root
+from .ray_shapes import ROUND
+
+SLACK = 2.0**-46
+LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
+EARLY, AT, LATE = range(3)
+
+
+@lean_kernel
+def slack_of(tree, ray, radius):
+    """By how much a larger ball is surely early, and a smaller one late."""
+    nodes, _, _, root = tree
+    total = radius
+    for axis in range(ray.shape[1]):
+        above = abs(nodes[root].hi[axis] - ray[ORIGIN, axis])
+        below = abs(nodes[root].lo[axis] - ray[ORIGIN, axis])
+        total += abs(ray[DIRECTION, axis]) + max(above, below)
+    return SLACK * total if radius > SMALL and total < LARGE else np.inf
+
+
+@lean_kernel
+def find(tree, geometry, footprints, radius, slack, mask, skip_inside, every, scratch, hits):
+    """Write what may be the first hit, or a hit, in no order; return how many there are, which may
+    be more than fit.
+    """
+    latest = 1.0
+    if not every and not skip_inside and slack < radius:
+        sure = cast(
+            tree, geometry, footprints, radius, -slack, 1.0, mask, False, False, scratch, hits, 0
+        )
+        if sure > 0:
+            latest = min(hits[1][0] * (1.0 + SLACK) + SMALL, 1.0)
+    return cast(
+        tree, geometry, footprints, radius, slack, latest, mask, False, True, scratch, hits, 0
+    )
+
+
+@lean_kernel
+def bracket(tree, geometry, footprints, radius, slack, scratch, slots, times, features):
+    """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
+    for i in range(slots.shape[0]):
+        doubt = slack if plain(geometry, footprints, slots[i]) else 0.0
+        for row in range(3):
+            ball = radius + (AT - row) * doubt if row != AT else radius
+            times[row, i], features[row, i] = np.inf, ROUND
+            if ball > 0.0:
+                times[row, i], features[row, i] = enter_obstacle(
+                    tree, geometry, footprints, slots[i], scratch[0], ball, 1.0, scratch[2]
+                )
+
+
+@lean_kernel
+def touch_all(tree, geometry, footprints, radius, scratch, hits, points, normals):
+    """Fill in points and normals of hits."""
+    for j in range(points.shape[0]):
+        touch(
+            tree,
+            geometry,
+            footprints,
+            scratch[0],
+            radius,
+            hits,
+            j,
+            scratch[2],
+            points[j],
+            normals[j],
+        )
+
+
+class Sweep(NamedTuple):
+    """What is asked for, for exact arithmetic."""
+
+    origin: list[float]
+    way: list[float]
+    radius: float
+    skip_inside: bool
+    every: bool
+
+
+def cast_ball(
+    tree: DynamicBVH,
+    columns: Columns,
+    origin: Floats,
+    way: Floats,
+    radius: float,
+    mask: np.uint32,
+    skip_inside: bool,
+    every: bool,
+    most: int | None = None,
+) -> tuple[Slots, Floats, Floats, Floats]:
+    """The first obstacle that a ball meets from `origin` to `origin + way`, or all in order, ties
+    by handle: slots, t, points and normals. TooManyHitsError if it may touch more than `most`.
+    """
+    ndim = tree.ndim
+    arrays, geometry, footprints = (
+        tree.arrays(),
+        columns.geometry_arrays(),
+        columns.footprint_arrays(),
+    )
+    scratch = (
+        np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
+    )  # fmt: skip
+    set_ray(scratch[0], origin[:ndim], way[:ndim])
+    slack = slack_of(arrays, scratch[0], radius) if arrays[3] != NONE else 0.0
+    count, room = 16, 0
+    while count > room:
+        room = count
+        hits = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
+        count = find(
+            arrays, geometry, footprints, radius, slack, mask, skip_inside, every, scratch, hits
+        )
+    if every:
+        require_few(count, most)
+    slots = hits[0][:count]
+    times, features = np.empty((3, count)), np.empty((3, count), np.int64)
+    bracket(arrays, geometry, footprints, radius, slack, scratch, slots, times, features)
+    sweep = Sweep(origin[:ndim].tolist(), way[:ndim].tolist(), radius, skip_inside, every)
+    slots, ts, met = _in_order(columns, slots, times, features, sweep)
+    if skip_inside:
+        slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
+    if not every:
+        slots, ts, met = slots[:1], ts[:1], met[:1]
+    points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
+    touch_all(arrays, geometry, footprints, radius, scratch, (slots, ts, met), points, normals)
+    return slots, ts, points, normals
+
+
+def _in_order(
+    columns: Columns, slots: Slots, times: Floats, features: NDArray[np.int64], sweep: Sweep
+) -> tuple[Slots, Floats, NDArray[np.int64]]:
+    """Those that are met, in order of their exact times, then handles: slots, t, features."""
+    order = np.lexsort((columns.node_handle[slots], times[AT]))
+    slots, times, features = slots[order], times[:, order], features[:, order]
+    ts, met = times[AT], features[AT]
+    open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
+    if not len(open_ones):
+        return slots, ts, met
+    roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
+    order = _sorted(columns.node_handle[slots], ts, roots)
+    for row, root in roots.items():
+        if root is not None:
+            ts[row], met[row] = float(root), INSIDE if root is START else ROUND
+    return slots[order], np.maximum.accumulate(ts[order]), met[order]
+
+
+def _shaped(columns: Columns) -> NDArray[np.bool_]:
+    shaped: NDArray[np.bool_] = (
+        columns.geometry if columns.footprint is None else columns.footprint
+    )['shaped']
+    return shaped
+
+
+def _undecided(times: Floats, features: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Of hits that are sorted by t: which may not be any, or may belong elsewhere."""
+    early, late = times[EARLY], times[LATE]
+    inside = features[LATE] == INSIDE  # surely: all of those are tied at zero
+    doubtful: NDArray[np.bool_] = np.isinf(late) | ((features[EARLY] == INSIDE) & ~inside)
+    if len(late) > 1:
+        before = np.maximum.accumulate(np.where(inside, -np.inf, late))[:-1]
+        after = np.minimum.accumulate(np.where(inside, np.inf, early)[::-1])[::-1][1:]
+        doubtful[1:] |= ~inside[1:] & (early[1:] <= before)
+        doubtful[:-1] |= ~inside[:-1] & (late[:-1] >= after)
+    return doubtful
+
+
+def _exact(
+    columns: Columns, slots: Slots, early: Floats, rows: Slots, sweep: Sweep
+) -> dict[int, Root | None]:
+    """When the boxes of some rows are touched; None where never, or surely after the first that
+    is, if that is all that is asked for.
+    """
+    lows, highs = overlaps.corners(columns.geometry[slots])
+    ndim, latest = len(sweep.origin), np.inf
+    roots: dict[int, Root | None] = {}
+    for row in rows[np.argsort(early[rows])].tolist():
+        roots[row] = None
+        if early[row] > latest:
+            continue
+        lo, hi = lows[row, :ndim].tolist(), highs[row, :ndim].tolist()
+        root = exact_balls.first_touch(lo, hi, sweep.origin, sweep.way, sweep.radius)
+        roots[row] = root
+        if root is not None and not sweep.every and not (sweep.skip_inside and root is START):
+            latest = min(latest, float(root) * (1.0 + SLACK))
+    return roots
+
+
+def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:
+    """Rows in order of their roots (else of ts), then handles, without those whose root is
+    None.
+    """
+
+    def compare(one: tuple[Root, int, int], other: tuple[Root, int, int]) -> int:
+        return exact_balls.compare(one[0], other[0]) or one[1] - other[1]
+
+    rows = []
+    for row, (handle, t) in enumerate(zip(handles.tolist(), ts.tolist(), strict=True)):
+        root = exact[row] if row in exact else exact_balls.rational(t)
+        if root is not None:
+            rows.append((root, handle, row))
+    return np.array([row for _, _, row in sorted(rows, key=cmp_to_key(compare))], np.int64)

@@ -1,0 +1,228 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One obstacle of any shape: into its own frame, where a ray enters it, what point is closest.
+
+`shape` is a record of `columns.GEOMETRY`. An axis-aligned box is met in the world's frame by its
+corners lo and hi, which are exact; every other shape in its own frame, where it lies at the
+origin.
+"""
+
+import math
+
+import numpy as np
+
+from ...tree.jit.compiling import lean_kernel
+from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
+from ..geometry.hull import MESH, closest_on_mesh, enter_mesh
+from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, scale_of, time_of
+from .mesh_rays import FACE
+from .ray_shapes import (
+    ROUND,
+    enter_box,
+    enter_cylinder,
+    enter_rounded_box,
+    enter_rounded_cylinder,
+    enter_sphere,
+    length,
+)
+
+BOX, SPHERE, CYLINDER, CAPSULE = range(4)  # ShapeKind, as a kernel can read it
+
+
+@lean_kernel
+def rotate(quaternion, vector, sign):
+    """Turn a vector in place by a unit quaternion, or back by it with sign -1."""
+    x, y, z, w = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], quaternion[3]
+    a, b, c = vector[0], vector[1], vector[2]
+    u, v, n = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
+    vector[0] = a + w * u + y * n - z * v
+    vector[1] = b + w * v + z * u - x * n
+    vector[2] = c + w * n + x * v - y * u
+
+
+@lean_kernel
+def to_frame(shape, lo, hi, ray, radius, local):
+    """Fill `local` with origin and unit direction in the shape's frame."""
+    largest, size = 0.0, radius
+    for axis in range(3):
+        largest = max(largest, abs(ray[ORIGIN, axis]))
+        if shape.shaped:
+            largest = max(largest, abs(shape.position[axis]))
+            size = max(size, shape.half[axis])
+        else:
+            largest = max(largest, abs(lo[axis]), abs(hi[axis]))
+    scale = scale_of(max(largest, size))
+    size *= scale
+    for axis in range(3):
+        local[0, axis] = ray[ORIGIN, axis] * scale
+        if shape.shaped:
+            local[0, axis] -= shape.position[axis] * scale
+        size = max(size, abs(local[0, axis]))
+    pace = point_along(ray, scale, local[1, :3])
+    if shape.shaped and shape.kind != SPHERE:
+        rotate(shape.orientation, local[0], -1.0)
+        rotate(shape.orientation, local[1], -1.0)
+    return Frame(pace, scale, SLACK * size + COORDINATES * (largest * scale))
+
+
+@lean_kernel
+def enter_shape(shape, hulls, lo, hi, ray, radius, t_max, work):
+    """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
+
+    t is in units of the ray's direction. What misses, but would not if the shape were larger by
+    the frame's slack, touches: so rounding makes no hit a miss.
+    """
+    if not shape.shaped and radius == 0.0:
+        hit, t, axis = intersect_exact(lo, hi, ray, t_max)
+        return (t if hit else np.inf), axis
+    frame = to_frame(shape, lo, hi, ray, radius, work)
+    scale, slack = frame.scale, frame.slack
+    reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
+    s, feature = np.inf, np.int64(INSIDE)
+    if shape.kind == MESH:
+        if hulls is not None:
+            s, feature = enter_mesh(hulls, shape, frame, ball, reach, work)
+    elif shape.kind == CYLINDER and ball > 0.0:
+        radius, height = half[0] * scale, half[2] * scale
+        s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
+    else:
+        s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
+        if s == np.inf and shape.shaped:
+            s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
+    return time_of(s, frame.pace, t_max), feature
+
+
+@lean_kernel
+def enter_form(shape, lo, hi, scale, ball, slack, reach, work):
+    """(s, feature) of a shape that has a closed form, larger by `slack`."""
+    origin, way, low, high, half = work[0], work[1], work[2], work[3], shape.half
+    if shape.kind == SPHERE:
+        return enter_sphere(origin, way, half[0] * scale + ball + slack, reach)
+    if shape.kind == CYLINDER:
+        radius, height = half[0] * scale + slack, half[2] * scale + slack
+        return enter_cylinder(origin, way, radius, height, reach)
+    for axis in range(3):
+        low[axis] = -half[axis] * scale if shape.shaped else lo[axis] * scale
+        high[axis] = half[axis] * scale if shape.shaped else hi[axis] * scale
+    if shape.kind == CAPSULE:  # a box without width, grown
+        ball += half[0] * scale
+        low[0] = low[1] = high[0] = high[1] = 0.0
+        low[2], high[2] = low[2] + half[0] * scale, high[2] - half[0] * scale
+    if ball > 0.0:
+        return enter_rounded_box(origin, way, low, high, ball + slack, reach)
+    for axis in range(3):
+        low[axis] -= slack
+        high[axis] += slack
+    return enter_box(origin, way, low, high, reach)
+
+
+@lean_kernel
+def closest_point(shape, hulls, scale, point, out):
+    """The point of a shape, times scale, at the origin of its frame that is closest to `point`.
+
+    `point` itself inside.
+    """
+    if shape.kind == MESH:
+        if hulls is not None:
+            closest_on_mesh(hulls, shape, scale, point, out)
+        return
+    radius, height = shape.half[0] * scale, shape.half[2] * scale
+    if shape.kind == BOX:
+        for axis in range(3):
+            half = shape.half[axis] * scale
+            out[axis] = min(max(point[axis], -half), half)
+        return
+    if shape.kind == CYLINDER:
+        far, level = math.hypot(point[0], point[1]), min(max(point[2], -height), height)
+        out[2] = level
+    else:
+        level = axis_point(shape, scale, point[2])
+        far = math.hypot(math.hypot(point[0], point[1]), point[2] - level)
+    shrink = radius / far if far > radius else 1.0
+    out[0], out[1] = point[0] * shrink, point[1] * shrink
+    if shape.kind != CYLINDER:
+        out[2] = level + (point[2] - level) * shrink if shrink < 1.0 else point[2]
+
+
+@lean_kernel
+def axis_point(shape, scale, z):
+    """z of the closest point on a capsule's axis without its ends; of a sphere that is its
+    centre.
+    """
+    straight = (shape.half[2] - shape.half[0]) * scale
+    return min(max(z, -straight), straight)
+
+
+@lean_kernel
+def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
+    """Fill in the obstacle's point that is met at t, and the outward normal.
+
+    The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
+    rounding: there it would be noise.
+    """
+    frame = to_frame(shape, lo, hi, ray, radius, work)
+    s = t * frame.pace if t > 0.0 else 0.0
+    centre, way, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
+    noise = frame.slack + SLACK * s
+    for axis in range(3):
+        centre[axis] += s * way[axis]
+        outward[axis] = 0.0
+        if not shape.shaped:  # in metres: what lies on a face lies there exactly
+            centre[axis] = ray[ORIGIN, axis] + t * ray[DIRECTION, axis]
+            closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+    if not shape.shaped:
+        scale, noise = 1.0, noise / scale
+    elif radius == 0.0 and shape.kind == MESH:  # the ray is on the mesh already
+        closest[0], closest[1], closest[2] = centre[0], centre[1], centre[2]
+    else:
+        closest_point(shape, hulls, scale, centre, closest)
+    if radius > 0.0:
+        for axis in range(3):
+            outward[axis] = centre[axis] - closest[axis]
+        if length(outward) <= noise:
+            outward[0] = outward[1] = outward[2] = 0.0
+    elif feature != INSIDE:
+        face_normal(shape, hulls, lo, hi, feature, scale, work)
+    to_world(shape, scale, closest, outward, point, normal)
+    if feature == INSIDE and length(normal) == 0.0:
+        for axis in range(3):
+            point[axis] = ray[ORIGIN, axis]
+
+
+@lean_kernel
+def face_normal(shape, hulls, lo, hi, feature, scale, work):
+    """Fill in the direction outwards where a thin ray enters; a flat face's point lies on it."""
+    centre, way, closest, outward = work[0], work[1], work[2], work[3]
+    if feature >= FACE:
+        if hulls is not None:
+            face = hulls.spans[shape.mesh].faces[0] + feature - FACE
+            for axis in range(3):
+                outward[axis] = hulls.normals[face, axis]
+    elif feature == ROUND:
+        outward[0], outward[1] = centre[0], centre[1]
+        if shape.kind != CYLINDER:
+            outward[2] = centre[2] - axis_point(shape, scale, centre[2])
+    else:
+        outward[feature] = -math.copysign(1.0, way[feature])
+        if shape.shaped:
+            closest[feature] = outward[feature] * (shape.half[feature] * scale)
+        else:
+            closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
+
+
+@lean_kernel
+def to_world(shape, scale, closest, outward, point, normal):
+    """Bring a point and a direction of any length back from the shape's frame.
+
+    The direction becomes a unit vector or zero.
+    """
+    total = length(outward)
+    for axis in range(3):
+        point[axis] = closest[axis] / scale
+        normal[axis] = outward[axis] / total if total > 0.0 else 0.0
+    if shape.shaped:
+        if shape.kind != SPHERE:
+            rotate(shape.orientation, point, 1.0)
+            rotate(shape.orientation, normal, 1.0)
+        for axis in range(3):
+            point[axis] += shape.position[axis]

@@ -1,0 +1,142 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thin ray against one convex mesh in its own frame, through the tree of its triangles.
+
+The ray is followed from before the mesh, so that where it enters is the first triangle that it
+crosses, whatever the winding; where the origin lies beyond that, the same from behind says whether
+it lies before the way out, that is inside.
+
+**Nothing slips through an edge** (Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection",
+2013): the ray is moved to the origin and sheared onto an axis. A corner comes out the same in all
+its triangles, and on which side of an edge the ray passes is the sign of a - b, two rounded
+products. Rounding keeps their order: the sign is right or zero, and of the two triangles at an
+edge one has -(a - b). A triangle counts with its edges, so a ray that crosses the surface between
+rounded corners crosses a triangle. Those corners are within a few ulp of the mesh's size of the
+true ones; the boxes in the tree are larger by more (`meshes.PAD`).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import ALL, DEEPEST, NONE
+from ...tree.rays.raycasting import descend
+from ...tree.rays.slab import (
+    DIRECTION,
+    INSIDE,
+    ORIGIN,
+    PAD,
+    RAY_ROWS,
+    TINY,
+    intersect_node,
+    prepare_ray,
+    set_ray,
+    traversal_distance,
+)
+from .ray_shapes import ROUND
+
+FACE = 4  # feature of the first triangle; below are those of `ray_shapes`
+
+
+class Surface(NamedTuple):
+    """Triangles of a mesh and the tree over them; see `mesh_store`."""
+
+    vertices: Any
+    corners: Any
+    nodes: Any
+    root: Any
+    radius: Any
+
+
+@lean_kernel
+def enter_surface(surface, scale, origin, way, reach):
+    """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
+    The ray is given in lengths times `scale`.
+    """
+    ray = stack_array(15, np.float64).reshape(RAY_ROWS, 3)
+    along = 0.0
+    for axis in range(3):
+        along -= origin[axis] * way[axis]
+        ray[DIRECTION, axis] = way[axis]
+    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # a point: along any line through it
+        ray[DIRECTION, 0] = 1.0
+        along, reach = -origin[0], 0.0
+    begin, end = along - surface.radius * scale, along + surface.radius * scale
+    if not (begin <= reach and end >= 0.0):
+        return np.inf, ROUND
+    for axis in range(3):
+        ray[ORIGIN, axis] = (origin[axis] + begin * ray[DIRECTION, axis]) / scale
+    s, face = first_crossing(surface, ray)
+    entry = begin + s * scale
+    if entry > 0.0:
+        return (entry if entry <= reach else np.inf), FACE + face
+    for axis in range(3):
+        ray[ORIGIN, axis] += 2.0 * surface.radius * ray[DIRECTION, axis]
+        ray[DIRECTION, axis] = -ray[DIRECTION, axis]
+    s, face = first_crossing(surface, ray)
+    return (0.0 if end - s * scale >= 0.0 else np.inf), np.int64(INSIDE)
+
+
+@lean_kernel
+def first_crossing(surface, ray):
+    """(s, number) of the first triangle that a line crosses; (inf, NONE) if it crosses none."""
+    nodes, root = surface.nodes, surface.root
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    best, met, frame = np.inf, np.int64(NONE), shear(ray[DIRECTION])
+    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
+    limit = traversal_distance(4.0 * surface.radius, scale)
+    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], entries[0], top = (
+        root,
+        intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide),
+        1,
+    )
+    while top > 0:
+        top -= 1
+        if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
+            continue
+        node, top = descend(nodes, ray, limit, wide, ALL, stack, entries, stack[top], top)
+        if node == NONE:
+            continue
+        face = np.int64(node >> 1)
+        depth = cross_triangle(surface.vertices, surface.corners[face], ray[ORIGIN], frame)
+        s = depth / ray[DIRECTION, frame[2]]
+        if s < best:
+            best, met = s, face
+            limit = traversal_distance(s, scale)
+    return best, met
+
+
+@inlined
+def shear(way):
+    """How to shear a direction onto an axis: (the other two axes, that axis, by how much)."""
+    z = 0
+    for axis in range(1, 3):
+        if abs(way[axis]) > abs(way[z]):
+            z = axis
+    x, y = (z + 1) % 3, (z + 2) % 3
+    return x, y, z, way[x] / way[z], way[y] / way[z]
+
+
+@inlined
+def sheared(vertex, origin, frame):
+    """A corner as seen from the ray, which runs along the third axis."""
+    x, y, z, by_x, by_y = frame
+    depth = vertex[z] - origin[z]
+    return vertex[x] - origin[x] - by_x * depth, vertex[y] - origin[y] - by_y * depth, depth
+
+
+@inlined
+def cross_triangle(vertices, corner, origin, frame):
+    """How deep along the third axis a line crosses a triangle; NaN if it does not, or runs in its
+    plane.
+    """
+    ax, ay, az = sheared(vertices[corner[0]], origin, frame)
+    bx, by, bz = sheared(vertices[corner[1]], origin, frame)
+    cx, cy, cz = sheared(vertices[corner[2]], origin, frame)
+    u, v, w = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
+    if min(u, v, w) < 0.0 < max(u, v, w):
+        return np.nan
+    return az + ((bz - az) * v + (cz - az) * w) / (u + v + w)

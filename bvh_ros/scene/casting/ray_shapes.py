@@ -1,0 +1,206 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thin ray, or a ball swept along it, against one shape in the shape's own frame.
+
+A ball of radius r meets a shape where its centre meets the shape grown by r with rounded edges
+(Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives (s, feature):
+the distance along the unit direction `way` at which `origin + s * way` enters the shape, inf if it
+does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray starts
+in the (grown) shape, the axis of a flat face, ROUND elsewhere.
+
+The error is one of place: origin + s * way, computed exactly, lies within 8 u L of the surface of
+the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the shape, or an
+edge). How far s itself is off follows from the angle at which the ray meets the surface.
+"""
+
+import math
+
+import numpy as np
+
+from ...tree.jit.compiling import lean_kernel
+from ...tree.rays.slab import INSIDE
+from .approach import ROUNDING, approach_by
+
+ROUND = 3
+
+
+@lean_kernel
+def length(vector):
+    """Euclidean length; neither overflows nor vanishes where the result does not."""
+    total = abs(vector[0])
+    for axis in range(1, vector.shape[0]):
+        total = math.hypot(total, vector[axis])
+    return total
+
+
+@lean_kernel
+def disc_interval(along, square, across, radius):
+    """Where across^2 + square * (s - along)^2 <= radius^2: an interval of s, (inf, -inf) if empty.
+
+    `along` is where the line is closest to the centre and `across` how close. Hit or miss is
+    decided by the difference of two lengths, not of two squares, so a far origin costs no digits.
+    """
+    if across > radius:
+        return np.inf, -np.inf
+    if square == 0.0:
+        return -np.inf, np.inf
+    half = math.sqrt(radius - across) * math.sqrt(radius + across) / math.sqrt(square)
+    return along - half, along + half
+
+
+@lean_kernel
+def enter_sphere(origin, way, radius, reach):
+    if length(origin) <= radius:
+        return 0.0, INSIDE
+    along = 0.0
+    for axis in range(origin.shape[0]):
+        along -= origin[axis] * way[axis]
+    across = 0.0
+    for axis in range(origin.shape[0]):
+        across = math.hypot(across, origin[axis] + along * way[axis])
+    entry, leave = disc_interval(along, 1.0, across, radius)
+    if leave < 0.0 or entry > reach:
+        return np.inf, ROUND
+    return max(entry, 0.0), ROUND
+
+
+@lean_kernel
+def enter_box(origin, way, lo, hi, reach):
+    """Slabs (Kay and Kajiya 1986)."""
+    entry, leave, entered = 0.0, reach, INSIDE
+    for axis in range(lo.shape[0]):
+        if lo[axis] <= origin[axis] <= hi[axis] and way[axis] == 0.0:
+            continue
+        if way[axis] == 0.0:
+            return np.inf, INSIDE
+        near, far = (lo[axis], hi[axis]) if way[axis] > 0.0 else (hi[axis], lo[axis])
+        first = (near - origin[axis]) / way[axis]
+        leave = min(leave, (far - origin[axis]) / way[axis])
+        if first > entry:
+            entry, entered = first, axis
+    return (entry if entry <= leave else np.inf), entered
+
+
+@lean_kernel
+def slab_offset(origin, way, lo, hi, s):
+    """How a coordinate lies to its slab just after s: (offset, outside, until).
+
+    While `outside`, it is offset + s * way beyond the slab; that holds until s = `until`.
+    """
+    below, above = origin - lo, origin - hi
+    if way == 0.0:
+        return (below if below < 0.0 else above), below < 0.0 or above > 0.0, np.inf
+    first, second = (below, above) if way > 0.0 else (above, below)
+    if s < -first / way:
+        return first, True, -first / way
+    if s < -second / way:
+        return 0.0, False, -second / way
+    return second, True, np.inf
+
+
+@lean_kernel
+def enter_rounded_box(origin, way, lo, hi, radius, reach):
+    """The squared distance to a box is a sum, over the axes, of squared distances to slabs.
+
+    Between two crossings of face planes it is one quadratic in s, and the whole is convex: of at
+    most seven pieces the first in which it falls to radius^2 holds the entry.
+    """
+    if box_distance(origin, lo, hi) <= radius:
+        return 0.0, INSIDE
+    begin = 0.0
+    while begin <= reach:
+        end, square, product, across = np.inf, 0.0, 0.0, 0.0
+        for axis in range(lo.shape[0]):
+            offset, outside, until = slab_offset(
+                origin[axis], way[axis], lo[axis], hi[axis], begin
+            )
+            end = min(end, until)
+            if outside:
+                square += way[axis] * way[axis]
+                product += offset * way[axis]
+        along = -product / square if square > 0.0 else 0.0
+        for axis in range(lo.shape[0]):
+            offset, outside, _ = slab_offset(origin[axis], way[axis], lo[axis], hi[axis], begin)
+            if outside:
+                across = math.hypot(across, offset + along * way[axis])
+        entry, leave = disc_interval(along, square, across, radius)
+        if entry <= end and leave >= begin:
+            entry = max(entry, begin)
+            return (entry if entry <= reach else np.inf), ROUND
+        begin = end
+    return np.inf, ROUND
+
+
+@lean_kernel
+def enter_cylinder(origin, way, radius, half_height, reach):
+    """A cylinder about the z axis: the overlap of an endless one and a slab."""
+    if math.hypot(origin[0], origin[1]) <= radius and abs(origin[2]) <= half_height:
+        return 0.0, INSIDE
+    square = way[0] * way[0] + way[1] * way[1]
+    along = -(origin[0] * way[0] + origin[1] * way[1]) / square if square > 0.0 else 0.0
+    across = math.hypot(origin[0] + along * way[0], origin[1] + along * way[1])
+    entry, leave = disc_interval(along, square, across, radius)
+    feature = ROUND
+    if way[2] != 0.0:
+        cap = math.copysign(half_height, way[2])
+        leave = min(leave, (cap - origin[2]) / way[2])
+        if (-cap - origin[2]) / way[2] > entry:
+            entry, feature = (-cap - origin[2]) / way[2], 2
+    elif abs(origin[2]) > half_height:
+        return np.inf, ROUND
+    entry = max(entry, 0.0)
+    return (entry if entry <= min(leave, reach) else np.inf), feature
+
+
+@lean_kernel
+def measure_cylinder(solid, point, normal):
+    """`approach`'s measure: the distance, and a unit vector from the closest point."""
+    radius, half_height = solid
+    across = math.hypot(point[0], point[1])
+    beside, beyond = max(across - radius, 0.0), max(abs(point[2]) - half_height, 0.0)
+    distance = math.hypot(beside, beyond)
+    if distance > 0.0:
+        normal[0] = normal[1] = 0.0
+        if beside > 0.0:
+            normal[0] = beside / distance * (point[0] / across)
+            normal[1] = beside / distance * (point[1] / across)
+        normal[2] = math.copysign(beyond / distance, point[2])
+    return distance, distance
+
+
+approach_cylinder = approach_by(measure_cylinder)
+
+
+@lean_kernel
+def enter_rounded_cylinder(radius, half_height, ball, reach, slack, work):
+    """The grown cylinder is the union of a wider one, a longer one and two tori along the rims.
+
+    A ray enters a union where it first enters a part. `work` as for `approach`.
+    """
+    origin, way = work[0], work[1]
+    if cylinder_distance(origin[0], origin[1], origin[2], radius, half_height) <= ball:
+        return 0.0, INSIDE
+    side, _ = enter_cylinder(origin, way, radius + ball, half_height, reach)
+    cap, _ = enter_cylinder(origin, way, radius, half_height + ball, reach)
+    face = min(side, cap)
+    solid, limit = (radius, half_height), min(face, reach)
+    rim, slope = approach_cylinder(solid, ball, limit, slack, work)
+    # A grazing ball: `approach` stops where the distance is right to the last digit, the closed
+    # forms where s is.
+    size = length(origin) + radius + half_height + ball
+    if rim == np.inf or (face < np.inf and (rim - face) * slope <= ROUNDING * size):
+        rim = face
+    return rim, ROUND
+
+
+@lean_kernel
+def box_distance(point, lo, hi):
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        total = math.hypot(total, max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]))
+    return total
+
+
+@lean_kernel
+def cylinder_distance(x, y, z, radius, half_height):
+    return math.hypot(max(math.hypot(x, y) - radius, 0.0), max(abs(z) - half_height, 0.0))

@@ -1,0 +1,130 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether true shapes touch: the narrow phase, for any pair of kinds.
+
+Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a capsule its
+axis. Growing by a tolerance is the same again, so corners come out round (the Minkowski sum with a
+ball). Two boxes are first asked for a separating plane; what that leaves open, `sure_gap` decides.
+Seen from above they work on the shadows of the cores, whose axes and centres have z = 0.
+
+**The solid meant** is that of the stored doubles: position, half sizes, and the quaternion brought
+to unit length. Cores are seen from the position of one of the two, so that a pair far from the
+world's origin is as well known as one next to it. A shape and another are one pair, whichever is
+asked about: `ordered` puts the same first.
+
+**Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
+a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
+are apart, a half size, the tolerance), and to touch only where a point of one is as near to a
+point of the other. Axis-aligned boxes are decided exactly elsewhere, see `overlaps`.
+"""
+
+import math
+
+import numpy as np
+
+from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ..casting.contact import CAPSULE, CYLINDER, SPHERE, rotate
+from ..geometry.hull import MESH, hull_of
+from .gjk import AXES, CENTRE, CORE_ROWS, HALF, SLACK, WAY_ROOM
+from .separation import separation
+from .sure_gap import sure_bounds
+
+
+@lean_kernel
+def largest_length(shape, origin):
+    """The largest coordinate or half size of a shape, seen from `origin`."""
+    largest = 0.0
+    for axis in range(3):
+        largest = max(largest, abs(shape.position[axis] - origin[axis]), shape.half[axis])
+    return largest
+
+
+@lean_kernel
+def ordered(one, other):
+    """Whether two shapes are in the order in which a pair is looked at."""
+    if one.kind != other.kind:
+        return one.kind < other.kind
+    for axis in range(3):
+        if one.position[axis] != other.position[axis]:
+            return one.position[axis] < other.position[axis]
+        if one.half[axis] != other.half[axis]:
+            return one.half[axis] < other.half[axis]
+    for axis in range(4):
+        if one.orientation[axis] != other.orientation[axis]:
+            return one.orientation[axis] < other.orientation[axis]
+    return one.mesh <= other.mesh
+
+
+@lean_kernel
+def fill_core(shape, origin, exponent, planar, core):
+    """Fill in the core of a shape, seen from `origin` and times 2**-exponent; return (whether it
+    is round, radius by which it is grown).
+    """
+    for axis in range(3):
+        core[HALF, axis] = math.ldexp(1.0 if shape.kind == MESH else shape.half[axis], -exponent)
+        core[CENTRE, axis] = math.ldexp(shape.position[axis] - origin[axis], -exponent)
+        for row in range(3):
+            core[AXES + axis, row] = 1.0 if axis == row else 0.0
+        if not (planar and shape.kind == MESH):  # a polygon, which is turned already
+            rotate(shape.orientation, core[AXES + axis], 1.0)
+    if planar:
+        for row in range(AXES, CORE_ROWS):
+            core[row, 2] = 0.0
+    radius = 0.0
+    if shape.kind == SPHERE or shape.kind == CAPSULE:
+        radius = core[HALF, 0]
+        for axis in range(3):
+            core[HALF, axis] = max(core[HALF, axis] - radius, 0.0)
+    return shape.kind == CYLINDER, radius
+
+
+@lean_kernel
+def near(one, hulls, other, other_hulls, tolerance, planar):
+    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other."""
+    if ordered(one, other):
+        return ordered_near(one, hulls, other, other_hulls, tolerance, planar)
+    return ordered_near(other, other_hulls, one, hulls, tolerance, planar)
+
+
+@lean_kernel
+def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
+    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    origin = one.position
+    largest = max(largest_length(one, origin), largest_length(other, origin), tolerance)
+    exponent = math.frexp(largest)[1]
+    round_one, radius = fill_core(one, origin, exponent, planar, first)
+    round_other, other_radius = fill_core(other, origin, exponent, planar, second)
+    reach = radius + other_radius + math.ldexp(tolerance, -exponent)
+    boxes = not (round_one or one.kind == MESH or round_other or other.kind == MESH)
+    if boxes and not planar:
+        gap, sure = separation(first, second, SLACK)
+        if gap > reach:
+            return False
+        if gap == 0.0 and sure:
+            return True
+    way = stack_array(WAY_ROOM, np.float64)
+    if hulls is None:
+        hull = other_hull = None
+    else:
+        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    limit = reach + SLACK
+    low, _ = sure_bounds(
+        first, round_one, hull, second, round_other, other_hull, limit, False, way
+    )
+    return low <= limit
+
+
+@lean_kernel
+def near_query(records, hulls, query, query_hulls, tolerance, planar, found):
+    """Fill in which shapes are near a query's shape."""
+    for i in range(records.shape[0]):
+        found[i] = near(records[i], hulls, query[0], query_hulls, tolerance, planar)
+
+
+@lean_kernel
+def near_pairs(records, hulls, pairs, planar, found):
+    """Fill in which pairs (m, 2) of shapes touch."""
+    for i in range(pairs.shape[0]):
+        found[i] = near(records[pairs[i, 0]], hulls, records[pairs[i, 1]], hulls, 0.0, planar)

@@ -1,0 +1,138 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far two cores (see `gjk`) are apart, **with a proof**.
+
+What GJK found is taken only with a certificate: a plane that leaves a gap (a lower bound), or a
+point of each core (an upper bound), and for a distance both within SLACK of each other. What it
+leaves open, because edges or faces lie along each other or the cores just touch, goes the sure
+way: the same walk over simplices whose closest points are found with twice the digits, see
+`sure_simplex`. On the differences of finitely many vertices it ends, and then both bounds agree.
+Beside a round core `plane_search` finds the plane first, and the walk starts along its normal.
+"""
+
+import math
+
+import numpy as np
+
+from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from .gjk import FIRST, SECOND, SLACK, dot, gap_bounds, support
+from .plane_search import widest_gap
+from .sure_simplex import closest
+
+SURE_STEPS = 300  # a hundred are many
+
+
+@lean_kernel
+def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, measured, way):
+    """(low, high) around the distance of two cores; `way` as in `gjk.gap_bounds`.
+
+    Either the distance is proven to be above or not above `limit`, or the bounds agree; if it is
+    to be `measured`, they agree wherever low is above the limit.
+    """
+    asked = np.nan if measured else limit
+    low, high = gap_bounds(one, round_one, hull, other, round_other, other_hull, asked, way)
+    if certain(low, high, limit, measured):
+        return low, high
+    enough = np.inf if measured else limit
+    if round_one or round_other:
+        start = stack_array(3, np.float64)
+        for axis in range(3):
+            start[axis] = way[axis]
+        least = max(limit, 0.0)
+        gap = widest_gap(
+            one, round_one, hull, other, round_other, other_hull, start, least, enough
+        )
+        if gap > least:
+            low = max(low, gap)
+            for axis in range(3):
+                way[axis] = start[axis]
+        if low > enough:
+            return low, high
+    below, above = walk(
+        one, round_one, hull, other, round_other, other_hull, limit, enough, high, way
+    )
+    return max(low, below), min(high, above)
+
+
+@lean_kernel
+def certain(low, high, limit, measured):
+    """Whether two bounds decide: see `sure_bounds`."""
+    return high <= limit or high - low <= SLACK or (low > limit and not measured)
+
+
+@lean_kernel
+def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, best, way):
+    """`gjk.gap_bounds` with more digits, starting along `way`, until one of the bounds is above
+    `enough` or not above `limit`, or they agree. Points closer than `best` are written to `way`.
+    """
+    simplex, normal = stack_array(24, np.float64).reshape(4, 6), stack_array(3, np.float64)
+    weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
+    point = point.reshape(3, 2)
+    set_ray(way, normal)
+    low, high, count = -np.inf, np.inf, 0
+    for _ in range(SURE_STEPS):
+        corner = simplex[count]
+        corner[:] = 0.0
+        support(one, round_one, hull, normal, 1.0, corner[3:])
+        for axis in range(3):
+            corner[axis] = corner[3 + axis]
+        support(other, round_other, other_hull, normal, -1.0, corner)
+        low = max(low, dot(normal, corner))
+        if low > enough or high - low <= SLACK or known(simplex, count):
+            break
+        count += 1
+        distance = math.sqrt(closest(simplex, count, weights, point))
+        if not distance < high:
+            break
+        high = distance
+        count = keep(simplex, count, weights, point, way, high < best)
+        if high <= limit or high == 0.0:
+            break
+        set_ray(way, normal)
+    return min(low, high), high
+
+
+@lean_kernel
+def set_ray(way, normal):
+    """Fill in the unit vector along `way`; any if it is zero."""
+    largest = max(abs(way[0]), abs(way[1]), abs(way[2]))
+    exponent = math.frexp(largest)[1]
+    for axis in range(3):
+        normal[axis] = math.ldexp(way[axis], -exponent)
+    if largest == 0.0:
+        normal[0] = 1.0
+    length = math.sqrt(dot(normal, normal))
+    for axis in range(3):
+        normal[axis] /= length
+
+
+@lean_kernel
+def known(simplex, count):
+    """Whether the newest corner is one of the others."""
+    for i in range(count):
+        same = simplex[i, 0] == simplex[count, 0] and simplex[i, 1] == simplex[count, 1]
+        if same and simplex[i, 2] == simplex[count, 2]:
+            return True
+    return False
+
+
+@lean_kernel
+def keep(simplex, count, weights, point, way, closer):
+    """Write down the closest point, and if it is `closer` the cores' points in it; keep the
+    corners that make it, and return how many.
+    """
+    for axis in range(3):
+        way[axis] = point[axis, 0]
+        if closer:
+            way[FIRST + axis] = 0.0
+            for i in range(count):
+                way[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
+            way[SECOND + axis] = way[FIRST + axis] - point[axis, 0]
+    kept = 0
+    for i in range(count):
+        if weights[i, 0] > 0.0:
+            for axis in range(6):
+                simplex[kept, axis] = simplex[i, axis]
+            kept += 1
+    return kept

@@ -1,0 +1,162 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The meshes of a scene, or the polygons that a planar scene sees of them, and their arrays."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.nodes import node_dtype
+from ..geometry.farthest import LANES, NUMBERS
+from ..geometry.meshes import Floats, Mesh
+from ..geometry.polygon import Polygon
+
+# Where the rows of a mesh are among all, first and last + 1; the root of its tree among its nodes.
+HULL = np.dtype(
+    [
+        ('vertices', np.int64, (2,)),
+        ('discs', np.int64, (2,)),
+        ('faces', np.int64, (2,)),
+        ('root', np.int64),
+        ('radius', np.float64),
+    ],
+    align=True,
+)
+
+
+# The arrays are made anew once they hold so many times the vertices in use, and so many more.
+MOST_FORGOTTEN, FEW_FORGOTTEN = 2, 1000
+
+
+class Hulls(NamedTuple):
+    """All meshes of a scene for the kernels, one after the other."""
+
+    spans: NDArray[np.void]
+    """(n,) of HULL, one a mesh."""
+    vertices: Floats
+    discs: Floats
+    """See `farthest`."""
+    corners: NDArray[np.int32]
+    normals: Floats
+    nodes: NDArray[Any]
+    """Of the meshes' trees, two a triangle."""
+
+
+class _Rows:
+    """Rows of many meshes, one after the other, with room for more."""
+
+    def __init__(self, none: NDArray[Any]) -> None:
+        self._array, self.used = none, 0
+
+    def append(self, more: NDArray[Any]) -> tuple[int, int]:
+        """Where the new rows begin and end."""
+        begin, end = self.used, self.used + len(more)
+        if end > len(self._array):
+            bigger = np.zeros((max(end, 2 * begin), *more.shape[1:]), self._array.dtype)
+            bigger[:begin] = self._array[:begin]
+            self._array = bigger
+        self._array[begin:end], self.used = more, end
+        return begin, end
+
+    @property
+    def rows(self) -> NDArray[Any]:
+        return self._array[: self.used]
+
+
+class _Joined:
+    """The rows of meshes in arrays that grow: one more does not move the others."""
+
+    def __init__(self) -> None:
+        self._hulls: Hulls | None = None
+        self._spans = np.zeros(0, HULL)
+        self._columns = [
+            *(_Rows(np.empty((0, 3))), _Rows(np.empty((0, NUMBERS, LANES)))),
+            *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
+            _Rows(np.empty(0, node_dtype(3))),
+        ]
+
+    def add(self, number: int, mesh: Mesh | Polygon) -> None:
+        if number >= len(self._spans):
+            spans = np.zeros(max(number + 1, 2 * len(self._spans)), HULL)
+            spans[: len(self._spans)] = self._spans
+            self._spans = spans
+        self._hulls = None
+        nodes, root = mesh.tree
+        given: tuple[NDArray[Any], ...] = (
+            mesh.vertices,
+            mesh.discs,
+            mesh.corners,
+            mesh.normals,
+            nodes,
+        )
+        places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
+        self._spans['root'][number], self._spans['radius'][number] = root, mesh.radius
+        for name, place in zip(('vertices', 'discs', 'faces'), places, strict=False):
+            self._spans[name][number] = place
+
+    def hulls(self) -> Hulls:
+        if self._hulls is None:
+            self._hulls = Hulls(self._spans, *(column.rows for column in self._columns))
+        return self._hulls
+
+    @property
+    def size(self) -> int:
+        """Vertices, those of forgotten meshes too."""
+        return self._columns[0].used
+
+
+NO_HULLS = _Joined().hulls()
+
+
+class MeshStore:
+    """The different meshes or polygons of a scene, each once, however many obstacles have it."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[bytes, int] = {}
+        self._meshes: dict[int, Mesh | Polygon] = {}
+        self._uses: dict[int, int] = {}
+        self._free: list[int] = []  # numbers
+        self._used = 0  # vertices
+        self._joined = _Joined()
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    def __getitem__(self, number: int) -> Mesh | Polygon:
+        return self._meshes[number]
+
+    def take(self, mesh: Mesh | Polygon) -> int:
+        """Number of a mesh, used once more."""
+        number = self._numbers.get(mesh.key)
+        if number is None:
+            number = self._free.pop() if self._free else len(self._meshes)
+            self._joined.add(number, mesh)
+            self._numbers[mesh.key], self._meshes[number], self._uses[number] = number, mesh, 0
+            self._used += len(mesh.vertices)
+        self._uses[number] += 1
+        return number
+
+    def release(self, number: int) -> None:
+        """Use a mesh once less; one that nobody uses is forgotten."""
+        self._uses[number] -= 1
+        if self._uses[number]:
+            return
+        mesh = self._meshes.pop(number)
+        del self._numbers[mesh.key], self._uses[number]
+        self._free.append(number)
+        self._used -= len(mesh.vertices)
+        if self._joined.size > MOST_FORGOTTEN * self._used + FEW_FORGOTTEN:
+            self._joined = _Joined()
+            for other, kept in self._meshes.items():
+                self._joined.add(other, kept)
+
+    @property
+    def hulls(self) -> Hulls:
+        """The meshes for the kernels."""
+        return self._joined.hulls()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of what the kernels read."""
+        return sum(array.nbytes for array in self.hulls) if len(self) else 0

@@ -1,0 +1,152 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The k boxes nearest to a point, depth first with the nearer child first (Roussopoulos et al.
+1995).
+
+A distance is computed with a relative error below 4 u (u = 2**-53: one rounding of a difference,
+one each of square, sum and root), or to within 1e-322 where it is subnormal; it is infinite only
+where the exact one exceeds the largest double. Which box is nearer is decided by the computed
+distances, ties by the smaller handle; so the answer does not depend on the shape of the tree.
+"""
+
+import math
+
+import numpy as np
+
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import stack_array
+from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
+from ..rays.slab import PAD, TINY
+from ..store.turns import begin_query, end_query
+
+
+@inlined
+def distance(lo, hi, point):
+    """Distance of a point from a closed box, 0 inside."""
+    longest = 0.0
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        longest = max(longest, gap)
+        total += gap * gap
+    if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
+        return math.sqrt(total)
+    # Squares would leave the doubles: the same with all gaps times a power of two.
+    exponent = math.frexp(longest)[1]
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = math.ldexp(max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]), -exponent)
+        total += gap * gap
+    return math.ldexp(math.sqrt(total), exponent)
+
+
+@inlined
+def pruning_limit(reach):
+    """What the squared distance of a node's box may be if a box within `reach` can lie in it."""
+    return reach * reach * PAD * PAD + TINY
+
+
+@lean_kernel
+def insert_candidate(slots, distances, handles, count, k, slot, gap):
+    """Put (slot, gap) in its place among the k best so far; return how many there are now."""
+    if count == k:
+        if gap > distances[k - 1] or (
+            gap == distances[k - 1] and handles[slot] > handles[slots[k - 1]]
+        ):
+            return count
+        count -= 1
+    place = count
+    while place > 0 and (
+        gap < distances[place - 1]
+        or (gap == distances[place - 1] and handles[slot] < handles[slots[place - 1]])
+    ):
+        slots[place], distances[place] = slots[place - 1], distances[place - 1]
+        place -= 1
+    slots[place], distances[place] = slot, gap
+    return count + 1
+
+
+@inlined
+def _square(lo, hi, point):
+    """Squared distance, only to prune by: where it overflows or vanishes, so does its limit."""
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        total += gap * gap
+    return total
+
+
+@lean_kernel
+def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, distances):
+    """Write the k nearest within `max_distance`, nearest first; return how many there are."""
+    if root == NONE or k == 0:
+        return 0
+    stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], squares[0], top = root, 0.0, 1
+    count = 0
+    limit = pruning_limit(max_distance)
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if squares[top] > limit or nodes[node].mask & mask == 0:
+            continue
+        while not is_leaf(node):
+            near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
+            near_square = _square(nodes[near].lo, nodes[near].hi, point)
+            far_square = _square(nodes[far].lo, nodes[far].hi, point)
+            if far_square < near_square:
+                near, far, near_square, far_square = far, near, far_square, near_square
+            if far_square <= limit:
+                stack[top], squares[top] = far, far_square
+                top += 1
+            node = near
+            if near_square > limit or nodes[near].mask & mask == 0:
+                break
+        if not is_leaf(node) or nodes[node].mask & mask == 0:
+            continue
+        lo, hi = leaf_box(nodes, tight, node)
+        gap = distance(lo, hi, point)
+        if gap <= max_distance:
+            count = insert_candidate(slots, distances, handles, count, k, node >> 1, gap)
+            if count == k:
+                limit = pruning_limit(distances[k - 1])
+    return count
+
+
+@inlined
+def name_row(handles, slots, distances, count):
+    """Handles instead of the first `count` slots; then NONE and inf."""
+    for j in range(slots.shape[0]):
+        if j < count:
+            slots[j] = handles[slots[j]]
+        else:
+            slots[j], distances[j] = NONE, np.inf
+
+
+@lean_kernel
+def nearest_many(
+    nodes, tight, handles, state, version, points, k, max_distances, masks, found, distances
+):
+    """Row by row, handles to `found`, padded with NONE and inf; false if the tree is changed
+    meanwhile.
+    """
+    if not begin_query(state, version):
+        return False
+    root = state[ROOT]
+    for i in range(points.shape[0]):
+        row_slots, row_distances = found[i], distances[i]
+        count = nearest(
+            nodes,
+            tight,
+            handles,
+            root,
+            points[i],
+            k,
+            max_distances[i],
+            masks[i],
+            row_slots,
+            row_distances,
+        )
+        name_row(handles, row_slots, row_distances, count)
+    end_query(state)
+    return True

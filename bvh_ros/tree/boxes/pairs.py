@@ -1,0 +1,150 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""All pairs of touching boxes: the leaves in blocks of eight, tested one against eight at a time.
+
+The leaves are packed in the tree's order, so those of a block are neighbours. The boxes around the
+blocks are packed in blocks of eight in turn, and so on up to one: a tree of eight children a node
+that is made in one pass, holds the very doubles of the boxes, and is forgotten after the call. It
+is walked against itself, two blocks at a time.
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import stack_array, trailing_zeros
+from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box
+from ..store.turns import begin_query, end_query
+from .float64x8 import EIGHT, touching8
+
+REFUSED = -2
+
+ALL_LANES = np.uint32((1 << EIGHT) - 1)
+
+# Two blocks and a lane an entry; every level leaves fewer than 64 entries.
+_ENTRY = 3
+_STACK = _ENTRY * EIGHT * EIGHT * (SLOT_BITS // 3 + 2)
+
+
+@functools.cache
+def block_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of a block: whole cache lines."""
+    rows = (ndim, EIGHT)
+    return np.dtype(
+        [('lo', np.float64, rows), ('hi', np.float64, rows), ('kids', np.int64, (EIGHT,))]
+    )
+
+
+def blocks_needed(leaves: int) -> int:
+    """Blocks of all levels."""
+    total, level = 0, max(leaves, 1)
+    while level > 1 or total == 0:
+        level = -(-level // EIGHT)
+        total += level
+    return total
+
+
+@inlined
+def _place(blocks, number, lo, hi, kid):
+    block, lane = blocks[number // EIGHT], number % EIGHT
+    for axis in range(lo.shape[0]):
+        block.lo[axis, lane], block.hi[axis, lane] = lo[axis], hi[axis]
+    block.kids[lane] = kid
+
+
+@lean_kernel
+def _pack_leaves(nodes, tight, root, mask, blocks):
+    """Fill the blocks of the lowest level with the leaves that the mask sees; return how many."""
+    stack = stack_array(DEEPEST, np.int64)
+    stack[0], top, count = root, 1, 0
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        while nodes[node].mask & mask != 0:
+            if is_leaf(node):
+                lo, hi = leaf_box(nodes, tight, node)
+                _place(blocks, count, lo, hi, ~(node >> 1))
+                count += 1
+                break
+            stack[top] = nodes[node].right
+            top += 1
+            node = np.int64(nodes[node].left)
+    return count
+
+
+@lean_kernel
+def _pack_above(blocks, first, last, above):
+    """Fill the blocks from `above` on with the boxes around the blocks [first, last)."""
+    lo, hi = stack_array(3, np.float64), stack_array(3, np.float64)
+    ndim = blocks[0].lo.shape[0]
+    for number in range(first, last):
+        block = blocks[number]
+        for axis in range(ndim):
+            low, high = block.lo[axis, 0], block.hi[axis, 0]
+            for lane in range(1, EIGHT):  # comparisons with the NaN of an empty lane are false
+                low = block.lo[axis, lane] if block.lo[axis, lane] < low else low
+                high = block.hi[axis, lane] if block.hi[axis, lane] > high else high
+            lo[axis], hi[axis] = low, high
+        _place(blocks, above * EIGHT + number - first, lo[:ndim], hi[:ndim], number)
+
+
+@lean_kernel
+def pack(nodes, tight, handles, state, version, mask, blocks):
+    """Fill `blocks` level by level; return the topmost block, NONE if the mask sees nothing,
+    REFUSED if the tree is changed meanwhile.
+    """
+    if not begin_query(state, version):
+        return REFUSED
+    first, boxes = 0, 0
+    if state[ROOT] != NONE:
+        boxes = _pack_leaves(nodes, tight, state[ROOT], mask, blocks)
+    end_query(state)
+    empty = stack_array(3, np.float64)
+    empty[0] = empty[1] = empty[2] = np.nan
+    nothing = empty[: blocks[0].lo.shape[0]]
+    while boxes > 0:
+        last = first + (boxes + EIGHT - 1) // EIGHT
+        for number in range(first * EIGHT + boxes, last * EIGHT):
+            _place(blocks, number, nothing, nothing, NONE)
+        if last == first + 1:
+            return first
+        _pack_above(blocks, first, last, last)
+        first, boxes = last, last - first
+    return NONE
+
+
+@lean_kernel
+def touching_pairs(blocks, root, found):
+    """Write all pairs of touching boxes as slots, flat; return how many numbers.
+
+    A return beyond the array's end says how large it should have been: what did not fit is
+    counted, not written.
+    """
+    stack = stack_array(_STACK, np.int64)
+    stack[0], stack[1], stack[2], top, count = root, root, NONE, _ENTRY, 0
+    while top > 0:
+        top -= _ENTRY
+        # The block b is the child in one lane of the level above: its bounds are there.
+        a, b, bounds = stack[top], stack[top + 1], stack[top + 2]
+        lanes = ALL_LANES if a == b else touching8(blocks, a, blocks, bounds // 8, bounds % 8)
+        lowest = blocks[a].kids[0] < 0
+        while lanes != np.uint32(0):
+            i = np.int64(trailing_zeros(lanes))
+            lanes = np.uint32(lanes & np.uint32(lanes - np.uint32(1)))
+            touched = touching8(blocks, b, blocks, a, i)
+            if a == b:  # each pair once, and no leaf with itself
+                touched = np.uint32(touched & (lanes if lowest else lanes | np.uint32(1 << i)))
+            while touched != np.uint32(0):
+                j = np.int64(trailing_zeros(touched))
+                touched = np.uint32(touched & np.uint32(touched - np.uint32(1)))
+                kid, other = blocks[a].kids[i], blocks[b].kids[j]
+                if not lowest:
+                    stack[top], stack[top + 1], stack[top + 2] = kid, other, b * EIGHT + j
+                    top += _ENTRY
+                    continue
+                if count + 2 <= found.shape[0]:
+                    found[count], found[count + 1] = ~kid, ~other
+                count += 2
+    return count

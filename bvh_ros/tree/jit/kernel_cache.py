@@ -1,0 +1,244 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the machine code of the kernels is kept.
+
+numba's own disk cache looks only at the file of the function that is called: after an edit in a
+callee's file it would still run the old code. So the cache folder is named by a hash of every
+source that can hold a kernel, and of every setting of numba that changes code. In it, kernels go
+by their place in the package, not on the disk: equal sources share machine code wherever they are
+installed.
+
+A crash, a full disk or a stray copy may leave anything there. So each file begins with a hash of
+its name and content, and is looked into only if that hash is right. Else the kernel is compiled
+again.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import tempfile
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core import caching, config
+from numba.core.serialize import dumps
+from numba.core.types import Record
+
+from .private_folder import UnsafeError, is_ours_alone, open_private, write_whole
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+_ROOMS = 'tree', 'scene', 'ros/cdr'  # where kernels call kernels of other files
+
+# Settings of numba that leave machine code as it is, by a word in their names.
+_BESIDE_THE_CODE = 'CACHE', 'CUDA', 'THREAD'
+_SEAL = hashlib.sha256().digest_size
+
+
+def _named_by_its_fields(record: Record) -> tuple[str, tuple[int]]:
+    return 'Record', (int(hashlib.sha256(record.name.encode()).hexdigest()[:15], 16),)
+
+
+# numba names the machine code for a record by the record's number, which is that of another one in
+# another process: what one process compiled for 2D nodes and another for 3D ones had one name, and
+# who loaded both ran one for the other.
+Record.mangling_args = property(_named_by_its_fields)  # type: ignore[assignment, method-assign]
+
+
+def _hash_sources(package: Path) -> str:
+    """Hash of every source that can hold a kernel, at any depth."""
+    digest = hashlib.sha256()
+    for room in _ROOMS:
+        for source in sorted((package / room).rglob('*.py')):
+            digest.update(f'{source.relative_to(package).as_posix()}\n'.encode())
+            digest.update(hashlib.sha256(source.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _settings() -> tuple[str, ...]:
+    """What else decides the machine code: the compiler's version, and its settings now.
+
+    numba takes settings from `NUMBA_...` in the environment and from `.numba_config.yaml`, and
+    looks again whenever it compiles. Settings that it has not got yet count, too.
+    """
+    return (
+        numba.__version__,
+        llvmlite.__version__,
+        *(
+            f'{name}={value!r}'
+            for name, value in sorted(vars(config).items())
+            if name.isupper() and not any(word in name for word in _BESIDE_THE_CODE)
+        ),
+    )
+
+
+def _places() -> Iterator[Path]:
+    """Where our own folder may be, best first."""
+    named = os.environ.get('NUMBA_CACHE_DIR')
+    if named:
+        yield Path(named).absolute() / 'bvh_ros'
+        return
+    home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    if os.path.isabs(home):  # else this user has no home
+        yield Path(home) / 'bvh_ros'
+    user = os.geteuid() if hasattr(os, 'geteuid') else 0
+    with contextlib.suppress(OSError):  # no temporary folder, or a full one
+        yield Path(tempfile.gettempdir()) / f'bvh_ros-{user}'
+
+
+def cache_folder() -> Path | None:
+    """Folder of the compiled kernels of exactly these sources and settings of numba; None where
+    no folder can be written, or only one that others can write, too.
+
+    In `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME`, else `~/.cache`, else the machine's temporary
+    folder.
+    """
+    return _find_folder(_settings())
+
+
+@functools.cache
+def _find_folder(settings: tuple[str, ...]) -> Path | None:
+    key = '\n'.join((_hash_sources(_PACKAGE), *settings))
+    name = hashlib.sha256(key.encode()).hexdigest()[:16]
+    refused: list[OSError] = []
+    found = None
+    for place in _places():
+        try:
+            found = open_private(place, name)
+            break
+        except OSError as error:
+            refused.append(error)
+    if found is None or any(isinstance(error, UnsafeError) for error in refused):
+        why = '; '.join(map(str, refused)) or 'there is no home and no temporary folder'
+        _warn(f'kept in {found}: {why}' if found else f'not kept: {why}')
+    return found
+
+
+def _warn(state: str) -> None:
+    warnings.warn(f'the machine code of bvh_ros is {state}', RuntimeWarning, stacklevel=2)
+
+
+def is_warm() -> bool:
+    """Whether kernels of exactly these sources have been compiled on this machine before."""
+    folder = cache_folder()
+    return folder is not None and any(folder.glob('*.nbc'))
+
+
+@functools.cache
+def _stamp(source: str) -> str:
+    return hashlib.sha256(Path(source).read_bytes()).hexdigest()
+
+
+class _Place(caching._CacheLocator):
+    """A kernel's place in the package."""
+
+    def __init__(self, function: Any, source: str) -> None:
+        self._py_file = source
+        self._line = function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Any, source: str) -> '_Place':
+        return cls(function, source)
+
+    def get_cache_path(self) -> str:
+        return ''  # `_SealedFiles` looks for the folder when there is something to keep
+
+    def ensure_cache_path(self) -> None:
+        pass
+
+    def get_source_stamp(self) -> str:
+        return _stamp(self._py_file)
+
+    def get_disambiguator(self) -> str:
+        room = Path(self._py_file).resolve().parent.relative_to(_PACKAGE)
+        return '-'.join((*room.parts, str(self._line)))
+
+
+class _Kept(caching.CompileResultCacheImpl):
+    _locator_classes = (_Place,)
+
+
+class _SealedFiles:
+    """A kernel's machine code on disk: for each signature a file, which needs no other one.
+
+    So processes that compile the same kernel at once just write equal files, one after the other.
+    """
+
+    _said = False
+
+    def __init__(self, name: str, stamp: str) -> None:
+        self._name = name
+        self._stamp = stamp
+
+    def load(self, key: Any) -> Any:
+        """Return what is kept under this key; None if that is nothing, or no longer whole."""
+        path = self._path(key)
+        try:
+            if path is None:
+                return None
+            with path.open('rb') as file:
+                if not is_ours_alone(os.fstat(file.fileno())):
+                    return None
+                seal, content = file.read(_SEAL), file.read()
+        except OSError:
+            return None
+        if seal != self._seal(path, content):
+            return None
+        caching._cache_log('[cache] data loaded from %r', str(path))
+        return pickle.loads(content)
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep data under this key. Where that fails, it is this process's only: said once."""
+        path = self._path(key)
+        if path is None:
+            return
+        content = dumps(data)
+        try:
+            write_whole(path, self._seal(path, content) + content)
+        except OSError as error:
+            if not _SealedFiles._said:
+                _SealedFiles._said = True
+                _warn(f'not kept: {error}')
+            return
+        caching._cache_log('[cache] data saved to %r', str(path))
+
+    def _path(self, key: Any) -> Path | None:
+        folder = cache_folder()
+        if folder is None:
+            return None
+        signature = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
+        return folder / f'{self._name}.{signature[:32]}.nbc'
+
+    @staticmethod
+    def _seal(path: Path, content: bytes) -> bytes:
+        """Hash of what the content is, and of the content: a renamed file is not whole, either."""
+        digest = hashlib.sha256(f'{path.parent.name}/{path.name}\n'.encode())
+        digest.update(content)
+        return digest.digest()
+
+
+class KernelCache(caching.FunctionCache):
+    """A kernel's machine code on disk."""
+
+    _impl_class = _Kept
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        stamp = self._impl.locator.get_source_stamp()
+        self._cache_file = _SealedFiles(self._impl.filename_base, stamp)
+
+    @property
+    def cache_path(self) -> str:
+        return str(cache_folder())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:
+            # Whole, but not for this Python, numpy or llvmlite. That may raise anything.
+            return None

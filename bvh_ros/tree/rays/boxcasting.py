@@ -1,0 +1,49 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a box meets on its way: the traversal of rays, with a box that moves instead of a point."""
+
+import numpy as np
+
+from ..jit.compiling import lean_kernel
+from ..jit.intrinsics import stack_array
+from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, leaf_box
+from ..store.turns import ANY_VERSION, begin_query, end_query
+from .ray_hits import REFUSED, locate
+from .raycasting import CLOSEST, raycast
+from .slab import EXACT, INSIDE, ORIGIN, set_swept_box
+
+
+@lean_kernel
+def boxcast(nodes, tight, handles, state, lo, hi, translation, mask, ray, place):
+    """First box met: (handle, t); point and normal go to `place`. Instead of a handle NONE if
+    there is none, REFUSED if the tree is being changed. `ray` is scratch.
+    """
+    if not begin_query(state, ANY_VERSION):
+        return REFUSED, np.inf
+    set_swept_box(ray, lo, hi, translation)
+    slots, ts, axes = (
+        stack_array(1, np.int64),
+        stack_array(1, np.float64),
+        stack_array(1, np.int64),
+    )
+    found = raycast(
+        nodes, tight, handles, state[ROOT], ray, 1.0, mask, False, CLOSEST, slots, ts, axes, 0
+    )
+    state[RAYS] += 1
+    state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
+    if found == 0:
+        end_query(state)
+        return NONE, np.inf
+    # Of all points that touch, the closest to the swept box's centre: where that would be, brought
+    # into the box that is met. On the axes along which it does not move, now; `locate` does the
+    # others.
+    met_lo, met_hi = leaf_box(nodes, tight, 2 * slots[0])
+    centre = ray[ORIGIN]
+    for axis in range(lo.shape[0]):
+        centre[axis] = lo[axis] * 0.5 + hi[axis] * 0.5
+        if axes[0] == INSIDE or translation[axis] == 0.0:
+            centre[axis] = min(max(centre[axis], met_lo[axis]), met_hi[axis])
+    locate(nodes, tight, centre, translation, slots[0], ts[0], axes[0], place)
+    handle = handles[slots[0]]
+    end_query(state)
+    return handle, ts[0]

@@ -1,0 +1,176 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A tree as plain arrays: what a file and a pickle hold.
+
+Anybody may have written a file. Nothing is taken from it before it has the form that a tree of its
+size has, and no tree is made of it that `validation` finds unsound.
+"""
+
+import io
+import zipfile
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from ..nodes import COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN
+from ..validation import array_forms
+from .storage import allocate
+
+VERSION = 1
+ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
+# A letter of numpy's for each kind of number or text that a value may be.
+VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
+
+# A node names others, so nodes do not become arbitrarily few bytes: 28 times smaller, at most
+# (those of an empty tree). What is yet smaller would fill the memory with what is no tree.
+SMALLEST_SHARE = 64
+LARGEST_VALUE = 4096  # bytes
+
+
+def pack(tree: Any) -> dict[str, Any]:
+    """The arrays and values that make up a tree, by name."""
+    nodes, heights, tight, handles, state = tree._copied()
+    return {
+        'version': VERSION,
+        'nodes': nodes,
+        'heights': heights,
+        'tight': tight,
+        'handles': handles,
+        'state': state[:STATE_PLACES],
+        'ndim': tree.ndim,
+        'margin': tree.margin,
+        'sibling_search': tree.sibling_search,
+        'serial': int(state[SERIAL]),
+        'counters': [(name, int(state[place])) for name, place in COUNTERS.items()],
+    }
+
+
+def save(path: str | PathLike[str], packed: dict[str, Any]) -> None:
+    """Write one .npz under exactly this path."""
+    with open(path, 'wb') as file:
+        np.savez_compressed(file, **packed)
+
+
+def load(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read what `save` wrote; ValueError if the file is anything else."""
+    data = Path(path).read_bytes()  # an OSError is about the disk; what comes now, the content
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return _read(archive)
+    except Exception as error:  # a damaged file makes zipfile and numpy raise errors of many kinds
+        raise ValueError(f'{path} is no saved tree: {error}') from None
+
+
+def _read(archive: zipfile.ZipFile) -> dict[str, Any]:
+    _refuse_missing(name[:-4] for name in archive.namelist() if name.endswith('.npy'))
+    packed = {}
+    for name in (*VALUES, 'counters'):
+        if archive.getinfo(f'{name}.npy').file_size > LARGEST_VALUE:
+            raise ValueError(f'its {name} is too large')
+        packed[name] = _member(archive, name)
+        if name == 'version' and _value(packed, name) != VERSION:
+            raise ValueError(f'it has format version {packed[name]}; this is for {VERSION}')
+    forms = {name: _form(archive, name) for name in ARRAYS}
+    _check_forms(_value(packed, 'ndim'), forms)
+    nodes = archive.getinfo('nodes.npy')
+    if nodes.file_size > SMALLEST_SHARE * nodes.compress_size:
+        raise ValueError('its nodes are compressed as no tree can be')
+    return packed | {name: _member(archive, name) for name in ARRAYS}
+
+
+def _refuse_missing(names: Iterable[str]) -> None:
+    missing = {'counters', *ARRAYS, *VALUES} - set(names)
+    if missing:
+        raise ValueError(f'it lacks {sorted(missing)}')
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> Any:
+    with archive.open(f'{name}.npy') as file:
+        return npy.read_array(file, allow_pickle=False)
+
+
+def _form(archive: zipfile.ZipFile, name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Type and shape of an array, from its header; ValueError if its size is not what they say."""
+    with archive.open(f'{name}.npy') as file:
+        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+        shape, _, dtype = readers[npy.read_magic(file)](file)
+        count = 1
+        for length in shape:  # in Python's integers: they do not overflow
+            count *= length
+        if file.tell() + count * dtype.itemsize != archive.getinfo(f'{name}.npy').file_size:
+            raise ValueError(f'its {name} are not of the size that they claim')
+    return dtype, shape
+
+
+def _check_forms(ndim: int, forms: dict[str, tuple[Any, Any]]) -> None:
+    """ValueError unless the arrays have the types and lengths that belong together."""
+    if ndim not in (2, 3):
+        raise ValueError(f'its ndim must be 2 or 3, not {ndim}')
+    shape = forms['handles'][1]
+    if len(shape) != 1 or not 1 <= shape[0] <= SLOT_MASK + 1:
+        raise ValueError(f'its handles must be from 1 to {SLOT_MASK + 1}, not of shape {shape}')
+    fat = forms['tight'][1] != (0,)
+    for name, wanted in array_forms(ndim, shape[0], fat).items():
+        if forms[name] != wanted:
+            (dtype, shape), (given, length) = wanted, forms[name]
+            raise ValueError(
+                f'its {name} must be {dtype} of shape {shape}, not {given} of shape {length}'
+            )
+
+
+def _value(packed: dict[str, Any], name: str) -> Any:
+    """One number or word."""
+    array = np.asarray(packed[name])
+    if array.shape != () or array.dtype.kind not in VALUES[name]:
+        raise ValueError(f'its {name} is {array.dtype} of shape {array.shape}')
+    return array.item()
+
+
+def _counters(given: Any, names: Iterable[str]) -> dict[str, int]:
+    """How often things were done, by name; in a file all of it is text."""
+    pairs = np.asarray(given)
+    if pairs.dtype.kind != 'U' or pairs.ndim != 2 or pairs.shape[1] != 2:
+        raise ValueError('its counters are no names and numbers')
+    counts = dict(pairs.tolist())
+    if len(counts) != len(pairs) or set(counts) != set(names):
+        raise ValueError(f'its counters are {sorted(counts)}')
+    if not all(
+        count.isascii() and count.isdigit() and len(count) < 19 for count in counts.values()
+    ):
+        raise ValueError('its counters are not all natural numbers')
+    return {name: int(counts[name]) for name in names}
+
+
+def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
+    """What was kept, each of the kind it must be; ValueError if it is not."""
+    if not isinstance(packed, dict):
+        raise ValueError(f'a saved tree is a dict, not {type(packed).__name__}')
+    _refuse_missing(packed)
+    kept = {name: _value(packed, name) for name in VALUES}
+    if kept['version'] != VERSION:
+        raise ValueError(f'it has format version {kept["version"]}; this is for {VERSION}')
+    kept |= {name: np.asarray(packed[name]) for name in ARRAYS}
+    _check_forms(kept['ndim'], {name: (kept[name].dtype, kept[name].shape) for name in ARRAYS})
+    return kept | {'counters': _counters(packed['counters'], counters)}
+
+
+def unpack(tree: Any, packed: Any) -> None:
+    """Fill a new tree; ValueError if what was kept is not a sound one."""
+    kept = _sound(packed, tree.COUNTERS)
+    tree._begin(kept['ndim'], kept['margin'], kept['sibling_search'], 1)
+    storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
+    for name in ARRAYS[:-1]:
+        getattr(storage, name)[:] = kept[name]
+    state = storage.state
+    state[:STATE_PLACES], state[SERIAL], state[TURN] = kept['state'], kept['serial'], 0
+    for name, count in kept['counters'].items():
+        state[COUNTERS[name]] = count
+    tree._storage = storage
+    try:
+        tree.validate()
+    except RuntimeError as error:
+        raise ValueError(f'the saved tree is not sound: {error}') from None

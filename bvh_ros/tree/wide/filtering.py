@@ -1,0 +1,91 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays against the boxes of wide nodes, in float32: what surely misses is left out.
+
+The distance of a plane is fma(plane, 1 / d, -o / d) in the snapshot's units. With e = 2**-24, the
+rounding of 1 / d, of o / d and of the result make an error of at most |1 / d| (1 + |o|) 2 e (1 + 4
+e), so every entry is lowered and every exit raised by PAD32 |1 / d| (1 + |o|), twice that. (Ize
+2013 bounds (plane - o) * (1 / d); the fused form needs the term with |o|.) Directions are scaled
+to a largest component of 1, and components below 2**-40 are taken for 2**-40: such an axis' exit
+then is beyond 2**17 at least, further than anything that a ray from within 2**10 scene sizes can
+meet. Other rays take the binary tree.
+"""
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+
+from ..jit.compiling import inlined
+from ..nodes import NONE
+from ..rays.slab import INSIDE
+
+PAD32 = 2.0**-22
+FARTHEST_ORIGIN = 2.0**10
+STEEPEST = 2.0**40
+NOWHERE = np.float32(-1.0)  # a limit that no box is within
+
+
+@functools.cache
+def ray_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of a ray on its way through the snapshot, of one cache line: its best hit so far, and
+    what `stream16` reads.
+    """
+    three = np.float32, (ndim,)
+    fields = {
+        'best_t': (np.float64, 0),  # about
+        'unit': (np.float64, 8),  # t times this is a distance in the snapshot's units
+        'slot': (np.int32, 16),  # of the best hit, or NONE
+        'axis': (np.int16, 20),
+        'exact': (np.bool_, 22),  # whether a decision took exact arithmetic
+        'limit': (np.float32, 24),  # surely not less than best_t
+        'slope': (three, 28),  # inverses of the direction
+        'near_shift': (three, 28 + 4 * ndim),
+        'far_shift': (three, 28 + 8 * ndim),
+    }
+    kinds, offsets = zip(*fields.values(), strict=True)
+    return np.dtype({'names': list(fields), 'formats': kinds, 'offsets': offsets, 'itemsize': 64})
+
+
+@inlined
+def limit32(t, unit):
+    """A distance in the snapshot's units, surely not less than t."""
+    return np.float32(t * unit) * np.float32(1.0 + PAD32) + np.float32(1e-30)
+
+
+@inlined
+def start_ray(ray, origin, direction, center, per_length, t_max):
+    """Fill a record; return whether the ray is suited. What is not finite is not: NaN is in no
+    range.
+    """
+    suited, largest = True, 0.0
+    for axis in range(origin.shape[0]):
+        length = abs(direction[axis])
+        distance = abs(origin[axis] - center[axis]) * per_length
+        suited &= (distance < FARTHEST_ORIGIN) & (
+            (length == 0.0) | ((length > 1e-290) & (length < 1e200))
+        )
+        largest = max(largest, length)
+    unit = largest * per_length
+    ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
+    ray.slot, ray.axis, ray.exact = NONE, INSIDE, False
+    for axis in range(origin.shape[0]):
+        inverse = largest / direction[axis]
+        steepness = min(abs(inverse), STEEPEST)
+        start = (origin[axis] - center[axis]) * per_length
+        pad = PAD32 * steepness * (1.0 + abs(start))
+        slope = math.copysign(steepness, inverse)
+        shift = -start * slope
+        ray.slope[axis] = slope
+        ray.near_shift[axis], ray.far_shift[axis] = shift - pad, shift + pad
+    return suited & (largest > 1e-200) & (unit > 1e-290) & (unit < 1e290)
+
+
+@inlined
+def octant_of(direction):
+    """Bit k: the ray flies down axis k, as its slope does, that of -0.0, too."""
+    octant = 0
+    for axis in range(direction.shape[0]):
+        octant |= (math.copysign(1.0, direction[axis]) < 0.0) << axis
+    return octant

@@ -1,0 +1,107 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Sixteen float32 lanes at once: the boxes of a wide node."""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from ..jit.intrinsics import WIDTH, elements_at, index, pick, record_at, splat
+
+_FLOAT, _BIT, _INT, _LONG = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
+_WIDE = ir.VectorType(_FLOAT, WIDTH)
+
+
+def _near_and_far(builder: Any, planes: Any, octant: Any, ndim: int) -> list[Any]:
+    """The near and far ones of a wide node's planes, axis by axis."""
+
+    def side(axis: int, upper: Any) -> Any:
+        row = builder.select(upper, index(axis + ndim), index(axis))
+        place = builder.gep(planes, [builder.mul(row, index(WIDTH))])
+        return builder.load(builder.bitcast(place, _WIDE.as_pointer()), align=4)
+
+    down = [builder.trunc(builder.lshr(octant, index(k)), _BIT) for k in range(ndim)]
+    return [(side(k, down[k]), side(k, builder.not_(down[k]))) for k in range(ndim)]
+
+
+def _slabs(builder: Any, boxes: list[Any], field: Any) -> tuple[Any, Any]:
+    """Distances at which a ray enters the boxes, and whether that is before it leaves them and its
+    limit; field(name, axis) is a number of the ray. The distance of a plane is fma(plane, slope,
+    shift).
+    """
+    kind = ir.FunctionType(_WIDE, [_WIDE] * 3)
+    fma = cgutils.get_or_insert_function(builder.module, kind, 'llvm.fma.v16f32')
+    entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), field('limit')
+    for axis, (near, far) in enumerate(boxes):
+        slope = field('slope', axis)
+        intersect_node = builder.call(fma, [near, slope, field('near_shift', axis)])
+        leaves = builder.call(fma, [far, slope, field('far_shift', axis)])
+        entry, leave = pick(builder, '>', intersect_node, entry), pick(builder, '<', leaves, leave)
+    return entry, builder.fcmp_ordered('<=', entry, leave)
+
+
+@intrinsic
+def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, nearest):
+    """Test the rays of places[start:start + count] against the sixteen boxes of a wide node.
+
+    hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
+    the least distance of each box, as integers of the same order; returns which boxes any ray
+    meets. The rays are records as of `wide_filter.ray_dtype`; bit k of `octant` says that they fly
+    down axis k.
+    """
+    sig = types.uint32(planes, node, octant, rays, places, start, count, hits, nearest)
+    record = rays.dtype
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        _, node, octant, rays, _, start, count, _, _ = args
+
+        def part(k: int, first: Any, length: Any) -> Any:
+            return elements_at(context, builder, signature.args[k], args[k], first, length)
+
+        ndim = record.typeof('slope').shape[0]
+        floats = index(2 * ndim * WIDTH)
+        boxes = _near_and_far(builder, part(0, builder.mul(node, floats), floats), octant, ndim)
+        places, hits = part(4, start, count), part(7, index(0), count)
+        nearest = part(8, index(0), index(WIDTH))
+        least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
+        any_hits = cgutils.alloca_once_value(builder, ir.Constant(_INT, 0))
+        with cgutils.for_range(builder, count) as loop:
+            place = builder.load(builder.gep(places, [loop.index]))
+            ray = record_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
+
+            def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
+                at = builder.gep(ray, [index(record.offset(name) + 4 * axis)])
+                return splat(
+                    builder, builder.load(builder.bitcast(at, _FLOAT.as_pointer())), WIDTH
+                )
+
+            entry, met = _slabs(builder, boxes, field)
+            so_far = builder.load(least)
+            nearer = pick(builder, '<', entry, so_far)
+            builder.store(builder.select(met, nearer, so_far), least)
+            bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
+            builder.store(bits, builder.gep(hits, [loop.index]))
+            builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
+        builder.store(builder.load(least), builder.bitcast(nearest, _WIDE.as_pointer()), align=4)
+        return builder.load(any_hits)
+
+    return sig, codegen
+
+
+@intrinsic
+def seen16(typingctx, masks, at, mask):
+    """Bit mask of those of masks[at:at + 16] that have a bit of `mask` (uint32)."""
+    sig = types.uint32(masks, types.int64, types.uint32)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = ir.VectorType(_INT, WIDTH)
+        first = elements_at(context, builder, signature.args[0], args[0], args[1], index(WIDTH))
+        place = builder.bitcast(first, words.as_pointer())
+        common = builder.and_(builder.load(place, align=4), splat(builder, args[2], WIDTH))
+        seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
+        return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
+
+    return sig, codegen

@@ -1,0 +1,139 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lists of rays that visit a wide node together.
+
+A ray alone spends most of its time on branches that the processor guesses wrong: whether a child
+is met, how many are, whether the stack is empty. So a node's boxes are tested for a list of rays
+without a branch, each ray is put on the lists of the children that it meets, and the guesses are
+one a list instead of one a ray (Barringer and Akenine-Möller 2014, "Dynamic Ray Stream
+Traversal").
+
+The lists of a node's children lie behind each other in one array, above those of its ancestors:
+the traversal is depth first, so what is above is done with when a node is visited.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import WIDTH, trailing_zeros
+from ..nodes import aligned_empty
+from ..rays.slab import RAY_ROWS
+from .filtering import octant_of, ray_dtype
+
+# How many rays go together: their records stay in a processor core's own cache, and so do, for the
+# most part, the rays and answers of those that are sorted by octant in one go.
+RAYS_AT_ONCE = 4096
+RAYS_SORTED = 8 * RAYS_AT_ONCE
+
+# Sixteen children, and as many lists that nobody reads, see `child_lists`.
+LISTS = 2 * WIDTH
+
+# The columns of the stack: a node or ~slot of a leaf, its list, and where lists may begin that
+# are made from it.
+NODE, START, COUNT, FREE = range(4)
+
+
+class Scratch(NamedTuple):
+    """Memory for the rays of one thread."""
+
+    ray: NDArray[np.float64]
+    """One ray, as of `slab`."""
+    octants: NDArray[np.uint8]
+    """Of the rays that are sorted together."""
+    rows: NDArray[np.int64]
+    """Of these rays, octant by octant."""
+    rays: NDArray[Any]
+    """Of `wide_filter.ray_dtype`, those at once."""
+    lists: NDArray[np.int32]
+    """Places in `rays`."""
+    found: NDArray[np.int32]
+    """Places in `rays` of those that hit anything."""
+    hits: NDArray[np.uint32]
+    """Bit masks of the children that the rays of a list meet."""
+    stack: NDArray[np.int32]
+    """A node a row."""
+
+
+def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
+    """For `count` rays through a snapshot of so many levels of wide nodes."""
+    together = min(count, RAYS_AT_ONCE)
+    return Scratch(
+        np.empty((RAY_ROWS, ndim)),
+        np.empty(min(count, RAYS_SORTED), np.uint8),
+        np.empty(min(count, RAYS_SORTED), np.int64),
+        aligned_empty(together, ray_dtype(ndim)),
+        np.empty(together * (1 + LISTS * depth), np.int32),
+        np.empty(together, np.int32),
+        np.empty(together, np.uint32),
+        np.empty((WIDTH * depth, 4), np.int32),
+    )
+
+
+@lean_kernel
+def sort_by_octant(directions, start, octants, rows, ends):
+    """Fill `rows` with the numbers from `start` on, octant by octant; those of octant k end before
+    ends[k]. `octants` is scratch.
+    """
+    ends[:] = 0
+    for i in range(rows.shape[0]):
+        octants[i] = octant_of(directions[start + i])
+        ends[octants[i]] += 1
+    before = 0
+    for octant in range(ends.shape[0]):
+        before, ends[octant] = before + ends[octant], before
+    for i in range(rows.shape[0]):
+        rows[ends[octants[i]]] = start + i
+        ends[octants[i]] += 1
+
+
+@inlined
+def child_lists(lists, start, count, free, hits, ends):
+    """Put each ray of lists[start:start + count] on the lists of the children of its `hits`. That
+    of lane k begins at lists[free + k * count] and ends before lists[ends[k]].
+
+    Most rays meet two children at most. Two are written without asking; where there are fewer, to
+    a list that nobody reads. Neighbours have different ones of these, as each list's end is
+    wanted again at once.
+    """
+    one = np.uint64(1)  # unsigned: an index that can't be negative
+    for k in range(LISTS):
+        ends[k] = np.uint64(free + k * count)
+    for i in range(count):
+        ray, met = lists[start + i], hits[i]
+        spare = np.uint32(i & 7)
+        for unread in (np.uint32(1 << WIDTH), np.uint32(1 << WIDTH + 8)):
+            lane = np.uint64(trailing_zeros(np.uint32(met | unread << spare)))
+            lists[ends[lane]] = ray
+            ends[lane] += one
+            met = without_lowest(met)
+        while met != np.uint32(0):
+            lane = np.uint64(trailing_zeros(met))
+            lists[ends[lane]] = ray
+            ends[lane] += one
+            met = without_lowest(met)
+
+
+@inlined
+def without_lowest(bits):
+    """Without the lowest bit that is set, if any is."""
+    return np.uint32(bits & np.uint32(bits - np.uint32(bits != np.uint32(0))))
+
+
+@inlined
+def farthest_first(met, nearest, keys):
+    """Sort the children of `met`; return how many. The lane is in the last four bits of a key."""
+    count = 0
+    while met != np.uint32(0):
+        lane = np.int64(trailing_zeros(met))
+        met = without_lowest(met)
+        key = np.int64(nearest[lane]) << 32 | lane
+        place = count
+        while place > 0 and keys[place - 1] < key:
+            keys[place] = keys[place - 1]
+            place -= 1
+        keys[place] = key
+        count += 1
+    return count
