@@ -14,7 +14,7 @@ from . import changing, checks
 from .boxes.box_queries import BoxQueries
 from .introspection import Introspection
 from .rays.ray_queries import RayQueries
-from .store import files as storing
+from .store import files
 from .store.arrays import Floats, Ids
 from .store.storage import clear, new_storage
 
@@ -259,7 +259,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the tree to one .npz file; `load` gives it back with the same handles."""
-        storing.save(checks.path('path', path), self._packed())
+        files.save(checks.path('path', path), self._packed())
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> 'DynamicBVH':
@@ -267,11 +267,11 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         file, or of a tree that is not sound. A subclass' `__init__` is not called.
         """
         tree = cls.__new__(cls)
-        tree.__setstate__(storing.load(checks.path('path', path)))
+        tree.__setstate__(files.load(checks.path('path', path)))
         return tree
 
     def _packed(self) -> dict[str, Any]:
-        return storing.pack(self)
+        return files.pack(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """The tree, and what a subclass has added."""
@@ -283,5 +283,5 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
     def __setstate__(self, state: dict[str, Any]) -> None:
         added = state.get('added', {}) if isinstance(state, dict) else {}
         fresh = type(self).__new__(type(self))
-        storing.unpack(fresh, state)
+        files.unpack(fresh, state)
         vars(self).update({**added, **vars(fresh)})  # at once: it is this tree, or as it was

@@ -72,7 +72,7 @@ def binary_kernel() -> Any:
 
 @cache
 def wide_kernel() -> Any:
-    """`wide_raycasting.cast_rows` without the exact decision."""
+    """`wide.raycasting.cast_rows` without the exact decision."""
     better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
     visit = rewired(wide_raycasting.visit_leaf, is_better=better)
     group = rewired(

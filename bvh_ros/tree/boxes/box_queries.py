@@ -15,10 +15,7 @@ from ..results import RayHit
 from ..store.arrays import Arrays, Floats, Ids
 from ..store.turns import IS_CHANGED
 from ..store.workers import in_threads
-from . import nearest as proximity
-from . import nearest_packets as packets
-from . import ordering, overlapping
-from . import pairs as blocks
+from . import nearest, nearest_packets, ordering, overlapping, pairs
 
 # Batches of points dense enough for eight neighbours to share their way: as many points a box, and
 # at least so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
@@ -65,17 +62,17 @@ class BoxQueries(Arrays):
         seen = checks.mask(mask)
         view = self.view()
         boxes = view[3].item(COUNT)
-        packed = aligned_empty(blocks.blocks_needed(boxes), blocks.block_dtype(self.ndim))
-        top = blocks.pack(*view, seen, packed)
-        if top == blocks.REFUSED:
+        packed = aligned_empty(pairs.blocks_needed(boxes), pairs.block_dtype(self.ndim))
+        top = pairs.pack(*view, seen, packed)
+        if top == pairs.REFUSED:
             raise RuntimeError(IS_CHANGED)
         if top == NONE:
             return np.empty((0, 2), np.int64)
         slots = np.empty(max(4 * boxes, 64), np.int64)
-        count = blocks.touching_pairs(packed, top, slots)
+        count = pairs.touching_pairs(packed, top, slots)
         if count > len(slots):
             slots = np.empty(count, np.int64)
-            blocks.touching_pairs(packed, top, slots)
+            pairs.touching_pairs(packed, top, slots)
         one, other = view[2][slots[:count].reshape(-1, 2).T]
         self.check_unchanged(view)
         smaller, larger = np.minimum(one, other), np.maximum(one, other)
@@ -170,9 +167,9 @@ class BoxQueries(Arrays):
             keys, order, spare = np.empty((3, count), np.int64)
             root = view[0][view[3].item(ROOT)]
             ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
-            answered = packets.nearest_packets(*view, where, order, *asked)
+            answered = nearest_packets.nearest_packets(*view, where, order, *asked)
         else:
-            answered = proximity.nearest_many(*view, where, *asked)
+            answered = nearest.nearest_many(*view, where, *asked)
         if not answered:
             raise RuntimeError(IS_CHANGED)
         return ids, distances

@@ -4,7 +4,7 @@
 
 As packets of rays do (Wald et al. 2001, "Interactive Rendering with Coherent Ray Tracing"), they
 share the nodes that they load, and a node is left when it is too far for all of them. Distances,
-order and ties are those of `proximity`, point by point. Points that have nothing in common visit
+order and ties are those of `nearest`, point by point. Points that have nothing in common visit
 the union of what each would: packets are for batches that are dense and sorted.
 """
 
@@ -86,7 +86,7 @@ def update_nearest(
 def nearest_packets(
     nodes, tight, handles, state, version, points, order, k, max_distances, masks, slots, distances
 ):
-    """Write the k nearest of every point as `proximity.nearest_many` does, eight rows of `order`
+    """Write the k nearest of every point as `nearest.nearest_many` does, eight rows of `order`
     at a time.
     """
     if not begin_query(state, version):

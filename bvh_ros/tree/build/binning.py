@@ -27,7 +27,7 @@ from ..jit.intrinsics import (
     stack_array,
     swap8,
 )
-from .float64x4 import (
+from .float32x8 import (
     NO_COST,
     NUMBER,
     add_to_bins,

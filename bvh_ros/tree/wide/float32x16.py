@@ -49,7 +49,7 @@ def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, 
 
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
     the least distance of each box, as integers of the same order; returns which boxes any ray
-    meets. The rays are records as of `wide_filter.ray_dtype`; bit k of `octant` says that they fly
+    meets. The rays are records as of `filtering.ray_dtype`; bit k of `octant` says that they fly
     down axis k.
     """
     sig = types.uint32(planes, node, octant, rays, places, start, count, hits, nearest)

@@ -46,7 +46,7 @@ class Scratch(NamedTuple):
     rows: NDArray[np.int64]
     """Of these rays, octant by octant."""
     rays: NDArray[Any]
-    """Of `wide_filter.ray_dtype`, those at once."""
+    """Of `filtering.ray_dtype`, those at once."""
     lists: NDArray[np.int32]
     """Places in `rays`."""
     found: NDArray[np.int32]

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Batches of rays through the wide snapshot: filtered in float32 by `wide_filter`, in lists as in
+"""Batches of rays through the wide snapshot: filtered in float32 by `filtering`, in lists as in
 `ray_streams`; what passes is decided by `best_hit`.
 """
 

@@ -3,7 +3,7 @@
 """A read-only snapshot of the tree for batches of rays: nodes of sixteen children, whose boxes are
 tested with one vector operation.
 
-The snapshot is a filter and decides nothing: see `wide_raycasting`. Its boxes are float32 in units
+The snapshot is a filter and decides nothing: see `wide.raycasting`. Its boxes are float32 in units
 in which the scene fits into [-1, 1], rounded outwards. It is built when a batch comes that is
 worth it, and again after the tree has changed.
 """
@@ -49,7 +49,7 @@ DEEPEST_WIDE = (
 
 
 class Snapshot(NamedTuple):
-    """The arrays that `wide_raycasting` reads."""
+    """The arrays that `wide.raycasting` reads."""
 
     planes: NDArray[np.float32]
     """Per node and axis sixteen lower, then per axis sixteen upper planes."""
