@@ -51,7 +51,7 @@ setup(
     ],
     zip_safe=False,
     python_requires='>=3.10',
-    install_requires=['numpy>=1.24', 'numba>=0.59', 'scipy>=1.10'],
+    install_requires=['numpy>=1.24', 'numba>=0.62,<0.69', 'scipy>=1.10'],
     extras_require={
         'ros': ROS,
         'bags': BAGS,

@@ -202,8 +202,8 @@ def _undecided(times: Floats, features: NDArray[np.int64]) -> NDArray[np.bool_]:
 def _exact(
     columns: Columns, slots: Slots, early: Floats, rows: Slots, sweep: Sweep
 ) -> dict[int, Root | None]:
-    """When the boxes of some rows are touched; None where never, or surely after the first that
-    is, if that is all that is asked for.
+    """Return, for each of `rows`, the exact time at which the ball touches its box. None where it
+    never does; and, if only the first hit is asked for, where it does so later than another box.
     """
     lows, highs = overlaps.corners(columns.geometry[slots])
     ndim, latest = len(sweep.origin), np.inf

@@ -3,9 +3,9 @@
 """Whether triangles are the closed surface of one convex solid, given as exporters write them: in
 float32, wound anyhow, each corner once a triangle, slivers and triangles without area among them.
 
-Rounding moves a corner by up to `noise`. So far inwards a surface may bend, and what is as near as
-half of that on each axis is one corner. So the solid that is kept, the hull of all corners that
-are given, and the surface that is given differ nowhere by more than the noise.
+Rounding moves a corner by up to `noise`. A surface may bend inwards by no more than the noise, and
+corners within half the noise of each other on every axis become one. So nowhere do the given
+surface, the hull of all given corners and the solid that is kept differ by more than the noise.
 """
 
 import math

@@ -26,8 +26,9 @@ def _cell(points, i, center, per_length):
 
 @lean_kernel
 def neighbour_order(points, lo, hi, keys, order, spare):
-    """Fill `order` so that neighbours lie near each other: by cells of what the points and the box
-    from `lo` to `hi` have in common. keys, spare: scratch, n int64.
+    """Fill `order`, (n,) int64, with the rows of `points`, (n, ndim), so that consecutive rows are
+    near each other: sorted by the cells of a grid over the intersection of the points' bounds and
+    the box from `lo` to `hi`. keys, spare: scratch, (n,) int64.
     """
     center, half = stack_array(3, np.float64), 1e-300
     for axis in range(points.shape[1]):

@@ -215,9 +215,9 @@ def _choose_few(items, start, count, planar):
     return chosen
 
 
-# A division copies every item once, left ones from the front of the other half of the array on,
-# right ones from the back: no branch that the processor would guess wrong half the time, which
-# costs more than all the rest of a split.
+# A partition copies every item once into the other half of the array: items of the left child from
+# its front on, items of the right child from its back. It has no branch: the processor would guess
+# that wrong half the time, which costs more than all the rest of a split.
 
 
 @inlined

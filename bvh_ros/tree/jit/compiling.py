@@ -65,11 +65,11 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
-    """The machine code of a kernel for arguments of these types; it takes no others, and does not
-    look.
+    """Return the machine code of a kernel for arguments of exactly these types. It does not check
+    the types of what it is given: other types are undefined behaviour.
 
-    A kernel that is called as such finds out the types of its arguments at every call: half a
-    microsecond for seven arrays, as long as a ray.
+    numba's dispatcher looks at the types of all arguments at every call. For seven arrays that
+    takes half a microsecond, as long as a ray.
     """
     code: Callable[..., Any] = compiled.compile(tuple(map(numba.typeof, arguments)))
     return code

@@ -44,9 +44,10 @@ def _named_by_its_fields(record: Record) -> tuple[str, tuple[int]]:
     return 'Record', (int(hashlib.sha256(record.name.encode()).hexdigest()[:15], 16),)
 
 
-# numba names the machine code for a record by the record's number, which is that of another one in
-# another process: what one process compiled for 2D nodes and another for 3D ones had one name, and
-# who loaded both ran one for the other.
+# numba puts a number into the name of machine code that takes a record type, and counts record
+# types anew in every process. So code for 2D nodes from one process and code for 3D nodes from
+# another could have one name, and a process that loaded both ran one in place of the other. Named
+# by a hash of their fields, types are told apart across processes.
 Record.mangling_args = property(_named_by_its_fields)  # type: ignore[assignment, method-assign]
 
 

@@ -20,9 +20,10 @@ def in_threads(
     """Do work(start, stop) over `count` rows, shared among so many threads; results in the order
     of the rows.
 
-    Kernels release the GIL. There are more pieces than threads, and whoever is done takes the
-    next: a thread that the machine interrupts then does not hold up the others. But rows that
-    gain from so many of them `together` are not parted for that.
+    Kernels release the GIL. There are more pieces than threads, and a thread that has finished a
+    piece takes the next one, so that a thread which the operating system interrupts does not hold
+    up the others. A piece has at least `together` rows: below that, a batch loses what it gains
+    from answering rows together.
     """
     threads = max(1, min(checks.whole('threads', threads, 1), count))
     if threads == 1:

@@ -94,9 +94,9 @@ def child_lists(lists, start, count, free, hits, ends):
     """Put each ray of lists[start:start + count] on the lists of the children of its `hits`. That
     of lane k begins at lists[free + k * count] and ends before lists[ends[k]].
 
-    Most rays meet two children at most. Two are written without asking; where there are fewer, to
-    a list that nobody reads. Neighbours have different ones of these, as each list's end is
-    wanted again at once.
+    Most rays meet two children at most. So two entries are always written, without a branch: where
+    a ray meets fewer children, the rest goes to lists that nobody reads. There are several such
+    lists, used in turn, because a write to the list that was written just before has to wait.
     """
     one = np.uint64(1)  # unsigned: an index that can't be negative
     for k in range(LISTS):
