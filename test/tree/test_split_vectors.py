@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.build import float32x8 as split_vectors
+from bvh_ros.tree.jit import float32x8 as split_vectors
 
 BINS = 16
 

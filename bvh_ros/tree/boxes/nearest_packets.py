@@ -11,10 +11,10 @@ the union of what each would: packets are for batches that are dense and sorted.
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import DEEPEST, ROOT, is_leaf, leaf_box
 from ..store.turns import begin_query, end_query
-from .float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from .nearest import distance, insert_candidate, name_row, pruning_limit
 
 _PLACES = EIGHT * 3  # coordinates of a packet

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.float64x8 import EIGHT, touching8
 from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box
 from ..store.turns import begin_query, end_query
-from .float64x8 import EIGHT, touching8
 
 REFUSED = -2
 

@@ -18,6 +18,15 @@ import math
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.float32x8 import (
+    NO_COST,
+    NUMBER,
+    add_to_bins,
+    rank_bins,
+    rank_planes8,
+    rank_planes16,
+    rank_subsets,
+)
 from ..jit.intrinsics import (
     LANES,
     clear8,
@@ -26,15 +35,6 @@ from ..jit.intrinsics import (
     largest_difference8,
     stack_array,
     swap8,
-)
-from .float32x8 import (
-    NO_COST,
-    NUMBER,
-    add_to_bins,
-    rank_bins,
-    rank_planes8,
-    rank_planes16,
-    rank_subsets,
 )
 
 BINS = 16  # of an axis; as many boxes or fewer are divided at the centre of each instead

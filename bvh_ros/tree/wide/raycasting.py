@@ -7,6 +7,7 @@
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.float32x16 import seen16, stream16
 from ..jit.intrinsics import WIDTH, prefetch, stack_array
 from ..nodes import ALL, NONE, leaf_box
 from ..rays.ray_hits import of_row
@@ -23,7 +24,6 @@ from ..rays.slab import (
 from ..store.turns import begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
-from .float32x16 import seen16, stream16
 from .ray_streams import (
     COUNT,
     FREE,

@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ..jit.intrinsics import elements_at, index, pick, record_at, splat
+from .intrinsics import elements_at, index, pick, record_at, splat
 
 EIGHT = 8
 

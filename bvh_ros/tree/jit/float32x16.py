@@ -9,7 +9,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ..jit.intrinsics import WIDTH, elements_at, index, pick, record_at, splat
+from .intrinsics import WIDTH, elements_at, index, pick, record_at, splat
 
 _FLOAT, _BIT, _INT, _LONG = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
 _WIDE = ir.VectorType(_FLOAT, WIDTH)

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from ..jit.intrinsics import LANES, WIDTH, elements_at, index, pick, splat
+from .intrinsics import LANES, WIDTH, elements_at, index, pick, splat
 
 NO_COST = np.uint32(0x7F800000)  # the bits of inf; those of NaN are above
 NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number
