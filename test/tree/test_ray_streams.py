@@ -87,13 +87,15 @@ def test_exactly(lo: Floats, origins: Floats, ways: Floats) -> None:
 
 
 def test_a_deep_tree() -> None:
-    """Boxes of ever larger scales: wide nodes have few children, level after level."""
-    size = 2.0 ** np.arange(900)[:, None]
+    """Boxes of ever larger scales: wide nodes have few children, level after level. No more of
+    them than `MOST_BLURRED` lie together for a float32.
+    """
+    size = 2.0 ** (np.arange(200) / 8)[:, None]
     lo, hi = size * [1.0, -1, -1], size * [1.5, 1, 1]
-    tree = DynamicBVH.from_boxes(lo[:-500], hi[:-500])
+    tree = DynamicBVH.from_boxes(lo, hi)
     origins = np.tile([[0.0, 0, 0]], (500, 1))
     ways = np.c_[np.ones(500), np.linspace(-2, 2, 500), np.zeros(500)]
-    assert tree.height > 20
+    assert tree.height > 15
     hits = tree.raycast_many(origins, ways)
     assert tree.stats()['wide_snapshot']
     for row in range(500):

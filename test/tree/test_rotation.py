@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import NONE, ROOT, is_leaf, refit_node, take_inner, take_leaf
+from bvh_ros.tree.nodes import (
+    NONE,
+    ROOT,
+    SERIAL,
+    SLOT_BITS,
+    is_leaf,
+    refit_node,
+    take_inner,
+    take_leaf,
+)
 from bvh_ros.tree.rotation import rotate
 
 Shape = int | tuple['Shape', 'Shape']  # a row of boxes, or two subtrees
@@ -27,7 +36,8 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
             1,
         )
         heights[leaf] = 0
-        tree._handles[leaf >> 1] = leaf >> 1
+        tree._handles[leaf >> 1] = tree.state[SERIAL] << SLOT_BITS | leaf >> 1
+        tree.state[SERIAL] += 1
         return leaf
     node = int(take_inner(nodes, state))
     for side, below in zip(('left', 'right'), shape, strict=True):

@@ -147,7 +147,8 @@ def test_queries_while_others_change(queries: str, margin: float) -> None:
 def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
     """It is done between two kernels, where no turn is taken; the query says that it was."""
     lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
-    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    tree = DynamicBVH(capacity=301)
+    tree.insert_many(lo, lo + 1)
     view = tree.view()
     tree.insert([0, 0, 0], [1, 1, 1])
     with pytest.raises(RuntimeError, match='changed'):
@@ -155,6 +156,22 @@ def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
     with pytest.raises(RuntimeError, match='changed'):
         tree._snapshot_for(10**6, view)
     tree.validate()
+
+
+def test_a_growth_within_a_query() -> None:
+    """The change is done in larger arrays: the query goes on in those of before, and what it
+    leaves behind is not taken for the tree of now.
+    """
+    lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    view = tree.view()
+    new = tree.insert([-9, 0, 0], [-8, 1, 1])
+    tree.check_unchanged(view)
+    before = tree._snapshot_for(10**6, view)
+    starts, ways = np.tile([-10.0, 0.5, 0.5], (70, 1)), np.tile([1.0, 0, 0], (70, 1))
+    assert before is not None
+    assert new not in view[2]
+    assert set(tree.raycast_many(starts, ways).ids) == {new}
 
 
 def test_worker_threads_do_not_pile_up() -> None:

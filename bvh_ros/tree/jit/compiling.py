@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The decorators for compiled functions."""
 
+import os
 from collections.abc import Callable
 from typing import Any
 
 import numba
 from numba.core import config
+from numba.core.compiler_lock import global_compiler_lock
 
 from .kernel_cache import KernelCache, cache_folder
 
@@ -14,6 +16,15 @@ from .kernel_cache import KernelCache, cache_folder
 # With another one kernels are compiled in numba's own way: as right and as fast, but a cold start
 # takes twice as long, and each installation has its own.
 KNOWN = (0, 62), (0, 68)
+
+if hasattr(os, 'register_at_fork'):
+    # Who forks waits until no thread compiles: its child would have the lock for ever, and nobody
+    # in it who gives it back.
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
 
 
 def _compiled(function: Callable[..., Any], **options: Any) -> Any:

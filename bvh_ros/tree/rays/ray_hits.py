@@ -11,7 +11,7 @@ import numpy as np
 from ..jit.compiling import entry_point, inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, box_dtype, leaf_box, node_dtype
-from ..store.turns import ANY_VERSION, begin_query, count_rays, end_query
+from ..store.turns import ANY_VERSION, begin_query, end_query
 from .raycasting import ANY, CLOSEST, raycast
 from .slab import DIRECTION, EXACT, INSIDE, set_ray
 
@@ -169,6 +169,5 @@ def raycast_rows(
             ids[i] = slots[0]
         else:
             write_hit(handles, ray, slots[0], distances[0], axes[0], i, ids, ts, normals)
-    count_rays(state, rows.shape[0], exact)
     end_query(state)
     return exact

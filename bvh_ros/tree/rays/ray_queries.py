@@ -11,7 +11,7 @@ from .. import checks
 from ..nodes import ALL, NONE
 from ..results import RayHit, RayHits
 from ..store.arrays import Arrays, Floats, Ids, View
-from ..store.turns import IS_CHANGED
+from ..store.turns import IS_CHANGED, accepted, count_rays
 from ..store.workers import in_threads
 from ..wide import raycasting as wide_raycasting
 from ..wide.ray_streams import RAYS_AT_ONCE, make_scratch
@@ -242,31 +242,31 @@ class RayQueries(Arrays):
             room[count + described :].reshape(described, self.ndim),
         )
         view = self.view()
-        left = self._first_wide(view, rays, mode, threads, hits)
+        left, exact = self._first_wide(view, rays, mode, threads, hits)
         if left.size:
             checks.finite('origins', starts)
             checks.finite('directions', ways)
 
-        def cast(start: int, stop: int) -> None:
+        def cast(start: int, stop: int) -> int:
             scratch, rows = np.empty((RAY_ROWS, self.ndim)), left[start:stop]
-            if ray_hits.raycast_rows(*view, scratch, *rays, mode, rows, *hits) < 0:
-                raise RuntimeError(IS_CHANGED)
+            return accepted(ray_hits.raycast_rows(*view, scratch, *rays, mode, rows, *hits))
 
-        in_threads(cast, len(left), threads)
+        exact += sum(in_threads(cast, len(left), threads))
+        count_rays(view[3], count, exact)  # once all are answered: what is refused counts none
         return hits
 
     def _first_wide(
         self, view: View, rays: tuple[Any, ...], mode: int, threads: int, hits: RayHits
-    ) -> Ids:
-        """Answer what the wide snapshot can; the rows that are left."""
+    ) -> tuple[Ids, int]:
+        """Answer what the snapshot can: the rows left, and how many others were exact work."""
         count = len(hits.ids)
         snapshot = self._snapshot_for(count, view)
         if snapshot is None:
-            return np.arange(count)
+            return np.arange(count), 0
         marks = np.empty(count, np.bool_)
 
-        def cast(start: int, stop: int) -> None:
-            exact = wide_raycasting.cast_rows(
+        def cast(start: int, stop: int) -> int:
+            done = wide_raycasting.cast_rows(
                 *snapshot[:-1],
                 *view,
                 *make_scratch(stop - start, self.ndim, snapshot.depth),
@@ -277,11 +277,10 @@ class RayQueries(Arrays):
                 *hits,
                 marks,
             )
-            if exact < 0:
-                raise RuntimeError(IS_CHANGED)
+            return accepted(done)
 
-        in_threads(cast, count, threads, 2 * RAYS_AT_ONCE)
-        return np.flatnonzero(marks)
+        exact = in_threads(cast, count, threads, 2 * RAYS_AT_ONCE)
+        return np.flatnonzero(marks), sum(exact)
 
     def every_hit(
         self,

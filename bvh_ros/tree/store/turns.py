@@ -71,6 +71,13 @@ def end_query(state):
     add_atomically(state, TURN, -1)
 
 
+def accepted(done: int) -> int:
+    """What a query's kernel returned; RuntimeError if that is negative: it did not get a turn."""
+    if done < 0:
+        raise RuntimeError(IS_CHANGED)
+    return done
+
+
 @inlined
 def count_rays(state, rays, exact):
     """Count rays, and those of them that took exact arithmetic, while others do."""

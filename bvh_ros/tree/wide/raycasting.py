@@ -21,7 +21,7 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
-from ..store.turns import begin_query, count_rays, end_query
+from ..store.turns import begin_query, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
 from .ray_streams import (
@@ -98,10 +98,6 @@ def cast_rows(
                 end = min(ends[octant], begin + RAYS_AT_ONCE)
                 cast_group(wide, boxes, rays, batch[begin:end], scratch, asked, tally, answers)
                 begin = end
-    suited = np.int64(0)
-    for i in range(start, stop):
-        suited += not left_over[i]
-    count_rays(state, suited, tally[DECIDED_EXACTLY])
     end_query(state)
     return tally[DECIDED_EXACTLY]
 
