@@ -266,6 +266,32 @@ def test_nothing_can_be_asked_after_a_shutdown(context, server, node):
             call()
 
 
+def test_nothing_can_be_asked_after_the_node_is_destroyed(client, node):
+    node.destroy_node()
+    for call in (client.wait_until_ready, lambda: client.raycast((0, 0, 0), (1, 0, 0))):
+        with pytest.raises(BvhError, match='destroyed'):
+            call()
+
+
+def test_threads_that_come_at_once_open_the_topics_once(client, node):
+    """A second channel would not hear the answers that the first one was found ready for."""
+    before = {id(one) for one in node.subscriptions}
+    start = threading.Barrier(16)
+    channels = []
+
+    def ask():
+        start.wait()
+        channels.append(client._ray_channel())
+
+    threads = [threading.Thread(target=ask) for _ in range(16)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert len(set(map(id, channels))) == 1
+    assert len({id(one) for one in node.subscriptions} - before) == 1
+
+
 def test_calls_do_not_become_slower(client):
     def ask(count):
         began = time.perf_counter()

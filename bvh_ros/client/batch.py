@@ -98,7 +98,7 @@ class NameChannel:
     def __init__(self, node: Node, topic: str, group: CallbackGroup) -> None:
         self.known: dict[int, str] = {}
         self.has_told = False
-        self._waiting: list[tuple[set[int], Future]] = []
+        self._waiting: dict[Future, set[int]] = {}  # other threads add and take away
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.subscription = node.create_subscription(
             DiagnosticStatus, topic, self._receive, latched, callback_group=group
@@ -107,13 +107,13 @@ class NameChannel:
     def ask(self, handles: set[int]) -> Future:
         """Return a future that is done once all of these handles are known."""
         answer = Future()
-        self._waiting.append((handles, answer))
+        self._waiting[answer] = handles
         self._tell()
         return answer
 
     def forget(self, answer: Future) -> None:
         """Wait for this answer no longer."""
-        self._waiting = [one for one in self._waiting if one[1] is not answer]
+        self._waiting.pop(answer, None)
 
     def _receive(self, status: DiagnosticStatus) -> None:
         self.has_told = True
@@ -121,7 +121,7 @@ class NameChannel:
         self._tell()
 
     def _tell(self) -> None:
-        for handles, answer in [*self._waiting]:
+        for answer, handles in [*self._waiting.items()]:
             if handles <= self.known.keys():
                 self.forget(answer)
                 answer.set_result(None)

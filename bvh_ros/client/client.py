@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -59,6 +60,7 @@ class BvhClient:
         self._overlap = self._client('overlap')
         self._batches: RayChannel | None = None
         self._names: NameChannel | None = None
+        self._opening = Lock()  # of the topics: threads that come at once share them
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node offers its services.
@@ -294,21 +296,23 @@ class BvhClient:
         return {handle: known[handle] for handle in sorted(handles) if handle in known}
 
     def _name_channel(self, timeout: float) -> NameChannel:
-        if self._names is None:
-            if not self._waiting.until(
-                lambda: topic_of_names(self.node, self.name) != '', timeout
-            ):
-                raise BvhTimeoutError(f"nobody tells the names of '{self.name}'")
-            topic = topic_of_names(self.node, self.name)
-            self._names = NameChannel(self.node, topic, self._group)
-            self._waiting.add_subscription(self._names.subscription)
-        return self._names
+        if self._names is None and not self._waiting.until(
+            lambda: topic_of_names(self.node, self.name) != '', timeout
+        ):
+            raise BvhTimeoutError(f"nobody tells the names of '{self.name}'")
+        with self._opening:
+            if self._names is None:
+                topic = topic_of_names(self.node, self.name)
+                self._names = NameChannel(self.node, topic, self._group)
+                self._waiting.add_subscription(self._names.subscription)
+            return self._names
 
     def _ray_channel(self) -> RayChannel:
-        if self._batches is None:  # who asks for single rays only opens no topics
-            self._batches = RayChannel(self.node, self.name, self._group)
-            self._waiting.add_subscription(self._batches.subscription)
-        return self._batches
+        with self._opening:
+            if self._batches is None:  # who asks for single rays only opens no topics
+                self._batches = RayChannel(self.node, self.name, self._group)
+                self._waiting.add_subscription(self._batches.subscription)
+            return self._batches
 
     def _client(self, service: str) -> Client:
         client = self.node.create_client(

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from rclpy.client import Client
+from rclpy.exceptions import InvalidHandle
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -47,6 +48,11 @@ class Waiting:
         """Raise BvhError if nothing can be asked any more."""
         if not self._node.context.ok():
             raise BvhError('rclpy is shut down')
+        try:
+            with self._node.handle:
+                pass
+        except InvalidHandle:
+            raise BvhError('the node is destroyed') from None
 
     def until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Return whether something became true within `timeout` seconds; BvhError as below."""

@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 PATIENCE = 0.5  # seconds that a callback which is running gets to come to its end
@@ -17,13 +17,22 @@ PATIENCE = 0.5  # seconds that a callback which is running gets to come to its e
 class Interrupts:
     """Notes SIGINT and SIGTERM, and while the node starts ends the process at once.
 
-    To be made before `rclpy.init`, whose own handlers end the spinning and then call this one.
-    Spinning ends after the callback that is running. Where that takes longer, a thread ends the
-    process: Python's own handlers wait for the callback, too.
+    To be made before `rclpy.init`, which has to install no handlers of its own: they shut ROS down
+    below whatever callback is running, and what that publishes or logs then fails. Spinning ends
+    after the callback instead. Where that takes longer, a thread ends the process: Python's own
+    handlers wait for the callback, too.
+
+    Attributes
+    ----------
+    received : threading.Event
+        Set by the first signal.
+    wake : callable
+        What ends a wait for messages. It is called in another thread, after `received` is set.
     """
 
     def __init__(self) -> None:
-        self.received = False
+        self.received = threading.Event()
+        self.wake: Callable[[], None] = lambda: None
         self._starting = False
         self._heard, self._told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         os.set_blocking(self._heard, True)
@@ -47,7 +56,6 @@ class Interrupts:
             self._starting = False
 
     def _on_signal(self, _number: int, _frame: object) -> None:
-        self.received = True
         if self._starting:
             os._exit(0)
 
@@ -55,5 +63,7 @@ class Interrupts:
         wanted = signal.SIGINT, signal.SIGTERM
         while os.read(self._heard, 1)[0] not in wanted:
             pass
+        self.received.set()
+        self.wake()
         time.sleep(PATIENCE)
         os._exit(0)

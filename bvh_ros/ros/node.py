@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.executors import ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from bvh_ros.ros.config.option import ConfigurationError
@@ -49,14 +49,11 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
         with interrupts.while_starting():
             node = _start(executable, create, args)
             executor = SturdyExecutor()
-        executor.spin_until_shutdown(node)
-    except ExternalShutdownException:
-        pass
+            interrupts.wake = executor.wake
+        executor.spin_until(interrupts.received, node)
     except (ConfigurationError, RCLError) as error:
-        # Where a signal has shut ROS down below us, an error is only its echo.
-        if not interrupts.received:
-            print(f'{executable}: {as_line(error)}', file=sys.stderr)
-            return WRONG_CONFIGURATION
+        print(f'{executable}: {as_line(error)}', file=sys.stderr)
+        return WRONG_CONFIGURATION
     finally:
         rclpy.try_shutdown()
     return 0
@@ -65,7 +62,7 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
 def _start(executable: str, create: Callable[[], Node], args: list[str] | None) -> Node:
     """Create the node; whatever it is told wrongly is a ConfigurationError or an RCLError."""
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if args is None:
             _refuse_others(executable, remove_ros_args(sys.argv)[1:])
         return create()

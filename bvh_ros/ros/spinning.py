@@ -14,6 +14,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from bvh_ros.ros.parts.refusals import explain
 
 if TYPE_CHECKING:
+    from threading import Event
+
     from rclpy.node import Node
 
 LOG_EVERY = 2.0  # seconds
@@ -30,13 +32,13 @@ class SturdyExecutor(SingleThreadedExecutor):
         super().__init__()
         self._logger = rclpy.logging.get_logger('bvh')
 
-    def spin_until_shutdown(self, node: Node) -> None:
-        """Spin; what a callback raises is logged."""
+    def spin_until(self, ended: Event, node: Node) -> None:
+        """Spin until the event is set and this is woken; what a callback raises is logged."""
         self._logger = node.get_logger()
         self.add_node(node)
         try:
-            while self.context.ok():
-                self._attempt(self.spin_once)
+            while not ended.is_set() and self.context.ok():
+                self._attempt(self._spin_once_impl, None, ended.is_set)
         finally:
             self.remove_node(node)
 

@@ -336,5 +336,5 @@ def test_what_was_refused_is_in_diagnostics(asker, diagnostics):
 def test_without_batches(start_node):
     world = start_node({'batch': False})
     topics = f'{world.namespace}/bvh/obstacles', f'{world.namespace}/bvh/rays'
-    world.until(lambda: world.node.count_subscribers(topics[0]) == 1)
+    world.until(lambda: world.node.count_subscribers(topics[0]))
     assert world.node.count_subscribers(topics[1]) == 0
