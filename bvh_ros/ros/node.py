@@ -51,11 +51,13 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
             executor = SturdyExecutor()
             interrupts.wake = executor.wake
         executor.spin_until(interrupts.received, node)
+        node.destroy_node()  # others hear at once that it is gone
     except (ConfigurationError, RCLError) as error:
         print(f'{executable}: {as_line(error)}', file=sys.stderr)
         return WRONG_CONFIGURATION
     finally:
         rclpy.try_shutdown()
+    interrupts.end_if_received()
     return 0
 
 

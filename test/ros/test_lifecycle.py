@@ -49,7 +49,7 @@ def manage(start_node):
     def start(**parameters):
         world = start_node(parameters, wait=False, module='lifecycle_node')
         managed = Managed(world)
-        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED)
+        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED, timeout=60)
         return managed
 
     return start
