@@ -157,10 +157,11 @@ class Scene(DistanceQueries, SceneInspection, SlicedUpdates, Removals):
         """Apply rows. With `named` they are a slice of an update: what they name is added to it,
         and what moves leaves a shadow.
         """
-        self._require_memory(len(part.shapes.kind))
+        shapes = as_shapes(part.shapes)
+        self._require_memory(len(shapes.kind))
         called = as_families(part.names)
         updating.text('source', source), updating.text('group', group)
-        formed = updating.canonicalise(as_shapes(part.shapes), self.planar)
+        formed = updating.canonicalise(shapes, self.planar)
         if len(called) != formed.total:
             raise ValueError(f'there are {len(called)} names for {formed.total} shapes')
         slots = self._registry.find(called)
