@@ -141,6 +141,8 @@ class SceneInspection:
             'mortal': int(np.count_nonzero(self._columns.expires)),
             'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
             'narrow_phase': self._any_shaped,
+            'pairs_compared': self._columns.pairs_compared,
+            'pairs_in_more_digits': self._columns.pairs_in_more_digits,
             'tree': tree,
         }
 

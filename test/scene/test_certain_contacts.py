@@ -91,6 +91,37 @@ def test_a_common_point_of_what_overlaps_deeply():
     assert common > COUNT / 4
 
 
+def test_a_common_point_beside_cylinders():
+    """Entered by anything down to where nobody can tell."""
+    rng = np.random.default_rng(10)
+    depths = [10.0**-k for k in range(5, 12)]
+    made = contacts(COUNT, rng, ('parallel', 'nearly', 'free'), depths, NEAR, (CYLINDER, MESH))
+    pairs, geometry, hulls = pairs_of(made, scene_of(made))
+    points = np.empty((2, 3))
+    for one, (a, b) in zip(made, pairs, strict=True):
+        if distance_of(geometry[a], geometry[b], hulls, False, points) == 0.0:
+            for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
+                assert outside(*place) <= COMMON * one.size, one
+
+
+def test_how_many_are_compared_is_told():
+    """And of how many GJK alone does not tell: faces that touch along each other, say."""
+    turn = Rotation.from_euler('z', 0.3)
+    scene = Scene()
+    drums = Shapes(
+        np.array([2, 2, 2], np.uint8),
+        np.array([[0, 0, 0], turn.apply([1, 0, 0.5]), [0.2, 0.1, 0.3]]),
+        turn.as_quat()[None].repeat(3, axis=0),
+        np.ones((3, 3)),
+    )
+    scene.update('test', ['a', 'b', 'c'], drums, stamp=1)
+    assert (scene.stats()['pairs_compared'], scene.stats()['pairs_in_more_digits']) == (0, 0)
+    assert len(scene.overlap_pairs()) == 3
+    stats = scene.stats()
+    assert stats['pairs_compared'] == 3
+    assert 0 < stats['pairs_in_more_digits'] < 3
+
+
 @pytest.mark.parametrize('gap', [1e-9, 1e-6, 0.3, 20.0])
 def test_tolerances(gap):
     """A query grown by all of the gap but 1e-12 of the pair misses, by 1e-12 more it touches."""

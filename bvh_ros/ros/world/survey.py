@@ -51,6 +51,8 @@ class SceneStatistics:
             'obstacles with a lifetime': stats['mortal'],
             'bytes of the tree': tree['bytes'] + tree['snapshot_bytes'],
             'bytes of the scene': stats['bytes'],
+            'pairs of true shapes compared': stats['pairs_compared'],
+            'of these with more digits': stats['pairs_in_more_digits'],
             'node handles left': stats['node_handles_left'],
         }
         return figures, {view.name: scene.count(view.mask) for view in self._world.views}

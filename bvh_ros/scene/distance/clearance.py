@@ -65,7 +65,7 @@ def ordered_gap(one, other, hulls, planar, points):
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(hulls, other)
     limit = radius + other_radius + SLACK
-    low, high = sure_bounds(
+    low, high, _ = sure_bounds(
         first, round_one, hull, second, round_other, other_hull, limit, True, way
     )
     apart = high if high - low <= SLACK else low

@@ -249,6 +249,16 @@ def take_if_closer(simplex, count, weights, trial, point, best):
 
 
 @lean_kernel
+def corner_of(one, round_one, hull, other, round_other, other_hull, way, corner):
+    """Fill in a row of a simplex: the corner farthest against `way`, this core's point in it."""
+    corner[:] = 0.0
+    support(one, round_one, hull, way, 1.0, corner[3:])
+    for axis in range(3):
+        corner[axis] = corner[3 + axis]
+    support(other, round_other, other_hull, way, -1.0, corner)
+
+
+@lean_kernel
 def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, point):
     """(low, high) around the distance of two cores; high is 0 and low at most 0 if they overlap.
 
@@ -271,11 +281,7 @@ def gap_bounds(one, round_one, hull, other, round_other, other_hull, limit, poin
     low, high, count = -np.inf, np.inf, 0
     for _ in range(steps):
         corner = simplex[count]
-        corner[:] = 0.0
-        support(one, round_one, hull, point, 1.0, corner[3:])
-        for axis in range(3):
-            corner[axis] = corner[3 + axis]
-        support(other, round_other, other_hull, point, -1.0, corner)
+        corner_of(one, round_one, hull, other, round_other, other_hull, point, corner)
         square, along = dot(point, point), dot(point, corner)
         if square == 0.0:
             return min(low, 0.0), 0.0

@@ -81,7 +81,9 @@ def fill_core(shape, origin, exponent, planar, core):
 
 @lean_kernel
 def near(one, hulls, other, other_hulls, tolerance, planar):
-    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other."""
+    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
+    whether that took more digits.
+    """
     if ordered(one, other):
         return ordered_near(one, hulls, other, other_hulls, tolerance, planar)
     return ordered_near(other, other_hulls, one, hulls, tolerance, planar)
@@ -101,30 +103,37 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     if boxes and not planar:
         gap, sure = separation(first, second, SLACK)
         if gap > reach:
-            return False
+            return False, False
         if gap == 0.0 and sure:
-            return True
+            return True, False
     way = stack_array(WAY_ROOM, np.float64)
     if hulls is None:
         hull = other_hull = None
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
-    low, _ = sure_bounds(
+    low, _, more_digits = sure_bounds(
         first, round_one, hull, second, round_other, other_hull, limit, False, way
     )
-    return low <= limit
+    return low <= limit, more_digits
 
 
 @lean_kernel
 def near_query(records, hulls, query, query_hulls, tolerance, planar, found):
-    """Fill in which shapes are near a query's shape."""
+    """Fill in which shapes are near a query's shape; return how many took more digits."""
+    count = 0
     for i in range(records.shape[0]):
-        found[i] = near(records[i], hulls, query[0], query_hulls, tolerance, planar)
+        found[i], more = near(records[i], hulls, query[0], query_hulls, tolerance, planar)
+        count += more
+    return count
 
 
 @lean_kernel
 def near_pairs(records, hulls, pairs, planar, found):
-    """Fill in which pairs (m, 2) of shapes touch."""
+    """Fill in which pairs (m, 2) of shapes touch; return how many took more digits."""
+    count = 0
     for i in range(pairs.shape[0]):
-        found[i] = near(records[pairs[i, 0]], hulls, records[pairs[i, 1]], hulls, 0.0, planar)
+        one, other = records[pairs[i, 0]], records[pairs[i, 1]]
+        found[i], more = near(one, hulls, other, hulls, 0.0, planar)
+        count += more
+    return count

@@ -56,7 +56,8 @@ def find(
         if hulls != (None, None):
             hulls = hulls[0] or NO_HULLS, hulls[1] or NO_HULLS
         planar = columns.footprint is not None
-        narrow_phase.near_query(
+        columns.pairs_compared += len(found)
+        columns.pairs_in_more_digits += narrow_phase.near_query(
             records[narrow], hulls[0], query.solid, hulls[1], query.tolerance, planar, found
         )
         touches[narrow] = found
@@ -113,7 +114,10 @@ def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
     touches = ~narrow
     found = np.empty(np.count_nonzero(narrow), np.bool_)
     planar = columns.footprint is not None
-    narrow_phase.near_pairs(columns.geometry, columns.hulls(), pairs[narrow], planar, found)
+    columns.pairs_compared += len(found)
+    columns.pairs_in_more_digits += narrow_phase.near_pairs(
+        columns.geometry, columns.hulls(), pairs[narrow], planar, found
+    )
     touches[narrow] = found
     return pairs[touches]
 
@@ -152,18 +156,37 @@ def boxes_within(
     distances = lengths(np.maximum(np.maximum(lo - query_hi, query_lo - hi), 0.0))
     near: NDArray[np.bool_] = distances <= tolerance
     # A gap is rounded once, the length a few times: only next to the tolerance may that decide.
-    close = np.abs(distances - tolerance) <= 2.0**-49 * tolerance
-    limit = Fraction(tolerance) ** 2
-    for row in np.flatnonzero(close):
-        square = Fraction(0)
-        for axis in range(lo.shape[1]):
-            gap = max(
-                Fraction(lo[row, axis]) - Fraction(query_hi[axis]),
-                Fraction(query_lo[axis]) - Fraction(hi[row, axis]),
-            )
-            square += max(gap, Fraction(0)) ** 2
-        near[row] = square <= limit
+    close = np.flatnonzero(np.abs(distances - tolerance) <= 2.0**-49 * tolerance)
+    gaps = _exact_gaps(lo[close], hi[close], query_lo, query_hi)
+    axes = (gaps[:, 0] > 0.0).sum(axis=1)
+    # Along one axis: a sum that rounds to the tolerance is larger if its second part is positive.
+    first, rest = gaps.sum(axis=2).T
+    near[close] = (first < tolerance) | ((first == tolerance) & (rest <= 0.0))
+    slanted = close[axes > 1]
+    if len(slanted):  # voxels that far away are many, but their gaps few
+        known, of = np.unique(
+            gaps[axes > 1].reshape(len(slanted), -1), axis=0, return_inverse=True
+        )
+        limit = Fraction(tolerance) ** 2
+        squares = (
+            sum((Fraction(a) + Fraction(b)) ** 2 for a, b in row)
+            for row in known.reshape(len(known), 2, -1).transpose(0, 2, 1).tolist()
+        )
+        near[slanted] = np.array([square <= limit for square in squares])[of.ravel()]
     return near
+
+
+def _exact_gaps(lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats) -> Floats:
+    """The gaps (n, 2, ndim) between boxes and another along each axis, unrounded: each is the sum
+    of two doubles, the second below the last digit of the first (Knuth's TwoSum).
+    """
+    above, below = lo - query_hi, query_lo - hi
+    a = np.where(above > 0.0, lo, query_lo)
+    b = np.where(above > 0.0, query_hi, hi)
+    gap = np.maximum(np.maximum(above, below), 0.0)
+    part = gap - a
+    lost = (a - (gap - part)) + (-b - part)
+    return np.stack((gap, np.where(gap > 0.0, lost, 0.0)), axis=1)
 
 
 def from_centre(points: Floats, centre: Floats, ndim: int) -> tuple[Floats, Floats]:

@@ -21,7 +21,7 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .gjk import CENTRE, dot, support
+from .gjk import CENTRE, corner_of, dot
 
 WIDEST = 32.0  # x and y at first: up to 88 degrees to the side
 MOST_TRIALS = 120
@@ -87,15 +87,17 @@ def clip(polygon, count, a, b, c, clipped):
 
 
 @lean_kernel
-def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least, enough):
+def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least, enough, pool):
     """The widest gap between two cores (see `gjk`), or the first found above `enough`; `least`
-    (not negative) if there is none above that.
+    (not negative) if there is none above that. Then how many corners it wrote to `pool`, rows as
+    those of a simplex in `gjk`: where no plane keeps the cores apart, these are why.
 
     `way` leads from a point of the other core to one of this; it becomes the vector across the
     gap.
     """
     frame = stack_array(9, np.float64).reshape(3, 3)
     normal, corner = stack_array(3, np.float64), stack_array(3, np.float64)
+    pooled = 0
     polygon = stack_array(NUMBERS, np.float64).reshape(ROOM, 2)
     clipped = stack_array(NUMBERS, np.float64).reshape(ROOM, 2)
     fill_frame(one, other, way, frame)
@@ -108,9 +110,10 @@ def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least,
         length = math.sqrt(1.0 + x * x + y * y)
         for axis in range(3):
             normal[axis] = (frame[2, axis] + x * frame[0, axis] + y * frame[1, axis]) / length
-            corner[axis] = 0.0
-        support(one, round_one, hull, normal, 1.0, corner)
-        support(other, round_other, other_hull, normal, -1.0, corner)
+        corner_of(one, round_one, hull, other, round_other, other_hull, normal, pool[pooled])
+        for axis in range(3):
+            corner[axis] = pool[pooled, axis]
+        pooled += 1
         gap = dot(normal, corner)
         if gap > least:
             least = gap
@@ -125,4 +128,4 @@ def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least,
         polygon, clipped = clipped, polygon
         if count == 0:
             break
-    return least
+    return least, pooled

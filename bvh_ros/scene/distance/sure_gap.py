@@ -8,6 +8,8 @@ leaves open, because edges or faces lie along each other or the cores just touch
 way: the same walk over simplices whose closest points are found with twice the digits, see
 `sure_simplex`. On the differences of finitely many vertices it ends, and then both bounds agree.
 Beside a round core `plane_search` finds the plane first, and the walk starts along its normal.
+Where there is no plane, the corners that ruled out every normal hold the origin between them
+(Farkas): the walk is over those, too, so that it ends at a point of both cores.
 """
 
 import math
@@ -16,16 +18,19 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .gjk import FIRST, SECOND, SLACK, dot, gap_bounds, support
-from .plane_search import widest_gap
+from .gjk import FIRST, SECOND, SLACK, corner_of, dot, gap_bounds
+from .plane_search import MOST_TRIALS, widest_gap
 from .sure_simplex import closest
 
 SURE_STEPS = 300  # a hundred are many
+POOL = MOST_TRIALS + SURE_STEPS
+POOL_NUMBERS = 6 * POOL
 
 
 @lean_kernel
 def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, measured, way):
-    """(low, high) around the distance of two cores; `way` as in `gjk.gap_bounds`.
+    """(low, high) around the distance of two cores, and whether that took more digits; `way` as
+    in `gjk.gap_bounds`.
 
     Either the distance is proven to be above or not above `limit`, or the bounds agree; if it is
     to be `measured`, they agree wherever low is above the limit.
@@ -33,26 +38,26 @@ def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, mea
     asked = np.nan if measured else limit
     low, high = gap_bounds(one, round_one, hull, other, round_other, other_hull, asked, way)
     if certain(low, high, limit, measured):
-        return low, high
+        return low, high, False
     enough = np.inf if measured else limit
+    pool, pooled = stack_array(POOL_NUMBERS, np.float64).reshape(POOL, 6), 0
     if round_one or round_other:
         start = stack_array(3, np.float64)
         for axis in range(3):
             start[axis] = way[axis]
         least = max(limit, 0.0)
-        gap = widest_gap(
-            one, round_one, hull, other, round_other, other_hull, start, least, enough
+        gap, pooled = widest_gap(
+            one, round_one, hull, other, round_other, other_hull, start, least, enough, pool
         )
         if gap > least:
             low = max(low, gap)
             for axis in range(3):
                 way[axis] = start[axis]
         if low > enough:
-            return low, high
-    below, above = walk(
-        one, round_one, hull, other, round_other, other_hull, limit, enough, high, way
-    )
-    return max(low, below), min(high, above)
+            return low, high, True
+    cores = one, round_one, hull, other, round_other, other_hull
+    below, above = walk(cores, limit, enough, high, way, pool, pooled)
+    return max(low, below), min(high, above), True
 
 
 @lean_kernel
@@ -62,9 +67,12 @@ def certain(low, high, limit, measured):
 
 
 @lean_kernel
-def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, best, way):
+def walk(cores, limit, enough, best, way, pool, pooled):
     """`gjk.gap_bounds` with more digits, starting along `way`, until one of the bounds is above
     `enough` or not above `limit`, or they agree. Points closer than `best` are written to `way`.
+
+    No corner is forgotten: the next is the best of those in `pool`, the newest among them. So it
+    ends no farther off than the closest point of all that were ever seen.
     """
     simplex, normal = stack_array(24, np.float64).reshape(4, 6), stack_array(3, np.float64)
     weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
@@ -72,13 +80,11 @@ def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, be
     set_ray(way, normal)
     low, high, count = -np.inf, np.inf, 0
     for _ in range(SURE_STEPS):
-        corner = simplex[count]
-        corner[:] = 0.0
-        support(one, round_one, hull, normal, 1.0, corner[3:])
-        for axis in range(3):
-            corner[axis] = corner[3 + axis]
-        support(other, round_other, other_hull, normal, -1.0, corner)
+        corner = pool[pooled]
+        corner_of(*cores, normal, corner)
         low = max(low, dot(normal, corner))
+        pooled += 1
+        take_lowest(pool, pooled, normal, simplex[count])
         if low > enough or high - low <= SLACK or known(simplex, count):
             break
         count += 1
@@ -91,6 +97,18 @@ def walk(one, round_one, hull, other, round_other, other_hull, limit, enough, be
             break
         set_ray(way, normal)
     return min(low, high), high
+
+
+@lean_kernel
+def take_lowest(pool, pooled, normal, corner):
+    """Fill in the corner of the pool that is farthest against a normal."""
+    best, lowest = pooled - 1, dot(normal, pool[pooled - 1])
+    for i in range(pooled - 1):
+        height = dot(normal, pool[i])
+        if height < lowest:
+            best, lowest = i, height
+    for axis in range(6):
+        corner[axis] = pool[best, axis]
 
 
 @lean_kernel

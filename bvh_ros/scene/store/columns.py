@@ -48,10 +48,14 @@ class Columns:
         self.shadows = 0  # how many there are
         self.meshes = MeshStore()
         self._expects_meshes = meshes
+        # Pairs of true shapes that overlap queries compared, and those that GJK left open.
+        self.pairs_compared = self.pairs_in_more_digits = 0
 
     def clear(self) -> None:
         """Forget everybody."""
+        counts = self.pairs_compared, self.pairs_in_more_digits
         self.__init__(self.footprint is not None, self._expects_meshes)  # type: ignore[misc]
+        self.pairs_compared, self.pairs_in_more_digits = counts
 
     def grow(self, count: int) -> None:
         """Make room for the slots below `count`, at least doubling."""
