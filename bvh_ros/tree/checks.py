@@ -19,6 +19,13 @@ Floats = NDArray[np.float64]
 EVERY = np.uint32(ALL)
 FLOAT64 = np.dtype(np.float64)
 
+# What others' objects raise when they are asked for numbers, warnings made errors among them. Not
+# every Exception: a signal handler's, say a TimeoutError, is not about the argument.
+FOREIGN: tuple[type[Exception], ...] = (
+    *(TypeError, ValueError, ArithmeticError, RuntimeError),
+    *(LookupError, AttributeError, BufferError, Warning),
+)
+
 
 @kernel
 def _first_not_finite(values):
@@ -71,7 +78,7 @@ def floats(name: str, value: ArrayLike) -> Floats:
             raise TypeError('they are words')
         with np.errstate(over='ignore'):  # to inf, which is not finite
             return array.astype(np.float64)
-    except (TypeError, ValueError, ArithmeticError) as error:
+    except FOREIGN as error:
         raise ValueError(f'{name} must be real numbers: {error}') from None
 
 
@@ -85,18 +92,27 @@ def _refuse_masked(value: Any, array: NDArray[Any]) -> None:
             raise ValueError('some are masked')
 
 
-def floats_to_read(name: str, value: ArrayLike) -> Floats:
-    """The same array type, but the caller's memory where that is of it: for kernels that read
-    every row once.
+def _unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """As `floats`, but an array of another shape as it is: it will be refused, and a view can
+    claim far more rows than there is memory for.
     """
-    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
+    if isinstance(value, np.ndarray) and value.shape != shape:
         return value
     return floats(name, value)
 
 
+def floats_to_read(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -> Floats:
+    """The same array type, but the caller's memory where that is of it: for kernels that read
+    every row once. What has not the `shape` will be refused.
+    """
+    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
+        return value
+    return floats(name, value) if shape is None else _unless_refused(name, value, shape)
+
+
 def point(name: str, value: ArrayLike, ndim: int) -> Floats:
     """A finite point or vector of shape (ndim,)."""
-    array = floats(name, value)
+    array = _unless_refused(name, value, (ndim,))
     if array.shape != (ndim,):
         raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
     for coordinate in array.tolist():
@@ -107,6 +123,7 @@ def point(name: str, value: ArrayLike, ndim: int) -> Floats:
 
 def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
     """Finite points or vectors of shape (n, ndim); n is `count` where given."""
+    _refuse_before_copying(name, value, ndim, count)
     array = _rows(name, floats(name, value), ndim, count)
     finite(name, array)
     return array
@@ -116,7 +133,13 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     """As `points`, neither copied nor known to be finite: that is left to who reads them, and to
     `finite`.
     """
+    _refuse_before_copying(name, value, ndim, count)
     return _rows(name, floats_to_read(name, value), ndim, count)
+
+
+def _refuse_before_copying(name: str, value: ArrayLike, ndim: int, count: int | None) -> None:
+    if isinstance(value, np.ndarray):
+        _rows(name, value, ndim, count)
 
 
 def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:
@@ -169,7 +192,7 @@ def mask(value: Any) -> np.uint32:
             number = -1.0
         value = int(number) if 0.0 <= number <= ALL and number.is_integer() else value
     if not is_integer(value) or not 0 <= value <= ALL:
-        raise ValueError(f'mask must be an integer from 0 to {ALL}, not {_shown(value)}')
+        raise ValueError(f'mask must be an integer from 0 to {ALL}, not {shown_short(value)}')
     return np.uint32(value)
 
 
@@ -178,7 +201,7 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
     try:
         array = np.asarray(value)
         _refuse_masked(value, array)
-    except (TypeError, ValueError) as error:
+    except FOREIGN as error:
         raise ValueError(f'mask must be integers: {error}') from None
     if array.ndim == 0:
         return np.full(count, mask(array[()]), np.uint32)
@@ -195,7 +218,7 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
 
 def _one(name: str, value: Any) -> float:
     """One number, from whatever `floats` takes."""
-    array = floats(name, value)
+    array = _unless_refused(name, value, ())
     if array.shape != ():
         raise ValueError(f'{name} must be one number, not of shape {array.shape}')
     return float(array)
@@ -206,9 +229,12 @@ def is_integer(value: Any) -> bool:
     return isinstance(value, (int, np.integer)) and not isinstance(value, np.timedelta64)
 
 
-def _shown(value: Any) -> str:
+def shown_short(value: Any) -> str:
     """What was given, in a sentence."""
-    shown = repr(value)
+    try:
+        shown = ' '.join(repr(value).split())  # arrays write several lines
+    except FOREIGN:
+        return f'a {type(value).__name__}'
     return shown if len(shown) < 80 else f'{shown[:60]}...'
 
 
@@ -218,7 +244,7 @@ def flag(name: str, value: Any) -> bool:
         return value
     if (is_integer(value) or isinstance(value, np.bool_)) and value in (0, 1):
         return bool(value)
-    raise ValueError(f'{name} must be True or False, not {_shown(value)}')
+    raise ValueError(f'{name} must be True or False, not {shown_short(value)}')
 
 
 def path(name: str, value: Any) -> str:
@@ -229,7 +255,7 @@ def path(name: str, value: Any) -> str:
             return file
         raise ValueError(f'{name} must not hold a NUL')
     except TypeError:
-        raise ValueError(f'{name} must be the path of a file, not {_shown(value)}') from None
+        raise ValueError(f'{name} must be the path of a file, not {shown_short(value)}') from None
 
 
 def limit(name: str, value: Any) -> float:
@@ -242,7 +268,7 @@ def limit(name: str, value: Any) -> float:
 
 def limits(name: str, value: ArrayLike, count: int) -> Floats:
     """A distance >= 0 a row, from one for all or an array of shape (count,); inf is allowed."""
-    array = floats(name, value)
+    array = _unless_refused(name, value, (count,))
     if array.ndim == 0:
         return np.full(count, limit(name, array[()]))
     if array.shape != (count,):
@@ -256,10 +282,18 @@ def limits(name: str, value: ArrayLike, count: int) -> Floats:
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     """An integer of at least `least` and at most `most`."""
     if isinstance(value, bool) or not is_integer(value) or value < least:
-        raise ValueError(f'{name} must be an integer of at least {least}, not {_shown(value)}')
+        raise ValueError(
+            f'{name} must be an integer of at least {least}, not {shown_short(value)}'
+        )
     if most is not None and value > most:
-        raise ValueError(f'{name} must be at most {most}, not {_shown(value)}')
+        raise ValueError(f'{name} must be at most {most}, not {shown_short(value)}')
     return int(value)
+
+
+def few_enough(lo: ArrayLike) -> None:
+    """Refuse more boxes than a tree can hold, before they are copied."""
+    if isinstance(lo, np.ndarray) and lo.ndim > 1:
+        capacity('the number of rows of lo', max(len(lo), 1))
 
 
 def capacity(name: str, value: Any) -> int:
@@ -272,9 +306,9 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
     (with `once`).
     """
     try:
-        array = np.array(given)
+        array = np.asarray(given)
         _refuse_masked(given, array)
-    except (TypeError, ValueError) as error:
+    except FOREIGN as error:
         raise ValueError(f'handles must be integers of shape (n,): {error}') from None
     if array.shape == (0,):
         return np.empty(0, np.int64)

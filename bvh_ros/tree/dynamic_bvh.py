@@ -85,7 +85,8 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         """Be a new tree, also where a subclass has its own `__init__`."""
         self._ndim = checks.whole('ndim', ndim, 2, 3)
         if not isinstance(sibling_search, str) or sibling_search not in SEARCHES:
-            raise ValueError(f'sibling_search must be one of {SEARCHES}, not {sibling_search!r}')
+            shown = checks.shown_short(sibling_search)
+            raise ValueError(f'sibling_search must be one of {SEARCHES}, not {shown}')
         self._margin = checks.limit('margin', margin)
         if np.isinf(self._margin):
             raise ValueError('margin must be finite')
@@ -102,7 +103,9 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         order. A subclass whose `__init__` takes other arguments than this class' is made without
         it.
         """
-        low = checks.floats('lo', lo)
+        checks.few_enough(lo)
+        refused = isinstance(lo, np.ndarray) and lo.shape[1:] not in ((2,), (3,))
+        low = np.asarray(lo) if refused else checks.floats('lo', lo)
         if low.ndim != 2 or low.shape[1] not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {low.shape}')
         ndim, capacity = (
@@ -165,6 +168,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds
         already, or more, and it is built anew.
         """
+        checks.few_enough(lo)
         low, high = checks.boxes(lo, hi, self.ndim)
         masks = checks.masks(1 if mask is None else mask, len(low))
         new = np.empty(len(low), np.int64)

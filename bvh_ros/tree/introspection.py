@@ -187,4 +187,4 @@ class Introspection(Arrays):
             handles = self._settled().handles
             if slot < len(handles) and handles[slot] == handle:
                 return slot
-        raise KeyError(f'handle {handle!r} names no box of this tree')
+        raise KeyError(f'handle {checks.shown_short(handle)} names no box of this tree')

@@ -6,6 +6,9 @@ something lazily.
 
 import multiprocessing
 import os
+import subprocess
+import sys
+import textwrap
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
@@ -114,3 +117,56 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
     child.join(30)
     child.kill()
     assert child.exitcode == 0
+
+
+def test_a_handler_that_interrupts_the_asking_for_help() -> None:
+    """It asks itself, with threads: the pool's locks are held by whom it interrupts."""
+    ended = subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(HANDLER)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
+HANDLER = """
+    import faulthandler, signal
+    from concurrent.futures import ThreadPoolExecutor
+    import numpy as np
+    from bvh_ros import DynamicBVH
+
+    faulthandler.dump_traceback_later(100, exit=True)
+    lo = np.random.default_rng(0).uniform(0, 50, (400, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    ask = lambda: tree.raycast_many(lo, lo[::-1], threads=3).ids.tolist()
+    expected, answers = ask(), []
+    signal.signal(signal.SIGALRM, lambda *_: answers.append(ask()))
+    inside = ThreadPoolExecutor._adjust_thread_count
+
+    def interrupted(pool):
+        signal.raise_signal(signal.SIGALRM)
+        inside(pool)
+
+    ThreadPoolExecutor._adjust_thread_count = interrupted
+    assert ask() == expected
+    assert len(answers) == 2 and all(answer == expected for answer in answers)
+    ThreadPoolExecutor._adjust_thread_count = inside
+    assert ask() == expected
+"""
+
+
+def test_no_help_to_be_had(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more threads can be started, or the process is ending: who asks does the work alone."""
+    lo = np.random.default_rng(0).uniform(0, 50, (400, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    expected = tree.raycast_many(lo, lo[::-1]).ids.tolist()
+
+    def none(*_: Any) -> None:
+        raise RuntimeError("can't start new thread")
+
+    for where in ('_adjust_thread_count', 'submit'):
+        with monkeypatch.context() as patch:
+            patch.setattr(ThreadPoolExecutor, where, none)
+            assert tree.raycast_many(lo, lo[::-1], threads=3).ids.tolist() == expected

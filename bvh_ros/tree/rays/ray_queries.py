@@ -174,9 +174,9 @@ class RayQueries(Arrays):
         mode: int,
     ) -> tuple[int, float, Floats] | None:
         """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""
-        start = checks.floats_to_read('origin', origin)
-        way = checks.floats_to_read('direction', direction)
         shape = (self.ndim,)
+        start = checks.floats_to_read('origin', origin, shape)
+        way = checks.floats_to_read('direction', direction, shape)
         if start.shape != shape or way.shape != shape:
             checks.point('origin', start, self.ndim)
             checks.point('direction', way, self.ndim)

@@ -3,8 +3,10 @@
 """Threads that share the rows of a batch."""
 
 import collections
+import contextlib
 import functools
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -37,21 +39,48 @@ def in_threads(
         for piece in waiting:
             results[piece] = work(edges[piece], edges[piece + 1])
 
-    others: list[Future[None]] = []
+    begun: list[Future[None]] = []
+
+    def help_out() -> None:
+        done: Future[None] = Future()
+        begun.append(done)  # before the first piece: who has one is waited for
+        try:
+            take()
+        except BaseException as error:
+            done.set_exception(error)
+        else:
+            done.set_result(None)
+
     try:
-        for _ in range(threads - 1):
-            others.append(_workers().submit(take))
+        _ask_for_help(help_out, threads - 1)
         take()  # this thread is one of them: it is awake already
     finally:
-        # Who is interrupted leaves no work behind.
+        # Who is interrupted leaves no work behind: who begins now finds none.
         collections.deque(waiting, 0)
-        for other in others:
-            if not other.cancel():  # it has begun
-                other.exception()
-    for other in others:
-        if not other.cancelled():
-            other.result()
+        for done in list(begun):
+            done.exception()
+    for done in list(begun):
+        done.result()
     return results
+
+
+def _ask_for_help(help_out: Callable[[], None], helpers: int) -> None:
+    """Ask the pool, as far as it has threads to give: none at the end of the process, or where no
+    more can be started. Nor is it asked by a signal handler that interrupted this thread just
+    here: the pool's locks cannot be taken twice, and the handler would wait for ever.
+    """
+    if getattr(_asking, 'now', False):
+        return
+    try:
+        _asking.now = True
+        with contextlib.suppress(RuntimeError):
+            for _ in range(helpers):
+                _workers().submit(help_out)
+    finally:
+        _asking.now = False
+
+
+_asking = threading.local()
 
 
 @functools.cache
