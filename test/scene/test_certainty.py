@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import bulging, geometry_arrays, widest_gap
+from scene.reference import box_of_triangles, bulging, geometry_arrays, widest_gap
 from tree.reference import effort
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
@@ -35,7 +35,7 @@ class Body:
         elif kind != BOX:
             size[1] = size[0]
             size[2] = size[0] if kind == SPHERE else size[2] + size[0] * (kind == CAPSULE)
-        turn = leaning(rng)
+        self.turn = turn = leaning(rng)
         self.position = rng.normal(size=3) * scale * rng.choice([0.0, 1.0, 1e3])
         self.kind, self.planar = kind, planar
         if kind == MESH:
@@ -226,6 +226,31 @@ def test_balls(kind, planar):
     assert min(passed, met) > 200
 
 
+def test_a_small_ball_touches_a_mesh_where_it_is_met():
+    """Next to it the way between the two closest points is noise; the plane between is not."""
+    rng, met = np.random.default_rng(5), 0
+    for _ in range(effort(30, 500)):
+        body = Body(rng, BOX, False)
+        if body.inner < 1e-3 * body.size:
+            continue
+        mesh = Mesh(box_of_triangles(2 * body.solid.half))
+        scene = Scene()
+        shapes = Shapes.of_meshes([mesh], body.position[None], body.turn[None])
+        assert scene.update('test', ['it'], shapes, stamp=1) == []
+        radius = 10.0 ** rng.uniform(-14, -6, 60) * body.size
+        starts, goals, touch = segments(rng, body, 60, radius)
+        begin, end = starts + body.position, goals + body.position
+        large = lengths(body, starts, goals, radius)
+        found = [scene.raycast(*row) for row in zip(begin, end, radius.tolist(), strict=True)]
+        hit = np.array([one is not None for one in found])
+        assert not (~hit & (touch > SURE * large)).any()
+        t = np.array([one.t for one in found if one])
+        normals = np.array([one.normal for one in found if one]).reshape(-1, 3)
+        check_hits(body, starts[hit], goals[hit], radius[hit], t, normals, large[hit])
+        met += hit.sum()
+    assert met > 300
+
+
 @pytest.mark.parametrize(('kind', 'planar'), KINDS)
 def test_what_overlaps_at_an_end_is_met(kind, planar):
     """Also where it is only by rounding that an end touches."""
@@ -236,6 +261,8 @@ def test_what_overlaps_at_an_end_is_met(kind, planar):
         normals = units(rng, 20, planar)
         ends = body.farthest(normals) + body.position
         starts = ends + units(rng, 20, planar) * 10.0 ** rng.uniform(-3, 2, (20, 1)) * body.size
+        if planar:  # heights do not matter
+            ends[:, 2] = 10.0 ** rng.uniform(-3, 6, 20) * body.size
         for start, end in zip(starts, ends, strict=True):
             if body.scene.overlap(end, end):
                 touching += 1

@@ -61,12 +61,13 @@ def find(tree, geometry, footprints, radius, slack, mask, skip_inside, every, sc
     latest = 1.0
     if not every and not skip_inside and slack < radius:
         sure = cast(
-            tree, geometry, footprints, radius, -slack, 1.0, mask, False, False, scratch, hits, 0
-        )
+            tree, geometry, footprints, radius, -slack, 1.0, 1.0, mask, False, False, scratch,
+            hits, 0,
+        )  # fmt: skip
         if sure > 0:
             latest = min(hits[1][0] * (1.0 + SLACK) + SMALL, 1.0)
     return cast(
-        tree, geometry, footprints, radius, slack, latest, mask, False, True, scratch, hits, 0
+        tree, geometry, footprints, radius, slack, 1.0, latest, mask, False, True, scratch, hits, 0
     )
 
 

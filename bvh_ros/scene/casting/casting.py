@@ -21,6 +21,7 @@ from ...tree.jit.compiling import lean_kernel
 from ...tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
 from ...tree.rays.slab import (
     INSIDE,
+    ORIGIN,
     PAD,
     RAY_ROWS,
     TINY,
@@ -34,6 +35,7 @@ from ..geometry.shapes import Floats
 from ..store.columns import Columns
 from ..store.registry import Slots
 from .contact import contact, enter_shape
+from .frame import COORDINATES, SLACK
 from .ray_footprint import enter_footprint, touch_footprint
 
 
@@ -47,6 +49,17 @@ def grow(node, radius, box):
             box[1, axis] += radius
             box[0, axis] -= abs(box[0, axis]) * 2.0**-52
             box[1, axis] += abs(box[1, axis]) * 2.0**-52
+
+
+@lean_kernel
+def doubt_of(ray, radius):
+    """By how much a ray may pass a shape's box and yet touch the shape, within its frame's slack:
+    the ray's own share. That of the shape is in its box.
+    """
+    largest = 0.0
+    for axis in range(ray.shape[1]):
+        largest = max(largest, abs(ray[ORIGIN, axis]))
+    return SLACK * radius + (SLACK + COORDINATES) * largest
 
 
 @lean_kernel
@@ -116,6 +129,7 @@ def cast(
     radius,
     slack,
     t_max,
+    latest,
     mask,
     skip_inside,
     every,
@@ -123,7 +137,8 @@ def cast(
     hits,
     filled,
 ):
-    """Write the first hit, or every hit in no order, into hits from `filled` on.
+    """Write the first hit, or every hit in no order, into hits from `filled` on; none is left out
+    that is not after `latest`.
 
     hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are
     counted, not written. For axis-aligned boxes the ball is larger by `slack`.
@@ -134,10 +149,10 @@ def cast(
     if root == NONE or nodes[root].mask & mask == 0:
         return filled
     begin = filled
-    grown = radius + max(slack, 0.0)
+    grown = radius + max(slack, 0.0) + doubt_of(ray, radius)
     grow(nodes[root], grown, box)
     scale, wide = prepare_ray(ray, box[0], box[1])
-    limit = traversal_distance(t_max, scale)
+    limit = traversal_distance(min(t_max, latest), scale)
     stack[0], entries[0], top = root, intersect_node(box[0], box[1], ray, limit, wide), 1
     while top > 0:
         top -= 1
@@ -193,8 +208,8 @@ def cast_rays(tree, geometry, footprints, rays, skip_inside, every, scratch, fou
     for i in range(origins.shape[0]):
         set_ray(ray, origins[i], directions[i])
         filled = cast(
-            tree, geometry, footprints, 0.0, 0.0, t_max[i], masks[i], skip_inside, every, scratch,
-            hits, offsets[i],
+            tree, geometry, footprints, 0.0, 0.0, t_max[i], t_max[i], masks[i], skip_inside, every,
+            scratch, hits, offsets[i],
         )  # fmt: skip
         for j in range(offsets[i], min(filled, slots.shape[0])):
             touch(tree, geometry, footprints, ray, 0.0, hits, j, work, points[j], normals[j])

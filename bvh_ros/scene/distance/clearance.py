@@ -57,7 +57,8 @@ def ordered_gap(one, other, hulls, planar, points):
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     way = stack_array(WAY_ROOM, np.float64)
     origin = one.position
-    exponent = math.frexp(max(largest_length(one, origin), largest_length(other, origin)))[1]
+    largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
+    exponent = math.frexp(largest)[1]
     round_one, radius = fill_core(one, origin, exponent, planar, first)
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
     if hulls is None:

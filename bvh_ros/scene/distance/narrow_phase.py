@@ -32,11 +32,15 @@ from .sure_gap import sure_bounds
 
 
 @lean_kernel
-def largest_length(shape, origin):
-    """The largest coordinate or half size of a shape, seen from `origin`."""
+def largest_length(shape, origin, planar):
+    """The largest coordinate or half size of a shape, seen from `origin`; how high it is matters
+    to nobody who looks from above.
+    """
     largest = 0.0
     for axis in range(3):
-        largest = max(largest, abs(shape.position[axis] - origin[axis]), shape.half[axis])
+        largest = max(largest, shape.half[axis])
+        if axis < 2 or not planar:
+            largest = max(largest, abs(shape.position[axis] - origin[axis]))
     return largest
 
 
@@ -94,8 +98,8 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     origin = one.position
-    largest = max(largest_length(one, origin), largest_length(other, origin), tolerance)
-    exponent = math.frexp(largest)[1]
+    largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
+    exponent = math.frexp(max(largest, tolerance))[1]
     round_one, radius = fill_core(one, origin, exponent, planar, first)
     round_other, other_radius = fill_core(other, origin, exponent, planar, second)
     reach = radius + other_radius + math.ldexp(tolerance, -exponent)

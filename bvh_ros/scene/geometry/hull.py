@@ -16,9 +16,9 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.rays.slab import INSIDE
 from ..casting.approach import approach_by
 from ..casting.mesh_rays import Surface, enter_surface
-from ..casting.ray_shapes import ROUND, length
+from ..casting.ray_shapes import ROUND
 from ..distance.gjk import AXES, CENTRE, CORE_ROWS, FIRST, HALF, SECOND, SLACK, WAY_ROOM, dot
-from ..distance.sure_gap import sure_bounds
+from ..distance.sure_gap import set_ray, sure_bounds
 from .farthest import farthest_vertex
 
 MESH = 4  # ShapeKind, as a kernel can read it
@@ -48,8 +48,11 @@ def hull_of(hulls, shape):
 
 
 @lean_kernel
-def hull_gap(hull, point, apart):
-    """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there."""
+def hull_gap(hull, point, apart, normal):
+    """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there, and
+    the unit vector `normal` across the plane that proves it: next to the mesh the way between two
+    points is noise, that vector is not.
+    """
     ball = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     mesh = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     way = stack_array(WAY_ROOM, np.float64)
@@ -65,6 +68,7 @@ def hull_gap(hull, point, apart):
     high = sure_bounds(ball, False, nothing, mesh, False, hull, SLACK, True, way)[1]
     for axis in range(3):
         apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)
+    set_ray(way, normal)
     if high <= SLACK:
         return 0.0
     return math.ldexp(high, exponent)
@@ -76,15 +80,12 @@ def measure_hull(solid, point, normal):
     towards the point keeps it off, and its closest point.
     """
     hull, scale = solid
-    place = stack_array(3, np.float64)
+    place, apart = stack_array(3, np.float64), stack_array(3, np.float64)
     for axis in range(3):
         place[axis] = point[axis] / scale
-    distance = hull_gap(hull, place, normal)
-    size = length(normal)
-    if distance == 0.0 or size == 0.0:
+    distance = hull_gap(hull, place, apart, normal)
+    if distance == 0.0:
         return 0.0, 0.0
-    for axis in range(3):
-        normal[axis] /= size
     vertex = hull.places[farthest_vertex(hull, normal[0], normal[1], normal[2])]
     return (dot(normal, place) - dot(normal, vertex)) * scale, distance * scale
 
@@ -115,8 +116,8 @@ def enter_mesh(hulls, shape, frame, radius, reach, work):
 @lean_kernel
 def closest_on_hull(hull, point, out):
     """Fill `out` with the closest point of a mesh, `point` itself inside; return the distance."""
-    apart = stack_array(3, np.float64)
-    distance = hull_gap(hull, point, apart)
+    apart, normal = stack_array(3, np.float64), stack_array(3, np.float64)
+    distance = hull_gap(hull, point, apart, normal)
     for axis in range(3):
         out[axis] = point[axis] - apart[axis] if distance > 0.0 else point[axis]
     return distance

@@ -22,10 +22,10 @@ Floats = NDArray[np.float64]
 # corners.
 SNAP = 2.0**-50
 
-# Relative growth of the bounds of what is not an axis-aligned box: above the rounding of the
-# rotation and of the sum of three products, so that the broad phase never loses what the true
-# shape touches.
-OUTWARD = 2.0**-48
+# Growth of the bounds of what is not an axis-aligned box, a share of the largest coordinate or
+# reach: above what counts as touching, see `casting.frame`, so that the broad phase never loses
+# what the true shape touches.
+OUTWARD = 2.0**-45
 
 
 class ShapeKind(IntEnum):
@@ -271,7 +271,7 @@ def rotations(orientation: Floats) -> Floats:
 def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Boxes (n, 3) around canonical shapes.
 
-    Exact (position -+ size / 2) where aligned, else a few ulp outwards.
+    Exact (position -+ size / 2) where aligned, else a little outwards.
     """
     half = shapes.size * 0.5
     if aligned.all():
@@ -285,7 +285,8 @@ def bounds(shapes: Shapes, aligned: NDArray[np.bool_]) -> tuple[Floats, Floats]:
             places = shapes.mesh[row].vertices @ turn.T
             lo[row] = shapes.position[row] + places.min(axis=0)
             hi[row] = shapes.position[row] + places.max(axis=0)
-    pad = (np.abs(shapes.position[turned]) + half[turned]) * OUTWARD + 5e-324
+    largest = (np.abs(shapes.position[turned]) + half[turned]).max(axis=1, keepdims=True)
+    pad = largest * OUTWARD + 5e-324
     lo[turned] -= pad
     hi[turned] += pad
     return lo, hi
