@@ -4,6 +4,7 @@
 
 import itertools
 import math
+import time
 from array import array
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from nav_msgs.srv import GetPlan
 
 FREE, UNANSWERED = 0xFFFFFFFF, 0xFFFFFFFE
 BOXES, RAYS = 300, 2000
@@ -279,6 +282,38 @@ def test_a_cloud_that_cannot_be_read_never_looks_free(asker, what):
     assert len(rows) == count
     assert (rows['obstacle'] == UNANSWERED).all()
     assert np.isnan(rows['t']).all()
+
+
+def test_many_rays_are_answered_in_pieces_and_others_meanwhile(asker):
+    world, count = asker.world, 600_000
+    origins, directions = random_rays()
+    pieces = np.arange(count) % RAYS
+    columns = rays(origins[pieces], directions[pieces])
+    bad = 30_000
+    columns['dx'][bad] = np.nan
+    cloud = rays_cloud(columns, kind='f4')
+    few = rays_cloud(rays(origins[:5], directions[:5]))
+    asker.publisher.publish(cloud)
+    few.header.stamp.sec = 77
+    asker.publisher.publish(few)
+    time.sleep(0.1)
+    reply_of = world.node.create_client(GetPlan, f'{world.name}/raycast')
+    world.until(reply_of.service_is_ready)
+    future = reply_of.call_async(GetPlan.Request())
+    world.until(future.done)
+    assert not asker.replies
+    world.until(lambda: {0, 77} <= asker.replies.keys(), timeout=60)
+    world.node.destroy_client(reply_of)
+    assert [*asker.replies] == [0, 77]
+    rows, alone = table(asker.replies.pop(0)), table(asker.replies.pop(77))
+    assert (rows['obstacle'] == UNANSWERED).nonzero()[0].tolist() == [bad]
+    good = np.delete(np.arange(count), bad)
+    first = rows[:RAYS]
+    for name in ('t', 'obstacle', *XYZ):
+        np.testing.assert_array_equal(rows[name][good], first[name][pieces[good]])
+    np.testing.assert_array_equal(alone['obstacle'], first['obstacle'][:5])
+    reason = world.status('rays').values['last reason']
+    assert reason == f'row {bad}: its direction is not finite'
 
 
 def test_an_unknown_frame(asker):

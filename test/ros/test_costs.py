@@ -171,6 +171,26 @@ def test_time_grows_with_the_length_of_a_message_whatever_its_order(world, messa
     assert world.trigger('validate').success
 
 
+def test_a_busy_node_heeds_sigterm(start_node, messages):
+    world = start_node({**PARAMETERS, 'max_obstacles': 2_000_000})
+    _, checkerboard = grid(2500, 2500)
+    checkerboard.data = array(
+        'b', (np.indices((2500, 2500)).sum(0) % 2 * 100).astype('b').tobytes()
+    )
+    points = np.random.default_rng(0).uniform(0, 100, (3, 500_000))
+    cloud = messages.cloud(dict(zip(('x', 'y', 'z'), points, strict=True)), kind='<f4')
+    rays = messages.cloud(
+        dict(zip(('x', 'y', 'z', 'dx', 'dy', 'dz'), (*points, *points), strict=True)), kind='<f4'
+    )
+    # Each of them keeps it busy for a second or more.
+    for topic, message in (('g', checkerboard), ('c', cloud), ('bvh/rays', rays)):
+        world.publish(topic, message, qos=LATCHED if topic == 'g' else 10)
+    world.until(lambda: world.names('raycast', (-1, -1, -1), (99, 99, 99)), timeout=60)
+    began = time.monotonic()
+    assert world.end(signal.SIGTERM) == 0
+    assert time.monotonic() - began < 5.0  # half a second, where the machine is idle
+
+
 BUSY = """
 import hashlib
 from bvh_ros.ros.interrupts import Interrupts

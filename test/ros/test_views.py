@@ -4,6 +4,7 @@
 
 import fnmatch
 import re
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.parameters import ViewSettings
+from bvh_ros.ros.world import views as world_views
 from bvh_ros.ros.world.views import Categoriser, create_views
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.scene.store.names import as_families
@@ -48,8 +50,11 @@ def test_bits_of_numbered_names_are_those_of_their_strings(patterns, prefix, num
     categorise = Categoriser(views)
     names = [f'{prefix}{number}' for number in numbers]
     masks = [expected(name, views) for name in names]
-    assert categorise(as_families(names)).tolist() == masks
-    assert categorise(as_families(Numbered(prefix, np.array(numbers, np.int64)))).tolist() == masks
+    numbered = as_families(Numbered(prefix, np.array(numbers, np.int64)))
+    for few in (0, world_views.FEW):  # one way for many names, another one for few
+        with patch.object(world_views, 'FEW', few):
+            assert categorise(as_families(names)).tolist() == masks
+            assert categorise(numbered).tolist() == masks
 
 
 @pytest.mark.parametrize(
@@ -76,8 +81,8 @@ def test_names_of_many_kinds_at_once():
 
 def test_a_pattern_that_asks_for_the_number_gets_every_name():
     views = [view(include=['cloud#1*', '*77'], exclude=['cloud#?'])]
-    masks = Categoriser(views)(as_families(Numbered('cloud#', np.arange(200))))
-    assert masks.tolist() == [expected(f'cloud#{n}', views) for n in range(200)]
+    masks = Categoriser(views)(as_families(Numbered('cloud#', np.arange(2000))))
+    assert masks.tolist() == [expected(f'cloud#{n}', views) for n in range(2000)]
     assert (masks > 1).any()
     assert (masks == 1).any()
 

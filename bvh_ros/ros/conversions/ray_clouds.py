@@ -34,7 +34,7 @@ class Rays(NamedTuple):
     directions: Floats  # (n, 3)
     t_max: Floats  # (n,) in units of the directions
     masks: NDArray[np.uint32]  # (n,)
-    real: np.dtype[Any]  # float32 or float64: the widest type among the fields
+    real: np.dtype[Any]  # float32 or float64: the widest type among the cloud's fields
 
     def take(self, rows: NDArray[np.bool_]) -> Rays:
         """Return some of the rows."""
@@ -46,8 +46,11 @@ class Rays(NamedTuple):
             self.real,
         )
 
-    def fault(self) -> tuple[NDArray[np.bool_], str]:
-        """Return which rows (n,) cannot be answered, and of the first of them why."""
+    def fault(self, number: int = 0) -> tuple[NDArray[np.bool_], str]:
+        """Return which rows (n,) cannot be answered, and of the first of them why.
+
+        `number` is that of the first row in its cloud.
+        """
         faults: dict[str, NDArray[np.bool_]] = {
             'its origin is not finite': np.logical_not(np.isfinite(self.origins).all(axis=1)),
             'its direction is not finite': np.logical_not(
@@ -61,7 +64,9 @@ class Rays(NamedTuple):
         if not bad.any():
             return bad, ''
         first = int(bad.argmax())
-        return bad, f'row {first}: ' + next(why for why, rows in faults.items() if rows[first])
+        return bad, f'row {number + first}: ' + next(
+            why for why, rows in faults.items() if rows[first]
+        )
 
 
 class Hits(NamedTuple):
@@ -92,8 +97,8 @@ class Hits(NamedTuple):
         return hits
 
 
-def rays(cloud: PointCloud | PointCloud2) -> Rays:
-    """Read the rays of a cloud.
+class RayCloud:
+    """The rays of a cloud, to be read in parts.
 
     Parameters
     ----------
@@ -106,27 +111,40 @@ def rays(cloud: PointCloud | PointCloud2) -> Rays:
     ValueError
         If the cloud contradicts itself or lacks a field; none of its rows can be answered then.
     """
-    points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'mask'))
-    names, count = points.dtype.names or (), points.size
-    if count == 0:
-        nothing = np.empty((0, 3))
-        none = np.empty(0, np.uint32)
-        return Rays(nothing, nothing, np.empty(0), none, np.dtype(np.float32))
-    if not all_or_none(names, (*ORIGIN, *DIRECTION)):
-        raise ValueError('the cloud has no fields x, y, z, dx, dy, dz')
-    kinds = {name: points.dtype[name] for name in names}
-    mask = kinds.pop('mask', None)
-    for name, kind in kinds.items():
-        if kind.kind != 'f':
-            raise ValueError(f"field '{name}' is {kind.name}; a ray's are float32 or float64")
-    if mask is not None and mask.kind != 'u':
-        raise ValueError(f"field 'mask' is {mask.name}; it has to be an unsigned integer")
-    real = np.dtype(f'f{max(kind.itemsize for kind in kinds.values())}')
-    t_max = columns(points, ['t_max'])[:, 0] if 't_max' in names else np.full(count, np.inf)
-    masks = np.full(count, EVERYTHING, np.uint32)
-    if mask is not None:
-        masks[:] = points['mask'].ravel()
-    return Rays(columns(points, ORIGIN), columns(points, DIRECTION), t_max, masks, real)
+
+    def __init__(self, cloud: PointCloud | PointCloud2) -> None:
+        points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'mask'))
+        self._points = points.ravel()
+        self.real = np.dtype(np.float32)
+        """float32 or float64: the widest type among the fields."""
+        names = points.dtype.names or ()
+        if not points.size:
+            return
+        if not all_or_none(names, (*ORIGIN, *DIRECTION)):
+            raise ValueError('the cloud has no fields x, y, z, dx, dy, dz')
+        kinds = {name: points.dtype[name] for name in names}
+        mask = kinds.pop('mask', None)
+        for name, kind in kinds.items():
+            if kind.kind != 'f':
+                raise ValueError(f"field '{name}' is {kind.name}; a ray's are float32 or float64")
+        if mask is not None and mask.kind != 'u':
+            raise ValueError(f"field 'mask' is {mask.name}; it has to be an unsigned integer")
+        self.real = np.dtype(f'f{max(kind.itemsize for kind in kinds.values())}')
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def rows(self, begin: int, end: int) -> Rays:
+        """Return some of the rays."""
+        points = self._points[begin:end]
+        names = points.dtype.names or ()
+        t_max = np.full(len(points), np.inf)
+        if 't_max' in names:
+            t_max = columns(points, ['t_max'])[:, 0]
+        masks = np.full(len(points), EVERYTHING, np.uint32)
+        if 'mask' in names:
+            masks[:] = points['mask']
+        return Rays(columns(points, ORIGIN), columns(points, DIRECTION), t_max, masks, self.real)
 
 
 def rays_cloud(given: Rays) -> PointCloud2:
@@ -158,21 +176,38 @@ def hits(cloud: PointCloud2) -> Hits:
     )
 
 
-def hits_cloud(found: Hits, height: int, width: int, real: DTypeLike) -> PointCloud2:
-    """Write hits into a cloud of height x width points, its header left to the caller.
+def hits_table(count: int, real: DTypeLike) -> NDArray[np.void]:
+    """Return room for so many hits.
 
-    Fields x, y, z, t, nx, ny, nz of type `real`, rounded to nearest, and obstacle (uint32).
+    Fields x, y, z, t, nx, ny, nz of type `real` and obstacle (uint32).
     """
     kinds = [*((name, real) for name in (*ORIGIN, 't', *NORMAL)), ('obstacle', 'u4')]
-    table = np.zeros(height * width, np.dtype(kinds, align=True))
+    return np.zeros(count, np.dtype(kinds, align=True))
+
+
+def write_hits(table: NDArray[np.void], found: Hits) -> None:
+    """Write hits into rows of a table, rounded to nearest."""
     with np.errstate(over='ignore'):  # farther than the largest float32 is inf in one
         _put(table, ORIGIN, found.points)
         table['t'] = found.t
     _put(table, NORMAL, found.normals)
     table['obstacle'] = found.obstacles
+
+
+def table_cloud(table: NDArray[np.void], height: int, width: int) -> PointCloud2:
+    """Return a table of hits as a cloud of height x width points, its header left to the
+    caller.
+    """
     cloud = _cloud(table, height, width)
-    cloud.is_dense = bool(np.isfinite(found.t).all())
+    cloud.is_dense = bool(np.isfinite(table['t']).all())
     return cloud
+
+
+def hits_cloud(found: Hits, height: int, width: int, real: DTypeLike) -> PointCloud2:
+    """Write hits into a cloud of height x width points, its header left to the caller."""
+    table = hits_table(height * width, real)
+    write_hits(table, found)
+    return table_cloud(table, height, width)
 
 
 def rows_of(cloud: PointCloud) -> tuple[int, int]:

@@ -5,6 +5,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
+from collections.abc import Generator, Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +16,7 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions import ray_clouds
-from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+from bvh_ros.ros.conversions.ray_clouds import Hits, RayCloud, Rays
 from bvh_ros.ros.parts.part import Part
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
@@ -30,6 +33,9 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Scene
 
 QOS_PERIOD = 1.0  # seconds
+PIECE = 8192  # rays, some 5 ms
+TURN = 0.01  # seconds after which others get a turn
+DONE = object()
 
 
 class RayBatch(Part):
@@ -38,6 +44,9 @@ class RayBatch(Part):
     A row that cannot be answered (NaN, infinite, negative t_max), and each row of a cloud that
     cannot be answered (wrong fields, unknown frame, a required source missing), has the obstacle
     0xFFFFFFFE and t = NaN. A cloud whose size cannot be believed gets one such row.
+
+    A cloud of very many rays is answered piece by piece, and others have their turns in between:
+    each ray meets the world as it is then. The replies come in the order of the requests.
 
     Parameters
     ----------
@@ -59,6 +68,9 @@ class RayBatch(Part):
         self.timings = Timings()
         self._world = world
         self._drawing = drawing
+        self._work: deque[Iterator[None]] = deque()  # clouds that wait, the first begun
+        self._turn = node.create_guard_condition(self._go_on)
+        self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
         self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
         subscription = FollowingSubscription(
             node, PointCloud2, view.topic('rays'), self.receive, ordered=False, raw=True
@@ -67,15 +79,35 @@ class RayBatch(Part):
         self.every(QOS_PERIOD, subscription.check)
 
     def receive(self, serialised: bytes) -> None:
-        """Answer one cloud."""
-        began = time.perf_counter_ns()
+        """Begin to answer one cloud."""
         try:
             request = decoder.read(serialised)
         except ValueError as error:  # from whom, and what was asked, is not known
             self.refused.add(str(error))
             return
+        self._work.append(self._answering(request))
+        while len(self._work) > DEPTH:
+            for _ in self._work.popleft():
+                pass
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Answer for a while, and go on after others had their turn."""
+        began = time.perf_counter()
         try:
-            self._publish(self._reply(request), request)
+            while self._work and time.perf_counter() - began < TURN:
+                if next(self._work[0], DONE) is DONE:
+                    self._work.popleft()
+        finally:
+            if self._work:
+                self._turn.trigger()
+
+    def _answering(self, request: PointCloud) -> Iterator[None]:
+        """Answer one cloud, with pauses."""
+        began = time.perf_counter_ns()
+        try:
+            reply = yield from self._reply(request)
+            self._publish(reply, request)
             self.timings.add(began)
             return
         except ValueError as error:
@@ -92,28 +124,38 @@ class RayBatch(Part):
         reply.header.frame_id = request.frame_id
         self._publisher.publish(reply)
 
-    def _reply(self, request: PointCloud) -> PointCloud2:
-        scene = self._world.at(self.node.get_clock().now().nanoseconds)
+    def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
+        self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        rays = ray_clouds.rays(request)
+        cloud = RayCloud(request)
+        table = ray_clouds.hits_table(len(cloud), cloud.real)
+        for begin in range(0, len(cloud), PIECE):
+            if begin:
+                yield
+            rows = begin, begin + PIECE
+            hits = self._answer(cloud.rows(*rows), begin, transform)
+            ray_clouds.write_hits(table[slice(*rows)], hits)
+        return ray_clouds.table_cloud(table, request.height, request.width)
+
+    def _now(self) -> Scene:
+        return self._world.at(self.node.get_clock().now().nanoseconds)
+
+    def _answer(self, rays: Rays, number: int, transform: Transform | None) -> Hits:
+        """Hits of some rays, the first of which has this number."""
+        scene = self._now()
         if transform is not None:
             rays = moved(transform, rays)
-        hits = self._answer(scene, rays)
-        if self._drawing.is_watched:
-            self._drawing.add_rays(rays, hits)
-        if transform is not None:
-            hits = moved_back(transform, hits)
-        return ray_clouds.hits_cloud(hits, request.height, request.width, rays.real)
-
-    def _answer(self, scene: Scene, rays: Rays) -> Hits:
-        bad, reason = rays.fault()
+        bad, reason = rays.fault(number)
         refused = int(np.count_nonzero(bad))
         self.answered += len(bad) - refused
-        if not refused:
-            return self._cast(scene, rays)
-        self.refused.add(reason, refused)
-        hits = Hits.unanswered(len(bad))
-        return hits.put(~bad, self._cast(scene, rays.take(~bad)))
+        if refused:
+            self.refused.add(reason, refused)
+            hits = Hits.unanswered(len(bad)).put(~bad, self._cast(scene, rays.take(~bad)))
+        else:
+            hits = self._cast(scene, rays)
+        if self._drawing.is_watched:
+            self._drawing.add_rays(rays, hits)
+        return hits if transform is None else moved_back(transform, hits)
 
     def _cast(self, scene: Scene, rays: Rays) -> Hits:
         view = self.view

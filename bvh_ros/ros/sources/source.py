@@ -7,7 +7,9 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
@@ -17,6 +19,7 @@ from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import DEPTH
 from bvh_ros.ros.sources.completeness import Completeness
 from bvh_ros.ros.sources.numbering import Heard
+from bvh_ros.ros.sources.pace import Pace
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.scene import Refusal, Refusals
 
@@ -70,7 +73,11 @@ class Source(ABC):
         self.longest_slice = 0.0  # s that nobody else had a turn
         self.subscription: FollowingSubscription | None = None
         self._work: Iterator[None] | None = None  # the message that is being applied
-        self._hurried = False  # this message came before the one before was applied in slices
+        self._size = 0  # bytes of that message
+        self._waiting: deque[tuple[Callable[[], object], int]] = deque()  # what is to follow
+        self._waits = 0  # bytes of that
+        self._pace = Pace()
+        self._hurried = False  # whether messages like this one come faster than slices can be
         self._turn: GuardCondition | None = None
 
     def to_compile(self) -> Iterable[Step]:
@@ -108,30 +115,48 @@ class Source(ABC):
 
     def _note(self, heard: Heard, kept: bool) -> None:
         """The message that comes now does not just follow those before it."""
-        self.finish()  # what it says is said before
-        self.completeness.note(heard, kept=kept)
+        self._then(partial(self.completeness.note, heard, kept=kept))
 
     def receive(self, serialised: bytes) -> None:
-        """Begin to apply a message; what is left of the one before is applied first."""
-        self._hurried = self._work is not None  # until one comes that finds nothing left
-        self.finish()
+        """Apply a message, after those before it."""
         self.messages += 1
-        self._work = self._applying(serialised, self._clock.now().nanoseconds)
-        self._go_on()
+        now, came = self._clock.now().nanoseconds, time.perf_counter()
+        self._then(partial(self._begin, serialised, now, came), len(serialised))
+
+    def _begin(self, serialised: bytes, now: int, came: float) -> None:
+        self._hurried = self._pace.begin(len(serialised), came)
+        self._size = len(serialised)
+        self._work = self._applying(serialised, now)
+
+    def _then(self, act: Callable[[], object], size: int = 0) -> None:
+        """Do this when all before is applied; at once if as much waits as is being applied."""
+        self._waiting.append((act, size))
+        self._waits += size
+        if self._work is None:
+            self._go_on()
+        elif self._waits >= self._size or len(self._waiting) > DEPTH:
+            self.finish()
 
     def finish(self) -> None:
-        """Apply what is left of a message at once."""
-        while self._work is not None:
+        """Apply what is left of a message, and what waits, at once."""
+        while self._work is not None or self._waiting:
             self._go_on(math.inf)
 
     def _go_on(self, limit: float = SLICE) -> None:
         """Apply until so many seconds are over, and go on after others had their turn."""
         began = time.perf_counter()
-        while self._work is not None and time.perf_counter() - began < limit:
-            if next(self._work, DONE) is DONE:
+        while self._work is not None or self._waiting:
+            if self._work is None:
+                act, size = self._waiting.popleft()
+                self._waits -= size
+                act()
+            elif next(self._work, DONE) is DONE:
                 self._work = None
+                self._pace.end(time.perf_counter())
+            if time.perf_counter() - began >= limit:
+                break
         self.longest_slice = max(self.longest_slice, time.perf_counter() - began)
-        if self._work is not None and self._turn is not None:
+        if (self._work is not None or self._waiting) and self._turn is not None:
             self._turn.trigger()
 
     def _applying(self, serialised: bytes, now: int) -> Iterator[None]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import resource
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,16 +14,21 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.world import World
 
 SHARE = 0.01  # of the time may go into surveys
+TURN = 0.01  # seconds after which the rest is left for the next look
+DONE = object()
 
 
 class SceneStatistics:
-    """Looks at the whole world, so seldom that it takes at most a hundredth of the time.
+    """Looks at the whole world, so seldom that it takes at most a hundredth of the time, and with
+    many views bit by bit.
 
     The cost of a tree of 10^6 boxes takes 40 ms: such a world is looked at every four seconds.
     """
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._work: Iterator[None] | None = None
+        self._spent = 0.0  # s on the look that is being taken
         self._figures: dict[str, Any] = {}
         self._seen: dict[str, int] = {}
         self._taken = -float('inf')
@@ -30,18 +36,32 @@ class SceneStatistics:
 
     def look(self) -> tuple[dict[str, Any], dict[str, int]]:
         """Return the figures of the scene, and how many obstacles each view shows."""
+        began = time.monotonic()
+        if self._work is None and began >= self._due:
+            self._work, self._spent = self._take(), 0.0
+        while self._work is not None:
+            if next(self._work, DONE) is DONE:
+                self._work, self._taken = None, time.monotonic()
+                spent = self._spent + self._taken - began
+                self._due = self._taken + spent / SHARE
+            elif self._figures and time.monotonic() - began > TURN:
+                break
         now = time.monotonic()
-        if now >= self._due:
-            self._figures, self._seen = self._take()
-            self._taken = time.monotonic()
-            self._due = self._taken + (self._taken - now) / SHARE
+        self._spent += now - began
         return {**self._figures, 'age of these figures': f'{now - self._taken:.1f} s'}, self._seen
 
-    def _take(self) -> tuple[dict[str, Any], dict[str, int]]:
+    def _take(self) -> Iterator[None]:
+        seen = {}
+        for view in self._world.views:
+            seen[view.name] = self._world.scene.count(view.mask)
+            yield
+        self._figures, self._seen = self._take_figures(), seen
+
+    def _take_figures(self) -> dict[str, Any]:
         scene = self._world.scene
         stats = scene.stats()
         tree = stats['tree']
-        figures = {
+        return {
             **{f'obstacles of {name}': count for name, count in stats['sources'].items()},
             'height': stats['height'],
             'cost': f'{stats["cost"]:.4g}',
@@ -55,7 +75,6 @@ class SceneStatistics:
             'of these with more digits': stats['pairs_in_more_digits'],
             'node handles left': stats['node_handles_left'],
         }
-        return figures, {view.name: scene.count(view.mask) for view in self._world.views}
 
 
 def resident_bytes() -> int | None:

@@ -17,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.config.parameters import ViewSettings
+from bvh_ros.ros.world.number_patterns import Automaton, Digits, digits_of
 from bvh_ros.scene import Families
 from bvh_ros.scene.store.names import BARE
 from bvh_ros.tree.nodes import ALL
 
 Masks = NDArray[np.uint32]
+FEW = 100  # names that are matched one by one
 EVERYTHING = 1  # bit 0: the mask of an obstacle that no view has
 
 
@@ -54,10 +56,18 @@ class Patterns:
         self._patterns = patterns
         together = '|'.join(fnmatch.translate(pattern) for pattern in patterns)
         self._matches = re.compile(together).match if patterns else None
+        self._automata = [Automaton(pattern) for pattern in patterns]
 
     def match(self, name: str) -> bool:
         """Whether one of the patterns matches all of the name."""
         return self._matches is not None and self._matches(name) is not None
+
+    def match_all(self, prefix: str, digits: Digits) -> NDArray[np.bool_]:
+        """Whether one of the patterns matches all of each name, see `digits_of`."""
+        seen = np.zeros(len(digits), bool)
+        for automaton in self._automata:
+            seen |= automaton.match(prefix, digits)
+        return seen
 
     def same_for_all_numbers(self, prefix: str) -> bool:
         """Whether every name `prefix` + number is answered alike, as far as can be seen."""
@@ -118,13 +128,18 @@ class Categoriser:
     def _masks(self, prefix: str, numbers: NDArray[np.int64]) -> Masks:
         """Masks of the names `prefix` + number: where no pattern asks for the number, by one."""
         masks = np.full(len(numbers), EVERYTHING, np.uint32)
+        digits = None
         for bit, include, exclude in self._views:
             if include.same_for_all_numbers(prefix) and exclude.same_for_all_numbers(prefix):
                 one = f'{prefix}0'
                 if include.match(one) and not exclude.match(one):
                     masks |= bit
                 continue
-            names = (f'{prefix}{number}' for number in numbers.tolist())
-            seen = [include.match(name) and not exclude.match(name) for name in names]
+            if len(numbers) < FEW:
+                names = (f'{prefix}{number}' for number in numbers.tolist())
+                seen = np.array([include.match(one) and not exclude.match(one) for one in names])
+            else:
+                digits = digits_of(numbers) if digits is None else digits
+                seen = include.match_all(prefix, digits) & ~exclude.match_all(prefix, digits)
             masks[seen] |= bit
         return masks

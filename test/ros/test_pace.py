@@ -1,0 +1,54 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Large messages that come faster than slices are applied at once; small ones change nothing."""
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from visualization_msgs.msg import MarkerArray
+
+from bvh_ros.ros.sources.pace import Pace
+
+LARGE, SMALL = 1_000_000, 100
+
+
+def hurried(messages):
+    """Whether each message (size, time) is applied at once; slices of a large one take 1 s."""
+    pace, answers = Pace(), []
+    for size, came in messages:
+        answers.append(pace.begin(size, came))
+        pace.end(came + (0.05 if answers[-1] else size / LARGE))
+    return answers
+
+
+@pytest.mark.parametrize(
+    ('messages', 'expected'),
+    [
+        ([(LARGE, 2.0 * k) for k in range(4)], [False] * 4),
+        ([(LARGE, 0.1 * k) for k in range(6)], [False] + [True] * 5),
+        ([(LARGE, 0.0), (LARGE, 0.1), (LARGE, 2.0), (LARGE, 4.0)], [False, True, False, False]),
+        ([(LARGE, 0.0), *((SMALL, 0.01 * k) for k in range(200)), (LARGE, 2.0)], [False] * 202),
+        ([(SMALL, 0.0), (LARGE, 0.1), (LARGE, 0.2)], [False, False, True]),
+    ],
+)
+def test_who_is_hurried(messages, expected):
+    assert hurried(messages) == expected
+
+
+def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages):
+    count = 70_000
+    points = [(k % 100, k // 100, 0) for k in range(count)]
+    large = messages.marker(0, ns='large', type=6, points=points)
+    beside = ((-1, -9, 0), (1000, -9, 0))
+    world.publish('bvh/obstacles', MarkerArray(markers=[messages.marker(0, (5, -9, 0))]), qos=1000)
+    world.until(lambda: world.names('raycast', *beside) == ['a/0'])
+    world.publish('bvh/obstacles', MarkerArray(markers=[large]))
+    for k in range(100):
+        world.markers(messages.marker(k // 2, (k, -9, 0), action=2 * (k % 2)))
+    world.markers(messages.marker(0, (0, -9, 7), ns='end'))
+    world.until(lambda: world.names('raycast', (0, -9, 9), (0, -9, 5)) == ['end/0'], timeout=60)
+    assert world.names('raycast', *beside) == []
+    assert world.names('raycast', (99, 699, 5), (99, 699, -5)) == [f'large/0#{count - 1}']
+    assert int(world.status('source markers').values['messages']) >= 103
+    assert world.trigger('validate').success
