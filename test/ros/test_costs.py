@@ -60,12 +60,15 @@ def bombs(messages):
     """Messages by what is wrong with them, each with its topic."""
     nothing, size = (0, 2**32 - 1), 8_000_000
     points = np.arange(300_000)
+    empty = PointCloud2(width=2**32 - 1, height=1000, row_step=1000, data=octets(1_000_000))
     arrows = [messages.marker(k, type=0) for k in range(10_000)]
     return {
         'rows without cells': grid(*nothing),
         'columns without cells': grid(*nothing[::-1]),
         'a point a byte': junk(width=size, point_step=1, row_step=size, data=octets(size)),
         'points without bytes': junk(width=2**32 - 1, data=octets(0)),
+        'boxes of no bytes': ('c', empty),
+        'rays of no bytes': ('bvh/rays', empty),
         'very many fields': junk(width=1, fields=[PointField(name='x')] * 100_000),
         'more than there is room for': ('c', messages.cloud(dict.fromkeys('xyz', points))),
         'ids that are none': (

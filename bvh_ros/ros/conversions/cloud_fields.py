@@ -43,6 +43,8 @@ def structured(cloud: Any, wanted: Collection[str]) -> NDArray[np.void]:
                 f'a cloud of {width} x {height} points carries {length} bytes of data'
             )
         return np.empty((height, width), dtype)
+    if not point_step:  # else no number of points would be too many
+        raise ValueError(f'point_step is 0 for {width} x {height} points')
     if row_step < width * point_step:
         raise ValueError(
             f'row_step {row_step} is less than width * point_step = {width * point_step}'
