@@ -25,9 +25,9 @@ from .store.names import Names, as_families
 from .store.registry import Registry, Slots
 from .store.updating import TIMES, Rows, column
 
-# Fewer rows than this are applied at once, in 25 to 50 ms: slices and their shadows take ten times
+# Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all.
-AT_ONCE = 60_000
+AT_ONCE = 120_000
 SLICE = 1024  # rows, 2 to 5 ms
 
 
