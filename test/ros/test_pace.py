@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Large messages that come faster than slices are applied at once; small ones change nothing."""
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
@@ -51,4 +52,22 @@ def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages
     assert world.names('raycast', *beside) == []
     assert world.names('raycast', (99, 699, 5), (99, 699, -5)) == [f'large/0#{count - 1}']
     assert int(world.status('source markers').values['messages']) >= 103
+    assert world.trigger('validate').success
+
+
+def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, messages):
+    world = start_node({'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}})
+    count, at = 130_000, np.arange(130_001.0)
+    for height in (0, 10, 20):
+        z = np.where(at == 7, np.nan, height)
+        cloud = {'x': at % 500, 'y': at // 500, 'z': z}
+        world.publish('c', messages.cloud(cloud, kind='<f4'))
+    row = count
+    where = row % 500, row // 500
+    world.until(lambda: world.names('raycast', (*where, 21), (*where, 19)) == [f'c#{row}'], 60)
+    for height, expected in ((0, []), (10, []), (20, [f'c#{row}'])):
+        ends = (*where, height + 1), (*where, height - 1)
+        world.until(lambda: world.names('raycast', *ends) == expected, 60)  # noqa: B023
+    world.until(lambda: world.status('source c').values['points skipped'] == '3', 60)
+    assert world.status('world').values['obstacles'] == str(count)
     assert world.trigger('validate').success

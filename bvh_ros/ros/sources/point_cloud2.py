@@ -41,12 +41,13 @@ class PointCloud2Source(Source):
         stamp = given.stamp
         transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'
-        items = len(cloud.refusals)
+        items = skipped = 0
 
         def parts(length: int) -> Iterator[Part]:
-            nonlocal items
+            nonlocal items, skipped
+            items = skipped = 0  # whoever is late begins again
             for boxes in cloud.parts(length):
-                self.skipped += boxes.skipped
+                skipped += boxes.skipped
                 items += len(boxes.numbers)
                 if len(boxes.deleted):
                     self.scene.remove(self.name, Numbered(prefix, boxes.deleted))
@@ -55,5 +56,6 @@ class PointCloud2Source(Source):
 
         whole = not cloud.by_id
         refusals = yield from self._in_slices('', cloud.total, parts, whole=whole)
+        self.skipped += skipped
         refusals.extend(cloud.refusals)
-        return items, refusals
+        return items + len(cloud.refusals), refusals

@@ -139,6 +139,7 @@ class Source(ABC):
 
     def finish(self) -> None:
         """Apply what is left of a message, and what waits, at once."""
+        self._hurried = True
         while self._work is not None or self._waiting:
             self._go_on(math.inf)
 
@@ -182,10 +183,18 @@ class Source(ABC):
     def _in_slices(
         self, group: str, total: int, parts: Callable[[int], Iterator[Part]], *, whole: bool
     ) -> Slices:
-        """`Scene.in_slices` for this source, without pauses once those made it late."""
-        return self.scene.in_slices(
-            self.name, group, total, parts, whole=whole, at_once=self._hurried
-        )
+        """`Scene.in_slices` for this source; once those made it late, without pauses.
+
+        What is left is not hurried through in slices, which are slow: all is applied again.
+        """
+        apply = partial(self.scene.in_slices, self.name, group, total, parts, whole=whole)
+        slices = apply(at_once=self._hurried)
+        while (end := _advance(slices)) is None:
+            yield
+            if self._hurried:
+                slices.close()  # what is half done is not seen before it is whole
+                return (yield from apply(at_once=True))
+        return end
 
     def _read(self, serialised: bytes) -> Any:
         if self.raw:
@@ -231,3 +240,13 @@ class Source(ABC):
                 f'longer than its max_age of {settings.max_age:g} s'
             )
         return ''
+
+
+def _advance(slices: Slices) -> Refusals | None:
+    """Go to the next pause; at the end return the refusals."""
+    try:
+        next(slices)
+    except StopIteration as end:
+        refusals: Refusals = end.value
+        return refusals
+    return None
