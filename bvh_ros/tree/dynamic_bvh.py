@@ -126,7 +126,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     @property
     def _thorough(self) -> bool:
-        return self.sibling_search == 'branch_and_bound'
+        return self._sibling_search == 'branch_and_bound'
 
     def _change(self, kernel: Any, *arguments: Any) -> int:
         """Call a kernel until nothing that can be mended is in its way."""
@@ -156,7 +156,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         with every insertion.
         """
         low, high = checks.box(lo, hi, self.ndim)
-        asked = low, high, checks.mask(mask), self.margin, self._thorough
+        asked = low, high, checks.mask(mask), self._margin, self._thorough
         handle = self._change(changing.insert_one, *asked)
         if handle < 0:
             self._settle_soon()
@@ -203,10 +203,11 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         """
         self._slot(handle)
         low, high = checks.box(lo, hi, self.ndim)
+        ahead = np.zeros(self._ndim)
         if displacement is not None:
-            displacement = checks.point('displacement', displacement, self.ndim)[None]
-        ahead = self._ahead(displacement, 1)[0]
-        asked = int(handle), low, high, self.margin, ahead, self._thorough
+            there = checks.point('displacement', displacement, self._ndim)
+            ahead = self._ahead(there[None], 1)[0]
+        asked = int(handle), low, high, self._margin, ahead, self._thorough
         changed = self._change(changing.move_one, *asked)
         if changed > 1:
             self._settle_soon()

@@ -5,7 +5,7 @@ are nearest to a point.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .. import checks
 from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty, box_dtype
@@ -30,7 +30,7 @@ class BoxQueries(Arrays):
         ascending.
         """
         low, high = checks.box(lo, hi, self.ndim)
-        return self.overlap_many(low[None], high[None], checks.mask(mask))[1]
+        return self._touching(low[None], high[None], checks.masks(checks.mask(mask), 1), 1)[1]
 
     def overlap_many(
         self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike = ALL, threads: int = 1
@@ -40,8 +40,13 @@ class BoxQueries(Arrays):
         Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts.
         """
         low, high = checks.boxes(lo, hi, self.ndim)
+        return self._touching(low, high, checks.masks(mask, len(low)), threads)
+
+    def _touching(
+        self, low: Floats, high: Floats, seen: NDArray[np.uint32], threads: int
+    ) -> tuple[Ids, Ids]:
+        """`overlap_many` of good input."""
         count = len(low)
-        seen = checks.masks(mask, count)
         queries = np.empty(count, box_dtype(self.ndim))
         queries['lo'], queries['hi'] = low, high
         sizes = np.empty(count, np.int64)
@@ -51,7 +56,10 @@ class BoxQueries(Arrays):
             return overlapping.overlap_many(view, queries, seen, start, stop, sizes)
 
         handles = np.concatenate(in_threads(work, count, threads))
-        offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        offsets = np.zeros(count + 1, np.int64)
+        np.cumsum(sizes, out=offsets[1:])
+        if count == 1:
+            return offsets, np.sort(handles)
         order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
         return offsets, handles[order]
 
