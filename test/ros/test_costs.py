@@ -92,7 +92,8 @@ def test_what_is_refused_costs_little(start_node, messages):
         size = len(serialize_message(message))
         assert grown <= SMALL_MULTIPLE * size + ANYWAY, f'{what}: {grown} for {size} bytes'
     assert 'fields' in world.said()
-    assert 'is full' in world.said()
+    refused = world.status('source c').values['refused']
+    assert int(refused) == 1 + (300_000 - MOST) + 300_000  # no bytes, no room, no ids
     reply = world.names('raycast', (0, 0, 0), (1, 0, 0), frame='x' * 1_000_000)
     assert reply[0].startswith('error: ')
     assert world.trigger('validate').success

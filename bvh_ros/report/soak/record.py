@@ -38,6 +38,7 @@ class Record:
         self._seconds: list[float] = []
         self._told: dict[str, str] = {}
         self._next_look = 0.0
+        self.look()
 
     def add(self, answer: 'Answer', now: float) -> None:
         """One question was asked; look at the memory once a second."""

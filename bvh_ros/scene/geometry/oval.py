@@ -55,7 +55,9 @@ def cross_ellipse(a, b, x, y, way_x, way_y, slack):
         return middle - b, middle + b
     over_x, over_y = b * way_x / size, a * way_y / size  # a unit vector, on the unit circle
     middle = -(x * (b * over_x / size) + y * (a * over_y / size))
-    deep = math.sqrt(max(size - offset, 0.0) / size) * math.sqrt((size + offset) / size)
+    deep = 0.0  # in passing, by so many sizes perhaps that their ratio overflows
+    if offset < size:
+        deep = math.sqrt((size - offset) / size) * math.sqrt((size + offset) / size)
     half = a / size * b * deep
     return middle - half, middle + half
 
