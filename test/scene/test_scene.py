@@ -166,7 +166,8 @@ assert scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
 assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
-from bvh_ros.scene import casting, narrow_phase
+from bvh_ros.scene.casting import casting
+from bvh_ros.scene.distance import narrow_phase
 assert not casting.cast_rays.signatures and not narrow_phase.near_query.signatures
 scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 1]]), stamp=1)
 assert scene.overlap([0, 0, 8], [1, 1, 9]) and narrow_phase.near_query.signatures

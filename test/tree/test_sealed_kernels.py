@@ -90,6 +90,7 @@ def test_kernels_that_call_kernels_of_other_files_are_in_these_rooms():
     ],
 )
 def test_settings_that_change_code_are_another_folder(cache, monkeypatch, setting, value):
+    monkeypatch.setattr(config, 'BOUNDSCHECK', None)  # whatever these tests are run with
     folder = kernel_cache.cache_folder()
     monkeypatch.setattr(config, setting, value, raising=False)
     assert kernel_cache.cache_folder() != folder
@@ -106,6 +107,7 @@ def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
     """The second box's upper corner lies behind its array's end, in memory that is there."""
     lower, upper = np.zeros((2, 1)), np.ones((2, 1))[:1]
     function = checks._first_reversed.py_func
+    monkeypatch.setattr(config, 'BOUNDSCHECK', None)  # whatever these tests are run with
     assert compiling.kernel(function)(lower, upper) == -1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
     with pytest.raises(IndexError):
