@@ -23,6 +23,14 @@ TIMEOUT = 10.0
 END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
 CUBE = 1
+EVERY_NODE = {  # the services that rclpy opens for each node
+    'describe_parameters',
+    'get_parameter_types',
+    'get_parameters',
+    'list_parameters',
+    'set_parameters',
+    'set_parameters_atomically',
+}
 
 
 class World:
@@ -50,7 +58,7 @@ class World:
         if name not in self._clients:
             kind = kind or (GetPlan if isinstance(request, GetPlan.Request) else Trigger)
             self._clients[name] = self.node.create_client(kind, f'{self.name}/{name}')
-            self.until(self._clients[name].service_is_ready)
+            self.until(self._clients[name].service_is_ready, timeout)
         future = self._clients[name].call_async(request)
         deadline = time.monotonic() + timeout
         while not future.done():
@@ -120,6 +128,25 @@ class World:
                 self._statuses[status.name[len(beginning) :]] = SimpleNamespace(
                     level=status.level, message=status.message, values=values
                 )
+
+    # ---- graph
+
+    def offered(self) -> set[str]:
+        """Names of the node's services, once the graph knows all that the node began with.
+
+        Other processes hear of a node a moment after its services answer, and bit by bit.
+        """
+        self.until(lambda: self._known() >= EVERY_NODE)
+        return self._known()
+
+    def _known(self) -> set[str]:
+        from rclpy.node import NodeNameNonExistentError
+
+        try:
+            offered = self.node.get_service_names_and_types_by_node('bvh', self.namespace)
+        except NodeNameNonExistentError:
+            return set()
+        return {name.removeprefix(f'{self.name}/') for name, _ in offered}
 
     # ---- process
 

@@ -372,4 +372,5 @@ def test_without_batches(start_node):
     world = start_node({'batch': False})
     topics = f'{world.namespace}/bvh/obstacles', f'{world.namespace}/bvh/rays'
     world.until(lambda: world.node.count_subscribers(topics[0]))
+    world.status('world')  # up to a second later: by then the graph has told the rest
     assert world.node.count_subscribers(topics[1]) == 0

@@ -13,6 +13,8 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
 OFFERED = {'raycast', 'raycast_all', 'overlap', 'clear', 'rebuild', 'validate'}
+EVERY_MANAGED_NODE = {'change_state', 'get_state', 'get_available_states'}
+STARTING = 60.0  # seconds
 COMPILING = 240.0  # seconds, where nothing is in the cache
 
 
@@ -28,13 +30,13 @@ class Managed:
         return self.world.call('change_state', request, ChangeState, COMPILING).success
 
     def state(self):
-        return self.world.call('get_state', GetState.Request(), GetState).current_state.id
+        request = GetState.Request()
+        return self.world.call('get_state', request, GetState, STARTING).current_state.id
 
     def services(self):
         """Names of the node's own services, without those that every managed node has."""
-        offered = self.world.node.get_service_names_and_types_by_node('bvh', self.world.namespace)
-        mine = f'{self.world.name}/'
-        return {name.removeprefix(mine) for name, _ in offered} & OFFERED
+        self.world.until(lambda: self.world.offered() >= EVERY_MANAGED_NODE)
+        return self.world.offered() & OFFERED
 
     def subscribed(self):
         return self.world.node.count_subscribers(f'{self.world.name}/obstacles') > 0
@@ -49,7 +51,7 @@ def manage(start_node):
     def start(**parameters):
         world = start_node(parameters, wait=False, module='lifecycle_node')
         managed = Managed(world)
-        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED, timeout=60)
+        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED, STARTING)
         return managed
 
     return start
