@@ -12,7 +12,7 @@ import os
 import fcl
 import numpy as np
 import pytest
-from scene.widest_gap import widest_gap
+from scene.distance.widest_gap import widest_gap
 
 from bvh_ros.report.error import recordings
 from bvh_ros.report.error.pairs import fcl_objects

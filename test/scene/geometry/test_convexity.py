@@ -6,8 +6,8 @@ decade of size, however finely the surface is cut, however gently it bends inwar
 
 import numpy as np
 import pytest
+from scene.casting.test_surface import CUBE, cut_cube, shuffled, single, turned
 from scene.reference import bulging, icosphere, scene_of
-from scene.test_surface import CUBE, cut_cube, shuffled, single, turned
 from scipy.spatial import ConvexHull
 
 from bvh_ros.scene import Mesh, Shapes

@@ -10,8 +10,8 @@ import os
 import fcl
 import numpy as np
 import pytest
+from scene.distance.widest_gap import widest_gap
 from scene.reference import random_shapes
-from scene.widest_gap import widest_gap
 
 from bvh_ros.report.error.contacts import contacts
 from bvh_ros.report.error.pairs import fcl_objects

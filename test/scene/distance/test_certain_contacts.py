@@ -11,7 +11,7 @@ import os
 
 import numpy as np
 import pytest
-from scene.contacts import BOX, CYLINDER, MESH, contacts, outside, scene_of
+from scene.distance.contacts import BOX, CYLINDER, MESH, contacts, outside, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes

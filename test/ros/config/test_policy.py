@@ -14,7 +14,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_namespace import validate_namespace
 
-POLICY = Path(__file__).parents[2] / 'config' / 'bvh_policy.xml'
+POLICY = Path(__file__).parents[3] / 'config' / 'bvh_policy.xml'
 # What sros2's schema allows of the elements used: attributes (those that must be there first),
 # and children.
 SCHEMA = {

@@ -16,7 +16,7 @@ from geometry_msgs.msg import Point
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
-from ros.cdr_reference import encode, offsets
+from ros.cdr.cdr_reference import encode, offsets
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
