@@ -6,11 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
+from ..tree import plotting as boxes
 from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.store.arrays import Ids
+from . import plotting
+from .geometry.polygon import Polygon
 from .geometry.shapes import Floats, ShapeKind, Shapes
 from .results import LAST_NODE_HANDLE, Obstacle
 from .store.columns import Columns
@@ -105,16 +108,60 @@ class SceneInspection:
         return list(self._groups.by_source())
 
     def shapes_of(self, source: str, most: int) -> Shapes:
-        """Shapes of the first obstacles of a source, by handle."""
+        """Canonical shapes of the first obstacles of a source, by handle: a mesh has the position
+        of the middle of its box.
+        """
+        slots = self._slots_of(source, most)
+        geometry = self._columns.geometry[slots]
+        kind, mesh = geometry['kind'], None
+        if (kind == ShapeKind.MESH).any():
+            mesh = np.empty(len(slots), object)
+            for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
+                held = self._columns.meshes[int(geometry['mesh'][row])]
+                mesh[row] = held.mesh if isinstance(held, Polygon) else held
+        return Shapes(
+            *(kind, geometry['position'], geometry['orientation'], geometry['half'] * 2.0), mesh
+        )
+
+    def handles_of(self, source: str, most: int) -> NDArray[np.int64]:
+        """Node handles of a source's obstacles, row for row those of `shapes_of`."""
+        return self._columns.node_handle[self._slots_of(source, most)]
+
+    def _slots_of(self, source: str, most: int) -> NDArray[np.int64]:
+        """Slots of the first obstacles of a source, by node handle."""
         mine = np.flatnonzero(self._columns.source == self._groups.source(source))
         handles = self._columns.node_handle[mine]
         if len(mine) > most:
             first = np.argpartition(handles, most)[:most]
             mine, handles = mine[first], handles[first]
-        geometry = self._columns.geometry[mine[np.argsort(handles, kind='stable')]]
-        return Shapes(
-            geometry['kind'], geometry['position'], geometry['orientation'], geometry['half'] * 2.0
-        )
+        return mine[np.argsort(handles, kind='stable')]
+
+    def plot(
+        self,
+        axes: Any = None,
+        *,
+        levels: boxes.Levels = None,
+        rays: ArrayLike | None = None,
+        hits: ArrayLike | None = None,
+    ) -> Any:
+        """Draw the obstacles with matplotlib, a colour a source; a planar scene from above.
+
+        Parameters, and what is returned, as in `DynamicBVH.plot`.
+        """
+        ndim = self._tree.ndim
+        axes = boxes.picture(axes, self.bounds, ndim, rays, hits)
+        faces: list[Floats] = []
+        colours: list[Floats] = []
+        for number, source in enumerate(self.sources()):
+            shapes = self.shapes_of(source, len(self._columns.source))
+            drawn = plotting.outlines(shapes) if ndim == 2 else plotting.faces(shapes)
+            faces += drawn
+            colours += [boxes.PALETTE[number % len(boxes.PALETTE)]] * len(drawn)
+        boxes.add_faces(axes, faces, colours)
+        if levels is not None:
+            depths = boxes.first_and_last(levels)
+            boxes.add_levels(axes, *self.tree_levels(*depths, boxes.MOST_BOXES))
+        return axes
 
     def tree_levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
         """lo, hi and depth of the tree's boxes from depth `first` to `last`; the root's is 0."""

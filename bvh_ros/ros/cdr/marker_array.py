@@ -206,6 +206,7 @@ def _table(
         scale=columns['scale'].astype(np.float64),
         lifetime=_nanoseconds(columns['lifetime']),
         points=partial(_points, data, order, places),
+        colours=partial(_colours, data, order, places),
     )
 
 
@@ -244,3 +245,13 @@ def _points(
     begin, count = places[row, [POINTS, POINT_COUNT]].tolist()
     found = np.frombuffer(data, f'{order}f8', 3 * count, begin)
     return found.astype(np.float64).reshape(-1, 3)
+
+
+def _colours(
+    data: NDArray[np.uint8], order: str, places: NDArray[np.int64], row: int
+) -> NDArray[np.float64]:
+    begin, count = places[row, [POINTS, POINT_COUNT]].tolist()
+    at = begin + count * POINT  # a multiple of four: what is next is the number of colours
+    count = int(np.frombuffer(data, f'{order}u4', 1, at)[0])
+    found = np.frombuffer(data, f'{order}f4', 4 * count, at + 4)
+    return found.astype(np.float64).reshape(-1, 4)

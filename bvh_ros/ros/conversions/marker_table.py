@@ -32,6 +32,7 @@ class MarkerTable(NamedTuple):
     scale: Floats  # (n, 3)
     lifetime: Integers  # (n,) ns
     points: Callable[[int], Floats]  # of a row, (k, 3)
+    colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
 
 
 def table(markers: Sequence[Any]) -> MarkerTable:
@@ -58,9 +59,13 @@ def table(markers: Sequence[Any]) -> MarkerTable:
         found = np.array([(p.x, p.y, p.z) for p in markers[row].points], np.float64)
         return found.reshape(-1, 3)
 
+    def colours(row: int) -> Floats:
+        found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
+        return found.reshape(-1, 4)
+
     return MarkerTable(
         *(list(namespaces), namespace, list(frame_ids), frame),
         *(stamp, number, kind, action),
         *(places[:, :3], places[:, 3:7], places[:, 7:]),
-        *(lifetime, points),
+        *(lifetime, points, colours),
     )

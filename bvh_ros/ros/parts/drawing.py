@@ -20,6 +20,7 @@ from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.parts.watched import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.tree.plotting import PALETTE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -33,19 +34,7 @@ WORTH_A_LIST = 8  # shapes of one size
 LINE = 0.01  # m, width of the tree's edges
 LETTERS = 0.05  # height of the text as a share of the world's size
 
-# Told apart by people who see colours differently (Okabe and Ito 2008).
-COLOURS = np.array(
-    [
-        (0.34, 0.71, 0.91, 1.0),
-        (0.90, 0.62, 0.00, 1.0),
-        (0.00, 0.62, 0.45, 1.0),
-        (0.80, 0.47, 0.65, 1.0),
-        (0.94, 0.89, 0.26, 1.0),
-        (0.00, 0.45, 0.70, 1.0),
-        (0.84, 0.37, 0.00, 1.0),
-    ],
-    np.float32,
-)
+COLOURS = np.column_stack((PALETTE, np.ones(len(PALETTE)))).astype(np.float32)
 LISTS = {ShapeKind.BOX: Marker.CUBE_LIST, ShapeKind.SPHERE: Marker.SPHERE_LIST}
 SINGLES = {ShapeKind.SPHERE: Marker.SPHERE, ShapeKind.CYLINDER: Marker.CYLINDER}
 

@@ -68,7 +68,7 @@ arrays = st.builds(MarkerArray, markers=st.lists(markers(), max_size=5))
 def assert_same(read, expected):
     count = len(expected.markers)
     by_rclpy = table(expected.markers)
-    for name, found, wanted in zip(read._fields[:-1], read[:-1], by_rclpy[:-1], strict=True):
+    for name, found, wanted in zip(read._fields[:-2], read[:-2], by_rclpy[:-2], strict=True):
         if isinstance(wanted, list):
             assert found == wanted, name
         else:
@@ -76,6 +76,7 @@ def assert_same(read, expected):
             assert np.array_equal(found, wanted, equal_nan=wanted.dtype.kind == 'f'), name
     for row in range(count):
         assert np.array_equal(read.points(row), by_rclpy.points(row), equal_nan=True)
+        assert np.array_equal(read.colours(row), by_rclpy.colours(row), equal_nan=True)
 
 
 @settings(max_examples=2000 if LONG else 150, deadline=None)
@@ -193,8 +194,12 @@ def outcome(message):
         found = marker_array.read(message)
     except ValueError as error:
         return str(error)
-    points = [found.points(row).tobytes() for row in range(len(found.id))]
-    return [part if isinstance(part, list) else part.tobytes() for part in found[:-1]] + points
+    lists = [
+        given(row).tobytes()
+        for row in range(len(found.id))
+        for given in (found.points, found.colours)
+    ]
+    return [part if isinstance(part, list) else part.tobytes() for part in found[:-2]] + lists
 
 
 def test_mutated_messages_are_read_or_refused_and_nothing_beyond_them():

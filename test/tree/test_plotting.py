@@ -1,0 +1,86 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`DynamicBVH.plot` draws the boxes, levels, rays and hits that there are, and nothing else."""
+
+import numpy as np
+import pytest
+
+from bvh_ros import DynamicBVH
+
+pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
+pyplot.switch_backend('agg')
+
+LO = np.array([[0.0, 0.0], [4.0, 1.0], [2.0, 5.0]])
+HI = LO + np.array([[1.0, 2.0], [3.0, 1.0], [0.5, 0.5]])
+
+
+@pytest.fixture(autouse=True)
+def _close():
+    yield
+    pyplot.close('all')
+
+
+def drawn(axes):
+    """Corners of the polygons, and ends of the lines."""
+    polygons, *lines = axes.collections
+    return [path.vertices[:-1] for path in polygons.get_paths()], [
+        path.vertices for several in lines for path in several.get_paths()
+    ]
+
+
+def test_boxes_in_the_plane():
+    boxes, lines = drawn(DynamicBVH.from_boxes(LO, HI).plot())
+    assert lines == []
+    np.testing.assert_array_equal([box.min(axis=0) for box in boxes], LO)
+    np.testing.assert_array_equal([box.max(axis=0) for box in boxes], HI)
+
+
+@pytest.mark.parametrize(('levels', 'boxes'), [(0, 1), ((0, 1), 3), ((1, 9), 4), (7, 0)])
+def test_levels(levels, boxes):
+    lines = drawn(DynamicBVH.from_boxes(LO, HI).plot(levels=levels))[1]
+    assert len(lines) == 4 * boxes  # edges
+
+
+def test_rays_and_hits_in_space_are_within_the_picture():
+    lo, hi = np.hstack((LO, [[0]] * 3)), np.hstack((HI, [[2]] * 3))
+    ray, hit = [(-3.0, 1.0, 1.0), (0.0, 1.0, 1.0)], (0.0, 1.0, 1.0)
+    axes = DynamicBVH.from_boxes(lo, hi).plot(rays=[ray], hits=[hit], levels=0)
+    assert axes.get_xlim()[0] <= -3.0
+    assert axes.get_zlim()[1] >= 2.0
+    (dots,) = axes.lines
+    assert [float(place[0]) for place in dots.get_data_3d()] == list(hit)
+    assert_seen(axes, (0.34, 0.71, 0.91))
+
+
+def assert_seen(axes, colour):
+    """The picture has some hundred pixels of this colour, in whatever light."""
+    axes.figure.canvas.draw()
+    pixels = np.asarray(axes.figure.canvas.buffer_rgba())[..., :3] / 255.0
+    length = np.linalg.norm(pixels, axis=2) * np.linalg.norm(colour)
+    alike = (pixels @ colour) / np.maximum(length, 1e-9)
+    assert (alike > 0.9995).sum() > 300
+
+
+def test_an_empty_tree_and_axes_of_ones_own():
+    axes = pyplot.figure().add_subplot(projection='3d')
+    assert DynamicBVH().plot(axes) is axes
+
+
+@pytest.mark.parametrize(
+    ('given', 'said'),
+    [
+        ({'levels': -1}, 'levels'),
+        ({'levels': 0.5}, 'levels'),
+        ({'rays': [(0, 0)]}, r'rays must have shape \(n, 2, 2\)'),
+        ({'hits': [(0, 0, 0)]}, r'hits must have shape \(n, 2\)'),
+        ({'hits': [(0, np.nan)]}, 'hits must be finite'),
+    ],
+)
+def test_wrong_arguments(given, said):
+    with pytest.raises(ValueError, match=said):
+        DynamicBVH.from_boxes(LO, HI).plot(**given)
+
+
+def test_axes_of_the_wrong_kind():
+    with pytest.raises(ValueError, match='axes must have 3 dimensions'):
+        DynamicBVH().plot(pyplot.figure().add_subplot())
