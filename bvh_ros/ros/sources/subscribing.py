@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
 LOG_EVERY = 2.0  # seconds
+TURN = 0.01  # seconds after which others get a turn
 
 
 class Kind(NamedTuple):
@@ -53,6 +56,9 @@ class FollowingSubscription:
     kept for late joiners a publisher that keeps nothing. So there is one for each kind; that for
     best effort only while somebody offers no more.
 
+    Whoever is woken takes and hands over all that waits, for as long as a turn may take: an
+    executor's round costs more than a small message does.
+
     Parameters
     ----------
     node : rclpy.node.Node
@@ -72,7 +78,8 @@ class FollowingSubscription:
     ordered : bool
         Whether the order of messages matters.
     says_everything : callable, optional
-        Whether a message needs none of those before it: of such, few may wait.
+        Whether a message needs none of those before it: of such, few may wait. None: no message
+        does.
     raw : bool
         True hands over the serialised bytes.
 
@@ -111,8 +118,9 @@ class FollowingSubscription:
         self._holding = node.create_timer(HOLD / 2, self._release, clock=steady, autostart=False)
         # Subscriptions come and go outside of their own events' callbacks.
         self._change = node.create_guard_condition(self.check)
-        self._backlog = None if says_everything is None else Backlog(says_everything)
-        self._more = node.create_guard_condition(self._next)
+        self._supersedes = says_everything is not None
+        self._backlog = Backlog(says_everything or (lambda _message: False))
+        self._more = node.create_guard_condition(self._hand_over_some)
         given = overrides(node, self.topic)
         asked = _asked(LATCHED if latched else RELIABLE, given)
         self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth)
@@ -139,7 +147,8 @@ class FollowingSubscription:
             self._create(BEST_EFFORT)
         else:
             log(f'{self.topic}: nobody publishes best effort any more')
-            self._take_the_rest(BEST_EFFORT, DEPTH)
+            self._take_the_rest(BEST_EFFORT, math.inf)
+            self._more.trigger()
             self._node.destroy_subscription(self._subscriptions.pop(BEST_EFFORT))
 
     def destroy(self) -> None:
@@ -164,7 +173,7 @@ class FollowingSubscription:
             'durability': kinds[0].durability.name.lower(),
             'messages lost': self.lost,
         }
-        if self._backlog is not None:
+        if self._supersedes:
             figures['messages that newer ones replaced'] = self._backlog.superseded
         return figures
 
@@ -192,9 +201,9 @@ class FollowingSubscription:
 
     def _receive(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
         self._take(kind, message, info)
-        if self._backlog is not None:
-            self._take_the_rest(kind, DEPTH - len(self._backlog))
-            self._next()
+        # Who is replaced by a newer message is known once that is taken.
+        self._take_the_rest(kind, math.inf if self._supersedes else TURN)
+        self._hand_over_some()
 
     def _take(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
         told = Told(message, info['publication_sequence_number'], _is_kept(kind))
@@ -214,6 +223,7 @@ class FollowingSubscription:
         self._merger.release()
         if not self._merger.is_holding:
             self._holding.cancel()
+        self._hand_over_some()
 
     def _deliver(self, told: Told) -> None:
         publishers = max(self._counts().values(), default=0)
@@ -225,33 +235,35 @@ class FollowingSubscription:
                 'faster than they were taken, or on a connection that loses some',
                 throttle_duration_sec=LOG_EVERY,
             )
-        if self._backlog is None:
-            self._hand_over(told, heard)
-        else:
-            self._backlog.add(told.message, (told, heard))
-            self._more.trigger()
+        self._backlog.add(told.message, (told, heard))
 
-    def _next(self) -> None:
-        """Hand over one message of those that wait, and another one after others had a turn."""
-        if self._backlog:
-            self._hand_over(*self._backlog.next()[1])
-        if self._backlog:
-            self._more.trigger()
+    def _hand_over_some(self) -> None:
+        """Hand over what waits until the turn is over, and go on after others had theirs."""
+        began = time.perf_counter()
+        try:
+            while self._backlog and time.perf_counter() - began < TURN:
+                self._hand_over(*self._backlog.next()[1])
+        finally:
+            if self._backlog:
+                self._more.trigger()
 
     def _hand_over(self, told: Told, heard: Heard) -> None:
         if heard is not NEXT:
             self._on_irregular(heard, told.kept)
         self._callback(told.message)
 
-    def _take_the_rest(self, kind: Kind, most: int) -> None:
-        """Take what already waits."""
+    def _take_the_rest(self, kind: Kind, limit: float) -> None:
+        """Take what already waits, for so many seconds."""
         handle = self._subscriptions[kind].handle
-        for _ in range(most):
+        began = time.perf_counter()
+        for _ in range((self._wanted.depth or DEPTH) - len(self._backlog)):
             with handle:
                 taken = handle.take_message(self._message_type, self._raw)
             if taken is None:
                 return
             self._take(kind, *taken)
+            if time.perf_counter() - began >= limit:
+                return
 
     def _counts(self) -> dict[Kind, int]:
         """How many publishers each subscription hears."""

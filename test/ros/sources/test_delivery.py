@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nothing that is told or asked is lost, or it is seen, over real processes."""
 
+import os
 import time
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.qos import DEPTH, REQUESTS
+from bvh_ros.ros.sources.subscribing import FollowingSubscription
 
 DEEP = QoSProfile(depth=DEPTH)
 LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -55,6 +57,28 @@ def test_a_burst_of_changes(world, messages, publish):
     status = world.status('source markers')
     assert (status.level, status.values['messages lost']) == (OK, '0')
     assert world.trigger('clear').success
+
+
+def test_a_burst_costs_few_rounds_of_the_executor(ros):
+    """Whoever is woken takes all that waits: a round costs more than a small message does."""
+    node, executor = ros
+    heard, rounds = [], 0
+    topic = f'burst_{os.getpid()}'
+    subscription = FollowingSubscription(node, MarkerArray, topic, heard.append, raw=True)
+    publisher = node.create_publisher(MarkerArray, topic, DEEP)
+    while not publisher.get_subscription_count():
+        executor.spin_once(0.01)
+    for burst in range(200):
+        for _ in range(20):
+            publisher.publish(MarkerArray())
+        ends = time.monotonic() + PATIENCE
+        while len(heard) < 20 * (burst + 1):
+            assert time.monotonic() < ends, f'{len(heard)} heard'
+            executor.spin_once(PATIENCE)
+            rounds += 1
+    assert rounds < 20 * 200 / 2
+    subscription.destroy()
+    node.destroy_publisher(publisher)
 
 
 @pytest.mark.parametrize(('clients', 'each'), [(1, 1000), (20, 50)])
