@@ -11,12 +11,12 @@ from contextlib import ExitStack
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
 from rclpy.guard_condition import GuardCondition
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from bvh_ros.client.errors import BvhError
+from bvh_ros.ros.private_rclpy import WaitSet
 
 LOOK = 0.1  # seconds between two looks whether the context lives
 POLL = 0.02  # seconds between two looks for the node
@@ -87,7 +87,7 @@ class Waiting:
         with ExitStack() as kept:
             for entity in (*clients, *subscriptions, wake, self._node.context):
                 kept.enter_context(entity.handle)
-            wait_set = _rclpy.WaitSet(
+            wait_set = WaitSet(
                 len(subscriptions), 1, 0, len(clients), 0, 0, self._node.context.handle
             )
             wait_set.clear_entities()

@@ -10,20 +10,18 @@ from collections.abc import Callable
 
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.interrupts import Interrupts
+from bvh_ros.ros.private_rclpy import RCLError, UnknownROSArgsError
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.spinning import SturdyExecutor
 from bvh_ros.ros.texts import as_line
 
 WRONG_CONFIGURATION = 2  # exit code
-RCLError = rclpy_implementation.RCLError  # what rcl says about arguments that it cannot read
-UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 
 
 class BvhNode(Node):

@@ -12,6 +12,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from bvh_ros.ros.parts.refusals import explain
+from bvh_ros.ros.private_rclpy import spin_once
 
 if TYPE_CHECKING:
     from threading import Event
@@ -38,7 +39,7 @@ class SturdyExecutor(SingleThreadedExecutor):
         self.add_node(node)
         try:
             while not ended.is_set() and self.context.ok():
-                self._attempt(self._spin_once_impl, None, ended.is_set)
+                self._attempt(spin_once, self, None, ended.is_set)
         finally:
             self.remove_node(node)
 
