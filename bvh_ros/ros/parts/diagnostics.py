@@ -91,6 +91,12 @@ class Diagnostics(Part):
         ]
         self._published_at = now.nanoseconds
         self._publisher.publish(message)
+        for queries in self._queries:
+            queries.refused.log()
+        for answerer in self._answerers:
+            answerer.refused.log()
+        for source in self._world.sources:
+            source.refused.log()
 
     def _world_status(
         self, figures: Mapping[str, object], now: int, problem: str
@@ -104,7 +110,7 @@ class Diagnostics(Part):
         values = {
             'obstacles': len(scene),
             **figures,
-            **_corners(scene.bounds),
+            **_corners(*scene.tree_levels(0, 0, 1)[:2]),
             'expired': scene.expired,
             'bytes of the process': resident_bytes(),
             'on': ', '.join(name for name in features if features[name]),
@@ -160,7 +166,7 @@ class Diagnostics(Part):
             values['topic'] = subscription.topic
             values['publishers'] = publishers
             values |= subscription.figures()
-            if subscription.lost and source.completeness.missing():
+            if subscription.losses.count and source.completeness.missing():
                 level, text = WARN, f'obstacles may be unknown: {source.completeness.missing()}'
             if source.has_spoken and not publishers:
                 level, text = WARN, 'its publishers are gone; what they said is kept'
@@ -189,13 +195,14 @@ class Diagnostics(Part):
         )
 
 
-def _corners(bounds: tuple[NDArray[np.float64], NDArray[np.float64]] | None) -> dict[str, str]:
-    """Where the obstacles are, with the margin around them; nothing where there is none."""
-    if bounds is None:
-        return {}
+def _corners(lo: NDArray[np.float64], hi: NDArray[np.float64]) -> dict[str, str]:
+    """The root's corners: where the obstacles are, with the margin around them. Nothing where
+    there is none.
+    """
     return {
         key: ', '.join(f'{coordinate:.3f}' for coordinate in corner)
-        for key, corner in zip((LOWEST, HIGHEST), bounds, strict=True)
+        for key, corners in ((LOWEST, lo), (HIGHEST, hi))
+        for corner in corners
     }
 
 

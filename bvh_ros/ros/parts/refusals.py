@@ -58,14 +58,21 @@ class Refused:
     def add(self, reason: str, count: int = 1) -> None:
         """Count `count` refusals for one reason; never raises."""
         self.count += count
-        self.last = reason = shortened(reason, LONGEST_LINE)
+        self.last = shortened(reason, LONGEST_LINE)
         self._unlogged += count
+        self.log()
+
+    def log(self) -> None:
+        """Log what is not logged yet, if the last report is long enough ago; never raises.
+
+        To be called now and then: what comes last is to be in the log, too.
+        """
         now = time.monotonic()
-        if now < self._log_again:
+        if not self._unlogged or now < self._log_again:
             return
         more = f' ({self._unlogged - 1} more since the last report)' if self._unlogged > 1 else ''
         with contextlib.suppress(Exception):  # whoever refuses goes on, logged or not
-            self._logger.warning(f'{self._what} refused: {reason}{more}')
+            self._logger.warning(f'{self._what} refused: {self.last}{more}')
         self._unlogged = 0
         self._log_again = now + LOG_EVERY
 

@@ -97,6 +97,7 @@ class Source(ABC):
             latched=True,
             follow=self.follows_publisher,
             says_everything=self.says_everything,
+            is_full=self._is_full,
             raw=True,  # rclpy would drop what it cannot deserialise without telling us
         )
 
@@ -124,18 +125,25 @@ class Source(ABC):
         self._then(partial(self._begin, serialised, now, came), len(serialised))
 
     def _begin(self, serialised: bytes, now: int, came: float) -> None:
-        self._hurried = self._pace.begin(len(serialised), came)
-        self._size = len(serialised)
+        size = len(serialised)
+        self._hurried = self._pace.begin(size, came) or self._waits >= size
+        self._size = size
         self._work = self._applying(serialised, now)
 
     def _then(self, act: Callable[[], object], size: int = 0) -> None:
-        """Do this when all before is applied; at once if as much waits as is being applied."""
+        """Do this when all before is applied."""
         self._waiting.append((act, size))
         self._waits += size
         if self._work is None:
             self._go_on()
-        elif self._waits >= self._size or len(self._waiting) > DEPTH:
-            self.finish()
+        elif self._is_full():
+            self._hurried = True
+
+    def _is_full(self) -> bool:
+        """Whether as much waits as is being applied: then that is done without pauses where those
+        make it late, and more messages have to wait elsewhere.
+        """
+        return self._work is not None and (self._waits >= self._size or len(self._waiting) > DEPTH)
 
     def finish(self) -> None:
         """Apply what is left of a message, and what waits, at once."""
@@ -159,6 +167,8 @@ class Source(ABC):
         self.longest_slice = max(self.longest_slice, time.perf_counter() - began)
         if (self._work is not None or self._waiting) and self._turn is not None:
             self._turn.trigger()
+        if self.subscription is not None:
+            self.subscription.resume()
 
     def _applying(self, serialised: bytes, now: int) -> Iterator[None]:
         """Apply one message; what cannot be used is counted and explained, never raised."""

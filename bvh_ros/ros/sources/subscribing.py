@@ -23,6 +23,7 @@ from rclpy.qos import (
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH
 from bvh_ros.ros.sources.backlog import Backlog
+from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
 from bvh_ros.ros.sources.unheard import unheard
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from rclpy.qos_overriding_options import QoSOverridingOptions
     from rclpy.subscription import Subscription
 
-LOG_EVERY = 2.0  # seconds
 TURN = 0.01  # seconds after which others get a turn
 
 
@@ -80,6 +80,8 @@ class FollowingSubscription:
     says_everything : callable, optional
         Whether a message needs none of those before it: of such, few may wait. None: no message
         does.
+    is_full : callable, optional
+        Whether messages have to wait here; `resume` says when no longer.
     raw : bool
         True hands over the serialised bytes.
 
@@ -102,16 +104,18 @@ class FollowingSubscription:
         follow: bool = True,
         ordered: bool = True,
         says_everything: Callable[[Any], bool] | None = None,
+        is_full: Callable[[], bool] = lambda: False,
         raw: bool = False,
     ) -> None:
         self._node = node
         self._message_type = message_type
         self._callback = callback
         self._on_irregular = on_irregular
+        self._is_full = is_full
         self._raw = raw
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # why a publisher is not heard, and the remedy
-        self.lost = 0  # messages
+        self.losses = Losses(node.get_logger(), self.topic)
         self._numbering = Numbering()
         self._merger = Merger(self._deliver, HOLD if ordered else 0.0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -131,7 +135,11 @@ class FollowingSubscription:
             self._create(RELIABLE)
 
     def check(self) -> None:
-        """Subscribe best effort, too, as long as somebody offers no more."""
+        """Subscribe best effort, too, as long as somebody offers no more; warn of losses.
+
+        To be called about once a second.
+        """
+        self.losses.log()
         offered = {
             info.qos_profile.reliability
             for info in self._node.get_publishers_info_by_topic(self.topic)
@@ -148,7 +156,7 @@ class FollowingSubscription:
         else:
             log(f'{self.topic}: nobody publishes best effort any more')
             self._take_the_rest(BEST_EFFORT, math.inf)
-            self._more.trigger()
+            self.resume()
             self._node.destroy_subscription(self._subscriptions.pop(BEST_EFFORT))
 
     def destroy(self) -> None:
@@ -159,6 +167,11 @@ class FollowingSubscription:
         self._node.destroy_timer(self._holding)
         self._node.destroy_guard_condition(self._change)
         self._node.destroy_guard_condition(self._more)
+
+    def resume(self) -> None:
+        """Hand over what waits, soon, unless it has to wait still."""
+        if self._backlog and not self._is_full():
+            self._more.trigger()
 
     def publishers(self) -> int:
         """Return how many publishers there are, heard or not."""
@@ -171,7 +184,7 @@ class FollowingSubscription:
         figures: dict[str, object] = {
             'reliability': kinds[0].reliability.name.lower(),
             'durability': kinds[0].durability.name.lower(),
-            'messages lost': self.lost,
+            'messages lost': self.losses.count,
         }
         if self._supersedes:
             figures['messages that newer ones replaced'] = self._backlog.superseded
@@ -228,24 +241,17 @@ class FollowingSubscription:
     def _deliver(self, told: Told) -> None:
         publishers = max(self._counts().values(), default=0)
         heard = self._numbering.note(told.number, publishers)
-        if heard.lost:
-            self.lost += heard.lost
-            self._node.get_logger().warning(
-                f'{self.topic}: {heard.lost} messages were lost, {self.lost} in all; they came '
-                'faster than they were taken, or on a connection that loses some',
-                throttle_duration_sec=LOG_EVERY,
-            )
+        self.losses.add(heard.lost)
         self._backlog.add(told.message, (told, heard))
 
     def _hand_over_some(self) -> None:
         """Hand over what waits until the turn is over, and go on after others had theirs."""
         began = time.perf_counter()
         try:
-            while self._backlog and time.perf_counter() - began < TURN:
+            while self._backlog and not self._is_full() and time.perf_counter() - began < TURN:
                 self._hand_over(*self._backlog.next()[1])
         finally:
-            if self._backlog:
-                self._more.trigger()
+            self.resume()
 
     def _hand_over(self, told: Told, heard: Heard) -> None:
         if heard is not NEXT:

@@ -146,6 +146,16 @@ def test_refused_rows_are_listed_up_to_a_limit(caplog):
     assert rows['refused rows not listed'] == 2 * LISTED + 7
 
 
+def test_what_is_refused_last_is_in_the_log(world, messages):
+    """Within two seconds of another refusal, and nothing comes after it."""
+    world.markers(messages.marker(1, type=0))
+    world.until(lambda: 'marker type 0' in world.said())
+    world.markers(messages.marker(2, size=(1, -1, 1)))
+    world.markers(messages.marker(3, type=99))
+    world.until(lambda: "'a/3': marker type 99" in world.said())
+    assert '(1 more since the last report)' in world.said()
+
+
 def test_durations(monkeypatch):
     now = [0, 0.0]
     monkeypatch.setattr('time.perf_counter_ns', lambda: now[0])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the numbers of messages tell, what is then missing, and what waits, without ROS."""
 
+import logging
 import random
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from bvh_ros.ros.sources import completeness, merging
 from bvh_ros.ros.sources.backlog import KEPT, Backlog
 from bvh_ros.ros.sources.completeness import SETTLED, Completeness
+from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
 
@@ -110,3 +112,21 @@ def test_every_change_waits_but_few_that_say_everything():
     for message in 'abc' * 1000:
         backlog.add(message, None)
     assert len(backlog) == 3000
+
+
+def test_losses_are_logged_every_two_seconds_and_none_is_left_out(monkeypatch, caplog):
+    now = [10.0]
+    monkeypatch.setattr('time.monotonic', lambda: now[0])
+    losses = Losses(logging.getLogger('test'), '/topic')
+    losses.log()
+    for _ in range(3):
+        losses.add(2)
+    assert [record.message.partition(';')[0] for record in caplog.records] == [
+        '/topic: 2 messages were lost, 2 in all'
+    ]
+    now[0] += 2.0
+    for _ in range(2):
+        losses.log()
+    assert [record.message.partition(';')[0] for record in caplog.records[1:]] == [
+        '/topic: 4 messages were lost, 6 in all'
+    ]

@@ -71,3 +71,22 @@ def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, m
     world.until(lambda: world.status('source c').values['points skipped'] == '3', 60)
     assert world.status('world').values['obstacles'] == str(count)
     assert world.trigger('validate').success
+
+
+def test_messages_that_wait_make_no_long_turn(world, messages):
+    """Meshes take as long without pauses as with them: others have their turns in between."""
+    faces = [(0, 0, 0), (0, 1, 0), (1, 0, 0), (0, 0, 0), (1, 0, 0), (0, 0, 1)]
+    faces += [(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    publisher = world.node.create_publisher(MarkerArray, f'{world.name}/obstacles', 10)
+    world.until(lambda: publisher.get_subscription_count() > 0)
+    for x in (0, 1, 2):
+        meshes = [
+            messages.marker(k, (x, k, 50), size=(1, 1, 1 + k / 1000), type=11, points=faces)
+            for k in range(500)
+        ]
+        publisher.publish(MarkerArray(markers=meshes))
+    asked = 0
+    while world.names('raycast', (2.1, 499.1, 60), (2.1, 499.1, 40)) == []:
+        asked += 1
+    assert asked > 20  # some hundreds, where nobody else uses the processor
+    world.node.destroy_publisher(publisher)
