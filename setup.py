@@ -65,6 +65,7 @@ setup(
             'bvh_node = bvh_ros.ros.node:main',
             'bvh_lifecycle_node = bvh_ros.ros.lifecycle_node:main',
             'bvh_demo = bvh_ros.demo:main',
+            'bvh_warm_up = bvh_ros.warm_up:main',
             'bvh_report = bvh_ros.report.cli:main',
         ]
     },

@@ -19,7 +19,7 @@ from rclpy.task import Future
 
 from bvh_ros.client import plans
 from bvh_ros.client.batch import NameChannel, RayChannel, as_rays, handles_of, topic_of_names
-from bvh_ros.client.errors import BvhTimeoutError
+from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.client.plans import Hit
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
@@ -27,6 +27,7 @@ from bvh_ros.ros.qos import REQUESTS
 
 NO_RAYS = np.empty((0, 3))
 PATIENCE = 0.2  # seconds for an answer to no rays
+LOOK = 0.2  # seconds between two looks whether the node still compiles
 
 Answer = TypeVar('Answer')
 
@@ -63,19 +64,34 @@ class BvhClient:
         self._opening = Lock()  # of the topics: threads that come at once share them
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:
-        """Wait until the node offers its services.
+        """Wait until the node offers its services, and has compiled what they need.
 
         Raises
         ------
         BvhTimeoutError
-            If it does not in time; the first start on a machine compiles for up to a minute.
+            If it does not in time; the first start on a machine compiles for half a minute.
         """
+        deadline = time.monotonic() + timeout
         clients = (self._raycast, self._raycast_all, self._overlap)
         found = self._waiting.until(
             lambda: all(client.service_is_ready() for client in clients), timeout
         )
         if not found:
             raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
+        while compiling := self._compiling(deadline - time.monotonic()):
+            if time.monotonic() > deadline:
+                raise BvhTimeoutError(f"'{self.name}' is still {compiling}")
+            time.sleep(LOOK)
+
+    def _compiling(self, timeout: float) -> str:
+        """Ask a question that is answered once all are; say how far compiling has come."""
+        try:
+            self.raycast_all((0.0, 0.0), (0.0, 0.0), timeout=min(max(timeout, 0.0), LOOK))
+        except BvhTimeoutError:
+            return 'compiling, or busy'
+        except BvhError as error:
+            return str(error) if str(error).startswith(plans.COMPILING) else ''
+        return ''
 
     def raycast(
         self,

@@ -13,6 +13,7 @@ from nav_msgs.srv import GetPlan
 from bvh_ros.client.errors import BvhError
 
 ERROR = 'error: '  # begins the frame_id of a reply that is no answer
+COMPILING = 'compiling: '  # then begins the reason of a node that will answer soon
 
 Vector = tuple[float, float, float]
 

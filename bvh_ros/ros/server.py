@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
+from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.config import qos_overrides
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.parameters import read_settings
@@ -20,16 +21,16 @@ from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
 from bvh_ros.ros.parts.maintenance import Maintenance
 from bvh_ros.ros.parts.names import NamesPublisher
 from bvh_ros.ros.parts.query_drawing import QueryDrawing
+from bvh_ros.ros.parts.readiness import Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
-from bvh_ros.ros.warm_up import warm_up
+from bvh_ros.ros.warm_up import Job, Needs, jobs
 from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
 from bvh_ros.ros.world.views import Categoriser, View, create_views
 from bvh_ros.ros.world.world import World
 from bvh_ros.scene import Scene, ShapeKind
-from bvh_ros.tree.jit import kernel_cache
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -111,23 +112,31 @@ class BvhServer:
         """Return the shapes that the sources can bring."""
         return {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
 
-    def compile(self) -> None:
-        """Compile the kernels that this configuration needs."""
-        log = self.node.get_logger().info
-        if not kernel_cache.is_warm():
-            log('first start here: compiling, up to a minute; later starts take a second')
-        kinds = self._kinds()
-        warm_up(
+    def compile(self, *, wholly: bool = False) -> None:
+        """Compile the kernels that this configuration needs. Where that takes long, only those for
+        the first answers, unless `wholly`: the rest is compiled beside the node, while it serves.
+        """
+        compilation = Compilation(self.jobs())
+        readiness = Readiness(self.node, self.world, compilation, self._say_ready)
+        self._ends.append(readiness)
+        readiness.begin(wholly=wholly)
+
+    def jobs(self) -> list[Job]:
+        """Return what compiles the kernels that this configuration needs."""
+        steps = [step for source in self.world.sources for step in source.to_compile()]
+        of_sources = [Job(name, name, 2.0, call, early=True) for name, call in steps]
+        needs = Needs(
             planar=self.settings.planar,
             margin=self.settings.margin,
-            kinds=kinds,
+            kinds=sorted(self._kinds()),
             batch=self.settings.batch or bool(self._scan.pose_topic),
-            more=[step for source in self.world.sources for step in source.to_compile()],
-            log=log,
         )
+        chosen = jobs(needs)
+        return [*chosen[:2], *of_sources, *chosen[2:]]
 
     def serve(self) -> None:
-        """Listen to the sources and offer the services; every kernel is compiled by now.
+        """Listen to the sources and offer the services; what updates and the first answers need is
+        compiled by now.
 
         Raises
         ------
@@ -142,6 +151,10 @@ class BvhServer:
         except Exception:
             self.stop()
             raise
+        if not self.world.compiling:
+            self._say_ready()
+
+    def _say_ready(self) -> None:
         self.node.get_logger().info(self.in_words())
 
     def _create_parts(self) -> Iterator[Destroyable]:

@@ -1,16 +1,16 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compile the kernels that a configuration needs before its services appear."""
+"""What a configuration calls, on throw-away scenes: whoever runs it has the kernels compiled."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from bvh_ros import DynamicBVH
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
@@ -20,126 +20,190 @@ ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
 TURNED = (0.1, 0.2, 0.3, 0.9)
 CORNERS = np.vstack((np.zeros(3), np.eye(3)))
 TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
-SLOW = 0.5  # seconds: a step that takes longer was not in the cache
+# Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
+START, GOAL = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
+RADIUS = 0.5
+NUMBERS = np.arange(BOXES)
+MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
-Step = tuple[str, Callable[[], object]]
-Vector = tuple[float, float, float]
+Step = tuple[str, Callable[[], object]]  # what is compiled, for people, and by which call
 
 
-def warm_up(
-    *,
-    planar: bool,
-    margin: float,
-    kinds: Iterable[ShapeKind],
-    batch: bool,
-    more: Iterable[Step] = (),
-    log: Callable[[str], object],
-) -> None:
-    """Run every kind of call once on a throw-away scene.
+class Needs(NamedTuple):
+    """What decides which kernels are called.
 
-    Parameters
+    Attributes
     ----------
     planar, margin
         As the node's scene has them.
-    kinds : iterable of ShapeKind
-        The shapes that its sources can bring.
+    kinds : sequence of ShapeKind
+        The shapes that its sources can bring, in order.
     batch : bool
         Whether rays come in batches.
-    more : iterable of (str, callable)
-        Further calls, and what they are for.
-    log : callable
-        Takes a line about the progress, when there is something to wait for.
     """
-    kinds = sorted(kinds)
-    scene = Scene(planar=planar, margin=margin, meshes=ShapeKind.MESH in kinds)
-    steps = [*_steps(scene, kinds, margin), *more]
-    if batch:
-        steps.append(('batches of rays', lambda: _batches(Scene(planar=planar, margin=margin))))
-    for number, (name, call) in enumerate(steps, 1):
-        began = time.perf_counter()
-        call()
-        took = time.perf_counter() - began
-        if took > SLOW:
-            log(f'compiled {number} of {len(steps)}: {name} ({took:.1f} s)')
+
+    planar: bool
+    margin: float
+    kinds: Sequence[ShapeKind]
+    batch: bool
 
 
-def _steps(scene: Scene, kinds: list[ShapeKind], margin: float) -> list[Step]:
-    """Return the calls; queries come after what fills the scene."""
-    numbers = np.arange(BOXES)
-    names = Numbered('box#', numbers)
-    middle = np.column_stack((numbers, numbers % 5, numbers % 3)).astype(np.float64)
+class Job(NamedTuple):
+    """Calls that share kernels, and few of them with other jobs.
 
-    def replace(shift: float) -> object:
-        return scene.replace('cloud', '', names, Shapes.boxes(middle + shift, EDGE), stamp=1)
+    Attributes
+    ----------
+    name : str
+        What is compiled, for people.
+    key : str
+        Jobs of equal keys compile the same.
+    seconds : float
+        About how long compiling takes, alone on one processor.
+    run : callable
+        Can be pickled.
+    early : bool
+        Whether the first answers wait for it: those for thin rays among axis-aligned boxes.
+    """
 
-    def put(number: int, place: NDArray[np.float64]) -> None:
+    name: str
+    key: str
+    seconds: float
+    run: Callable[[], object]
+    early: bool = False
+
+
+def jobs(needs: Needs) -> list[Job]:
+    """Return all calls: those that the first answers wait for, then the longest. Overlaps come
+    last, as who compiles them after swept balls, which share their kernels, is done in half the
+    time.
+    """
+    calls: list[tuple[str, float, Callable[[Needs], None]]] = [
+        ('obstacles', 11.0, _obstacles),
+        ('thin rays', 4.5, _thin_rays),
+        ('swept balls', 20.0, _swept_balls),
+        *([('batches of rays', 8.0, _batches)] if needs.batch else []),
+        ('checks', 1.5, _checks),
+        ('rays at true shapes', 4.5, _rays_at_shapes),
+        ('overlaps', 6.5, _overlaps),
+    ]
+    tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
+    return [
+        Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
+        for name, seconds, call in calls
+    ]
+
+
+def _empty(needs: Needs) -> Scene:
+    return Scene(planar=needs.planar, margin=needs.margin, meshes=ShapeKind.MESH in needs.kinds)
+
+
+def _replace(scene: Scene, shift: float) -> None:
+    names = Numbered('box#', NUMBERS)
+    scene.replace('cloud', '', names, Shapes.boxes(MIDDLE + shift, EDGE), stamp=1)
+
+
+def _with_boxes(needs: Needs) -> Scene:
+    scene = _empty(needs)
+    _replace(scene, 0.0)
+    return scene
+
+
+def _with_shapes(needs: Needs) -> Scene:
+    """Return turned and round shapes among boxes."""
+    scene = _with_boxes(needs)
+    for kind in needs.kinds:
+        place = [3.0, 3.5 + kind, 3.0]
+        if kind == ShapeKind.MESH:
+            shape = Shapes.of_meshes([Mesh(TETRAHEDRON)], place, [TURNED])
+        else:
+            shape = Shapes.boxes(place, EDGE, [TURNED])
+            shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
+        scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
+    return scene
+
+
+def _scenes(needs: Needs) -> Iterator[Scene]:
+    """The empty one first: while another process compiles how boxes get there, what is asked of it
+    can be compiled here.
+    """
+    yield _empty(needs)
+    yield _with_boxes(needs)
+    yield _with_shapes(needs)
+
+
+def _obstacles(needs: Needs) -> None:
+    """Every way in which obstacles come, move and go, and what is told of them all the time."""
+    scene, margin = _with_boxes(needs), needs.margin
+    places = [*(MIDDLE + 50.0), MIDDLE[1] - 9.0]
+    for number, place in zip([*range(BOXES), 1], places, strict=True):
         scene.update('markers', [f'one/{number}'], Shapes.boxes(place, EDGE), stamp=1)
-
-    def add_one_by_one() -> None:
-        for number in range(BOXES):
-            put(number, middle[number] + 50.0)
-
-    def move_some() -> None:
-        put(1, middle[1] - 9.0)
-        replace(1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
-        replace(3.0 * margin + 7.0)
-
-    # Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
-    start, goal = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
-    steps: list[Step] = [
-        ('build', lambda: replace(0.0)),
-        ('insert', add_one_by_one),
-        ('move', move_some),
-        ('remove', lambda: scene.remove('markers', ['one/0', 'one/1'])),
-        ('rebuild', scene.rebuild),
-        ('statistics', scene.stats),
-        ('validate', scene.validate),
-        *_queries(scene, start, goal, 'boxes'),
-    ]
-    for kind in kinds:
-        steps.append((f'add {kind.name.lower()}s', partial(_add_turned, scene, kind)))
-    return [*steps, *_queries(scene, start, goal, 'turned and round shapes')]
+    _replace(scene, 1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
+    _replace(scene, 3.0 * margin + 7.0)
+    scene.remove('markers', ['one/0', 'one/1'])
+    scene.rebuild()
+    scene.stats()
+    _with_shapes(needs)
 
 
-def _rays(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:
-    return [
-        (f'raycast, {what}', lambda: scene.raycast(start, goal)),
-        (f'raycast_all, {what}', lambda: scene.raycast_all(start, goal)),
-        (f'swept ball, {what}', lambda: scene.raycast_all(start, goal, 0.5)),
-        (f'first of swept ball, {what}', lambda: scene.raycast(start, goal, 0.5)),
-    ]
+def _thin_rays(needs: Needs) -> None:
+    _empty(needs).raycast(START, GOAL)
 
 
-def _queries(scene: Scene, start: Vector, goal: Vector, what: str) -> list[Step]:
-    return [
-        *_rays(scene, start, goal, what),
-        (f'overlap, {what}', lambda: scene.overlap((0.0, 0.0, 0.0), (9.0, 9.0, 9.0))),
-        (
-            f'overlap of a turned box, {what}',
-            lambda: scene.overlap((0.0, 0.0, 0.0), (9.0, 9.0, 9.0), ABOUT_Z, 0.5),
-        ),
-        (
-            f'overlap of a ball, {what}',
-            lambda: scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0),
-        ),
-    ]
+def _rays_at_shapes(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.raycast_all(START, GOAL)
+        scene.raycast(START, GOAL)
 
 
-def _add_turned(scene: Scene, kind: ShapeKind) -> None:
-    place = [3.0, 3.5 + kind, 3.0]
-    if kind == ShapeKind.MESH:
-        shape = Shapes.of_meshes([Mesh(TETRAHEDRON)], place, [TURNED])
-    else:
-        shape = Shapes.boxes(place, EDGE, [TURNED])
-        shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
-    scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
+def _swept_balls(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.raycast_all(START, GOAL, RADIUS)
+        scene.raycast(START, GOAL, RADIUS)
 
 
-def _batches(scene: Scene) -> None:
+def _overlaps(needs: Needs) -> None:
+    """Of a box, a turned one with round corners, and a ball."""
+    far = (9.0, 9.0, 9.0)
+    for scene in _scenes(needs):
+        scene.overlap(START, far)
+        scene.overlap(START, far, ABOUT_Z, RADIUS)
+        scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0)
+
+
+def _checks(needs: Needs) -> None:
+    _with_boxes(needs).validate()
+
+
+def _batches(needs: Needs) -> None:
     """Cast a batch of each size that the tree answers in a way of its own."""
+    scene = Scene(planar=needs.planar, margin=needs.margin)
     line = np.arange(MANY * 3.0).reshape(MANY, 3)
+    scene.raycast_many(line[:1], line[:1])
     scene.replace(
         'cloud', '', Numbered('box#', np.arange(MANY)), Shapes.boxes(line, EDGE), stamp=1
     )
     for count in (1, MANY):
         scene.raycast_many(line[:count], line[:count])
+
+
+def use_tree(ndim: int) -> None:
+    """What a tree without a scene is asked."""
+    tree = DynamicBVH(ndim=ndim)
+    low, high = np.zeros(ndim), np.ones(ndim)
+    handle = tree.insert(low, high)
+    tree.raycast(low - 1.0, high)
+    tree.move(handle, low + 1.0, high + 1.0)
+    boxes = MIDDLE[:, :ndim]
+    handles = tree.insert_many(boxes, boxes + 0.9)
+    tree.move_many(handles, boxes + 0.1, boxes + 1.0)
+    tree.raycast_all(low, high)
+    tree.raycast_many(boxes, boxes)
+    tree.overlap(low, high)
+    tree.overlap_pairs()
+    tree.nearest(low, 2)
+    tree.boxcast(low, high, high)
+    tree.remove(handle)
+    tree.remove_many(handles)
+
+
+EARLY = _obstacles, _thin_rays

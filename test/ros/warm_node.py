@@ -130,7 +130,7 @@ def main():
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     served, asking = Node('bvh', parameter_overrides=overrides), Node('asking')
     server = BvhServer(served)
-    server.compile()
+    server.compile(wholly=True)
     report_late_compilations()
     server.serve()
     executor = SingleThreadedExecutor()

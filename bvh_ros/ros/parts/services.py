@@ -92,7 +92,8 @@ class QueryServices(Part):
         now = self._clock.now().nanoseconds
         plan, frames = response.plan, self._world.frames
         try:
-            scene = self._world.at(now)
+            thin_ray = not oriented and answer == self._raycast and request.tolerance == 0.0
+            scene = self._world.at(now, thin_ray=thin_ray)
             query = plans.query(request, frames.into_node, oriented=oriented)
             hits = answer(scene, query)
             self._replies.fill(plan, hits, frames.frame_id, scene.newest)
@@ -115,6 +116,7 @@ class TriggerServices(Part):
 
     def __init__(self, node: Node, world: World) -> None:
         super().__init__(node)
+        self._world = world
         self._scene = world.scene
         self._sources = world.sources
         for name, act in (
@@ -149,6 +151,8 @@ class TriggerServices(Part):
         return self._tree_in_words()
 
     def _validate(self) -> str:
+        if self._world.compiling:
+            raise RuntimeError(self._world.compiling)
         self._scene.validate()
         return f'valid: {self._tree_in_words()}'
 

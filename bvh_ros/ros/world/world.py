@@ -21,36 +21,54 @@ EXPIRED_AT_ONCE = 8192  # obstacles, about 10 ms
 
 
 class IncompleteWorldError(ValueError):
-    """A source that the answers depend on is missing; the text says which and why."""
+    """What the answers depend on is missing: a source, or kernels. The text says which and why."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class World:
-    """What is known, where it comes from, and whether that is enough to answer."""
+    """What is known, where it comes from, and whether that is enough to answer.
+
+    Attributes
+    ----------
+    compiling : str
+        Says how far compiling has come, while not every question can be answered.
+    """
 
     settings: Settings
     scene: Scene
     frames: Frames
     sources: Sequence[Source]
     views: Sequence[View]  # that of everything first
+    compiling: str = ''
 
-    def at(self, now: int) -> Scene:
+    def at(self, now: int, *, thin_ray: bool = False) -> Scene:
         """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
         very many that are due the last go a little later, so that nobody has to wait for them.
+
+        Parameters
+        ----------
+        now : int
+        thin_ray : bool
+            Whether one thin ray is asked for. Among axis-aligned boxes that can be answered first.
 
         Raises
         ------
         IncompleteWorldError
-            If a source is missing or silent for too long; an answer might look free.
+            If a source is missing or silent for too long; an answer might look free. Or if what is
+            asked for is still being compiled.
         """
-        problem = self.problem(now)
+        early = thin_ray and not self.scene.any_shaped
+        problem = self._silence(now) if early else self.problem(now)
         if problem:
             raise IncompleteWorldError(problem)
         self.scene.expire(now, EXPIRED_AT_ONCE)
         return self.scene
 
     def problem(self, now: int) -> str:
-        """Say why the world is incomplete, or return an empty text."""
+        """Say why not every question can be answered, or return an empty text."""
+        return self.compiling or self._silence(now)
+
+    def _silence(self, now: int) -> str:
         for source in self.sources:
             problem = source.problem(now)
             if problem:

@@ -3,10 +3,10 @@
 """Where the machine code of the kernels is kept.
 
 numba's own disk cache looks only at the file of the function that is called: after an edit in a
-callee's file it would still run the old code. So the cache folder is named by a hash of every
-source that can hold a kernel, and of every setting of numba that changes code. In it, kernels go
-by their place in the package, not on the disk: equal sources share machine code wherever they are
-installed.
+callee's file it would still run the old code. So a kernel's code is named by a hash of every
+source that it depends on (`kernel_sources`), and the cache folder by a hash of every setting of
+numba that changes code. Kernels go by their place in the package, not on the disk: equal sources
+share machine code wherever they are installed.
 
 A crash, a full disk or a stray copy may leave anything there. So each file begins with a hash of
 its name and content, and is looked into only if that hash is right. Else the kernel is compiled
@@ -27,13 +27,13 @@ from typing import Any
 import llvmlite
 import numba
 from numba.core import caching, config
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 from numba.core.types import Record
 
+from . import kernel_sources, shipped
+from .entry_lock import EntryLock
 from .private_folder import UnsafeError, is_ours_alone, open_private, write_whole
-
-_PACKAGE = Path(__file__).resolve().parents[2]
-_ROOMS = 'tree', 'scene', 'ros/cdr'  # where kernels call kernels of other files
 
 # Settings of numba that leave machine code as it is, by a word in their names.
 _BESIDE_THE_CODE = 'CACHE', 'CUDA', 'THREAD'
@@ -49,16 +49,6 @@ def _named_by_its_fields(record: Record) -> tuple[str, tuple[int]]:
 # another could have one name, and a process that loaded both ran one in place of the other. Named
 # by a hash of their fields, types are told apart across processes.
 Record.mangling_args = property(_named_by_its_fields)  # type: ignore[assignment, method-assign]
-
-
-def _hash_sources(package: Path) -> str:
-    """Hash of every source that can hold a kernel, at any depth."""
-    digest = hashlib.sha256()
-    for room in _ROOMS:
-        for source in sorted((package / room).rglob('*.py')):
-            digest.update(f'{source.relative_to(package).as_posix()}\n'.encode())
-            digest.update(hashlib.sha256(source.read_bytes()).digest())
-    return digest.hexdigest()
 
 
 def _settings() -> tuple[str, ...]:
@@ -93,8 +83,8 @@ def _places() -> Iterator[Path]:
 
 
 def cache_folder() -> Path | None:
-    """Folder of the compiled kernels of exactly these sources and settings of numba; None where
-    no folder can be written, or only one that others can write, too.
+    """Folder of the kernels that are compiled with exactly these settings of numba; None where no
+    folder can be written, or only one that others can write, too.
 
     In `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME`, else `~/.cache`, else the machine's temporary
     folder.
@@ -104,8 +94,7 @@ def cache_folder() -> Path | None:
 
 @functools.cache
 def _find_folder(settings: tuple[str, ...]) -> Path | None:
-    key = '\n'.join((_hash_sources(_PACKAGE), *settings))
-    name = hashlib.sha256(key.encode()).hexdigest()[:16]
+    name = hashlib.sha256('\n'.join(settings).encode()).hexdigest()[:16]
     refused: list[OSError] = []
     found = None
     for place in _places():
@@ -124,23 +113,43 @@ def _warn(state: str) -> None:
     warnings.warn(f'the machine code of bvh_ros is {state}', RuntimeWarning, stacklevel=2)
 
 
-def is_warm() -> bool:
-    """Whether kernels of exactly these sources have been compiled on this machine before."""
+def note(what: str) -> None:
+    """Remember, beside the machine code, that all of what this names is there."""
     folder = cache_folder()
-    return folder is not None and any(folder.glob('*.nbc'))
+    if folder is not None:
+        with contextlib.suppress(OSError):  # then it is looked for again
+            write_whole(folder / _note(what), b'')
 
 
-@functools.cache
-def _stamp(source: str) -> str:
-    return hashlib.sha256(Path(source).read_bytes()).hexdigest()
+def is_noted(what: str) -> bool:
+    """Whether all of what this names was kept before, or shipped."""
+    ready_made = shipped.find(_settings())
+    if ready_made is not None and (ready_made.folder / _note(what)).exists():
+        return True
+    folder = cache_folder()
+    return folder is not None and (folder / _note(what)).exists()
+
+
+def _note(what: str) -> str:
+    key = f'{what}\n{kernel_sources.digest_of_all()}'
+    return f'{hashlib.sha256(key.encode()).hexdigest()[:16]}.done'
+
+
+def ship() -> Path:
+    """Make what the cache folder holds ready to be read by all; return its place."""
+    folder = cache_folder()
+    if folder is None:
+        raise OSError('there is no folder to write kernels to')
+    shipped.finish(folder, _settings())
+    return folder
 
 
 class _Place(caching._CacheLocator):
     """A kernel's place in the package."""
 
     def __init__(self, function: Any, source: str) -> None:
+        self._function = function
         self._py_file = source
-        self._line = function.__code__.co_firstlineno
 
     @classmethod
     def from_function(cls, function: Any, source: str) -> '_Place':
@@ -153,11 +162,20 @@ class _Place(caching._CacheLocator):
         pass
 
     def get_source_stamp(self) -> str:
-        return _stamp(self._py_file)
+        return ''  # `_SealedFiles` asks for it when there is something to look for
+
+    def depends_on(self) -> str:
+        """Hash of the sources that this function's code depends on."""
+        source = Path(self._py_file).resolve()
+        if self._function.__closure__ is None and source.is_relative_to(kernel_sources.PACKAGE):
+            return kernel_sources.digest(source)
+        # What a closure holds, or a file elsewhere imports, may be anything.
+        beside = hashlib.sha256(source.read_bytes()).hexdigest()
+        return f'{beside} {kernel_sources.digest_of_all()}'
 
     def get_disambiguator(self) -> str:
-        room = Path(self._py_file).resolve().parent.relative_to(_PACKAGE)
-        return '-'.join((*room.parts, str(self._line)))
+        room = Path(self._py_file).resolve().parent.relative_to(kernel_sources.PACKAGE)
+        return '-'.join((*room.parts, str(self._function.__code__.co_firstlineno)))
 
 
 class _Kept(caching.CompileResultCacheImpl):
@@ -172,18 +190,34 @@ class _SealedFiles:
 
     _said = False
 
-    def __init__(self, name: str, stamp: str) -> None:
+    def __init__(self, name: str, locator: _Place) -> None:
         self._name = name
-        self._stamp = stamp
+        self._locator = locator
+
+    @functools.cached_property
+    def _stamp(self) -> str:
+        """Of the sources; most kernels are only called by others, and never asked for it."""
+        return self._locator.depends_on()
 
     def load(self, key: Any) -> Any:
-        """Return what is kept under this key; None if that is nothing, or no longer whole."""
+        """Return what is kept or shipped under this key; None if that is nothing, or no longer
+        whole.
+        """
+        ready_made = shipped.find(_settings())
+        if ready_made is not None:
+            signature, _, hashes = key
+            name = self.name_of((signature, ready_made.codegen, hashes))
+            content = self._read(ready_made.folder / name, or_of_root=True)
+            if content is not None:
+                return pickle.loads(content)
         path = self._path(key)
+        content = None if path is None else self._read(path)
+        return None if content is None else pickle.loads(content)
+
+    def _read(self, path: Path, *, or_of_root: bool = False) -> bytes | None:
         try:
-            if path is None:
-                return None
             with path.open('rb') as file:
-                if not is_ours_alone(os.fstat(file.fileno())):
+                if not is_ours_alone(os.fstat(file.fileno()), or_of_root=or_of_root):
                     return None
                 seal, content = file.read(_SEAL), file.read()
         except OSError:
@@ -191,7 +225,7 @@ class _SealedFiles:
         if seal != self._seal(path, content):
             return None
         caching._cache_log('[cache] data loaded from %r', str(path))
-        return pickle.loads(content)
+        return content
 
     def save(self, key: Any, data: Any) -> None:
         """Keep data under this key. Where that fails, it is this process's only: said once."""
@@ -210,10 +244,11 @@ class _SealedFiles:
 
     def _path(self, key: Any) -> Path | None:
         folder = cache_folder()
-        if folder is None:
-            return None
+        return None if folder is None else folder / self.name_of(key)
+
+    def name_of(self, key: Any) -> str:
         signature = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
-        return folder / f'{self._name}.{signature[:32]}.nbc'
+        return f'{self._name}.{signature[:32]}.nbc'
 
     @staticmethod
     def _seal(path: Path, content: bytes) -> bytes:
@@ -224,22 +259,36 @@ class _SealedFiles:
 
 
 class KernelCache(caching.FunctionCache):
-    """A kernel's machine code on disk."""
+    """A kernel's machine code on disk, which one process compiles while others wait for it."""
 
     _impl_class = _Kept
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _SealedFiles(self._impl.filename_base, stamp)
-
-    @property
-    def cache_path(self) -> str:
-        return str(cache_folder())
+        self._cache_file = _SealedFiles(self._impl.filename_base, self._impl.locator)
+        self._lock = EntryLock()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what is kept. Else who calls has to compile it, to save it and to call `release`;
+        until then other processes that want it wait.
+        """
+        found = self._load(sig, target_context)
+        if found is not None or (folder := cache_folder()) is None:
+            return found
+        key = self._index_key(sig, target_context.codegen())
+        if self._lock.acquire(folder, self._cache_file.name_of(key)):
+            found = self._load(sig, target_context)  # compiled while we waited
+        return found
+
+    def release(self) -> None:
+        """Let others compile what was not there."""
+        self._lock.release()
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
+        # numba would also import all that it compiles with. What is compiled needs but this.
+        rtsys.initialize(target_context)
         try:
-            return super().load_overload(sig, target_context)
+            return self._load_overload(sig, target_context)
         except Exception:
             # Whole, but not for this Python, numpy or llvmlite. That may raise anything.
             return None

@@ -12,10 +12,26 @@ of a cold start, and leaves the machine code as fast as it was.
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, DefaultPassBuilder
+from numba.core.compiler import Compiler, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
+
+
+def _same_hash(_flags: Flags) -> int:
+    return _ANY_FLAGS
+
+
+def _are_equal(some: Flags, other: object) -> bool:
+    return some is other or (isinstance(other, Flags) and some._values == other._values)
+
+
+# For every operator in a kernel numba looks up dozens of implementations by the flags it compiles
+# with, and for each compares all flags by name. What is set is enough: flags that differ only in
+# that one says what is so anyway count as different, and such an implementation is made twice.
+_ANY_FLAGS = hash(Flags())  # by the names of flags, so that of all
+Flags.__hash__ = _same_hash
+Flags.__eq__ = _are_equal
 
 
 class _Code(JITCodeLibrary):
@@ -79,6 +95,12 @@ class Kernel(CPUDispatcher):
     def __init__(self, function: Any, options: dict[str, Any]) -> None:
         super().__init__(function, targetoptions=options)
         self._part = _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
+
+    def compile(self, sig: Any) -> Any:
+        try:
+            return super().compile(sig)
+        finally:
+            self._cache.release()
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return self._part.get_call_template(args, kws)

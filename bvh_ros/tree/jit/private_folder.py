@@ -17,11 +17,14 @@ class UnsafeError(PermissionError):
     """Others could have written here."""
 
 
-def is_ours_alone(status: os.stat_result) -> bool:
-    """Whether a file or folder is this user's, and nobody else may write it."""
+def is_ours_alone(status: os.stat_result, *, or_of_root: bool = False) -> bool:
+    """Whether a file or folder is this user's, and nobody else may write it. What is root's may
+    do, too, if that is said: root needs no such file to run what it likes.
+    """
     if os.name == 'nt':
         return True  # knows no such modes
-    return status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    owners = (os.geteuid(), 0) if or_of_root else (os.geteuid(),)
+    return status.st_uid in owners and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def open_private(ours: Path, name: str) -> Path:
@@ -42,16 +45,17 @@ def open_private(ours: Path, name: str) -> Path:
     folder = ours / name
     for part in ours, folder:
         part.mkdir(mode=0o700, exist_ok=True)
-        _check(part)
+        check(part)
     with tempfile.TemporaryFile(dir=folder):
         return folder
 
 
-def _check(folder: Path) -> None:
+def check(folder: Path, *, or_of_root: bool = False) -> None:
+    """Raise UnsafeError if a folder is a link, another user's, or can be written by others."""
     status = folder.lstat()
     if stat.S_ISLNK(status.st_mode):
         raise UnsafeError(f'{folder} is a link')
-    if not is_ours_alone(status):
+    if not is_ours_alone(status, or_of_root=or_of_root):
         raise UnsafeError(
             f'{folder} has mode {stat.S_IMODE(status.st_mode):o} and belongs to user'
             f' {status.st_uid}; only user {os.geteuid()} may write there'

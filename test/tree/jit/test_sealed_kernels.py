@@ -10,13 +10,11 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core import config
 
-import bvh_ros
 from bvh_ros.tree import checks
 from bvh_ros.tree.jit import compiling, kernel_cache, private_folder
 
@@ -42,35 +40,6 @@ def misses(function=checks._first_not_finite.py_func):
 
 def kept_files(cache):
     return sorted(cache.rglob('*.nbc'))
-
-
-def test_an_edit_in_any_room_is_another_folder(tmp_path):
-    """At any depth: in each file, by a new one, and by one that moves."""
-    package = tmp_path / 'bvh_ros'
-    shutil.copytree(Path(bvh_ros.__file__).parent, package)
-    for room in kernel_cache._ROOMS:
-        (package / room / 'inner' / 'room').mkdir(parents=True)
-        (package / room / 'inner' / 'room' / 'part.py').write_text('LIMIT = 1\n')
-    seen = {kernel_cache._hash_sources(package)}
-    sources = [file for room in kernel_cache._ROOMS for file in (package / room).rglob('*.py')]
-    for steps, source in enumerate(sources):
-        source.write_text(source.read_text() + '\n')
-        seen.add(kernel_cache._hash_sources(package))
-        assert len(seen) == steps + 2, source
-    (package / 'tree' / 'inner' / 'room' / 'part.py').rename(package / 'tree' / 'part.py')
-    assert kernel_cache._hash_sources(package) not in seen
-
-
-def test_kernels_that_call_kernels_of_other_files_are_in_these_rooms():
-    package = Path(bvh_ros.__file__).parent
-    makers = {
-        path.relative_to(package)
-        for path in package.rglob('*.py')
-        if 'compiling import' in path.read_text()
-    }
-    outside = {p for p in makers if not any(p.is_relative_to(r) for r in kernel_cache._ROOMS)}
-    # Each of these counts by its own file's hash.
-    assert {path.parent.as_posix() for path in outside} <= {'report/speed'}
 
 
 @pytest.mark.parametrize(
@@ -204,7 +173,7 @@ def test_on_a_full_disk_kernels_are_compiled_in_memory_with_one_warning(tmp_path
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr.count('RuntimeWarning') == 1, ended.stderr
     assert 'not kept: [Errno 27]' in ended.stderr
-    assert not [path for path in tmp_path.rglob('*') if path.is_file()]
+    assert not [path for path in tmp_path.rglob('*') if path.is_file() and path.stat().st_size]
     assert run_alone(NO_SPACE, '-1', NUMBA_CACHE_DIR=str(tmp_path)).stderr == ''
 
 

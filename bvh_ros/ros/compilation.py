@@ -1,0 +1,111 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling what a configuration needs, in several processes, and how far that has come."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from bvh_ros.ros.warm_up import Job
+from bvh_ros.tree.jit import kernel_cache
+from bvh_ros.tree.jit.workers import Workers
+
+NEARLY = 0.95  # of a job, however long it runs
+
+
+class Compilation:
+    """Runs jobs, first where they are compiled, then here, where what was compiled is loaded.
+
+    Where all of it has been compiled before, or cannot be kept, it is run here only.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+        Those that the first answers wait for come first.
+    count : int, optional
+        Of processes; by default one a processor.
+    """
+
+    def __init__(self, jobs: Sequence[Job], count: int = 0) -> None:
+        self._began = time.monotonic()
+        self._since: dict[int, float] = {}  # when the jobs that run began
+        self._left = {*range(len(jobs))}
+        self._jobs = jobs
+        missing = [n for n in self._left if not kernel_cache.is_noted(jobs[n].key)]
+        self.seconds = sum(jobs[n].seconds for n in missing)  # about, on one processor
+        self._missing = sorted(missing)
+        self._workers: Workers | None = None
+        if missing and kernel_cache.cache_folder() is not None:
+            self._workers = Workers([jobs[n].run for n in self._missing], count)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether every kernel is here."""
+        return not self._left
+
+    @property
+    def has_begun_to_answer(self) -> bool:
+        """Whether what the first answers need is here."""
+        return not any(self._jobs[n].early for n in self._left)
+
+    def go_on(self, timeout: float = 0.0) -> None:
+        """Load what has been compiled since; wait for something at most so many seconds."""
+        if self._workers is None:
+            self._run(min(self._left))
+            return
+        for number in sorted(self._left - {*self._missing}):
+            self._run(number)
+        for index, _reason in self._workers.ended(timeout):
+            self._run(self._missing[index])  # compiles what failed there, or raises why
+        now = time.monotonic()
+        self._since = {n: self._since.get(n, now) for n in self._running()}
+
+    def end(self) -> None:
+        """Leave the rest."""
+        if self._workers is not None:
+            self._workers.end()
+
+    def percent(self) -> int:
+        """How far it has come."""
+        done = self.seconds - sum(self._remaining().values())
+        return int(100.0 * done / self.seconds) if self.seconds else 100
+
+    def time_left(self) -> float:
+        """About how many seconds are left, by the pace up to now."""
+        remaining = self._remaining()
+        if not remaining:
+            return 0.0
+        count = self._workers.count if self._workers else 1
+        left = max(sum(remaining.values()) / count, *remaining.values())
+        done = (self.seconds - sum(remaining.values())) / count
+        spent = time.monotonic() - self._began
+        return left * (spent / done if done > 1.0 else 1.0)
+
+    def in_words(self) -> str:
+        """Say all of this in a line."""
+        left = self.time_left()
+        return f'compiling: {self.percent()} %, about {left:.0f} s left ({self.current()})'
+
+    def current(self) -> str:
+        """What is being compiled."""
+        return ', '.join(self._jobs[n].name for n in self._running())
+
+    def _running(self) -> list[int]:
+        if self._workers is None:
+            return sorted(self._left)[:1]
+        return [self._missing[index] for index in self._workers.running]
+
+    def _remaining(self) -> dict[int, float]:
+        """About how many seconds each job still takes, alone."""
+        now, remaining = time.monotonic(), {}
+        for number in self._left & {*self._missing}:
+            seconds = self._jobs[number].seconds
+            spent = now - self._since.get(number, now)
+            remaining[number] = seconds - min(spent, NEARLY * seconds)
+        return remaining
+
+    def _run(self, number: int) -> None:
+        self._jobs[number].run()
+        kernel_cache.note(self._jobs[number].key)
+        self._left.discard(number)

@@ -1,0 +1,71 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling what the first answers need, then the rest beside the node, which serves by then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from bvh_ros.ros.compilation import Compilation
+from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.progress import Progress
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.world.world import World
+
+LOOK = 0.2  # seconds between two looks at the progress
+
+
+class Readiness(Part):
+    """Sees to it that kernels are there; until all are, the world says how far they have come.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    world : World
+        Told while not every question can be answered.
+    compilation : Compilation
+    done : callable
+        Called once the world is ready, if that is later than the first answers.
+    """
+
+    def __init__(
+        self, node: Node, world: World, compilation: Compilation, done: Callable[[], object]
+    ) -> None:
+        super().__init__(node)
+        self._world = world
+        self._compilation = compilation
+        self._done = done
+        self._progress = Progress(node.get_logger().info)
+        self._close.append(compilation.end)
+
+    def begin(self, *, wholly: bool) -> None:
+        """Wait until the first answers can be given, or all; else the rest comes while the node
+        spins.
+        """
+        compilation = self._compilation
+        wholly = wholly or not compilation.seconds  # loading takes less than a second
+        self._progress.begin(compilation)
+        while not (compilation.is_done or (compilation.has_begun_to_answer and not wholly)):
+            compilation.go_on(LOOK)
+            self._progress.show(compilation)
+        if compilation.is_done:
+            self._progress.end(compilation)
+        else:
+            self._world.compiling = compilation.in_words()
+            self.every(LOOK, self._look)
+
+    def _look(self) -> None:
+        compilation = self._compilation
+        compilation.go_on()
+        if not compilation.is_done:
+            self._world.compiling = compilation.in_words()
+            self._progress.show(compilation)
+            return
+        self._world.compiling = ''
+        self._progress.end(compilation)
+        self._done()
+        self.destroy()

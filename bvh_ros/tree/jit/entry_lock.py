@@ -1,0 +1,57 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of processes that want the same machine code, one compiles, and the others wait for it."""
+
+import hashlib
+import os
+import sys
+import time
+from pathlib import Path
+
+if sys.platform != 'win32':
+    import fcntl
+
+NAME = 'lock'
+POLL = 0.02  # seconds between two looks
+PATIENCE = 120.0  # seconds; who holds a lock for longer has been stopped
+
+
+class EntryLock:
+    """A byte of the folder's lock file. It is free as soon as its holder ends, however that ends.
+
+    A process holds at most one at a time, as numba compiles one function at a time.
+    """
+
+    def __init__(self) -> None:
+        self._file = -1
+
+    def acquire(self, folder: Path, what: str) -> bool:
+        """Wait until nobody else compiles this; return whether there was somebody.
+
+        Where files cannot be locked, everybody compiles.
+        """
+        if sys.platform == 'win32':
+            return False
+        self.release()
+        place = int.from_bytes(hashlib.sha256(what.encode()).digest()[:7], 'big')
+        began = time.monotonic()
+        waited = False
+        try:
+            self._file = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            while True:
+                try:
+                    fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                    return waited
+                except BlockingIOError:
+                    waited = True
+                if time.monotonic() - began > PATIENCE:
+                    return True
+                time.sleep(POLL)
+        except OSError:
+            return waited
+
+    def release(self) -> None:
+        """Let the others go on."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1

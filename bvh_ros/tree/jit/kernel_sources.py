@@ -1,0 +1,94 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which sources a kernel's machine code depends on.
+
+A kernel reads globals of its module, and what it calls becomes part of it. A global is defined in
+its module or imported there. So the code depends on the kernel's own file and on all files of this
+package that this one imports, that those import, and so on: by any import statement, wherever it
+stands. The `__init__` of a package counts where a name comes from it; that those on the way to a
+module run, too, changes no global of it.
+"""
+
+import functools
+import hashlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+PACKAGE = Path(__file__).resolve().parents[2]
+
+# Import statements, as this package writes them. Parsing all files would take a quarter of a
+# second at every start; a test sees to it that nothing is overlooked.
+_FROM = re.compile(
+    r'^[ \t]*from[ \t]+(?P<dots>\.*)(?P<module>[\w.]*)[ \t]+import[ \t]+'
+    r'(?:\((?P<several>[^)]*)\)|(?P<names>[^\n]*))',
+    re.MULTILINE,
+)
+_IMPORT = re.compile(r'^[ \t]*import[ \t]+(?P<names>[^\n]*)', re.MULTILINE)
+_NAME = re.compile(r'[\w.]+')  # also of what follows `as` and of comments: these are no files
+
+
+def digest(source: Path) -> str:
+    """Hash of a file of this package and of all that it imports from it."""
+    return _digest(frozenset(depends_on(source)))
+
+
+@functools.cache
+def digest_of_all() -> str:
+    """Hash of every file of this package."""
+    return _digest(frozenset(PACKAGE.rglob('*.py')))
+
+
+def depends_on(source: Path) -> set[Path]:
+    """Return the file and those of its package that it imports, at any depth."""
+    found, todo = {source}, [source]
+    while todo:
+        new = _imported(todo.pop()) - found
+        found |= new
+        todo += new
+    return found
+
+
+@functools.cache
+def _digest(sources: frozenset[Path]) -> str:
+    total = hashlib.sha256()
+    for source in sorted(sources):
+        total.update(f'{source.relative_to(PACKAGE).as_posix()}\n'.encode())
+        total.update(hashlib.sha256(source.read_bytes()).digest())
+    return total.hexdigest()
+
+
+@functools.cache
+def _imported(source: Path) -> frozenset[Path]:
+    """The files of this package that the import statements of one file name."""
+    found: set[Path] = set()
+    text = source.read_text(encoding='utf-8')
+    for match in _FROM.finditer(text):
+        dots, module = match['dots'], match['module'].split('.') if match['module'] else []
+        for name in _NAME.findall(match['several'] or match['names']):
+            found.update(_named(source, len(dots), [*module, name]))
+    for match in _IMPORT.finditer(text):
+        for name in _NAME.findall(match['names']):
+            found.update(_named(source, 0, name.split('.')))
+    return frozenset(found)
+
+
+def _named(source: Path, level: int, words: list[str]) -> Iterator[Path]:
+    """The file that a name comes from, if it is of this package."""
+    if level:
+        return _files(source.parents[level - 1], words)
+    return _files(PACKAGE, words[1:]) if words[0] == PACKAGE.name else iter(())
+
+
+def _files(folder: Path, words: list[str]) -> Iterator[Path]:
+    """The file that a name along these words comes from: a module, or the package it is in."""
+    for count, word in enumerate(words, 1):
+        if (folder / f'{word}.py').is_file():
+            yield folder / f'{word}.py'
+            return  # what follows is a name in it
+        if not (folder / word).is_dir():
+            yield folder / '__init__.py'
+            return
+        folder = folder / word
+        if count == len(words):
+            yield folder / '__init__.py'

@@ -1,0 +1,140 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Machine code that was compiled before, say for an image, and is read but never written.
+
+`bvh_warm_up FOLDER` makes it. It is looked for in `$BVH_ROS_KERNELS` (empty: nowhere), else in the
+folder `kernels` of the installed package, and holds for each processor that it was compiled for a
+folder with a manifest. What fits this processor, numba, Python and these sources is used.
+Otherwise one line says why not, and kernels are compiled.
+"""
+
+import functools
+import json
+import os
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import llvmlite.binding as llvm
+from numba.core.registry import cpu_target
+
+from . import kernel_sources
+from .private_folder import UnsafeError, check
+
+VARIABLE = 'BVH_ROS_KERNELS'
+IN_PACKAGE = kernel_sources.PACKAGE / 'kernels'
+MANIFEST = 'kernels.json'
+# What a processor of each level has, as LLVM names it (x86-64 psABI, "microarchitecture levels").
+_V2 = ('cx16', 'popcnt', 'sahf', 'sse3', 'sse4.1', 'sse4.2', 'ssse3')
+_V3 = (*_V2, 'avx', 'avx2', 'bmi', 'bmi2', 'f16c', 'fma', 'lzcnt', 'movbe')
+_V4 = (*_V3, 'avx512f', 'avx512bw', 'avx512cd', 'avx512dq', 'avx512vl')
+LEVELS = {'x86-64-v2': _V2, 'x86-64-v3': _V3, 'x86-64-v4': _V4}
+_OF_THE_PROCESSOR = 'CPU_NAME=', 'CPU_FEATURES=', 'ENABLE_AVX='  # compared by what it can do
+
+Codegen = tuple[str, str, str]  # triple, processor and features, as numba names machine code by
+
+
+class Shipped(NamedTuple):
+    """A folder of machine code that fits."""
+
+    folder: Path
+    codegen: Codegen
+
+
+def missing_features(wanted: Sequence[str]) -> list[str]:
+    """Return what this processor has not got."""
+    here = llvm.get_host_cpu_features()
+    return [feature for feature in wanted if not here.get(feature, False)]
+
+
+def finish(folder: Path, settings: Sequence[str]) -> None:
+    """Write the manifest of a folder that was compiled with these settings, and let all read it,
+    as who made it can alone write there.
+    """
+    codegen = cpu_target.target_context.codegen().magic_tuple()
+    named = LEVELS.get(codegen[1])
+    features = [word[1:] for word in codegen[2].split(',') if word.startswith('+')]
+    content = {
+        **_here(settings),
+        'codegen': codegen,
+        'features': sorted(features if named is None else named),
+    }
+    (folder / MANIFEST).write_text(json.dumps(content, indent=1) + '\n')
+    for path in (folder.parent, folder):
+        path.chmod(0o755)
+    for path in folder.iterdir():
+        path.chmod(0o644)
+
+
+@functools.cache
+def find(settings: tuple[str, ...]) -> Shipped | None:
+    """Return the folder that fits these settings and this machine, of several the one that asks
+    most of the processor.
+    """
+    fitting: list[tuple[int, Shipped]] = []
+    reasons: list[str] = []
+    place = _place()
+    if place is None:
+        return None
+    for folder in _folders(place):
+        try:
+            check(folder.parent, or_of_root=True)
+            check(folder, or_of_root=True)
+            content = json.loads((folder / MANIFEST).read_text())
+            reason = _misfit(content, settings)
+            if not reason:
+                triple, processor, features = content['codegen']
+                found = Shipped(folder, (triple, processor, features))
+                fitting.append((len(content['features']), found))
+        except UnsafeError as error:
+            reason = str(error)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            reason = f'{folder / MANIFEST} cannot be read'
+        reasons.append(reason)
+    if fitting:
+        return max(fitting)[1]
+    if reasons or os.environ.get(VARIABLE):
+        why = '; '.join(reasons) or 'there are none'
+        warnings.warn(
+            f'the kernels in {place} are not used, others are compiled: {why}',
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return None
+
+
+def _place() -> Path | None:
+    named = os.environ.get(VARIABLE)
+    if named is None:
+        return IN_PACKAGE
+    return Path(named).absolute() if named else None
+
+
+def _folders(place: Path) -> Iterator[Path]:
+    try:
+        yield from sorted(path.parent for path in (place / 'bvh_ros').glob(f'*/{MANIFEST}'))
+    except OSError:
+        return
+
+
+def _here(settings: Sequence[str]) -> dict[str, Any]:
+    """What has to be the same where kernels are compiled and where they run."""
+    return {
+        'Python': f'{sys.implementation.cache_tag}{sys.abiflags}',
+        'sources': kernel_sources.digest_of_all(),
+        'numba, llvmlite and their settings': [
+            setting for setting in settings if not setting.startswith(_OF_THE_PROCESSOR)
+        ],
+    }
+
+
+def _misfit(content: dict[str, Any], settings: Sequence[str]) -> str:
+    """Say what differs, or nothing."""
+    for what, here in _here(settings).items():
+        if content[what] != here:
+            return f'they were compiled with other {what}'
+    if missing := missing_features(content['features']):
+        return f'this processor has no {", ".join(missing)}'
+    return ''

@@ -1,0 +1,121 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compiling in several processes: numba compiles one function at a time in each."""
+
+import contextlib
+import os
+import selectors
+import subprocess
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+
+from .worker import packed
+
+MOST = 4  # processes, of some 300 MB: the longest call takes as long as a third of all
+START = 'import sys; sys.path[:] = {}; from bvh_ros.tree.jit.worker import main; main()'
+
+
+def processors() -> int:
+    """How many this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class Workers:
+    """Processes that run calls, so that what these compile is in the cache for everybody.
+
+    They end when they have nothing more to do, and as soon as this process ends, however it does.
+
+    Parameters
+    ----------
+    calls : sequence of callables
+        Begun in this order. They are pickled.
+    count : int, optional
+        Of processes; by default one a processor, at most `MOST`.
+    """
+
+    def __init__(self, calls: Sequence[Callable[[], object]], count: int = 0) -> None:
+        self._todo = deque(enumerate(calls))
+        self._busy: dict[subprocess.Popen[bytes], int] = {}
+        self._lost: list[tuple[int, str]] = []
+        self._selector = selectors.DefaultSelector()
+        self.count = min(count or min(processors(), MOST), len(calls))
+        for _ in range(self.count):
+            self._begin_next(self._start())
+
+    @property
+    def running(self) -> Sequence[int]:
+        """The numbers of the calls that run now."""
+        return tuple(self._busy.values())
+
+    @property
+    def are_done(self) -> bool:
+        """Whether every call has ended, and has been told of."""
+        return not (self._busy or self._todo or self._lost)
+
+    def ended(self, timeout: float) -> Iterator[tuple[int, str]]:
+        """Tell which calls have ended, and why those failed that did; wait for the first one, at
+        most so many seconds.
+        """
+        while self._lost:
+            yield self._lost.pop()
+        for key, _ in self._selector.select(timeout):
+            process = key.data
+            line = process.stdout.readline()
+            number = self._busy.pop(process)
+            if line:
+                self._begin_next(process)
+            else:
+                self._end(process)
+                self._lost += [(left, 'no worker is left') for left, _ in self._left_over()]
+            yield number, line.decode().strip() if line else 'its worker ended'
+
+    def end(self) -> None:
+        """End all processes at once."""
+        self._todo.clear()
+        for process in [*self._busy]:
+            process.kill()
+            self._end(process)
+        self._busy.clear()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            [sys.executable, '-c', START.format(repr(sys.path))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self._selector.register(process.stdout, selectors.EVENT_READ, process)  # type: ignore[arg-type]
+        return process
+
+    def _begin_next(self, process: subprocess.Popen[bytes]) -> None:
+        """Send the next call that can be sent; without one the worker may end."""
+        while self._todo:
+            number, call = self._todo.popleft()
+            try:
+                line = packed(call)
+            except Exception as error:  # whatever an object that will not be pickled raises
+                self._lost.append((number, repr(error)))
+                continue
+            self._busy[process] = number
+            with contextlib.suppress(OSError):  # it has ended: seen when it should answer
+                assert process.stdin is not None
+                process.stdin.write(line)
+                process.stdin.flush()
+            return
+        self._end(process)
+
+    def _left_over(self) -> Iterator[tuple[int, Callable[[], object]]]:
+        """What nobody will begin any more."""
+        while self._todo and not self._busy:
+            yield self._todo.popleft()
+
+    def _end(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        self._selector.unregister(process.stdout)
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+        process.stdout.close()
+        process.wait()

@@ -1,0 +1,149 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calls are run in processes of their own, all of them, and nothing is left behind."""
+
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from bvh_ros.tree.jit.entry_lock import EntryLock
+from bvh_ros.tree.jit.workers import Workers
+
+PATIENCE = 60.0  # seconds
+
+
+def results(workers):
+    found, deadline = {}, time.monotonic() + PATIENCE
+    while not workers.are_done:
+        found.update(workers.ended(1.0))
+        assert time.monotonic() < deadline
+    return found
+
+
+def is_running(pid):
+    """Whether a process is there, and is no mere name of one that has ended."""
+    with contextlib.suppress(OSError):
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    return False
+
+
+def until(condition):
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize('count', [1, 2])
+def test_every_call_is_run_or_told_why_not(tmp_path, count):
+    paths = [tmp_path / str(number) for number in range(5)]
+    calls = [partial(os.mkdir, path) for path in paths]
+    calls += [partial(os.mkdir, tmp_path), lambda: None, partial(os._exit, 3)]
+    found = results(Workers(calls, count))
+    assert sorted(found) == [*range(8)]
+    assert [found[number] for number in range(5)] == [''] * 5
+    assert all(path.is_dir() for path in paths)
+    assert found[5].startswith('FileExistsError')
+    assert 'lambda' in found[6]
+    assert found[7] == 'its worker ended'
+
+
+def test_where_every_worker_ends_the_rest_is_told():
+    found = results(Workers([partial(os._exit, 1), partial(os.getpid)], 1))
+    assert found == {0: 'its worker ended', 1: 'no worker is left'}
+
+
+BUSY = """
+import os, pathlib
+pathlib.Path({!r}).write_text(str(os.getpid()))
+while True:
+    pass
+"""
+
+
+def busy(folder, number):
+    """A call that never ends, and first writes down who runs it."""
+    return partial(exec, BUSY.format(str(folder / str(number))), {})
+
+
+def pids_in(folder):
+    return [int(text) for path in folder.iterdir() if (text := path.read_text())]
+
+
+def test_ending_ends_all_at_once(tmp_path):
+    workers = Workers([busy(tmp_path, number) for number in range(3)], 2)
+    until(lambda: len(pids_in(tmp_path)) == 2)
+    began = time.monotonic()
+    workers.end()
+    assert time.monotonic() - began < 1.0
+    assert workers.are_done
+    assert not any(map(is_running, pids_in(tmp_path)))
+
+
+PARENT = """
+import pickle, sys, time
+from bvh_ros.tree.jit.workers import Workers
+
+workers = Workers(pickle.load(sys.stdin.buffer), 2)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_worker_outlives_who_started_it(tmp_path, how):
+    command = [sys.executable, '-c', PARENT]
+    parent = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    with parent.stdin as given:
+        given.write(pickle.dumps([busy(tmp_path, number) for number in range(2)]))
+    until(lambda: len(pids_in(tmp_path)) == 2)
+    pids = pids_in(tmp_path)
+    assert all(map(is_running, pids))
+    parent.send_signal(how)
+    parent.wait(PATIENCE)
+    began = time.monotonic()
+    until(lambda: not any(map(is_running, pids)))
+    assert time.monotonic() - began < 5.0
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from bvh_ros.tree.jit.entry_lock import EntryLock
+
+lock = EntryLock()
+print('here', flush=True)
+print(lock.acquire(Path(sys.argv[1]), 'this'), flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(sys.platform == 'win32', reason='no locks')
+def test_who_wants_the_same_waits_until_its_holder_has_ended(tmp_path):
+    def start():
+        command = [sys.executable, '-c', HOLD, str(tmp_path)]
+        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    processes = [start()]
+    try:
+        assert [processes[0].stdout.readline() for _ in range(2)] == ['here\n', 'False\n']
+        mine = EntryLock()
+        assert not mine.acquire(tmp_path, 'that')
+        mine.release()
+        processes.append(start())
+        assert processes[1].stdout.readline() == 'here\n'
+        time.sleep(0.2)  # it should be waiting by now; if not, what follows holds all the same
+        processes[0].kill()
+        assert processes[1].stdout.readline() == 'True\n'
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+            process.stdout.close()
