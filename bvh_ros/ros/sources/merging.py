@@ -56,9 +56,9 @@ class Merger:
         sent : int
             When its publisher sent it, ns: together with the number, whose it is.
         others_hear : bool
-            Whether it may come by another subscription, too.
+            Whether it may come by another subscription, too, or has come by one.
         better_hear : bool
-            Whether it may come by one that asks for more.
+            Whether it is likely to come by one that asks for more.
         """
         if not others_hear:
             self._deliver(told)

@@ -222,12 +222,12 @@ class FollowingSubscription:
         told = Told(message, info['publication_sequence_number'], _is_kept(kind))
         counts = self._counts()
         place = KINDS.index(kind) if kind in KINDS else 0
-        better = any(counts.get(other) for other in KINDS[:place])
         self._merger.take(
             told,
             info['source_timestamp'],
-            others_hear=better or any(other in counts for other in KINDS[place + 1 :]),
-            better_hear=better,
+            # Whoever is counted: a publisher may be gone while what it said still waits.
+            others_hear=len(counts) > 1,
+            better_hear=any(counts.get(other) for other in KINDS[:place]),
         )
         if self._merger.is_holding and self._holding.is_canceled():
             self._holding.reset()

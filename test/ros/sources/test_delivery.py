@@ -12,7 +12,9 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from nav_msgs.srv import GetPlan
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
@@ -20,6 +22,7 @@ from bvh_ros.ros.qos import DEPTH, REQUESTS
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 
 DEEP = QoSProfile(depth=DEPTH)
+LATCHED_DEEP = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 BURST = 1000
@@ -57,6 +60,37 @@ def test_a_burst_of_changes(world, messages, publish):
     status = world.status('source markers')
     assert (status.level, status.values['messages lost']) == (OK, '0')
     assert world.trigger('clear').success
+
+
+def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
+    """Kept messages come by two subscriptions; nobody is counted when they are taken."""
+    node, executor = ros
+    heard, topic = [], f'gone_{os.getpid()}'
+    subscription = FollowingSubscription(
+        node, MarkerArray, topic, heard.append, latched=True, raw=True
+    )
+    sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
+    for first in (0, 100, 200):
+        publisher = node.create_publisher(MarkerArray, topic, LATCHED_DEEP)
+        ends = time.monotonic() + PATIENCE
+        while publisher.get_subscription_count() < 2:
+            assert time.monotonic() < ends
+            executor.spin_once(0.01)
+        for message in sent[first : first + 100]:
+            publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+        node.destroy_publisher(publisher)
+        while subscription.publishers():
+            assert time.monotonic() < ends
+            time.sleep(0.01)
+    calm = time.monotonic()
+    while time.monotonic() < calm + 0.5:
+        before = len(heard)
+        executor.spin_once(0.05)
+        calm = time.monotonic() if len(heard) > before else calm
+    assert heard == sent
+    assert subscription.losses.count == 0
+    subscription.destroy()
 
 
 def test_a_burst_costs_few_rounds_of_the_executor(ros):
