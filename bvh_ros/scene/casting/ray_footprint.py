@@ -23,7 +23,7 @@ from .ray_shapes import ROUND, enter_rounded_box, length
 @lean_kernel
 def to_centre(footprint, lo, hi, ray, radius, local):
     """Fill `local` with origin and unit direction as seen from the centre; return the `Frame`."""
-    largest, size = 0.0, max(radius, footprint.radius if footprint.shaped else 0.0)
+    largest, size = 0.0, max(radius, footprint.largest if footprint.shaped else 0.0)
     for axis in range(2):
         largest = max(largest, abs(ray[ORIGIN, axis]), abs(lo[axis]), abs(hi[axis]))
         size = max(size, hi[axis] * 0.5 - lo[axis] * 0.5)

@@ -32,13 +32,20 @@ from .sure_gap import sure_bounds
 
 
 @lean_kernel
-def largest_length(shape, origin, planar):
-    """The largest coordinate or half size of a shape, seen from `origin`; how high it is matters
-    to nobody who looks from above.
+def half_size(shape, axis, planar):
+    """Half of a size of a shape: how high it is matters to nobody who looks from above, unless it
+    leans. So say `footprint.footprints`, too.
     """
+    upright = shape.orientation[0] == 0.0 and shape.orientation[1] == 0.0
+    return 0.0 if planar and upright and axis == 2 else shape.half[axis]
+
+
+@lean_kernel
+def largest_length(shape, origin, planar):
+    """The largest coordinate or half size of a shape, seen from `origin`."""
     largest = 0.0
     for axis in range(3):
-        largest = max(largest, shape.half[axis])
+        largest = max(largest, half_size(shape, axis, planar))
         if axis < 2 or not planar:
             largest = max(largest, abs(shape.position[axis] - origin[axis]))
     return largest
@@ -66,7 +73,8 @@ def fill_core(shape, origin, exponent, planar, core):
     is round, radius by which it is grown).
     """
     for axis in range(3):
-        core[HALF, axis] = math.ldexp(1.0 if shape.kind == MESH else shape.half[axis], -exponent)
+        half = 1.0 if shape.kind == MESH else half_size(shape, axis, planar)
+        core[HALF, axis] = math.ldexp(half, -exponent)
         core[CENTRE, axis] = math.ldexp(shape.position[axis] - origin[axis], -exponent)
         for row in range(3):
             core[AXES + axis, row] = 1.0 if axis == row else 0.0

@@ -23,6 +23,7 @@ from .plane_search import MOST_TRIALS, widest_gap
 from .sure_simplex import closest
 
 SURE_STEPS = 300  # a hundred are many
+IDLE_STEPS = 10  # without a better bound: beside a round rim that is all that doubles tell
 POOL = MOST_TRIALS + SURE_STEPS
 POOL_NUMBERS = 6 * POOL
 
@@ -56,8 +57,8 @@ def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, mea
         if low > enough:
             return low, high, True
     cores = one, round_one, hull, other, round_other, other_hull
-    below, above = walk(cores, limit, enough, high, way, pool, pooled)
-    return max(low, below), min(high, above), True
+    below, above = walk(cores, limit, enough, low, high, way, pool, pooled)
+    return below, min(high, above), True
 
 
 @lean_kernel
@@ -67,9 +68,10 @@ def certain(low, high, limit, measured):
 
 
 @lean_kernel
-def walk(cores, limit, enough, best, way, pool, pooled):
+def walk(cores, limit, enough, low, best, way, pool, pooled):
     """`gjk.gap_bounds` with more digits, starting along `way`, until one of the bounds is above
-    `enough` or not above `limit`, or they agree. Points closer than `best` are written to `way`.
+    `enough` or not above `limit`, or they agree. `low` is known already; points closer than `best`
+    are written to `way`.
 
     No corner is forgotten: the next is the best of those in `pool`, the newest among them. So it
     ends no farther off than the closest point of all that were ever seen.
@@ -78,21 +80,22 @@ def walk(cores, limit, enough, best, way, pool, pooled):
     weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
     point = point.reshape(3, 2)
     set_ray(way, normal)
-    low, high, count = -np.inf, np.inf, 0
+    high, count, idle = np.inf, 0, 0
     for _ in range(SURE_STEPS):
         corner = pool[pooled]
         corner_of(*cores, normal, corner)
-        low = max(low, dot(normal, corner))
+        along = dot(normal, corner)
         pooled += 1
         take_lowest(pool, pooled, normal, simplex[count])
-        if low > enough or high - low <= SLACK or known(simplex, count):
+        idle = 0 if along > low else idle + 1
+        low = max(low, along)
+        if low > enough or high - low <= SLACK or known(simplex, count) or idle > IDLE_STEPS:
             break
         count += 1
         distance = math.sqrt(closest(simplex, count, weights, point))
-        if not distance < high:
-            break
-        high = distance
-        count = keep(simplex, count, weights, point, way, high < best)
+        count = keep(simplex, count, weights, point, way, distance < min(high, best))
+        if distance < high:
+            high, idle = distance, 0
         if high <= limit or high == 0.0:
             break
         set_ray(way, normal)

@@ -11,6 +11,8 @@ looked at, so that no wrong turn leads astray.
 Rows of a simplex: the corner, and the point of the first solid in it.
 """
 
+import math
+
 import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
@@ -123,33 +125,53 @@ def around_origin(simplex, trial, point):
 def closest(simplex, count, weights, point):
     """Fill in the closest point of a simplex and the weights of the corners that make it; return
     its squared distance.
+
+    Of all candidates it is the one for which the plane across its way leaves the widest gap
+    before all corners. Their distances would not tell: a way that is turned by an angle gets
+    shorter by the square of it only, while the far corners move by the angle itself.
     """
     trial = stack_array(8, np.float64).reshape(4, 2)
-    place, best = stack_array(6, np.float64).reshape(3, 2), np.inf
+    place, widest = stack_array(6, np.float64).reshape(3, 2), -np.inf
     if count == 4 and around_origin(simplex, trial, place):
-        return accept(trial, place, 0.0, np.inf, weights, point)
+        place[:] = 0.0
+        accept(simplex, count, trial, place, widest, weights, point)
+        return 0.0
     for i in range(count):
         trial[:] = 0.0
         trial[i, 0] = 1.0
         at_corner(simplex, i, place)
-        best = accept(trial, place, dot2(place, place)[0], best, weights, point)
+        widest = accept(simplex, count, trial, place, widest, weights, point)
         for j in range(i):
             if over_edge(simplex, i, j, trial):
                 at_weights(simplex, count, trial, place)
-                best = accept(trial, place, dot2(place, place)[0], best, weights, point)
+                widest = accept(simplex, count, trial, place, widest, weights, point)
             for k in range(j):
                 if over_triangle(simplex, i, j, k, trial, place):
-                    best = accept(trial, place, dot2(place, place)[0], best, weights, point)
-    return best
+                    widest = accept(simplex, count, trial, place, widest, weights, point)
+    return dot2(point, point)[0]
 
 
 @lean_kernel
-def accept(trial, place, square, best, weights, point):
-    """Take over a point that is closer than the best."""
-    if square >= best:
-        return best
+def gap_before(simplex, count, place):
+    """The gap that the plane across a way leaves before all corners; inf if there is no way."""
+    length, widest = math.sqrt(dot2(place, place)[0]), np.inf
+    if length > 0.0:
+        for i in range(count):
+            along = 0.0
+            for axis in range(3):
+                along += place[axis, 0] * simplex[i, axis]
+            widest = min(widest, along / length)
+    return widest
+
+
+@lean_kernel
+def accept(simplex, count, trial, place, widest, weights, point):
+    """Take over a point whose plane leaves a wider gap."""
+    gap = gap_before(simplex, count, place)
+    if gap <= widest:
+        return widest
     for i in range(4):
         weights[i, 0], weights[i, 1] = trial[i, 0], trial[i, 1]
     for axis in range(3):
         point[axis, 0], point[axis, 1] = place[axis, 0], place[axis, 1]
-    return square
+    return gap

@@ -29,6 +29,7 @@ FOOTPRINT = np.dtype(
         ('along', np.float64, (2,)),
         ('straight', np.float64),
         ('half_axes', np.float64, (2,)),  # of the ellipse: along, across
+        ('largest', np.float64),  # half size that has a part in the footprint
         ('oval', np.bool_),
         ('shaped', np.bool_),
         ('polygon', np.int32),  # of a mesh: 1 + its number in the store; else 0
@@ -53,6 +54,8 @@ def footprints(shapes: Shapes, shaped: NDArray[np.bool_]) -> NDArray[np.void]:
     generators = np.moveaxis(matrices[:, :2, :] * half[:, None, :], 2, 1)  # (n, 3 axes, 2)
     some = footprints[rows]
     some['centre'] = shapes.position[rows, :2]
+    upright = ~shapes.orientation[rows, :2].any(axis=1)
+    some['largest'] = np.where(upright, half[:, :2].max(axis=1), half.max(axis=1))
     sphere, cylinder = kind == ShapeKind.SPHERE, kind == ShapeKind.CYLINDER
     axis = matrices[:, :, 2]
     slope = np.hypot(axis[:, 0], axis[:, 1])

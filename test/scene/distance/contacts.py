@@ -30,6 +30,7 @@ EDGES = 'edge', 'side'
 FLAT = 'face', 'end'
 DIGITS = 50
 PARALLEL = Decimal(10) ** -12  # ways closer together than this are one
+SLIDING = 1e-3  # of the size: that far apart the ends of edges may be what is closest
 
 
 class Solid(NamedTuple):
@@ -198,12 +199,15 @@ def measured(bodies, features, positions, turns, normal):
             place + frame @ decimals(feature.point)
             for place, frame, feature in zip(places, frames, features, strict=True)
         ]
-        basis = []
+        size, basis = max(float(body.half.max()) for body in bodies), []
         for frame, feature in zip(frames, features, strict=True):
             for way in feature.free:
                 step = across(frame @ decimals(way), basis)
                 if length(step) > PARALLEL:
                     basis.append(step / length(step))
+                    moved = (ends[1] - ends[0]) @ basis[-1] / length(step)
+                    if abs(moved) > SLIDING * size:
+                        return None
         apart = across(ends[1] - ends[0], basis)
         along = apart @ decimals(normal)
         radius = sum(Decimal(float(feature.radius)) for feature in features)
@@ -213,7 +217,6 @@ def measured(bodies, features, positions, turns, normal):
             return float(gap) if length(aside) <= -along / 8 else None
         plane = apart @ (places[1] - places[0])
         plane -= reach(bodies[0], frames[0], apart) + reach(bodies[1], frames[1], -apart)
-        size = max(float(body.half.max()) for body in bodies)
         sure = abs(float(gap - plane / length(apart))) <= 1e-15 * size
         return float(gap) if sure else None
 

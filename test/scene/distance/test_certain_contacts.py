@@ -8,18 +8,27 @@ from either side; a common point lies in both. `contacts` measures the truth in 
 
 import math
 import os
+from decimal import localcontext
 
 import numpy as np
 import pytest
-from scene.distance.contacts import BOX, CYLINDER, MESH, contacts, outside, scene_of
+from scene.distance.contacts import (
+    BOX,
+    CYLINDER,
+    DIGITS,
+    MESH,
+    contacts,
+    decimals,
+    matrix,
+    outside,
+    scene_of,
+)
+from scene.reference import box_of_triangles
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes
 from bvh_ros.scene.distance.clearance import gap as distance_of
-from bvh_ros.scene.distance.gjk import CORE_ROWS, SLACK, WAY_ROOM, gap_bounds
-from bvh_ros.scene.distance.narrow_phase import fill_core, largest_length, near_pairs
-from bvh_ros.scene.distance.sure_gap import certain
-from bvh_ros.scene.geometry.hull import hull_of
+from bvh_ros.scene.distance.narrow_phase import near_pairs
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 COUNT = 200_000 if LONG else 400  # of each of five kinds
@@ -143,27 +152,78 @@ def shape_of(one, row):
     return Shapes(np.array([body.kind], np.uint8), position, turn, 2 * body.half[None])
 
 
-@pytest.mark.skipif(not LONG, reason='compiles the parts of the kernels once more')
-def test_how_often_more_digits_are_needed():
-    """Seldom: of pairs anyhow next to each other, and of contacts down to 1e-12."""
-    rng = np.random.default_rng(7)
-    for manners, gaps in ((('free',), [0.1, 0.03]), (('upright', 'parallel'), [1e-10, 1e-12])):
-        made = contacts(300, rng, manners, gaps, (0.0,), (BOX, MESH))
-        pairs, geometry, hulls = pairs_of(made, scene_of(made))
-        open_ones = 0
-        for pair in geometry[pairs]:
-            cores, origin = np.empty((2, CORE_ROWS, 3)), pair[0]['position']
-            exponent = math.frexp(max(largest_length(shape, origin) for shape in pair))[1]
-            for shape, core in zip(pair, cores, strict=True):
-                fill_core(shape, origin, exponent, False, core)
-            vertices = [hull_of(hulls, shape) for shape in pair]
-            bounds = gap_bounds(
-                *(cores[0], False, vertices[0], cores[1], False, vertices[1]),
-                *(math.nan, np.empty(WAY_ROOM)),
-            )
-            open_ones += not certain(*bounds, SLACK, True)
-        print(f'{manners}: {open_ones} of {len(made)} need more digits')
-        assert open_ones <= 0.05 * len(made)
+@pytest.mark.parametrize(
+    ('manners', 'gaps'), [(('free',), [0.1, 0.03]), (('upright', 'parallel'), [1e-10, 1e-12])]
+)
+def test_more_digits_are_seldom_needed(manners, gaps):
+    made = contacts(300, np.random.default_rng(7), manners, gaps, (0.0,), (BOX, MESH))
+    pairs, geometry, hulls = pairs_of(made, scene_of(made))
+    found = np.empty(len(made), np.bool_)
+    assert near_pairs(geometry, hulls, pairs, False, found) <= 0.1 * len(made)
+
+
+@pytest.mark.parametrize('kinds', [(BOX, BOX), (BOX, MESH), (MESH, MESH), (CYLINDER, CYLINDER)])
+@pytest.mark.parametrize('planar', [False, True])
+def test_corners_next_to_each_other_whose_faces_lie_along_each_other(kinds, planar):
+    """The way between two corners is short, those to the next corners are long, and nearly as
+    far along it.
+
+    Both are turned alike: what is between them along each axis of theirs is all that matters.
+    """
+    rng = np.random.default_rng(11)
+    for _ in range(COUNT // 8):
+        halves = 10.0 ** rng.uniform(-2, 0, (2, 3))
+        if CYLINDER in kinds:
+            halves[:, 1] = halves[:, 0]
+        turn = rng.normal(size=4)
+        if planar:
+            turn[:2] = 0.0
+        size = 2 * float(halves.max())
+        way = 10.0 ** rng.uniform(-16, 0, 3) * rng.choice([-1.0, 1.0], 3)
+        way[rng.integers(3)] = rng.choice([-1.0, 1.0])
+        local = halves.sum(axis=0) * rng.choice([-1.0, 1.0], 3)
+        if CYLINDER in kinds:
+            angle = rng.uniform(-3, 3)
+            local[:2] = np.array([math.cos(angle), math.sin(angle)]) * abs(local[0])
+        local += way * rng.choice(GAPS) * size
+        places = np.array([[0, 0, 0], Rotation.from_quat(turn).apply(local)])
+        held = np.empty(2, object)
+        held[:] = [
+            Mesh(box_of_triangles(2 * half)) if kind == MESH else None
+            for kind, half in zip(kinds, halves, strict=True)
+        ]
+        turns = np.array([turn, turn])
+        scene = Scene(planar=planar)
+        shapes = Shapes(np.array(kinds, np.uint8), places, turns, 2 * halves, held)
+        assert scene.update('test', ['a', 'b'], shapes, stamp=1) == []
+        gap = gap_along_axes(places, turn, halves, CYLINDER in kinds, planar)
+        if abs(gap) >= DECIDED * size:
+            assert len(scene.overlap_pairs()) == (gap < 0)
+        found = [scene.clearance(name) for name in 'ab']
+        assert found[0].distance == found[1].distance
+        assert abs(found[0].distance - max(gap, 0.0)) <= EXACT * size
+        if gap > 0:
+            between = np.linalg.norm(found[0].point - found[0].other_point)
+            assert abs(between - gap) <= 1e-14 * size
+
+
+def gap_along_axes(places, turn, halves, round_ones, planar):
+    """The distance of two boxes or cylinders of the same orientation, in 50 digits; negative: so
+    deep.
+    """
+    with localcontext() as context:
+        context.prec = DIGITS
+        local = decimals(places[1]) @ matrix(turn)
+        reach = [sum(decimals(pair)) for pair in halves.T]
+        if round_ones:
+            across = (local[0] ** 2 + local[1] ** 2).sqrt()
+            beyond = [across - reach[0], abs(local[2]) - reach[2]]
+        else:
+            beyond = [abs(x) - most for x, most in zip(local, reach, strict=True)]
+        if planar:
+            beyond = beyond[: 1 if round_ones else 2]
+        outside = [x for x in beyond if x > 0]
+        return float(sum(x * x for x in outside).sqrt() if outside else max(beyond))
 
 
 def test_upright_boxes_edge_to_edge():
