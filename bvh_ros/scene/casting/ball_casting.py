@@ -158,7 +158,9 @@ def cast_ball(
     if not every:
         slots, ts, met = slots[:1], ts[:1], met[:1]
     points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
-    touch_all(arrays, geometry, footprints, radius, scratch, (slots, ts, met), points, normals)
+    # Of one type, however many there are: rows of one column are contiguous, others are not.
+    met_ones = slots, np.ascontiguousarray(ts), np.ascontiguousarray(met)
+    touch_all(arrays, geometry, footprints, radius, scratch, met_ones, points, normals)
     return slots, ts, points, normals
 
 

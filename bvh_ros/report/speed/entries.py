@@ -1,0 +1,90 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a node without configuration compiles, kernel by kernel, and how long that takes.
+
+    python -m bvh_ros.report.speed.entries
+
+with an empty cache compiles it in one process, and prints a line of JSON for each signature of a
+kernel that Python calls. What such a kernel calls is compiled as part of it, unless that came
+before.
+"""
+
+import gc
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from typing import NamedTuple
+
+from ...ros.cdr import marker_array
+from ...ros.sources import SOURCE_TYPES
+from ...ros.warm_up import Job, Needs, jobs
+from ...tree.jit.kernel_parts import Kernel
+
+
+class Entry(NamedTuple):
+    """A kernel, compiled for one signature.
+
+    Attributes
+    ----------
+    name : str
+    signature : str
+    seconds : float
+        All of it; 0 for what was in the cache.
+    llvm : float
+        Seconds of that in LLVM.
+    """
+
+    name: str
+    signature: str
+    seconds: float
+    llvm: float
+
+
+def default_jobs() -> list[Job]:
+    """Return what compiles all that a node without configuration calls."""
+    decode = partial(marker_array.read, marker_array.EMPTY)
+    kinds = SOURCE_TYPES['MarkerArray'].kinds
+    return [
+        *jobs(Needs(planar=False, margin=0.0, kinds=kinds, batch=True)),
+        Job('decode markers', 'decode markers', 2.0, decode, early=True),
+    ]
+
+
+def measure(**environment: str) -> list[Entry]:
+    """Compile in a new process; return its kernels, the slowest first."""
+    ended = subprocess.run(
+        [sys.executable, '-m', __name__],
+        env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    entries = [Entry(*json.loads(line)) for line in ended.stdout.splitlines()]
+    return sorted(entries, key=lambda entry: -entry.seconds)
+
+
+def compiled() -> list[Entry]:
+    """The kernels that this process has called."""
+    found = []
+    for kernel in gc.get_objects():
+        if isinstance(kernel, Kernel):
+            name = f'{kernel.py_func.__module__.removeprefix("bvh_ros.")}.{kernel.__name__}'
+            for signature, result in kernel.overloads.items():
+                timers = (result.metadata or {}).get('timers', {})
+                times = (timers.get(lock, 0.0) for lock in ('compiler_lock', 'llvm_lock'))
+                found.append(Entry(name, str(signature), *times))
+    return found
+
+
+def main() -> None:
+    """Compile, and print."""
+    for job in default_jobs():
+        job.run()
+    for entry in compiled():
+        print(json.dumps(entry))
+
+
+if __name__ == '__main__':
+    main()
