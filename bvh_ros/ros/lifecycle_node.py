@@ -56,7 +56,7 @@ class BvhLifecycleNode(LifecycleNode):
         except ConfigurationError as error:
             self.get_logger().error(f'cannot be configured: {as_line(error)}; {RESTART}')
             return FAILURE
-        self._server.compile()
+        self._server.compile(wholly=True)
         self.get_logger().info('configured; it answers once it is activated')
         return SUCCESS
 

@@ -197,6 +197,7 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         *,
         wait: bool = True,
         module: str = 'node',
+        script: Sequence[Any] = (),
         remap: str = '',
         namespace: str = '',
     ) -> World:
@@ -206,7 +207,8 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         file = folder / 'parameters.yaml'
         # JSON is YAML
         file.write_text(json.dumps({'/**': {'ros__parameters': parameters or {}}}))
-        command = [sys.executable, '-m', f'bvh_ros.ros.{module}', '--ros-args']
+        program = script or ('-m', f'bvh_ros.ros.{module}')
+        command = [sys.executable, *program, '--ros-args']
         command += ['-r', f'__ns:={namespace}', *(['--params-file', file] if parameters else [])]
         command += ['-r', remap] if remap else []
         log = folder / 'log.txt'

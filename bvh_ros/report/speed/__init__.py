@@ -11,4 +11,5 @@ SECTIONS = {
     'policies': policies.policies,
     'searches': searches.searches,
     'cold start': cold_start.cold_start,
+    'cold start of a node': cold_start.kernels,
 }

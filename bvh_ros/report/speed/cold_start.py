@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cold start: from `import bvh_ros` to the first answer, with compiled kernels and without."""
+"""Cold start: from `import bvh_ros` to the first answer, with compiled kernels and without, and
+what a node compiles, kernel by kernel.
+"""
 
 import os
 import statistics
@@ -8,8 +10,10 @@ import subprocess
 import sys
 import tempfile
 
+from ...tree.jit.workers import processors
 from ..page import Page
 from ..tables import Cell, Table
+from . import entries
 
 WARM_RUNS = 5
 FIRST_ANSWER = """
@@ -44,14 +48,53 @@ def cold_start(page: Page, brief: bool) -> None:
     )
 
 
+def kernels(page: Page, brief: bool) -> None:
+    """Compile what a node without configuration calls, in one process, then in several."""
+    page.add('### Cold start of a node')
+    if brief:
+        page.add('Left out: with an empty cache it takes two minutes.')
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        found = entries.measure(NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
+    rows: list[list[Cell]] = [[entry.name, entry.seconds, entry.llvm] for entry in found]
+    alone = sum(entry.seconds for entry in found)
+    rows.append(['all', alone, sum(entry.llvm for entry in found)])
+    with tempfile.TemporaryDirectory() as folder:
+        wall = _together(folder)
+    page.add(
+        f'A node without configuration calls {len(found)} kernels. One process compiles them in '
+        f'{alone:.1f} s; the node has it done by several, and has them after {wall:.1f} s on the '
+        f'{processors()} processors that it may use here. What a kernel calls is compiled as part '
+        'of it, unless that came before.'
+    )
+    page.table(Table('speed_cold_kernels', ('kernel', 's', 's of that in LLVM'), rows))
+
+
+TOGETHER = """
+import time
+began = time.perf_counter()
+from bvh_ros.ros.compilation import Compilation
+from bvh_ros.report.speed.entries import default_jobs
+compilation = Compilation(default_jobs())
+while not compilation.is_done:
+    compilation.go_on(1.0)
+print(time.perf_counter() - began)
+"""
+
+
+def _together(cache: str) -> float:
+    """Seconds from the start of a process until it has all kernels, its imports included."""
+    environment = {**os.environ, 'NUMBA_CACHE_DIR': cache, 'BVH_ROS_KERNELS': ''}
+    return float(_output(TOGETHER, environment))
+
+
+def _output(program: str, environment: dict[str, str]) -> str:
+    command = [sys.executable, '-c', program]
+    ended = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    return ended.stdout
+
+
 def _first_answer(cache: str | None) -> tuple[float, float]:
     environment = {**os.environ, **({'NUMBA_CACHE_DIR': cache} if cache else {})}
-    result = subprocess.run(
-        [sys.executable, '-c', FIRST_ANSWER],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    imported, answered = map(float, result.stdout.split())
+    imported, answered = map(float, _output(FIRST_ANSWER, environment).split())
     return imported, answered

@@ -1,0 +1,90 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""While kernels are compiled the node answers what it can, and says of the rest how far it is."""
+
+import contextlib
+import re
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError
+
+SCRIPT = Path(__file__).parents[1] / 'slow_node.py'
+STARTING = 240.0  # seconds: the very first start compiles
+COMPILING = re.compile(r'compiling: \d+ %, about \d+ s left \(what waits\)$')
+
+
+@pytest.fixture
+def start(start_node, tmp_path):
+    """Start a node that goes on compiling until `go` is there."""
+
+    def begin():
+        world = start_node(wait=False, script=(SCRIPT, tmp_path))
+        world.until((tmp_path / 'compiles').exists, STARTING)
+        return world
+
+    return begin
+
+
+def asked(world, name, **given):
+    """A reply's first name. Not too often: others compile."""
+    time.sleep(0.1)
+    return world.names(name, (-5, 0, 0), (5, 0, 0), **given)[0]
+
+
+def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
+    marker = messages.marker
+    world = start()
+    world.until(lambda: COMPILING.search(asked(world, 'overlap')), STARTING)
+    world.markers(marker(1))
+    world.until(lambda: world.names('raycast', (-5, 0, 0), (5, 0, 0)) == ['a/1'])
+    for name, tolerance in (('raycast', 0.5), ('raycast_all', 0.0), ('overlap', 0.0)):
+        assert COMPILING.match(asked(world, name, tolerance=tolerance).removeprefix('error: '))
+    status = world.status('world')
+    assert status.level == DiagnosticStatus.ERROR
+    assert COMPILING.match(status.message)
+    assert not world.trigger('validate').success
+
+    world.markers(marker(2, (3, 0, 0), type=2))  # a ball: rays at true shapes are not ready
+    world.until(lambda: COMPILING.search(asked(world, 'raycast')))
+
+    client = BvhClient(world.node, world.name)
+    with pytest.raises(BvhError, match='compiling: '):
+        client.overlap((0, 0, 0), (1, 1, 1))
+    with pytest.raises(BvhTimeoutError, match='is still compiling'):
+        client.wait_until_ready(1.0)
+    (tmp_path / 'go').touch()
+    client.wait_until_ready()
+    assert world.everything() == {'a/1', 'a/2'}
+    assert asked(world, 'raycast', tolerance=0.5) == 'a/1'
+    assert world.status('world').level == DiagnosticStatus.OK
+    assert world.trigger('validate').success
+    said = world.said()
+    assert said.index('first start here: compiling, about') < said.index('ready in frame')
+    lines = [line for line in said.splitlines() if 'compil' in line and 'refused' not in line]
+    assert len(lines) == 2, lines  # at the beginning and at the end
+
+
+def is_running(pid):
+    with contextlib.suppress(OSError):
+        return Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0] != 'Z'
+    return False
+
+
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, how):
+    world = start()
+    pid = int((tmp_path / 'compiles').read_text())
+    assert is_running(pid)
+    began = time.monotonic()
+    world.end(how)
+    while is_running(pid):
+        assert time.monotonic() - began < 5.0
+        time.sleep(0.02)
