@@ -1,0 +1,111 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Jobs are run where they are compiled, then here; once done they are only run here."""
+
+import io
+import os
+import time
+from functools import partial
+
+import pytest
+
+from bvh_ros.ros.compilation import Compilation
+from bvh_ros.ros.progress import Progress
+from bvh_ros.ros.warm_up import Job, Needs, jobs
+from bvh_ros.scene import ShapeKind
+from bvh_ros.tree.jit import kernel_cache
+
+WRITE = 'import os; open({!r}, "a").write(f"{{os.getpid()}} ")'
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
+    kernel_cache._find_folder.cache_clear()
+    yield tmp_path
+    kernel_cache._find_folder.cache_clear()
+
+
+def job(folder, name, *, early=False, seconds=10.0):
+    """One that writes down in which processes it ran."""
+    run = partial(exec, WRITE.format(str(folder / name)), {})
+    return Job(name, name, seconds, run, early)
+
+
+def finish(compilation):
+    deadline = time.monotonic() + 60.0
+    while not compilation.is_done:
+        compilation.go_on(0.1)
+        yield compilation.percent(), compilation.has_begun_to_answer
+        assert time.monotonic() < deadline
+
+
+def processes(folder, name):
+    return [int(pid) for pid in (folder / name).read_text().split()]
+
+
+def test_what_is_compiled_elsewhere_is_run_here_and_next_time_only_here(tmp_path):
+    chosen = [job(tmp_path, 'first', early=True), job(tmp_path, 'second'), job(tmp_path, 'third')]
+    compilation = Compilation(chosen, 1)
+    assert (compilation.seconds, compilation.percent()) == (30.0, 0)
+    assert not compilation.has_begun_to_answer
+    seen = [*finish(compilation)]
+    assert [percent for percent, _ in seen] == sorted(percent for percent, _ in seen)
+    assert seen[-1] == (100, True)
+    assert (False in {begun for _, begun in seen}) == (seen[0][1] is False)
+    for name in ('first', 'second', 'third'):
+        elsewhere, here = processes(tmp_path, name)
+        assert elsewhere != here == os.getpid()
+
+    again = Compilation(chosen, 1)
+    assert again.seconds == 0.0
+    assert [*finish(again)][-1] == (100, True)
+    assert processes(tmp_path, 'first')[2:] == [os.getpid()]
+
+
+def test_where_nothing_can_be_kept_all_is_run_here(tmp_path, recwarn):
+    (tmp_path / 'cache').write_text('')  # no folder
+    kernel_cache._find_folder.cache_clear()
+    assert [*finish(Compilation([job(tmp_path, 'one'), job(tmp_path, 'two')]))]
+    assert processes(tmp_path, 'one') == processes(tmp_path, 'two') == [os.getpid()]
+    assert 'not kept' in str(recwarn.pop(RuntimeWarning).message)
+
+
+def test_what_fails_elsewhere_is_tried_here_and_what_fails_here_says_why(tmp_path):
+    here = os.getpid()
+    code = f'import os; assert os.getpid() == {here}'
+    fine = Job('not elsewhere', 'not elsewhere', 1.0, partial(exec, code, {}))
+    assert [*finish(Compilation([fine], 1))]
+    bad = Job('bad', 'bad', 1.0, partial(int, 'no number'))
+    with pytest.raises(ValueError, match='no number'):
+        [*finish(Compilation([bad], 1))]
+
+
+def test_jobs_of_other_configurations_are_other_ones():
+    needs = Needs(planar=False, margin=0.0, kinds=[ShapeKind.BOX], batch=True)
+    keys = {job.key for job in jobs(needs)}
+    assert keys == {job.key for job in jobs(needs._replace(kinds=(ShapeKind.BOX,)))}
+    assert keys > {job.key for job in jobs(needs._replace(batch=False))}
+    for other in (
+        needs._replace(planar=True),
+        needs._replace(margin=0.1),
+        needs._replace(kinds=[ShapeKind.BOX, ShapeKind.MESH]),
+    ):
+        assert not keys & {job.key for job in jobs(other)}
+    some, more = needs._replace(margin=0.1), needs._replace(margin=0.2)
+    assert [job.key for job in jobs(some)] == [job.key for job in jobs(more)]
+
+
+def test_people_see_a_bar_on_a_terminal_and_few_lines_elsewhere(tmp_path):
+    said, terminal = [], io.StringIO()
+    compilation = Compilation([job(tmp_path, 'trees'), job(tmp_path, 'rays')], 1)
+    for progress in (Progress(said.append, terminal), Progress(said.append)):
+        progress.begin(compilation)
+        progress.show(compilation)
+    bar = terminal.getvalue()
+    assert '[........................] compiling: 0 %, about ' in bar
+    assert 's left (trees)' in bar
+    assert [line.partition(',')[0] for line in said] == ['first start here: compiling'] * 2
+    assert [*finish(compilation)]
+    progress.end(compilation)
+    assert said[2].startswith('compiled in ')
