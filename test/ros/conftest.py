@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
@@ -352,3 +353,37 @@ def messages() -> Any:
     from types import SimpleNamespace
 
     return SimpleNamespace(marker=marker, get_plan=get_plan, cloud=cloud)
+
+
+# ---- ends
+
+
+def waits_of(process: int) -> float:
+    """Seconds that the threads of a process were ready to run, but did not."""
+    waited = 0
+    for file in Path(f'/proc/{process}/task').glob('*/schedstat'):
+        with contextlib.suppress(OSError):  # it has ended
+            waited += int(file.read_text().split()[1])
+    return waited / 1e9
+
+
+def end(process: subprocess.Popen, how: signal.Signals = signal.SIGTERM) -> float:
+    """Ask a process to end, and check its exit code; return how long it took, without the time
+    that its threads, and this process, were ready to run while the processor was with others.
+    """
+    mine, waited, began = waits_of(os.getpid()), waits_of(process.pid), time.monotonic()
+    ended = waited
+    process.send_signal(how)
+    while process.poll() is None:
+        ended = max(ended, waits_of(process.pid))
+        assert time.monotonic() - began < END_TIMEOUT, 'it does not end'
+        time.sleep(0.01)
+    assert process.returncode == 0
+    took = time.monotonic() - began
+    return took - (ended - waited) - (waits_of(os.getpid()) - mine)
+
+
+@pytest.fixture(scope='session')
+def seconds_to_end() -> Callable[..., float]:
+    """Ends a process by a signal, and tells how long that took, whoever used the machine."""
+    return end

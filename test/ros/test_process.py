@@ -49,6 +49,15 @@ def test_clean_exit_while_starting(start_node, how, after):
     assert 'Traceback' not in world.said()
 
 
+@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
+def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_to_end, how):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    world = start_node(wait=False)
+    world.until(lambda: any(tmp_path.rglob('*.nbc')), timeout=60)  # of some minutes
+    assert seconds_to_end(world.process, how) < 1.0
+    assert 'Traceback' not in world.said()
+
+
 def test_a_second_start_compiles_nothing(start_node, monkeypatch):
     start_node().end()  # compiles, if nobody has
     monkeypatch.setenv('NUMBA_DEBUG_CACHE', '1')
