@@ -11,6 +11,7 @@ from . import plots, timing
 from .libraries import LIBRARIES, Library
 from .libraries.base import Work, make_work
 from .page import Page
+from .scene_calls import scene_calls
 from .tables import Cell, Table
 from .timing import Timing, interleaved
 
@@ -157,4 +158,4 @@ def table(task: Task, found: dict[int, dict[str, Timing]]) -> Table:
 
 
 INTRODUCTION = '## Peers'
-SECTIONS = {'all tasks': all_tasks}
+SECTIONS = {'all tasks': all_tasks, 'scene calls': scene_calls}

@@ -7,8 +7,8 @@ from .geometry.shapes import ShapeKind, Shapes
 from .refusals import Block, Refusal, Refusals
 from .results import NO_NODE, Obstacle, SceneHit, TooManyHitsError
 from .scene import Scene
-from .slicing import Part
 from .store.names import Families, Numbered
+from .updates import Part
 
 __all__ = [
     'NO_NODE',

@@ -8,13 +8,16 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import clearance, nearness
-from .queries import SceneQueries
 from .results import Clearance, SceneHit
-from .store.registry import UNKNOWN
+from .store.obstacles import Obstacles
 
 
-class DistanceQueries(SceneQueries):
-    """Queries of a scene for distances."""
+class DistanceQueries:
+    """How far things are. Any number of threads may ask while none changes the scene."""
+
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
+        self._nearness = nearness.Nearness(held.tree, held.columns)
 
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
@@ -46,11 +49,13 @@ class DistanceQueries(SceneQueries):
             shape.
         """
         where = checks.point('point', point, 3)
-        asked = checks.whole('k', k, 1), checks.limit('max_distance', max_distance), mask
-        found = nearness.nearest(self._tree, self._columns, self._any_shaped, where, asked)
-        slots, distances = found.slots.tolist(), found.distances.tolist()
-        rows = zip(slots, distances, found.points, found.normals, strict=True)
-        return [self._hit(*row) for row in rows]
+        found, rows = self._nearness.find(
+            where,
+            checks.whole('k', k, 1),
+            checks.limit('max_distance', max_distance),
+            checks.mask(mask),
+        )
+        return self._held.hits(found, rows)
 
     def clearance(self, name: str) -> Clearance | None:
         """Return how far an obstacle is from the nearest other one, ties by handle; None if there
@@ -60,24 +65,22 @@ class DistanceQueries(SceneQueries):
         the obstacle's centre. Two shapes that are no farther apart than their positions are
         rounded touch, see `narrow_phase`. KeyError if there is no obstacle of this name.
         """
-        slot = self._registry.slot(name) if isinstance(name, str) else UNKNOWN
-        if slot == UNKNOWN:
-            raise KeyError(name)
-        slots = [slot]
-        if self._columns.shadows:  # it may stand at two places, see slicing.py
-            handles = self._columns.node_handle
+        slot = self._held.slot(name)
+        tree, columns, slots = self._held.tree, self._held.columns, [slot]
+        if self._held.columns.shadows:  # it may stand at two places, see slicing.py
+            handles = self._held.columns.node_handle
             slots = np.flatnonzero(handles == handles[slot]).tolist()
-        every = [clearance.nearest_other(self._tree, self._columns, place) for place in slots]
+        every = [clearance.nearest_other(tree, columns, place) for place in slots]
         found = min(
             (one for one in every if one is not None),
-            key=lambda one: (one.distance, self._columns.node_handle[one.slot]),
+            key=lambda one: (one.distance, self._held.columns.node_handle[one.slot]),
             default=None,
         )
         if found is None:
             return None
         return Clearance(
             found.distance,
-            self._registry.name(found.slot),
-            int(self._columns.node_handle[found.slot]),
+            self._held.registry.name(found.slot),
+            int(self._held.columns.node_handle[found.slot]),
             *found.points,
         )

@@ -10,47 +10,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
 from ..tree import plotting as boxes
-from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.store.arrays import Ids
 from . import plotting
 from .geometry.polygon import Polygon
-from .geometry.shapes import Floats, ShapeKind, Shapes
+from .geometry.shapes import Floats, ShapeKind, Shapes, shapes_of
 from .results import LAST_NODE_HANDLE, Obstacle
-from .store.columns import Columns
-from .store.groups import Groups
-from .store.registry import UNKNOWN, Registry
+from .store.obstacles import Obstacles
 
 
-class SceneInspection:
+class Inspection:
     """Names, sizes and soundness of a scene."""
 
-    planar: bool
-    _tree: DynamicBVH
-    _columns: Columns
-    _registry: Registry
-    _groups: Groups
-    _next_node_handle: int
-    _any_shaped: bool
-
-    def __len__(self) -> int:
-        return len(self._registry)
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and self._registry.slot(name) != UNKNOWN
-
-    @property
-    def any_shaped(self) -> bool:
-        """Whether anything is more than an axis-aligned box, and needs a narrow phase."""
-        return self._any_shaped
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
 
     def get(self, name: str) -> Obstacle:
         """What is known of one obstacle. KeyError if there is none of this name."""
-        slot = self._registry.slot(name) if isinstance(name, str) else UNKNOWN
-        if slot == UNKNOWN:
-            raise KeyError(name)
-        columns = self._columns
+        slot = self._held.slot(name)
+        columns = self._held.columns
         geometry = columns.geometry[slot]
-        group = self._groups.group(int(columns.group[slot]))
+        group = self._held.groups.group(int(columns.group[slot]))
         return Obstacle(
             name,
             int(columns.node_handle[slot]),
@@ -64,16 +43,10 @@ class SceneInspection:
             group.name,
         )
 
-    @property
-    def population(self) -> tuple[int, int]:
-        """Another one after each time that obstacles came or went."""
-        # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
-        return self._next_node_handle, len(self)
-
     def handles(self) -> NDArray[np.int64]:
         """Node handles of all obstacles, ascending."""
-        handles = self._columns.node_handle
-        return np.sort(handles[(handles > 0) & ~self._columns.shadow])
+        handles = self._held.columns.node_handle
+        return np.sort(handles[(handles > 0) & ~self._held.columns.shadow])
 
     def names(self, after: int = 0) -> list[tuple[int, str]]:
         """(node handle, name) of the obstacles with a handle above `after`, by handle."""
@@ -81,9 +54,9 @@ class SceneInspection:
 
     def newcomers(self, after: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Node handles above `after`, ascending, and a number for each that `names_of` takes."""
-        slots = self._columns.used()
-        slots = slots[~self._columns.shadow[slots]]
-        handles = self._columns.node_handle[slots]
+        slots = self._held.columns.used()
+        slots = slots[~self._held.columns.shadow[slots]]
+        handles = self._held.columns.node_handle[slots]
         first = int(np.searchsorted(handles, after, side='right'))
         return handles[first:], slots[first:]
 
@@ -91,46 +64,44 @@ class SceneInspection:
         self, handles: NDArray[np.int64], slots: NDArray[np.int64]
     ) -> Iterator[tuple[int, str]]:
         """(node handle, name) of those newcomers that are still there."""
-        there = self._columns.node_handle[slots] == handles
+        there = self._held.columns.node_handle[slots] == handles
         for handle, slot in zip(handles[there].tolist(), slots[there].tolist(), strict=True):
-            yield handle, self._registry.name(slot)
+            yield handle, self._held.registry.name(slot)
 
     def name_of(self, handle: int) -> str:
         """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
         handle = checks.whole('handle', handle, 0)
-        slots = np.flatnonzero(self._columns.node_handle == handle)
+        slots = np.flatnonzero(self._held.columns.node_handle == handle)
         if handle <= 0 or not len(slots):
             raise KeyError(f'no obstacle has the node handle {handle}')
-        return self._registry.name(int(slots[0]))
+        return self._held.registry.name(int(slots[0]))
 
     def sources(self) -> list[str]:
         """The sources that ever had an obstacle."""
-        return list(self._groups.by_source())
+        return list(self._held.groups.by_source())
 
     def shapes_of(self, source: str, most: int) -> Shapes:
         """Canonical shapes of the first obstacles of a source, by handle: a mesh has the position
         of the middle of its box.
         """
         slots = self._slots_of(source, most)
-        geometry = self._columns.geometry[slots]
+        geometry = self._held.columns.geometry[slots]
         kind, mesh = geometry['kind'], None
         if (kind == ShapeKind.MESH).any():
             mesh = np.empty(len(slots), object)
             for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
-                held = self._columns.meshes[int(geometry['mesh'][row])]
+                held = self._held.columns.meshes[int(geometry['mesh'][row])]
                 mesh[row] = held.mesh if isinstance(held, Polygon) else held
-        return Shapes(
-            *(kind, geometry['position'], geometry['orientation'], geometry['half'] * 2.0), mesh
-        )
+        return shapes_of(geometry)._replace(mesh=mesh)
 
     def handles_of(self, source: str, most: int) -> NDArray[np.int64]:
         """Node handles of a source's obstacles, row for row those of `shapes_of`."""
-        return self._columns.node_handle[self._slots_of(source, most)]
+        return self._held.columns.node_handle[self._slots_of(source, most)]
 
     def _slots_of(self, source: str, most: int) -> NDArray[np.int64]:
         """Slots of the first obstacles of a source, by node handle."""
-        mine = np.flatnonzero(self._columns.source == self._groups.source(source))
-        handles = self._columns.node_handle[mine]
+        mine = np.flatnonzero(self._held.columns.source == self._held.groups.source(source))
+        handles = self._held.columns.node_handle[mine]
         if len(mine) > most:
             first = np.argpartition(handles, most)[:most]
             mine, handles = mine[first], handles[first]
@@ -148,12 +119,12 @@ class SceneInspection:
 
         Parameters, and what is returned, as in `DynamicBVH.plot`.
         """
-        ndim = self._tree.ndim
-        axes = boxes.picture(axes, self.bounds, ndim, rays, hits)
+        ndim = self._held.tree.ndim
+        axes = boxes.picture(axes, self._held.tree.bounds, ndim, rays, hits)
         faces: list[Floats] = []
         colours: list[Floats] = []
         for number, source in enumerate(self.sources()):
-            shapes = self.shapes_of(source, len(self._columns.source))
+            shapes = self.shapes_of(source, len(self._held.columns.source))
             drawn = plotting.outlines(shapes) if ndim == 2 else plotting.faces(shapes)
             faces += drawn
             colours += [boxes.PALETTE[number % len(boxes.PALETTE)]] * len(drawn)
@@ -165,54 +136,49 @@ class SceneInspection:
 
     def tree_levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
         """lo, hi and depth of the tree's boxes from depth `first` to `last`; the root's is 0."""
-        return self._tree.levels(first, last, most)
-
-    @property
-    def bounds(self) -> tuple[Floats, Floats] | None:
-        """Smallest box around all obstacles, as (lo, hi); None if there is none."""
-        return self._tree.bounds
+        return self._held.tree.levels(first, last, most)
 
     def stats(self) -> dict[str, Any]:
         """Sizes, the tree's shape, and which parts this scene uses."""
-        tree = self._tree.stats()
+        tree = self._held.tree.stats()
         return {
-            'boxes': len(self),
-            'planar': self.planar,
+            'boxes': len(self._held),
+            'planar': self._held.planar,
             'margin': tree['margin'],
             'height': tree['height'],
             'cost': tree['cost'],
-            'sources': self._groups.by_source(),
-            'shaped': int(np.count_nonzero(self._columns.geometry['shaped'])),
-            'bytes': self._columns.nbytes + self._columns.meshes.nbytes,
-            'meshes': len(self._columns.meshes),
-            'mortal': int(np.count_nonzero(self._columns.expires)),
-            'node_handles_left': LAST_NODE_HANDLE - self._next_node_handle + 1,
-            'narrow_phase': self._any_shaped,
-            'pairs_compared': self._columns.pairs_compared,
-            'pairs_in_more_digits': self._columns.pairs_in_more_digits,
+            'sources': self._held.groups.by_source(),
+            'shaped': self._held.columns.shaped,
+            'bytes': self._held.columns.nbytes + self._held.columns.meshes.nbytes,
+            'meshes': len(self._held.columns.meshes),
+            'mortal': int(np.count_nonzero(self._held.columns.expires)),
+            'node_handles_left': LAST_NODE_HANDLE - self._held.next_node_handle + 1,
+            'narrow_phase': self._held.columns.shaped > 0,
+            'pairs_compared': self._held.columns.pairs_compared,
+            'pairs_in_more_digits': self._held.columns.pairs_in_more_digits,
             'tree': tree,
         }
 
     def count(self, mask: int) -> int:
         """Number of obstacles that a query with this mask can see."""
-        seen = (self._columns.categories & checks.mask(mask)) != 0
-        return int(np.count_nonzero(seen & ~self._columns.shadow))
+        seen = (self._held.columns.categories & checks.mask(mask)) != 0
+        return int(np.count_nonzero(seen & ~self._held.columns.shadow))
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""
-        self._tree.validate()
-        slots = self._columns.used()
-        handles = self._columns.tree_handle
-        if not np.array_equal(np.sort(handles[slots]), self._tree.ids()):
+        self._held.tree.validate()
+        slots = self._held.columns.used()
+        handles = self._held.columns.tree_handle
+        if not np.array_equal(np.sort(handles[slots]), self._held.tree.ids()):
             raise RuntimeError('the tree and the columns hold different obstacles')
-        slots = slots[~self._columns.shadow[slots]]
+        slots = slots[~self._held.columns.shadow[slots]]
         if (np.diff(handles[slots]) <= 0).any():
             raise RuntimeError('node handles do not ascend with those of the tree')
-        if len(self._registry) != len(slots):
-            raise RuntimeError(f'{len(self._registry)} names for {len(slots)} obstacles')
-        astray = slots[self._registry.leads_to(slots) != slots]
+        if len(self._held.registry) != len(slots):
+            raise RuntimeError(f'{len(self._held.registry)} names for {len(slots)} obstacles')
+        astray = slots[self._held.registry.leads_to(slots) != slots]
         if len(astray):
-            name = self._registry.name(int(astray[0]))
+            name = self._held.registry.name(int(astray[0]))
             raise RuntimeError(f'the name {name!r} leads to another obstacle')
-        if sum(self._groups.by_source().values()) != len(slots):
+        if sum(self._held.groups.by_source().values()) != len(slots):
             raise RuntimeError('the groups count other than the obstacles there are')

@@ -102,4 +102,6 @@ class Reasons:
     def refusals(self, name: Callable[[int], str]) -> Refusals:
         """All of them; `name` says what a row is called."""
         codes, texts = self._codes, self._texts
+        if len(texts) == 1:
+            return Refusals()
         return Refusals(Block(np.flatnonzero(codes), name, lambda row: texts[codes[row]]))

@@ -60,17 +60,17 @@ def test_boxes_on_the_ground_are_answered_as_in_space(margin):
         assert ts[row] == (hit.t if hit else np.inf)
         assert places[row].tolist() == hit.point.tolist() if hit else np.isnan(places[row]).all()
         assert normals[row].tolist() == (hit.normal.tolist() if hit else [0, 0, 0])
-    assert not flat._columns.footprint.view(np.uint8).any()  # in no memory either
+    assert not flat._held.columns.footprint.view(np.uint8).any()  # in no memory either
 
 
 def test_an_aligned_box_in_the_place_of_a_turned_one():
     scene = Scene(planar=True)
     turned = Shapes.boxes([[0, 0, 0], [9, 0, 0]], [4, 1, 1], [ABOUT_Z, ABOUT_Z])
     scene.update('a', ['gone', 'stays'], turned, stamp=1)
-    slot = scene._registry.slot('gone')
+    slot = scene._held.registry.slot('gone')
     scene.remove('a', ['gone'])
     scene.update('a', ['new'], Shapes.boxes([[0, 0, 0]], [4, 1, 1]), stamp=2)
-    assert scene._registry.slot('new') == slot
+    assert scene._held.registry.slot('new') == slot
     assert scene.any_shaped
     for radius in (0.0, 0.25):
         hit = scene.raycast([-5, 0.5, 0], [5, 0.5, 0], radius)

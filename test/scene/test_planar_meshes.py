@@ -158,7 +158,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
     tilted = np.array([(0.3, 0.1, 0.2, 1.0)] * 3)
     meshes = [Mesh(ball), Mesh(ball), Mesh(ball * 2)]
     scene = scene_of(Shapes.of_meshes(meshes, np.eye(3) * 9, tilted), planar=True)
-    store = scene._columns.meshes
+    store = scene._held.columns.meshes
     assert len(store) == 2
     before, hulls = store[0], store.hulls
     moved = Shapes.of_meshes([Mesh(ball)], [(5, 2, 3)], tilted[:1])
@@ -178,8 +178,8 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
 
 def test_a_scene_without_meshes_has_no_polygons():
     scene = scene_of(Shapes.boxes(np.eye(3), (1, 1, 1), np.ones((3, 4))), planar=True)
-    assert scene._columns.footprint_arrays()[1] is None
-    assert Scene(planar=True)._columns.meshes.nbytes == 0
+    assert scene._held.columns.footprint_arrays()[1] is None
+    assert Scene(planar=True)._held.columns.meshes.nbytes == 0
 
 
 coordinates = st.integers(-8, 8)

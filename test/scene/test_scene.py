@@ -111,7 +111,7 @@ def test_bad_arguments_are_a_value_error_and_change_nothing(change):
 
 def test_node_handles_end_with_a_clear_error():
     scene = Scene()
-    scene._next_node_handle = 2**31 - 1
+    scene._held.next_node_handle = 2**31 - 1
     assert scene.update('test', ['last'], BOX, stamp=1) == []
     assert scene.get('last').handle == 2**31 - 1
     with pytest.raises(OverflowError, match='node handles of this run are used up'):
@@ -167,10 +167,10 @@ assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
 from bvh_ros.scene.casting import casting
-from bvh_ros.scene.distance import narrow_phase
-assert not casting.cast_rays.signatures and not narrow_phase.near_query.signatures
+from bvh_ros.scene.distance import touching
+assert not casting.cast_rays.signatures and not touching.touching_shapes.signatures
 scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 1]]), stamp=1)
-assert scene.overlap([0, 0, 8], [1, 1, 9]) and narrow_phase.near_query.signatures
+assert scene.overlap([0, 0, 8], [1, 1, 9]) and touching.touching_shapes.signatures
 assert 'fcl' not in sys.modules
 """
     subprocess.run([sys.executable, '-c', program], check=True)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ...scene import ShapeKind, Shapes
 from ...scene.distance.clearance import gap as distance_of
 from ...scene.distance.narrow_phase import near_pairs
-from ...scene.geometry.query_shape import geometry_arrays
-from ...scene.geometry.shapes import canonical, rotations, unit_quaternions
+from ...scene.geometry.canonical import canonicalise
+from ...scene.geometry.shapes import as_shapes, rotations, unit_quaternions
 from ..page import Page
 from ..scenes import Floats
 from ..tables import Cell, Table
@@ -67,8 +67,7 @@ def against_fcl(page: Page, brief: bool) -> None:
 
 def our_answers(shapes: Shapes) -> Answers:
     """What the narrow phase and the clearance say of rows 2 i and 2 i + 1."""
-    form, aligned = canonical(shapes)
-    records = geometry_arrays(form, ~aligned)
+    records = canonicalise(as_shapes(shapes)).records
     count = len(records) // 2
     touching, distances, points = np.empty(count, np.bool_), np.empty(count), np.empty((2, 3))
     near_pairs(records, None, np.arange(2 * count).reshape(-1, 2), False, touching)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ... import DynamicBVH
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
-from ...scene.geometry.shapes import bounds, canonical
+from ...scene.geometry.canonical import canonicalise
+from ...scene.geometry.shapes import as_shapes
 from ..page import Page
 from ..scenes import EDGE, Boxes, Rays, incoherent_rays, spread
 from . import recordings
@@ -76,7 +77,8 @@ def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
 
 def bounds_of(shapes: Shapes) -> Boxes:
     """The axis-aligned box round each shape, as the scene has them."""
-    return Boxes(*bounds(*canonical(shapes)))
+    form = canonicalise(as_shapes(shapes))
+    return Boxes(form.lo, form.hi)
 
 
 def as_boxes(shapes: Shapes, kind: ShapeKind) -> Shapes:

@@ -28,7 +28,8 @@ from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
 from bvh_ros.ros.conversions.mesh_reading import examined
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
-from bvh_ros.scene.geometry.shapes import faults
+from bvh_ros.scene.geometry.canonical import FINE, canonicalise
+from bvh_ros.scene.geometry.shapes import as_shapes
 
 TYPE_NAMES = (
     *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
@@ -200,7 +201,9 @@ class _Reader:
         rows, table = np.flatnonzero(which), self.table
         given = table.position[rows], table.orientation[rows], table.scale[rows]
         bad = np.zeros(len(which), np.bool_)
-        bad[rows] = faults(Shapes(_KINDS[table.type[rows]], *given)) != 0
+        bad[rows] = (
+            canonicalise(as_shapes(Shapes(_KINDS[table.type[rows]], *given))).faults != FINE
+        )
         return bad
 
     def counts(self, rows: Integers) -> Integers:

@@ -1,108 +1,97 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which obstacles touch a query shape, and which touch each other.
+"""Which obstacles touch a query shape, and which touch each other."""
 
-Broad phase, exact decision between axis-aligned boxes, narrow phase for the others.
-"""
-
-import math
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.boxes.overlapping import overlap_many
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import lean_kernel
-from ...tree.nodes import SLOT_MASK, box_dtype, leaf_box
-from ..geometry import hull, shapes
-from ..geometry.query_shape import QueryShape
-from ..geometry.shapes import Floats, ShapeKind
+from ...tree.jit.compiling import entry_point
+from ...tree.nodes import SLOT_MASK
+from ...tree.store.turns import IS_CHANGED
+from ..geometry.shapes import Floats
 from ..results import require_few
 from ..store.columns import Columns
-from ..store.mesh_store import NO_HULLS
+from ..store.mesh_store import NO_HULLS, Hulls
 from ..store.registry import Slots
-from . import narrow_phase, overlap_footprint
+from . import narrow_phase
+from .query_shape import QueryShape
+from .touching import REFUSED, Bodies, Found, Scratch, touching_boxes, touching_shapes
 
 
-class Touching(NamedTuple):
-    """Obstacles that touch a query, one a row in no order, and how each lies to its centre."""
+class Overlaps:
+    """Overlap queries of one scene."""
 
-    slots: Slots
-    distances: Floats
-    points: Floats
-    normals: Floats
+    def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
+        self._tree = tree
+        self._columns = columns
+        self._scratch = Scratch()
+        self._entries: dict[bool | None, Any] = {}
 
+    def find(
+        self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, most: int | None
+    ) -> tuple[Found, list[int]]:
+        """The obstacles whose distance from the query's shape is at most its tolerance: what is
+        known of them until the next query of this thread, and their rows in order of their
+        distances from its centre, ties by handle. TooManyHitsError if they are more than `most`.
+        """
+        if self._columns.shaped or not query.aligned:
+            count, doubtful = self._fill_shapes(query, hulls, mask)
+        else:
+            count, doubtful = self._fill(None, touching_boxes, (), query, mask)
+        found = self._scratch.found
+        order = found.order[:count].tolist()
+        if doubtful:
+            order = [row for row in order if not found.doubtful[row] or self._holds(query, row)]
+        require_few(len(order), most)
+        return found, order
 
-def find(
-    tree: DynamicBVH, columns: Columns, query: QueryShape, mask: np.uint32, most: int | None = None
-) -> Touching:
-    """The obstacles whose distance from the query's shape is at most its tolerance;
-    TooManyHitsError if they are more than `most`.
-    """
-    ndim = tree.ndim
-    slots = _reached(tree, query, mask)
-    records = columns.geometry[slots]
-    touches = np.ones(len(slots), np.bool_)
-    narrow = records['shaped'] if query.aligned else touches.copy()
-    if query.tolerance > 0.0:
-        lo, hi = corners(records[~narrow])
-        within = lo[:, :ndim], hi[:, :ndim], query.lo[:ndim], query.hi[:ndim]
-        touches[~narrow] = boxes_within(*within, query.tolerance)
-    if narrow.any():
-        found = np.empty(np.count_nonzero(narrow), np.bool_)
-        hulls = columns.hulls(), query.hulls
-        if hulls != (None, None):
-            hulls = hulls[0] or NO_HULLS, hulls[1] or NO_HULLS
-        planar = columns.footprint is not None
-        columns.pairs_compared += len(found)
-        columns.pairs_in_more_digits += narrow_phase.near_query(
-            records[narrow], hulls[0], query.solid, hulls[1], query.tolerance, planar, found
+    def _fill_shapes(
+        self, query: QueryShape, hulls: Hulls | None, mask: np.uint32
+    ) -> tuple[int, int]:
+        columns = self._columns
+        ours = columns.hulls()
+        meshes = ours is not None or hulls is not None
+        if meshes:
+            ours, hulls = ours or NO_HULLS, hulls or NO_HULLS
+        bodies = Bodies(columns.geometry, columns.footprint, ours, hulls)
+        count, doubtful, compared, more = self._fill(
+            meshes, touching_shapes, (bodies,), query, mask
         )
-        touches[narrow] = found
-    slots = slots[touches]
-    require_few(len(slots), most)
-    closest = closest_points if columns.footprint is None else closest_footprint_points
-    points, distances, normals = closest(columns, slots, query.centre)
-    if ndim == 2:
-        points[:, 2] = query.height
-    return Touching(slots, distances, points, normals)
+        columns.pairs_compared += compared
+        columns.pairs_in_more_digits += more
+        return count, doubtful
 
+    def _fill(
+        self, variant: bool | None, kernel: Any, bodies: Any, query: QueryShape, mask: np.uint32
+    ) -> Any:
+        """Call a kernel of `touching` until there is room for what it finds. `variant` stands for
+        the types of what it is given.
+        """
+        while True:
+            found = self._scratch.found
+            given = self._tree.view(), *bodies, query, mask, self._columns.node_handle, found
+            entry = self._entries.get(variant)
+            if entry is None:
+                entry = self._entries[variant] = entry_point(kernel, *given)
+            counted = entry(*given)
+            if counted[0] == REFUSED:
+                raise RuntimeError(IS_CHANGED)
+            if counted[0] <= len(found.slots):
+                return counted
+            self._scratch.make_room(counted[0])
 
-def find_boxes(
-    tree: DynamicBVH, query: QueryShape, mask: np.uint32, most: int | None = None
-) -> Touching:
-    """`find` where all obstacles are axis-aligned boxes, and the query is one: by the tree's boxes
-    alone.
-    """
-    slots = _reached(tree, query, mask)
-    if query.tolerance > 0.0:
-        nodes, tight, _, _ = tree.arrays()
-        boxes = tight[slots] if len(tight) else nodes[2 * slots]
-        lo, hi = query.lo[: tree.ndim], query.hi[: tree.ndim]
-        slots = slots[boxes_within(boxes['lo'], boxes['hi'], lo, hi, query.tolerance)]
-    require_few(len(slots), most)
-    return around(tree, slots, query.centre, query.height)
-
-
-def around(tree: DynamicBVH, slots: Slots, centre: Floats, height: float) -> Touching:
-    """How axis-aligned boxes lie to a centre, by the tree's boxes; in the plane at a height."""
-    nodes, tight, _, _ = tree.arrays()
-    points = np.empty((len(slots), 3))
-    closest_in_boxes(nodes, tight, slots, centre, height, points)
-    distances, normals = from_centre(points, centre, tree.ndim)
-    return Touching(slots, distances, points, normals)
-
-
-def _reached(tree: DynamicBVH, query: QueryShape, mask: np.uint32) -> Slots:
-    """Slots of the boxes that touch the one around the grown query, in no order."""
-    box = np.empty(1, box_dtype(tree.ndim))
-    lo, hi = query.reach()
-    box['lo'], box['hi'] = lo[: tree.ndim], hi[: tree.ndim]
-    masks, sizes = np.array([mask]), np.empty(1, np.int64)
-    handles: Slots = overlap_many(tree.view(), box, masks, 0, 1, sizes)
-    return handles & SLOT_MASK
+    def _holds(self, query: QueryShape, row: int) -> bool:
+        """Whether an axis-aligned box in doubt is within the tolerance, as real arithmetic
+        decides.
+        """
+        slot, ndim = self._scratch.found.slots[row], self._tree.ndim
+        lo, hi = corners(self._columns.geometry[slot : slot + 1])
+        lower, upper = query.bounds[:, :ndim]
+        return bool(boxes_within(lo[:, :ndim], hi[:, :ndim], lower, upper, query.tolerance)[0])
 
 
 def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
@@ -187,106 +176,3 @@ def _exact_gaps(lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats) -> F
     part = gap - a
     lost = (a - (gap - part)) + (-b - part)
     return np.stack((gap, np.where(gap > 0.0, lost, 0.0)), axis=1)
-
-
-def from_centre(points: Floats, centre: Floats, ndim: int) -> tuple[Floats, Floats]:
-    """How far points (n, 3) are from a centre along the first axes, and the unit vectors to it;
-    zero at the centre.
-    """
-    distances, normals = np.empty(len(points)), np.zeros(points.shape)
-    look_back(points, centre, ndim, distances, normals)
-    return distances, normals
-
-
-@lean_kernel
-def look_back(points, centre, ndim, distances, normals):
-    for i in range(points.shape[0]):
-        largest = 0.0
-        for axis in range(ndim):
-            normals[i, axis] = centre[axis] - points[i, axis]
-            largest = max(largest, abs(normals[i, axis]))
-        # By a power of two, so that squares neither overflow nor vanish.
-        exponent, square = math.frexp(largest)[1], 0.0
-        for axis in range(ndim):
-            scaled = math.ldexp(normals[i, axis], -exponent)
-            square += scaled * scaled
-        distances[i] = math.ldexp(math.sqrt(square), exponent)
-        if distances[i] > 0.0:
-            for axis in range(ndim):
-                normals[i, axis] /= distances[i]
-
-
-@lean_kernel
-def closest_in_boxes(nodes, tight, slots, centre, height, points):
-    """Fill in the point of each leaf's box closest to `centre`; in the plane at `height`."""
-    for i in range(slots.shape[0]):
-        lo, hi = leaf_box(nodes, tight, 2 * slots[i])
-        points[i, 2] = height
-        for axis in range(lo.shape[0]):
-            points[i, axis] = min(max(centre[axis], lo[axis]), hi[axis])
-
-
-def closest_points(
-    columns: Columns, slots: Slots, centre: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """The point of each shape closest to `centre`; the centre itself where it lies inside. Then
-    how far it is, and the unit vector to the centre, or zero.
-
-    Far from the world's origin points are rounded more than distances.
-    """
-    records = columns.geometry[slots]
-    lo, hi = corners(records)
-    points = np.clip(centre, lo, hi)
-    turned = np.flatnonzero(records['shaped'])
-    if not len(turned):
-        return points, *from_centre(points, centre, 3)
-    records = records[turned]
-    matrices = shapes.rotations(records['orientation'])
-    local = np.einsum('nij,ni->nj', matrices, centre - records['position'])
-    closest = closest_in_frames(records['kind'], records['half'], local)
-    for row in np.flatnonzero(records['kind'] == ShapeKind.MESH).tolist():
-        mesh = columns.meshes[int(records['mesh'][row])]
-        vertices = hull.Hull(mesh.vertices, mesh.discs, mesh.radius)
-        hull.closest_on_hull(vertices, local[row], closest[row])
-    inside = (closest == local).all(axis=1)
-    points[turned] = np.einsum('nij,nj->ni', matrices, closest) + records['position']
-    points[turned[inside]] = centre
-    distances, normals = from_centre(points, centre, 3)
-    distances[turned] = lengths(local - closest)
-    return points, distances, normals
-
-
-def closest_in_frames(kind: NDArray[np.uint8], half: Floats, local: Floats) -> Floats:
-    """The same in the frame of each shape, where it lies at the origin."""
-    closest: Floats = np.clip(local, -half, half)
-    rows = np.flatnonzero(kind == ShapeKind.CYLINDER)
-    far = lengths(local[rows, :2])
-    closest[rows, :2] = local[rows, :2] * (half[rows, 0] / np.maximum(far, half[rows, 0]))[:, None]
-    rows = np.flatnonzero((kind == ShapeKind.SPHERE) | (kind == ShapeKind.CAPSULE))
-    axis = np.zeros((len(rows), 3))
-    straight = half[rows, 2] - half[rows, 0]
-    axis[:, 2] = np.clip(local[rows, 2], -straight, straight)
-    away, radius = local[rows] - axis, half[rows, :1]
-    far = lengths(away)[:, None]
-    on_surface = axis + away * (radius / np.maximum(far, radius))
-    closest[rows] = np.where(far > radius, on_surface, local[rows])
-    return closest
-
-
-# ---- seen from above
-
-
-def closest_footprint_points(
-    columns: Columns, slots: Slots, centre: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """`closest_points` seen from above; z is that of the centre."""
-    points = np.clip(centre, *corners(columns.geometry[slots]))
-    points[:, 2] = centre[2]
-    footprints = columns.footprint_arrays()
-    turned = np.flatnonzero(columns.geometry['shaped'][slots])
-    if footprints is not None and len(turned):
-        places = np.empty((len(turned), 2))
-        shapes, hulls = footprints
-        overlap_footprint.closest_points(shapes[slots[turned]], hulls, centre[:2].copy(), places)
-        points[turned, :2] = places
-    return points, *from_centre(points, centre, 2)

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.nodes import node_dtype
+from .canonical import FINE, Canonical
 from .farthest import LANES, NUMBERS
 from .meshes import Floats, Mesh, digest
 from .outline import convex_polygon
-from .shapes import ShapeKind, Shapes, rotations
+from .shapes import MESH, rotations
 
 
 class Polygon:
@@ -44,16 +45,17 @@ class Polygon:
 _in_use: WeakValueDictionary[tuple[bytes, bytes], Polygon] = WeakValueDictionary()
 
 
-def outlined(form: Shapes) -> Shapes:
-    """Canonical shapes, each mesh replaced by its polygon; that of a mesh which only moves is
-    there already.
+def outlined(meshes: NDArray[np.object_] | None, form: Canonical) -> NDArray[np.object_] | None:
+    """The polygons of the meshes of canonical rows; that of a mesh which only moves is there
+    already.
     """
-    if form.mesh is None:
-        return form
-    seen = np.empty(len(form.kind), object)
-    for row in np.flatnonzero(form.kind == ShapeKind.MESH).tolist():
-        mesh, orientation = form.mesh[row], form.orientation[row]
+    if meshes is None:
+        return None
+    seen = np.empty(len(meshes), object)
+    is_mesh = (form.records['kind'] == MESH) & (form.faults == FINE)
+    for row in np.flatnonzero(is_mesh).tolist():
+        mesh, orientation = meshes[row], form.records['orientation'][row]
         key = mesh.key, orientation.tobytes()
         seen[row] = _in_use.get(key) or Polygon(mesh, orientation)
         _in_use[key] = seen[row]
-    return form._replace(mesh=seen)
+    return seen

@@ -2,33 +2,75 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the scene knows of each obstacle, as arrays indexed by the slot of its box in the tree."""
 
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.jit.compiling import entry_point, lean_kernel
 from ..geometry.footprint import FOOTPRINT, footprints
-from ..geometry.shapes import ShapeKind, Shapes
+from ..geometry.records import GEOMETRY, UNTURNED
+from ..geometry.shapes import MESH, shapes_of
 from .mesh_store import Hulls, MeshStore
 from .registry import Slots
 
+if TYPE_CHECKING:
+    from .updating import Rows
+
 FREE = -1
+NEVER = np.iinfo(np.int64).max
 
-# One record for the kernels. `shaped` is anything but an axis-aligned box: it needs a narrow
-# phase.
-GEOMETRY = np.dtype(
-    [
-        ('position', np.float64, (3,)),
-        ('orientation', np.float64, (4,)),
-        ('half', np.float64, (3,)),
-        ('kind', np.uint8),
-        ('shaped', np.bool_),
-        ('mesh', np.int32),  # in what alignment leaves free
-    ],
-    align=True,
-)
 
-# What is not `shaped` has this kind and orientation: updates of plain boxes need not write them.
-UNTURNED = np.zeros((), GEOMETRY)
-UNTURNED['orientation'] = (0.0, 0.0, 0.0, 1.0)
+class Kept(NamedTuple):
+    """The columns that every update writes, for `write_rows`."""
+
+    geometry: Any
+    stamp: Any
+    expires: Any
+    source: Any
+    group: Any
+
+
+class Written(NamedTuple):
+    """What an update changed."""
+
+    joined: int
+    """So many obstacles were in another group before, or in none."""
+    shaped: int
+    """So many more need a narrow phase."""
+    concerned: bool
+    """One of them does, or did."""
+    soonest: int | np.int64
+    """When the first of them expires, ns."""
+
+
+@lean_kernel
+def write_rows(kept, slots, records, stamp, expires, owner):
+    """Write rows of an update to their slots; owner = (source, group). Return a `Written`."""
+    source, group = owner
+    joined, shaped, concerned, soonest = 0, 0, False, np.int64(NEVER)
+    for i in range(slots.shape[0]):
+        slot = slots[i]
+        joined += kept.group[slot] != group
+        before, now = kept.geometry[slot].shaped, records[i].shaped
+        shaped += now - before
+        concerned = concerned or before or now
+        kept.geometry[slot] = records[i]
+        kept.stamp[slot], kept.expires[slot] = stamp[i], expires[i]
+        kept.source[slot], kept.group[slot] = source, group
+        if expires[i] > 0:
+            soonest = min(soonest, expires[i])
+    return Written(joined, shaped, concerned, soonest)
+
+
+@functools.cache
+def _write_rows() -> Callable[..., Any]:
+    """The machine code of `write_rows`."""
+    records, numbers = np.empty(0, GEOMETRY), np.empty(0, np.int64)
+    kept = Kept(records, *[numbers] * 4)
+    return entry_point(write_rows, kept, numbers, records, numbers, numbers, (0, 0))
 
 
 class Columns:
@@ -46,6 +88,7 @@ class Columns:
         self.group = np.empty(0, np.int64)
         self.shadow = np.empty(0, np.bool_)  # where an obstacle was, see slicing.py
         self.shadows = 0  # how many there are
+        self.shaped = 0  # how many rows need a narrow phase
         self.meshes = MeshStore()
         self._expects_meshes = meshes
         # Pairs of true shapes that overlap queries compared, and those that GJK left open.
@@ -62,11 +105,11 @@ class Columns:
         old = len(self.tree_handle)
         if count <= old:
             return
-        capacity, any_shaped = max(count, 2 * old), self.any_shaped
+        capacity = max(count, 2 * old)
         for name, array in vars(self).items():
             if isinstance(array, np.ndarray):
                 bigger = np.zeros(capacity, array.dtype)
-                if name != 'footprint' or any_shaped:  # else it is in no memory yet
+                if name != 'footprint' or self.shaped:  # else it is in no memory yet
                     bigger[:old] = array
                 setattr(self, name, bigger)
         self.tree_handle[old:] = FREE
@@ -85,6 +128,7 @@ class Columns:
         for array in vars(self).values():
             if isinstance(array, np.ndarray):
                 array[copies] = array[slots]
+        self.shaped += int(np.count_nonzero(self.geometry['shaped'][copies]))
         for slot in self._with_meshes(copies):
             self.meshes.take(self.meshes[int(self.geometry['mesh'][slot])])
 
@@ -100,28 +144,35 @@ class Columns:
         """The meshes for the kernels; None without any: what is None is not compiled."""
         return self.meshes.hulls if len(self.meshes) or self._expects_meshes else None
 
-    def write_shaped(self, slots: Slots, shapes: Shapes, shaped: NDArray[np.bool_]) -> None:
-        """What only shapes that need a narrow phase have."""
-        numbers = []
-        if shapes.mesh is not None:
-            for row in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
-                numbers.append((slots[row], self.meshes.take(shapes.mesh[row])))
+    def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> Written:
+        """Write rows of an update; `owner` is (source, group)."""
+        numbers = self._take_meshes(rows)
         self._release_meshes(slots)  # afterwards: what only moves is never forgotten
-        place, geometry = as_index(slots), self.geometry
-        geometry['orientation'][place] = shapes.orientation
-        geometry['kind'][place] = shapes.kind
-        geometry['shaped'][place] = shaped
-        for slot, number in numbers:
-            geometry['mesh'][slot] = number
-        if self.footprint is not None:
-            self.footprint[place] = footprints(shapes, shaped)
-            for slot, number in numbers:
-                self.footprint['polygon'][slot] = number + 1
+        kept = Kept(self.geometry, self.stamp, self.expires, self.source, self.group)
+        written: Written = _write_rows()(
+            kept, slots, rows.records, rows.stamp, rows.expires, owner
+        )
+        self.shaped += written.shaped
+        if self.footprint is not None and written.concerned:
+            self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])
+            for row, number in numbers:
+                self.footprint['polygon'][slots[row]] = number + 1
+        return written
+
+    def _take_meshes(self, rows: 'Rows') -> list[tuple[int, int]]:
+        """Row and number of each mesh; the records get the numbers, too."""
+        numbers = []
+        if rows.mesh is not None:
+            for row in np.flatnonzero(rows.records['kind'] == MESH).tolist():
+                number = self.meshes.take(rows.mesh[row])
+                rows.records['mesh'][row] = number
+                numbers.append((row, number))
+        return numbers
 
     def _with_meshes(self, slots: Slots) -> list[int]:
         if not len(self.meshes):
             return []
-        with_meshes: list[int] = slots[self.geometry['kind'][slots] == ShapeKind.MESH].tolist()
+        with_meshes: list[int] = slots[self.geometry['kind'][slots] == MESH].tolist()
         return with_meshes
 
     def _release_meshes(self, slots: Slots) -> None:
@@ -140,6 +191,7 @@ class Columns:
         self._release_meshes(slots)
         if self.footprint is not None:
             self.footprint['shaped'][slots[self.geometry['shaped'][slots]]] = False
+        self.shaped -= int(np.count_nonzero(self.geometry['shaped'][slots]))
         self.geometry[slots] = UNTURNED
         self.expires[slots] = 0
         self.categories[slots] = 0
@@ -152,18 +204,3 @@ class Columns:
     def nbytes(self) -> int:
         """Memory of the arrays."""
         return sum(a.nbytes for a in vars(self).values() if isinstance(a, np.ndarray))
-
-    @property
-    def any_shaped(self) -> bool:
-        """Whether anything in the scene needs a narrow phase."""
-        return bool(self.geometry['shaped'].any())
-
-
-def as_index(slots: Slots) -> NDArray[np.int64] | slice:
-    """The same places as a slice where they are consecutive.
-
-    Whole columns move several times faster.
-    """
-    if len(slots) > 1 and slots[-1] - slots[0] == len(slots) - 1 and (np.diff(slots) == 1).all():
-        return slice(int(slots[0]), int(slots[-1]) + 1)
-    return slots

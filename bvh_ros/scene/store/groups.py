@@ -54,16 +54,19 @@ class Groups:
         """The group with this number."""
         return self._by_number[number]
 
-    def join(self, source: str, name: str, count: int) -> tuple[int, int]:
-        """So many obstacles enter a group, opened if need be; the numbers of source and group."""
-        self._sources.setdefault(source, len(self._sources) + NOBODY + 1)
+    def open(self, source: str, name: str) -> tuple[int, int]:
+        """The numbers of a source and its group, made if need be."""
+        number = self._sources.setdefault(source, len(self._sources) + NOBODY + 1)
         group = self._groups.get((source, name))
         if group is None:
             self._last += 1
             group = self._groups[source, name] = Group(self._last, source, name)
             self._by_number[group.number] = group
-        group.members += count
-        return self._sources[source], group.number
+        return number, group.number
+
+    def join(self, source: str, name: str, count: int) -> None:
+        """So many obstacles enter an open group."""
+        self._groups[source, name].members += count
 
     def leave(self, numbers: NDArray[np.int64]) -> None:
         """One obstacle left each of these groups; a group that is empty then is forgotten."""

@@ -39,10 +39,13 @@ def _place(table, prefix_of, number_of, seed, prefix, number):
 
 
 @lean_kernel
-def find_slots(table, prefix_of, number_of, seed, prefixes, numbers, found):
-    """Write the slot of each name to `found`, EMPTY where there is none."""
-    for row in range(prefixes.shape[0]):
-        place = _place(table, prefix_of, number_of, seed, prefixes[row], numbers[row])
+def find_slots(table, prefix_of, number_of, seed, prefixes, family, numbers, found):
+    """Write the slot of each name, prefixes[family] + number, to `found`, EMPTY where there is
+    none.
+    """
+    for row in range(family.shape[0]):
+        prefix = prefixes[family[row]]
+        place = _place(table, prefix_of, number_of, seed, prefix, numbers[row])
         found[row] = table[place]
 
 

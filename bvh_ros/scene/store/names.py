@@ -14,11 +14,14 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.jit.compiling import lean_kernel
+
 Integers: TypeAlias = NDArray[np.int64]
 
 BARE = -1  # instead of a number: the prefix is the whole name
 _DIGITS = '0123456789'
 _MOST_DIGITS = 18  # so many fit an int64, whatever they are
+LARGEST = 10**_MOST_DIGITS
 
 
 class Numbered(NamedTuple):
@@ -78,21 +81,31 @@ def as_families(names: Names) -> Families:
         family, prefixes = _integers(names.family, 'family'), names.prefixes
         if family.shape != numbers.shape:
             raise ValueError(f'names.family has shape {family.shape}, not {numbers.shape}')
-        if family.size and not 0 <= family.min() <= family.max() < len(prefixes):
-            raise ValueError(f'names.family must be from 0 to {len(prefixes) - 1}')
     elif isinstance(names, Numbered):
         numbers, prefixes = _integers(names.numbers), [names.prefix]
         family = np.zeros(len(numbers), np.int64)
     else:
         return _from_strings(names)
+    known, plain = in_range(family, numbers, len(prefixes))
+    if not known:
+        raise ValueError(f'names.family must be from 0 to {len(prefixes) - 1}')
     if not all(isinstance(prefix, str) for prefix in prefixes):
         raise ValueError('the prefixes of names must be strings')
-    in_range = not numbers.size or 0 <= numbers.min() <= numbers.max() < 10**_MOST_DIGITS
-    if in_range and not any(prefix[-1:].isdigit() for prefix in prefixes):
+    if plain and not any(prefix[-1:].isdigit() for prefix in prefixes):
         return Families(prefixes, family, numbers)
     # 'a1' and 5, 'a' and 15 are one name.
     pairs = zip(family.tolist(), numbers.tolist(), strict=True)
     return _from_strings([f'{prefixes[place]}{number}' for place, number in pairs])
+
+
+@lean_kernel
+def in_range(family, numbers, count):
+    """(whether every family is one of so many, whether every number is one that `split` gives)"""
+    known = plain = True
+    for row in range(family.shape[0]):
+        known &= 0 <= family[row] < count
+        plain &= 0 <= numbers[row] < LARGEST
+    return known, plain
 
 
 def last_of_each(names: Families, rows: Integers) -> Integers:
@@ -117,7 +130,7 @@ def _integers(numbers: Integers, what: str = 'numbers') -> Integers:
         )
     if array.size and array.max() > np.iinfo(np.int64).max:
         raise ValueError(f'names.{what} must be integers of 64 bits')
-    return array.astype(np.int64, copy=False)
+    return array if array.dtype == np.int64 and array.flags.carray else array.astype(np.int64)
 
 
 def _from_strings(names: Sequence[str]) -> Families:
@@ -127,10 +140,11 @@ def _from_strings(names: Sequence[str]) -> Families:
         raise ValueError(f'names must be a sequence of strings, not {type(names).__name__}')
     names = list(names)
     prefixes: dict[str, int] = {}
-    pairs = np.empty((len(names), 2), np.int64)
+    family, numbers = [], []
     for row, name in enumerate(names):
         if not isinstance(name, str):
             raise ValueError(f'names must be strings: row {row} is {name!r}')
         prefix, number = split(name)
-        pairs[row] = prefixes.setdefault(prefix, len(prefixes)), number
-    return Families(list(prefixes), pairs[:, 0].copy(), pairs[:, 1].copy())
+        family.append(prefixes.setdefault(prefix, len(prefixes)))
+        numbers.append(number)
+    return Families(list(prefixes), np.array(family, np.int64), np.array(numbers, np.int64))

@@ -41,13 +41,12 @@ class Registry:
     def find(self, names: Families) -> Slots:
         """Slots of names, UNKNOWN where there is none."""
         known = [self._number_of_prefix.get(prefix, _NOBODY) for prefix in names.prefixes]
-        if not any(known):
-            return np.full(len(names), UNKNOWN, np.int64)
         found = np.empty(len(names), np.int64)
-        prefixes = np.array(known, np.int64)[names.family]
-        find_slots(
-            *self._hashed(), prefixes, np.require(names.numbers, np.int64, ['C', 'W']), found
-        )
+        if any(known):
+            prefixes = np.array(known, np.int64)
+            find_slots(*self._hashed(), prefixes, names.family, names.numbers, found)
+        else:
+            found.fill(UNKNOWN)
         return found
 
     def slot(self, name: str) -> int:
@@ -58,10 +57,10 @@ class Registry:
 
     def name(self, slot: int) -> str:
         """Name that owns a slot; KeyError if none does."""
-        prefix = int(self._prefix_of[slot]) if slot < len(self._prefix_of) else _NOBODY
+        prefix = self._prefix_of.item(slot) if slot < len(self._prefix_of) else _NOBODY
         if prefix == _NOBODY:
             raise KeyError(slot)
-        number = int(self._number_of[slot])
+        number = self._number_of.item(slot)
         return self._prefixes[prefix] if number == BARE else f'{self._prefixes[prefix]}{number}'
 
     def add(self, names: Families, slots: Slots) -> None:
@@ -104,7 +103,8 @@ class Registry:
     def leads_to(self, slots: Slots) -> Slots:
         """The slots that the names of some slots lead to."""
         found = np.empty(len(slots), np.int64)
-        find_slots(*self._hashed(), self._prefix_of[slots], self._number_of[slots], found)
+        prefixes, family = self._prefix_of[slots], np.arange(len(slots))
+        find_slots(*self._hashed(), prefixes, family, self._number_of[slots], found)
         return found
 
     def in_namespaces(self, namespaces: Collection[str]) -> Slots:

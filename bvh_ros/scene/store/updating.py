@@ -5,15 +5,18 @@
 Which rows are good, in canonical form, and why the others are refused.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...tree.jit.compiling import entry_point, lean_kernel
 from ...tree.nodes import ALL
-from ..geometry import shapes
+from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
 from ..geometry.polygon import outlined
+from ..geometry.records import Records
 from ..geometry.shapes import Floats, Shapes
 from ..refusals import Reasons
 from .names import BARE, Families, last_of_each
@@ -22,58 +25,31 @@ from .registry import UNKNOWN, Slots
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
 
 
-class Formed(NamedTuple):
-    """The good ones among `total` shapes, in canonical form."""
-
-    total: int
-    row: NDArray[np.int64]  # (m,) their numbers, ascending; what follows has a row for each
-    shapes: Shapes
-    shaped: NDArray[np.bool_]  # anything but an axis-aligned box
-    lo: Floats
-    hi: Floats
-    reasons: Reasons  # what is wrong with the others
-
-    def take(self, which: NDArray[Any]) -> 'Formed':
-        """Some of the good ones; the arrays themselves where that is all of them."""
-        if which.dtype == np.bool_ and which.all():
-            return self
-        return self._replace(
-            row=self.row[which],
-            shapes=self.shapes.take(which),
-            shaped=self.shaped[which],
-            lo=self.lo[which],
-            hi=self.hi[which],
-        )
-
-
 class Rows(NamedTuple):
     """Rows of one update; all arrays have the same length."""
 
     row: NDArray[np.int64]  # their number in the message
     slot: Slots  # UNKNOWN where the name is new
-    shapes: Shapes
-    shaped: NDArray[np.bool_]
-    lo: Floats
+    records: Records
+    mesh: NDArray[np.object_] | None  # a Mesh or Polygon in the rows of that kind
+    lo: Floats  # as the tree takes it
     hi: Floats
     categories: NDArray[np.uint32] | None  # None: as they are, and as the scene says of new ones
     stamp: NDArray[np.int64]
     expires: NDArray[np.int64]
 
-    def take(self, which: NDArray[Any]) -> 'Rows':
-        """Some of the rows; the arrays themselves where that is all of them."""
-        if which.dtype == np.bool_ and which.all():
-            return self
-        return Rows(
-            self.row[which],
-            self.slot[which],
-            self.shapes.take(which),
-            self.shaped[which],
-            self.lo[which],
-            self.hi[which],
-            None if self.categories is None else self.categories[which],
-            self.stamp[which],
-            self.expires[which],
-        )
+    def take(self, which: NDArray[Any] | slice) -> 'Rows':
+        """Some of the rows."""
+        columns: Any = (None if column is None else column[which] for column in self)
+        return Rows(*columns)
+
+
+class Owner(NamedTuple):
+    """Who sends an update, and how the obstacles' owners are known."""
+
+    number: int
+    of_slot: NDArray[np.int64]
+    name_of: Callable[[int], str]
 
 
 TIMES = np.iinfo(np.int64)  # what a time in ns can be
@@ -83,6 +59,11 @@ def column(
     name: str, value: ArrayLike, count: int, largest: int, least: int = 0
 ) -> NDArray[np.int64]:
     """One integer for all rows, or one a row, from `least` to `largest`."""
+    exact: Any = value
+    if type(exact) is int and least <= exact <= largest:  # much the most common
+        same = np.empty(count, np.int64)
+        same.fill(exact)
+        return same
     try:
         array = np.asarray(value)
     except ValueError:
@@ -96,12 +77,12 @@ def column(
     if array.size and not least <= int(array.min()) <= int(array.max()) <= largest:
         wrong = int(array.min() if array.min() < least else array.max())
         raise ValueError(f'{name} must be from {least} to {largest}, not {wrong}')
-    return np.broadcast_to(array.astype(np.int64), (count,))
+    return np.broadcast_to(array, (count,)).astype(np.int64)
 
 
 def whole_time(name: str, value: Any) -> int:
     """A time in ns."""
-    return int(column(name, value, 1, TIMES.max, TIMES.min)[0])
+    return column(name, value, 1, TIMES.max, TIMES.min).item(0)
 
 
 def text(name: str, value: Any) -> str:
@@ -111,69 +92,101 @@ def text(name: str, value: Any) -> str:
     return value
 
 
-def canonicalise(given: Shapes, planar: bool) -> Formed:
-    """Look at shapes alone: nothing here depends on the world."""
-    count = len(given.kind)
-    code = shapes.faults(given)
-    reasons = Reasons(count)
-    for fault in np.unique(code[code != shapes.FINE]).tolist():
-        reasons.add(code == fault, shapes.REASONS[fault])
-    row = np.flatnonzero(code == shapes.FINE)
-    canonicalise, aligned = shapes.canonical(given if len(row) == count else given.take(row))
-    with np.errstate(over='ignore', invalid='ignore'):
-        lo, hi = shapes.bounds(canonicalise, aligned)
-    if planar:
-        canonicalise = outlined(canonicalise)
-    formed = Formed(count, row, canonicalise, ~aligned, lo, hi, reasons)
-    if not (np.isfinite(lo).all() and np.isfinite(hi).all()):
-        finite = np.asarray(np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1))
-        reasons.add(row[~finite], shapes.REASONS[shapes.TOO_LARGE])
-        formed = formed.take(finite)
-    return formed
+@lean_kernel
+def all_good(faults, names, slots, owners, owner):
+    """(whether no row is refused for what an array can tell and no name comes twice, how many are
+    known). names = (family, numbers).
+    """
+    family, numbers = names
+    known = 0
+    for i in range(slots.shape[0]):
+        if faults[i] != FINE:
+            return False, known
+        if i > 0 and (
+            family[i] < family[i - 1]
+            or (family[i] == family[i - 1] and numbers[i] <= numbers[i - 1])
+        ):
+            return False, known
+        if slots[i] != UNKNOWN:
+            known += 1
+            if owners[slots[i]] != owner:
+                return False, known
+    return True, known
+
+
+@functools.cache
+def _all_good() -> Callable[..., Any]:
+    """The machine code of `all_good`."""
+    numbers = np.empty(0, np.int64)
+    return entry_point(
+        all_good, np.empty(0, np.uint8), (numbers, numbers), numbers, numbers, UNKNOWN
+    )
+
+
+class Validated(NamedTuple):
+    """Rows of a message that can be applied, and why the others cannot."""
+
+    added: Rows
+    known: Rows
+    reasons: Reasons
 
 
 def validate_rows(
     names: Families,
-    given: Formed,
+    shapes: Shapes,
     slots: Slots,
-    owners: NDArray[np.int64],
-    source: int,
+    owner: Owner,
     columns: tuple[ArrayLike, ArrayLike, ArrayLike | None],
-    source_name: Callable[[int], str],
-) -> Rows:
-    """The rows to apply; `given.reasons` says why the others are refused. `columns` are stamps,
-    expiries and categories, one for all or one a row.
+    planar: bool,
+) -> Validated:
+    """The rows to apply. `columns` are stamps, expiries and categories, one for all or one a row.
 
     Of several good rows with one name the last is applied: a message is read in order, and a later
     row modifies an earlier one's obstacle.
     """
-    count = given.total
+    count = len(slots)
     stamps = column('stamp', columns[0], count, TIMES.max, TIMES.min)
     lives = column('expires', columns[1], count, TIMES.max)
     masks = None
     if columns[2] is not None:
         masks = column('categories', columns[2], count, ALL).astype(np.uint32)
-    _refuse_names(names, given.reasons)
+    form = canonicalise(shapes, 2 if planar else 3)
+    mesh = outlined(shapes.mesh, form) if planar else shapes.mesh
+    everyone = np.arange(count)
+    rows = Rows(everyone, slots, form.records, mesh, form.lo, form.hi, masks, stamps, lives)
+    reasons = Reasons(count)
+    called = names.family, names.numbers
+    good, known = _all_good()(form.faults, called, slots, owner.of_slot, owner.number)
+    if good and not _refuse_names(names, reasons):
+        if known == count:
+            return Validated(rows.take(slice(0)), rows, reasons)
+        if known == 0:
+            return Validated(rows, rows.take(slice(0)), reasons)
+    else:
+        rows = rows.take(_taken(names, slots, form, owner, reasons))
+    new = rows.slot == UNKNOWN
+    return Validated(rows.take(new), rows.take(~new), reasons)
+
+
+def _taken(
+    names: Families, slots: Slots, form: Canonical, owner: Owner, reasons: Reasons
+) -> NDArray[np.int64]:
+    """Which rows to apply; why the others are refused is added to the reasons."""
+    for fault in np.unique(form.faults[form.faults != FINE]).tolist():
+        reasons.add(form.faults == fault, REASONS[fault])
+    _refuse_names(names, reasons)
     known = slots != UNKNOWN
-    if known.any():
-        foreign = np.flatnonzero(known & (owners[slots] != source))
-        owner = owners[slots[foreign]]
-        for other in np.unique(owner).tolist():
-            reason = f"its name belongs to the source '{source_name(other)}'"
-            given.reasons.add(foreign[owner == other], reason)
-    given = given.take(given.reasons.good[given.row])
-    row = given.row
-    last = last_of_each(names, row)
-    if len(last) < len(row):
-        given = given.take(np.isin(row, last))
-        row = given.row
-    at = row if len(row) < count else slice(None)
-    _, _, canonicalise, shaped, lo, hi, _ = given
-    masks = None if masks is None else masks[at]
-    return Rows(row, slots[at], canonicalise, shaped, lo, hi, masks, stamps[at], lives[at])
+    foreign = np.flatnonzero(known)
+    foreign = foreign[owner.of_slot[slots[foreign]] != owner.number]
+    others = owner.of_slot[slots[foreign]]
+    for other in np.unique(others).tolist():
+        reason = f"its name belongs to the source '{owner.name_of(other)}'"
+        reasons.add(foreign[others == other], reason)
+    return last_of_each(names, np.flatnonzero(reasons.good))
 
 
-def _refuse_names(names: Families, reasons: Reasons) -> None:
+def _refuse_names(names: Families, reasons: Reasons) -> bool:
+    """Whether any name is refused for its text."""
     prefixes = names.prefixes
     reserved = [place for place, one in enumerate(prefixes) if one.startswith(ERROR_PREFIX)]
     empty = [place for place, one in enumerate(prefixes) if not one]
@@ -183,3 +196,4 @@ def _refuse_names(names: Families, reasons: Reasons) -> None:
     if empty:
         bad = np.isin(names.family, empty) & (names.numbers == BARE)
         reasons.add(bad, 'its name is empty')
+    return bool(reserved or empty)

@@ -101,7 +101,7 @@ def adversarial_scene(rng, planar, scale, count=8):
     scene = Scene(planar=planar, margin=rng.choice([0.0, 0.1 * scale]))
     names = [str(row) for row in range(count)]
     assert scene.update('test', names, Shapes.boxes(position, size), stamp=1) == []
-    lo, hi = scene._tree.boxes(scene._tree.ids())
+    lo, hi = scene._held.tree.boxes(scene._held.tree.ids())
     return scene, list(zip(lo.tolist(), hi.tolist(), strict=True))
 
 
@@ -198,7 +198,7 @@ def test_one_box(lo, hi, start, way, radius, touches):
     scene = Scene()
     low, high = np.array(lo, float), np.array(hi, float)
     scene.update('test', ['0'], Shapes.boxes([(low + high) / 2], [high - low]), stamp=1)
-    box = tuple(side[0].tolist() for side in scene._tree.boxes(scene._tree.ids()))
+    box = tuple(side[0].tolist() for side in scene._held.tree.boxes(scene._held.tree.ids()))
     hits, sweep = ask(scene, Sweep(list(start), list(way), radius))
     exact = touched_by(*box, sweep, moments(*box, sweep), Fraction(1))
     assert bool(hits) == exact

@@ -16,8 +16,8 @@ from scene.reference import random_shapes
 from bvh_ros.report.error.contacts import contacts
 from bvh_ros.report.error.pairs import fcl_objects
 from bvh_ros.scene.distance.narrow_phase import near_pairs
-from bvh_ros.scene.geometry.query_shape import geometry_arrays as records_of
-from bvh_ros.scene.geometry.shapes import canonical
+from bvh_ros.scene.geometry.canonical import canonicalise
+from bvh_ros.scene.geometry.shapes import as_shapes
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 PAIRS = 50_000 if LONG else 1_500
@@ -26,10 +26,10 @@ GAPS = [-1e-2, -1e-4, -1e-7, -1e-10, -1e-13, 1e-13, 1e-10, 1e-6, 1e-4, 1e-2]
 
 def decide(shapes):
     """Whether rows 2 i and 2 i + 1 touch, for all i."""
-    form, aligned = canonical(shapes)
-    found = np.empty(len(form.kind) // 2, np.bool_)
-    pairs = np.arange(len(form.kind)).reshape(-1, 2)
-    near_pairs(records_of(form, ~aligned), None, pairs, False, found)
+    records = canonicalise(as_shapes(shapes)).records
+    found = np.empty(len(records) // 2, np.bool_)
+    pairs = np.arange(len(records)).reshape(-1, 2)
+    near_pairs(records, None, pairs, False, found)
     return found
 
 

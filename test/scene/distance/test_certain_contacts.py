@@ -47,8 +47,12 @@ KINDS = [
 
 def pairs_of(made, scene):
     """Slots (n, 2), and what the kernels read."""
-    slots = [scene._registry.slot(str(i)) for i in range(2 * len(made))]
-    return np.array(slots).reshape(-1, 2), scene._columns.geometry, scene._columns.hulls()
+    slots = [scene._held.registry.slot(str(i)) for i in range(2 * len(made))]
+    return (
+        np.array(slots).reshape(-1, 2),
+        scene._held.columns.geometry,
+        scene._held.columns.hulls(),
+    )
 
 
 def faults(made, planar):

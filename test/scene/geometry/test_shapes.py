@@ -12,8 +12,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene.geometry.canonical import canonicalise
 from bvh_ros.scene.geometry.footprint import footprints
-from bvh_ros.scene.geometry.shapes import bounds, canonical
+from bvh_ros.scene.geometry.shapes import as_shapes, shapes_of
 
 COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
 
@@ -26,15 +27,14 @@ def test_the_24_rotations_of_a_cube_keep_a_box_aligned(scale):
 
 def check_rotation(components, scale):
     position, size = np.array([0.1, 0.2, 0.3]), np.array([0.7, 1.1, 1.3])
-    shapes = Shapes.boxes([position], size, [np.array(components) * scale])
-    form, aligned = canonical(shapes)
-    assert aligned.tolist() == [True]
+    shapes = as_shapes(Shapes.boxes([position], size, [np.array(components) * scale]))
+    form = canonicalise(shapes)
+    assert not form.records['shaped'][0]
     matrix = np.rint(Rotation.from_quat(components).as_matrix())
     turned = np.abs(matrix) @ size
-    assert form.size[0].tolist() == turned.tolist()
-    lo, hi = bounds(form, aligned)
-    assert lo[0].tolist() == (position - turned / 2).tolist()
-    assert hi[0].tolist() == (position + turned / 2).tolist()
+    assert (form.records['half'][0] * 2.0).tolist() == turned.tolist()
+    assert form.lo[0].tolist() == (position - turned / 2).tolist()
+    assert form.hi[0].tolist() == (position + turned / 2).tolist()
 
 
 @pytest.mark.parametrize('quarter', range(-8, 9))
@@ -42,16 +42,21 @@ def test_computed_right_angles_are_right_angles(quarter):
     """Quaternions as robots make them: the sine and cosine of half a rounded angle."""
     yaw = quarter * math.pi / 2
     turn = [0, 0, math.sin(yaw / 2), math.cos(yaw / 2)]
-    assert canonical(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn]))[1].tolist() == [True]
+    assert is_aligned(turn)
     turn[0] = 1e-14
-    assert canonical(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn]))[1].tolist() == [False]
+    assert not is_aligned(turn)
+
+
+def is_aligned(turn):
+    form = canonicalise(as_shapes(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn])))
+    return not form.records['shaped'][0]
 
 
 def test_bounds_hold_the_shape_and_little_more():
     rng = np.random.default_rng(1)
-    shapes = random_shapes(rng, 2000)
-    form, aligned = canonical(shapes)
-    lo, hi = bounds(form, aligned)
+    shapes = as_shapes(random_shapes(rng, 2000))
+    form = canonicalise(shapes)
+    lo, hi, aligned = form.lo, form.hi, ~form.records['shaped']
     assert 100 < np.count_nonzero(aligned) < 1000
     for i, solid in enumerate(geometry_arrays(shapes)):
         # The farthest points along the axes: of a box corners, of a cylinder the rims.
@@ -73,8 +78,8 @@ def test_bounds_hold_the_shape_and_little_more():
 
 def test_a_box_from_above_is_the_hull_of_its_corners():
     rng = np.random.default_rng(2)
-    shapes = random_shapes(rng, 600)
-    form, _ = canonical(shapes)
+    shapes = as_shapes(random_shapes(rng, 600))
+    form = shapes_of(canonicalise(shapes).records)
     footprint_arrays = footprints(form, np.ones(600, np.bool_))
     signs = np.array(list(itertools.product([-1, 1], repeat=3)))
     boxes = 0

@@ -1,9 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The questions a scene answers.
-
-Each checks its input, asks the tree or a kernel, and names what was found.
-"""
+"""What rays and swept balls meet in a scene. Each method checks its input and asks a kernel."""
 
 import math
 
@@ -11,29 +8,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
-from ..tree.dynamic_bvh import DynamicBVH
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting, casting
-from .distance import overlaps
-from .geometry.query_shape import QueryShape, box_query, shape_query
-from .geometry.shapes import Floats, Shapes, along_axes
+from .geometry.shapes import Floats, along_axes
 from .results import NO_NODE, SceneHit, require_few
-from .store.columns import Columns
-from .store.registry import Registry, Slots
+from .store.obstacles import Obstacles
+from .store.registry import Slots
 
 Masks = NDArray[np.uint32]
 
 
-class SceneQueries:
-    """Queries of a scene. Any number of threads may ask while none changes it."""
+class RayQueries:
+    """What rays meet. Any number of threads may ask while none changes the scene."""
 
-    planar: bool
-    _tree: DynamicBVH
-    _columns: Columns
-    _registry: Registry
-    _any_shaped: bool
-
-    # ---- rays
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
 
     def raycast(
         self,
@@ -74,11 +63,11 @@ class SceneQueries:
             If an argument is NaN, infinite, negative (`radius`) or of the wrong shape.
         """
         origin, direction, radius = self._segment(start, goal, radius)
-        if radius == 0.0 and not self._any_shaped:
+        if radius == 0.0 and not self._held.columns.shaped:
             hit = box_casting.first(
-                self._tree, origin, direction, checks.mask(mask), bool(skip_inside)
+                self._held.tree, origin, direction, checks.mask(mask), bool(skip_inside)
             )
-            return None if hit is None else self._hit(*hit)
+            return None if hit is None else self._held.hit(*hit)
         hits = self._cast_one(origin, direction, radius, mask, skip_inside, False)
         return hits[0] if hits else None
 
@@ -98,12 +87,12 @@ class SceneQueries:
         is looked at.
         """
         origin, direction, radius = self._segment(start, goal, radius)
-        if radius == 0.0 and not self._any_shaped:
+        if radius == 0.0 and not self._held.columns.shaped:
             hits = box_casting.every(
-                self._tree, origin, direction, checks.mask(mask), bool(skip_inside), most
+                self._held.tree, origin, direction, checks.mask(mask), bool(skip_inside), most
             )
-            return self._each_once([self._hit(*hit) for hit in hits])
-        return self._each_once(
+            return self._held.each_once([self._held.hit(*hit) for hit in hits])
+        return self._held.each_once(
             self._cast_one(origin, direction, radius, mask, skip_inside, True, most)
         )
 
@@ -138,9 +127,9 @@ class SceneQueries:
             checks.masks(mask, len(starts)),
         )
         rays = starts, ways, reaches, masks
-        if not self._any_shaped:
-            handles = self._columns.node_handle
-            return box_casting.first_of_many(self._tree, handles, rays, bool(skip_inside))
+        if not self._held.columns.shaped:
+            handles = self._held.columns.node_handle
+            return box_casting.first_of_many(self._held.tree, handles, rays, bool(skip_inside))
         return self._first_of_many(*rays, skip_inside)
 
     def _first_of_many(
@@ -152,9 +141,9 @@ class SceneQueries:
         count, rows = len(starts), np.flatnonzero(np.diff(offsets))
         handles, distances = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
         places, outwards = np.full((count, 3), np.nan), np.zeros((count, 3))
-        handles[rows], distances[rows] = self._columns.node_handle[slots], ts
+        handles[rows], distances[rows] = self._held.columns.node_handle[slots], ts
         places[rows], outwards[rows] = points, normals
-        if self.planar:
+        if self._held.planar:
             places[rows, 2] = starts[rows, 2]
         return handles, distances, places, outwards
 
@@ -184,9 +173,11 @@ class SceneQueries:
         every: bool,
     ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
         """Offsets, slots, t, points and normals of thin rays against the true shapes."""
-        ndim = self._tree.ndim
+        ndim = self._held.tree.ndim
         rays = along_axes(starts, ndim), along_axes(ways, ndim), t_max, masks
-        return casting.cast_all(self._tree, self._columns, rays, bool(skip_inside), every)
+        return casting.cast_all(
+            self._held.tree, self._held.columns, rays, bool(skip_inside), every
+        )
 
     def _cast_one(
         self,
@@ -201,7 +192,16 @@ class SceneQueries:
         seen = checks.mask(mask)
         if radius > 0.0:
             slots, ts, points, normals = ball_casting.cast_ball(
-                *(self._tree, self._columns, origin, way, radius, seen, bool(skip_inside), every),
+                *(
+                    self._held.tree,
+                    self._held.columns,
+                    origin,
+                    way,
+                    radius,
+                    seen,
+                    bool(skip_inside),
+                    every,
+                ),
                 most,
             )
         else:
@@ -209,111 +209,9 @@ class SceneQueries:
             found = self._cast(origin[None], way[None], np.ones(1), masks, skip_inside, every)
             _, slots, ts, points, normals = found
             require_few(len(slots), most)
-            order = np.lexsort((self._columns.node_handle[slots], ts))
+            order = np.lexsort((self._held.columns.node_handle[slots], ts))
             slots, ts, points, normals = slots[order], ts[order], points[order], normals[order]
-        if self.planar:
+        if self._held.planar:
             points[:, 2] = origin[2]
         hits = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
-        return [self._hit(*hit) for hit in hits]
-
-    # ---- boxes
-
-    def overlap(
-        self,
-        start: ArrayLike,
-        goal: ArrayLike,
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 0.0),
-        tolerance: float = 0.0,
-        mask: int = ALL,
-        most: int | None = None,
-    ) -> list[SceneHit]:
-        """Return all obstacles that touch a box, nearest to its centre first, ties by handle.
-
-        Parameters
-        ----------
-        start, goal : array_like, shape (3,)
-            Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a
-            ball.
-        orientation : array_like, shape (4,)
-            Quaternion x, y, z, w of the box's axes; zero is the identity.
-        tolerance : float
-            The box is grown by this all round, with rounded corners: obstacles at most so far from
-            it count, m.
-        mask : int
-            Only obstacles with ``categories & mask != 0`` are seen.
-        most : int, optional
-            More than so many are refused: an answer is never cut short.
-
-        Returns
-        -------
-        list of SceneHit
-            `point` is the obstacle's point closest to the box's centre, `t` the distance between
-            the two (m), `normal` leads from the point to the centre; zero if the centre lies in
-            the obstacle.
-
-        Raises
-        ------
-        ValueError
-            If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape, or (as
-            TooManyHitsError) there are more hits than `most`.
-        """
-        query = box_query(start, goal, orientation, tolerance, self.planar)
-        return self._touching(query, mask, most)
-
-    def overlap_shape(
-        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL
-    ) -> list[SceneHit]:
-        """Return all obstacles that touch a shape of any kind; otherwise as `overlap`.
-
-        Parameters
-        ----------
-        shape : Shapes
-            One row. A planar scene sees it from above too.
-        tolerance, mask
-            As in `overlap`.
-        """
-        return self._touching(shape_query(shape, tolerance, self.planar), mask)
-
-    def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
-        """Return the names of all obstacles that touch each other.
-
-        Each pair once, the older obstacle first; sorted by handle. `mask`: only obstacles with
-        ``categories & mask != 0`` are seen.
-        """
-        pairs = overlaps.find_pairs(self._tree, self._columns, mask)
-        if self._columns.shadows:
-            pairs = overlaps.each_once(self._columns, pairs)
-        return [
-            (self._registry.name(one), self._registry.name(two)) for one, two in pairs.tolist()
-        ]
-
-    def _touching(self, query: QueryShape, mask: int, most: int | None = None) -> list[SceneHit]:
-        if query.aligned and not self._any_shaped:
-            found = overlaps.find_boxes(self._tree, query, checks.mask(mask), most)
-        else:
-            found = overlaps.find(self._tree, self._columns, query, checks.mask(mask), most)
-        slots, distances, points, normals = found
-        order = np.lexsort((self._columns.node_handle[slots], distances))
-        return self._each_once(
-            [self._hit(int(slots[i]), float(distances[i]), points[i], normals[i]) for i in order]
-        )
-
-    def _each_once(self, hits: list[SceneHit]) -> list[SceneHit]:
-        """Of hits of one obstacle at two places, see slicing.py, the first."""
-        if not self._columns.shadows:
-            return hits
-        first: dict[int, SceneHit] = {}
-        for hit in hits:
-            first.setdefault(hit.handle, hit)
-        return list(first.values())
-
-    def _hit(self, slot: int, t: float, point: Floats, normal: Floats) -> SceneHit:
-        columns = self._columns
-        return SceneHit(
-            self._registry.name(slot),
-            int(columns.node_handle[slot]),
-            t,
-            point,
-            normal,
-            int(columns.stamp[slot]),
-        )
+        return [self._held.hit(*hit) for hit in hits]

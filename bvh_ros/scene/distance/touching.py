@@ -1,0 +1,256 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which obstacles touch a query shape, and how they lie to its centre: one kernel a query.
+
+Broad phase, exact decision between axis-aligned boxes, narrow phase for the others. Where all are
+boxes, `touching_boxes` reads the tree alone.
+"""
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.boxes.nearest import nearest
+from ...tree.boxes.overlapping import overlap
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import ROOT, leaf_box
+from ...tree.store.turns import ANY_VERSION, begin_query, end_query
+from .closest import closest_from_above, closest_in_box, closest_in_obstacle, length, look_back
+from .narrow_phase import near
+from .query_shape import grow
+
+REFUSED = -1  # the tree is being changed
+CLOSE = 2.0**-49  # of a tolerance: how far a computed distance from it says nothing
+
+
+class Found(NamedTuple):
+    """Obstacles that touch a query, one a row, and how each lies to its centre."""
+
+    slots: Any
+    distances: Any
+    points: Any
+    normals: Any
+    doubtful: Any
+    """Two boxes as far apart as the tolerance, up to rounding: `overlaps` decides exactly."""
+    bounds: Any
+    """How far the tree says that the boxes are; where they are what was asked for."""
+    order: Any
+    """Rows by distance, then node handle."""
+
+
+class Box(NamedTuple):
+    """As the tree's kernels take one."""
+
+    lo: Any
+    hi: Any
+
+
+class Bodies(NamedTuple):
+    """What the narrow phase reads."""
+
+    shapes: Any
+    """Records by slot."""
+    footprints: Any
+    """The same seen from above; None where the scene is not planar."""
+    hulls: Any
+    """Meshes of the scene; None where neither it nor the query has any."""
+    query_hulls: Any
+
+
+@inlined
+def reached(tree, query, mask, found):
+    """Write the slots whose boxes touch the grown query's; return how many, which may be more
+    than fit.
+    """
+    nodes, tight, _, state, _ = tree
+    grown = stack_array(6, np.float64).reshape(2, 3)
+    grow(query, grown)
+    return overlap(nodes, tight, state[ROOT], Box(grown[0], grown[1]), mask, found.slots, 0)
+
+
+@inlined
+def within(lo, hi, query):
+    """(whether an axis-aligned box is within the tolerance of the query's, whether that is
+    sure).
+    """
+    gaps = stack_array(3, np.float64)
+    for axis in range(lo.shape[0]):
+        below, above = query.bounds[0, axis] - hi[axis], lo[axis] - query.bounds[1, axis]
+        gaps[axis] = max(above, below, 0.0)
+    distance = length(gaps[: lo.shape[0]])
+    sure = not abs(distance - query.tolerance) <= CLOSE * query.tolerance
+    return distance <= query.tolerance, sure
+
+
+@lean_kernel
+def touching_boxes(tree, query, mask, node_handles, found):
+    """Fill in the boxes that touch an aligned query; return (how many, how many are doubtful).
+    More than fit: none is filled in.
+    """
+    nodes, tight, _, state, _ = tree
+    if not begin_query(state, ANY_VERSION):
+        return np.int64(REFUSED), 0
+    total, count, doubtful = reached(tree, query, mask, found), 0, 0
+    if total <= found.slots.shape[0]:
+        centre = query.record[0].position
+        for i in range(total):
+            slot = found.slots[i]
+            lo, hi = leaf_box(nodes, tight, 2 * slot)
+            near_by, sure = True, True
+            if query.tolerance > 0.0:
+                near_by, sure = within(lo, hi, query)
+            if not (near_by or not sure):
+                continue
+            doubtful += not sure
+            found.slots[count], found.doubtful[count] = slot, not sure
+            found.points[count, 2] = query.height
+            closest_in_box(lo, hi, centre, found.points[count])
+            found.distances[count] = look_back(
+                found.points[count], centre, lo.shape[0], found.normals[count]
+            )
+            count += 1
+        order_found(found, count, node_handles)
+    end_query(state)
+    return (np.int64(total) if total > found.slots.shape[0] else np.int64(count)), doubtful
+
+
+@lean_kernel
+def touching_shapes(tree, bodies, query, mask, node_handles, found):
+    """`touching_boxes` of any shapes: (how many, how many are doubtful, how many pairs were
+    compared, how many of them took more digits).
+    """
+    nodes, tight, _, state, _ = tree
+    if not begin_query(state, ANY_VERSION):
+        return np.int64(REFUSED), 0, 0, 0
+    solid, planar = query.record[0], bodies.footprints is not None
+    total, count, doubtful, compared, more = reached(tree, query, mask, found), 0, 0, 0, 0
+    if total <= found.slots.shape[0]:
+        for i in range(total):
+            slot = found.slots[i]
+            shape, near_by, sure = bodies.shapes[slot], True, True
+            if shape.shaped or not query.aligned:
+                near_by, digits = near(
+                    shape, bodies.hulls, solid, bodies.query_hulls, query.tolerance, planar
+                )
+                compared += 1
+                more += digits
+            elif query.tolerance > 0.0:
+                lo, hi = leaf_box(nodes, tight, 2 * slot)
+                near_by, sure = within(lo, hi, query)
+            if not (near_by or not sure):
+                continue
+            doubtful += not sure
+            found.slots[count], found.doubtful[count] = slot, not sure
+            found.points[count, 2] = query.height
+            look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, count)
+            count += 1
+        order_found(found, count, node_handles)
+    end_query(state)
+    count = total if total > found.slots.shape[0] else count
+    return np.int64(count), doubtful, compared, more
+
+
+@lean_kernel
+def nearest_boxes(tree, point, asked, node_handles, found):
+    """Fill in the boxes nearest to a point; asked = (count, max_distance, mask). Return how many
+    there are.
+    """
+    nodes, tight, handles, state, _ = tree
+    count, max_distance, mask = asked
+    if not begin_query(state, ANY_VERSION):
+        return np.int64(REFUSED)
+    count = nearest(
+        nodes, tight, handles, state[ROOT], point, count, max_distance, mask,
+        found.slots, found.bounds,
+    )  # fmt: skip
+    for i in range(count):
+        lo, hi = leaf_box(nodes, tight, 2 * found.slots[i])
+        found.points[i, 2] = point[2]
+        closest_in_box(lo, hi, point, found.points[i])
+        found.distances[i] = look_back(found.points[i], point, lo.shape[0], found.normals[i])
+    order_found(found, count, node_handles)
+    end_query(state)
+    return np.int64(count)
+
+
+@lean_kernel
+def nearest_shapes(tree, bodies, point, asked, node_handles, found):
+    """`nearest_boxes`, with the distances of the shapes in the boxes."""
+    nodes, tight, handles, state, _ = tree
+    count, max_distance, mask = asked
+    if not begin_query(state, ANY_VERSION):
+        return np.int64(REFUSED)
+    count = nearest(
+        nodes, tight, handles, state[ROOT], point, count, max_distance, mask,
+        found.slots, found.bounds,
+    )  # fmt: skip
+    for i in range(count):
+        shape = bodies.shapes[found.slots[i]]
+        found.points[i, 2] = point[2]
+        look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
+    order_found(found, count, node_handles)
+    end_query(state)
+    return np.int64(count)
+
+
+@lean_kernel
+def look_at(shape, footprints, hulls, centre, found, row):
+    """Fill in how the obstacle of a row lies to a centre."""
+    point, normal = found.points[row], found.normals[row]
+    if footprints is None:
+        found.distances[row] = closest_in_obstacle(shape, hulls, centre, point, normal)
+    else:
+        footprint = footprints[found.slots[row]]
+        found.distances[row] = closest_from_above(shape, footprint, hulls, centre, point, normal)
+
+
+@inlined
+def comes_before(found, node_handles, one, other):
+    """Whether a row comes before another one."""
+    if found.distances[one] != found.distances[other]:
+        return found.distances[one] < found.distances[other]
+    handle, other_handle = node_handles[found.slots[one]], node_handles[found.slots[other]]
+    return handle < other_handle or (handle == other_handle and one < other)
+
+
+@lean_kernel
+def order_found(found, count, node_handles):
+    """Fill in the order of the rows: heapsort, the last one on top."""
+    order = found.order
+    for row in range(count):
+        order[row] = row
+    for root in range(count // 2 - 1, -1, -1):
+        sift_down(found, node_handles, root, count)
+    for end in range(count - 1, 0, -1):
+        order[0], order[end] = order[end], order[0]
+        sift_down(found, node_handles, 0, end)
+
+
+@inlined
+def sift_down(found, node_handles, root, count):
+    order = found.order
+    while 2 * root + 1 < count:
+        child = 2 * root + 1
+        if child + 1 < count and comes_before(found, node_handles, order[child], order[child + 1]):
+            child += 1
+        if not comes_before(found, node_handles, order[root], order[child]):
+            return
+        order[root], order[child] = order[child], order[root]
+        root = child
+
+
+class Scratch(threading.local):
+    """What a thread's queries find; the room for it is kept."""
+
+    def __init__(self) -> None:
+        self.make_room(32)
+
+    def make_room(self, count: int) -> None:
+        """Have room for at least so many rows."""
+        rows = 2 * count
+        self.found = Found(
+            *(np.empty(rows, np.int64), np.empty(rows), np.empty((rows, 3)), np.empty((rows, 3))),
+            *(np.empty(rows, np.bool_), np.empty(rows), np.empty(rows, np.int64)),
+        )

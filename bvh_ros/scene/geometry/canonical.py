@@ -1,0 +1,276 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What shapes are legal, their one canonical form, and the boxes that bound them.
+
+A row of a message is looked at by itself: what it becomes does not depend on the others.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.jit.compiling import entry_point, inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from .meshes import Mesh
+from .records import GEOMETRY, Records
+from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Floats, Shapes, rotations
+
+# A unit quaternion is known to about one ulp a component. One this close to a rotation that maps
+# axes to axes is taken as that rotation: the box would differ by less than the rounding of its own
+# corners.
+SNAP = 2.0**-50
+
+# Growth of the bounds of what is not an axis-aligned box, a share of the largest coordinate or
+# reach: above what counts as touching, see `casting.frame`, so that the broad phase never loses
+# what the true shape touches.
+OUTWARD = 2.0**-45
+LEAST = 5e-324
+
+REASONS = (
+    '',
+    'its kind is none of BOX, SPHERE, CYLINDER, CAPSULE and MESH',
+    'its position is not finite',
+    'its orientation is not finite',
+    'its size is not finite',
+    'its size is negative',
+    'the three sizes of a sphere must be equal (they are its diameter)',
+    'the sizes of a cylinder or capsule along x and y must be equal (they are its diameter)',
+    'a sphere, cylinder or capsule needs sizes above zero',
+    'a capsule must be at least as long (size along z) as it is wide',
+    'a mesh needs its Mesh and the size of it (see Shapes.of_meshes)',
+    'its bounds exceed the largest double',
+)
+(
+    FINE,
+    UNKNOWN_KIND,
+    BAD_POSITION,
+    BAD_ORIENTATION,
+    BAD_SIZE,
+    NEGATIVE_SIZE,
+    NOT_ROUND,
+    NOT_CIRCULAR,
+    NO_SIZE,
+    TOO_SHORT,
+    NO_MESH,
+    TOO_LARGE,
+) = range(len(REASONS))
+
+
+class Canonical(NamedTuple):
+    """Rows of shapes in canonical form, with bounds; only what is FINE means anything.
+
+    Quaternions have unit length. A box whose rotation maps axes to axes is the same box unturned,
+    its sizes exchanged. A sphere has lost its rotation. A mesh has the position of the middle of
+    its box.
+    """
+
+    records: Records
+    lo: Floats
+    """(n, ndim) exact (position -+ size / 2) where aligned, else a little outwards."""
+    hi: Floats
+    faults: NDArray[np.uint8]
+    """(n,) index into `REASONS` of the first fault of each row."""
+
+
+@inlined
+def is_finite(vector):
+    finite = True
+    for axis in range(vector.shape[0]):
+        finite &= math.isfinite(vector[axis])
+    return finite
+
+
+@lean_kernel
+def fault_of(kind, position, orientation, size):
+    """The first fault of a row, but for those of meshes and bounds."""
+    if not is_finite(position):
+        return BAD_POSITION
+    if not is_finite(orientation):
+        return BAD_ORIENTATION
+    if not is_finite(size):
+        return BAD_SIZE
+    if size[0] < 0.0 or size[1] < 0.0 or size[2] < 0.0:
+        return NEGATIVE_SIZE
+    if kind > MESH:
+        return UNKNOWN_KIND
+    if kind in (BOX, MESH):
+        return FINE
+    if kind == SPHERE and (size[0] != size[1] or size[0] != size[2]):
+        return NOT_ROUND
+    if kind != SPHERE and size[0] != size[1]:
+        return NOT_CIRCULAR
+    if size[0] == 0.0 or size[1] == 0.0 or size[2] == 0.0:
+        return NO_SIZE
+    return TOO_SHORT if kind == CAPSULE and size[2] < size[0] else FINE
+
+
+@lean_kernel
+def fill_unit(orientation, unit):
+    """Fill in a quaternion brought to unit length, the identity for a rotation by nothing."""
+    largest = 0.0
+    for part in range(4):
+        largest = max(largest, abs(orientation[part]))
+    if orientation[0] == 0.0 and orientation[1] == 0.0 and orientation[2] == 0.0:
+        unit[0] = unit[1] = unit[2] = 0.0
+        unit[3] = 1.0
+        return
+    # By a power of two first, so that squares neither overflow nor vanish.
+    exponent, square = math.frexp(largest)[1], 0.0
+    for part in range(4):
+        unit[part] = math.ldexp(orientation[part], -exponent)
+        square += unit[part] * unit[part]
+    length = math.sqrt(square)
+    for part in range(4):
+        unit[part] /= length
+
+
+@lean_kernel
+def maps_axes_to_axes(unit):
+    """Whether a unit quaternion is among the 24 rotations of a cube.
+
+    1, 2 or 4 components of equal magnitude, the others zero.
+    """
+    count = 0
+    for part in range(4):
+        count += abs(unit[part]) > SNAP
+    ideal = 1.0 / math.sqrt(max(count, 1.0))
+    for part in range(4):
+        magnitude = abs(unit[part])
+        if abs(magnitude - (ideal if magnitude > SNAP else 0.0)) > SNAP:
+            return False
+    return count != 3
+
+
+@lean_kernel
+def fill_rotation(unit, matrix):
+    """Fill in the rotation matrix (3, 3) of a unit quaternion; its column k is the shape's own
+    axis k.
+    """
+    x, y, z, w = unit[0], unit[1], unit[2], unit[3]
+    matrix[0, 0] = 1 - 2 * (y * y + z * z)
+    matrix[0, 1] = 2 * (x * y - z * w)
+    matrix[0, 2] = 2 * (x * z + y * w)
+    matrix[1, 0] = 2 * (x * y + z * w)
+    matrix[1, 1] = 1 - 2 * (x * x + z * z)
+    matrix[1, 2] = 2 * (y * z - x * w)
+    matrix[2, 0] = 2 * (x * z - y * w)
+    matrix[2, 1] = 2 * (y * z + x * w)
+    matrix[2, 2] = 1 - 2 * (x * x + y * y)
+
+
+@lean_kernel
+def reach_along(kind, half, matrix, axis):
+    """How far a shape reaches from its centre along one of the world's axes."""
+    if kind == SPHERE:
+        return half[axis]
+    if kind == CYLINDER:
+        # A disc of radius R reaches R sin(angle between its axis and the world's).
+        y, z = matrix[(axis + 1) % 3, 2], matrix[(axis + 2) % 3, 2]
+        return half[2] * abs(matrix[axis, 2]) + half[0] * math.sqrt(y * y + z * z)
+    if kind == CAPSULE:
+        return (half[2] - half[0]) * abs(matrix[axis, 2]) + half[0]
+    reach = abs(matrix[axis, 0]) * half[0] + abs(matrix[axis, 1]) * half[1]
+    return reach + abs(matrix[axis, 2]) * half[2]
+
+
+@lean_kernel
+def canonical_row(kind, position, orientation, size, record, bounds):
+    """Fill in record and bounds (2, 3) of a row without faults."""
+    matrix = stack_array(9, np.float64).reshape(3, 3)
+    fill_unit(orientation, record.orientation)
+    fill_rotation(record.orientation, matrix)
+    aligned = kind == BOX and maps_axes_to_axes(record.orientation)
+    record.kind, record.shaped, record.mesh = kind, not aligned, 0
+    for axis in range(3):
+        edge = size[axis]
+        if aligned:  # entries within rounding of -1, 0 and 1
+            edge = 0.0
+            for other in range(3):
+                edge += abs(np.rint(matrix[axis, other])) * size[other]
+        record.position[axis], record.half[axis] = position[axis], edge * 0.5
+    if aligned or kind == SPHERE:
+        record.orientation[0] = record.orientation[1] = record.orientation[2] = 0.0
+        record.orientation[3] = 1.0
+    pad = 0.0
+    for axis in range(3):
+        reach = record.half[axis]
+        if not aligned:
+            reach = reach_along(kind, record.half, matrix, axis)
+            pad = max(pad, abs(position[axis]) + reach)
+        bounds[0, axis], bounds[1, axis] = position[axis] - reach, position[axis] + reach
+    if not aligned:
+        for axis in range(3):
+            bounds[0, axis] -= pad * OUTWARD + LEAST
+            bounds[1, axis] += pad * OUTWARD + LEAST
+
+
+@lean_kernel
+def canonical_rows(kinds, positions, orientations, sizes, form):
+    """Fill in a `Canonical`; return whether all rows are fine."""
+    bounds, fine = stack_array(6, np.float64).reshape(2, 3), True
+    for i in range(kinds.shape[0]):
+        fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
+        if fault == FINE:
+            canonical_row(
+                kinds[i], positions[i], orientations[i], sizes[i], form.records[i], bounds
+            )
+            if not (is_finite(bounds[0]) and is_finite(bounds[1])):
+                fault = TOO_LARGE
+            for axis in range(form.lo.shape[1]):
+                form.lo[i, axis], form.hi[i, axis] = bounds[0, axis], bounds[1, axis]
+        form.faults[i] = fault
+        fine = fine and fault == FINE
+    return fine
+
+
+def _empty_form(count: int, ndim: int) -> Canonical:
+    return Canonical(
+        *(np.empty(count, GEOMETRY), np.empty((count, ndim)), np.empty((count, ndim))),
+        np.empty(count, np.uint8),
+    )
+
+
+@functools.cache
+def _canonical_rows(ndim: int) -> Callable[..., Any]:
+    """The machine code of `canonical_rows`."""
+    rows = np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3))
+    return entry_point(canonical_rows, np.empty(0, np.uint8), *rows, _empty_form(0, ndim))
+
+
+def canonicalise(shapes: Shapes, ndim: int = 3) -> Canonical:
+    """Look at shapes alone, which must be from `as_shapes`: nothing here depends on the world."""
+    form = _empty_form(len(shapes.kind), ndim)
+    _canonical_rows(ndim)(*shapes[:4], form)
+    if shapes.mesh is not None or (shapes.kind == MESH).any():
+        _place_meshes(shapes, form)
+    return form
+
+
+def _place_meshes(shapes: Shapes, form: Canonical) -> None:
+    """What rows of kind MESH have that others have not."""
+    is_mesh = (shapes.kind == MESH) & ((form.faults == FINE) | (form.faults == TOO_LARGE))
+    held: Any = np.full(len(shapes.kind), None) if shapes.mesh is None else shapes.mesh
+    for row in np.flatnonzero(is_mesh).tolist():
+        mesh = held[row]
+        if not isinstance(mesh, Mesh) or (mesh.size != shapes.size[row]).any():
+            form.faults[row], is_mesh[row] = NO_MESH, False
+    rows = np.flatnonzero(is_mesh)
+    records = form.records[rows]
+    turns = rotations(records['orientation'])
+    centres = np.array([mesh.centre for mesh in held[rows]]).reshape(-1, 3)
+    with np.errstate(over='ignore', invalid='ignore'):
+        records['position'] += np.einsum('nij,nj->ni', turns, centres)
+        for row, record, turn in zip(rows.tolist(), records, turns, strict=True):
+            position = record['position']
+            places = held[row].vertices @ turn.T
+            largest = (np.abs(position) + np.abs(turn) @ record['half']).max()
+            lo = position + places.min(axis=0) - (largest * OUTWARD + LEAST)
+            hi = position + places.max(axis=0) + (largest * OUTWARD + LEAST)
+            finite = np.isfinite(lo).all() and np.isfinite(hi).all()
+            form.faults[row] = FINE if finite else TOO_LARGE
+            form.lo[row], form.hi[row] = lo[: form.lo.shape[1]], hi[: form.hi.shape[1]]
+    form.records[rows] = records

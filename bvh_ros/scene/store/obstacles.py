@@ -1,0 +1,152 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The obstacles of a scene: for each a box in the tree, a name and a row of columns, at one
+slot.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ...tree import checks
+from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.nodes import SLOT_MASK
+from ..geometry.shapes import Floats
+from ..results import LAST_NODE_HANDLE, SceneHit
+from .columns import NEVER, Columns
+from .groups import NOBODY, Groups
+from .names import Families
+from .registry import UNKNOWN, Registry, Slots
+from .updating import Rows
+
+
+class Obstacles:
+    """What the parts of a scene share."""
+
+    def __init__(self, planar: bool, margin: float, meshes: bool, most: int) -> None:
+        self.planar = planar
+        self.most = checks.whole('max_obstacles', most, 1)
+        self.tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
+        self.columns = Columns(planar, meshes)
+        self.registry = Registry()
+        self.groups = Groups()
+        self.newest = 0
+        """Stamp of the newest update included, ns; 0 if there is none."""
+        self.next_node_handle = 1
+        self.next_expiry = NEVER
+        """Nothing expires earlier, ns."""
+
+    def __len__(self) -> int:
+        return len(self.registry)
+
+    def hit(self, slot: int, t: float, point: Floats, normal: Floats) -> SceneHit:
+        """What a query tells of an obstacle."""
+        columns = self.columns
+        handle, stamp = columns.node_handle.item(slot), columns.stamp.item(slot)
+        return SceneHit(self.registry.name(slot), handle, t, point, normal, stamp)
+
+    def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:
+        """What a query tells of rows of a `touching.Found`."""
+        return [
+            self.hit(
+                found.slots.item(row),
+                found.distances.item(row),
+                found.points[row].copy(),
+                found.normals[row].copy(),
+            )
+            for row in rows
+        ]
+
+    def each_once(self, hits: list[SceneHit]) -> list[SceneHit]:
+        """Of hits of one obstacle at two places, see slicing.py, the first."""
+        if not self.columns.shadows:
+            return hits
+        first: dict[int, SceneHit] = {}
+        for hit in hits:
+            first.setdefault(hit.handle, hit)
+        return list(first.values())
+
+    def slot(self, name: object) -> int:
+        """Slot of a name. KeyError if there is none."""
+        slot = self.registry.slot(name) if isinstance(name, str) else UNKNOWN
+        if slot == UNKNOWN:
+            raise KeyError(name)
+        return slot
+
+    def members(self, source: str, group: str, besides: Slots | None = None) -> Slots:
+        """Members of a group ('': all of the source), besides some."""
+        columns = self.columns
+        number = self.groups.number(source, group) if group else self.groups.source(source)
+        if number == NOBODY:
+            return np.empty(0, np.int64)
+        member = (columns.group if group else columns.source) == number
+        if besides is not None:
+            member[besides] = False
+        return np.flatnonzero(member)
+
+    def require_handles(self, count: int) -> None:
+        """OverflowError if there are no numbers for so many more."""
+        if self.next_node_handle + count - 1 > LAST_NODE_HANDLE:
+            raise OverflowError(
+                f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
+            )
+
+    def move(self, rows: Rows, source: str, group: str) -> None:
+        """Give obstacles that exist their new shape and pose."""
+        slots, columns = rows.slot, self.columns
+        if not len(slots):
+            return
+        handles = columns.tree_handle[slots]
+        if len(slots) == 1:
+            self.tree.move(handles.item(), rows.lo[0], rows.hi[0])
+        else:
+            self.tree.move_many(handles, rows.lo, rows.hi)
+        masks = rows.categories
+        if masks is not None and (columns.categories[slots] != masks).any():
+            self.tree.set_masks(handles, masks)
+            columns.categories[slots] = masks
+        before = columns.group[slots]
+        joined = self._write(rows, slots, source, group)
+        if joined:
+            self.groups.join(source, group, joined)
+            self.groups.leave(before[before != columns.group[slots]])
+
+    def insert(self, rows: Rows, names: Families, source: str, group: str) -> Slots:
+        """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
+        masks = rows.categories
+        handles = self.tree.insert_many(rows.lo, rows.hi, masks)
+        slots = handles & SLOT_MASK
+        columns = self.columns
+        columns.grow(int(slots.max()) + 1)
+        columns.tree_handle[slots] = handles
+        columns.categories[slots] = 1 if masks is None else masks
+        columns.node_handle[slots] = np.arange(len(slots)) + self.next_node_handle
+        self.next_node_handle += len(slots)
+        self.registry.add(names, slots)
+        self.groups.join(source, group, self._write(rows, slots, source, group))
+        return slots
+
+    def _write(self, rows: Rows, slots: Slots, source: str, group: str) -> int:
+        """Write rows of columns; return how many obstacles came from other groups, or none."""
+        written = self.columns.write(slots, rows, self.groups.open(source, group))
+        self.next_expiry = min(self.next_expiry, int(written.soonest))
+        return written.joined
+
+    def remove(self, slots: Slots) -> int:
+        """Forget obstacles; return how many there were."""
+        if len(slots) == len(self.tree) > 0:
+            self.tree.clear()
+            self.registry.clear()
+            self.groups.clear()
+            self.columns.clear()
+        elif len(slots):
+            self.tree.remove_many(self.columns.tree_handle[slots])
+            self.registry.discard(slots)
+            self.groups.leave(self.columns.group[slots[~self.columns.shadow[slots]]])
+            self.columns.forget(slots)
+        return len(slots)
+
+    def note_next_expiry(self) -> None:
+        """Look when the next obstacle expires."""
+        mortal = self.columns.expires[self.columns.expires > 0]
+        self.next_expiry = int(mortal.min()) if len(mortal) else NEVER
