@@ -107,5 +107,6 @@ class Compilation:
 
     def _run(self, number: int) -> None:
         self._jobs[number].run()
-        kernel_cache.note(self._jobs[number].key)
+        if number in self._missing:
+            kernel_cache.note(self._jobs[number].key)
         self._left.discard(number)
