@@ -77,9 +77,21 @@ def machine() -> str:
             continue
     cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()
     return (
-        f'Measured on {processor()}, {cores} cores, {platform.system()}, '
+        f'Measured on {processor()} ({vectors()}), {cores} cores, {platform.system()}, '
         f'CPython {platform.python_version()}, {", ".join(found)}.'
     )
+
+
+def vectors() -> str:
+    """How wide the processor's vectors are, or for which other one kernels are compiled."""
+    import llvmlite.binding
+    from numba import config
+
+    if config.CPU_NAME:
+        return f'kernels compiled for {config.CPU_NAME}'
+    features = llvmlite.binding.get_host_cpu_features()
+    width = 512 if features.get('avx512f') else 256 if features.get('avx2') else 128
+    return f'vectors of {width} bits'
 
 
 def processor() -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from . import plots, timing
+from . import batches, plots, timing
 from .libraries import LIBRARIES, Library
 from .libraries.base import Work, make_work
 from .page import Page
@@ -157,5 +157,11 @@ def table(task: Task, found: dict[int, dict[str, Timing]]) -> Table:
     return Table(f'peers_{task.name}', header, rows)
 
 
+def rays_in_batches(page: Page, brief: bool) -> None:
+    """Measure batches of rays."""
+    with one_processor():
+        batches.batches(page, brief)
+
+
 INTRODUCTION = '## Peers'
-SECTIONS = {'all tasks': all_tasks, 'scene calls': scene_calls}
+SECTIONS = {'all tasks': all_tasks, 'batches of rays': rays_in_batches, 'scene calls': scene_calls}

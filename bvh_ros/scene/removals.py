@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
-from ..tree.nodes import SLOT_MASK
 from .store import updating
 from .store.columns import NEVER
 from .store.names import Names, as_families
@@ -77,8 +76,8 @@ class Removals:
             yield
 
     def _still_there(self, found: Slots) -> Slots:
-        slots = found & SLOT_MASK
-        return slots[self._held.columns.tree_handle[slots] == found]
+        here = [handle for handle in found.tolist() if handle in self._held.tree]
+        return self._held.tree.slots(np.array(here, np.int64))
 
     def clear(self) -> int:
         """Remove all obstacles; return how many there were."""

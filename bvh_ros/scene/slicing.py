@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
-from ..tree.nodes import SLOT_MASK
 from .refusals import Refusals
 from .store.obstacles import Obstacles
 from .store.registry import Slots
@@ -124,7 +123,7 @@ class SlicedUpdates:
         moves = ~stays | rows.records['shaped'] | columns.geometry['shaped'][rows.slot]
         slots = rows.slot[moves]
         handles = tree.insert_many(lo[moves], hi[moves], columns.categories[slots])
-        copies = handles & SLOT_MASK
+        copies = tree.slots(handles)
         columns.grow(int(copies.max(initial=-1)) + 1)
         columns.copy(slots, copies)
         columns.tree_handle[copies] = handles

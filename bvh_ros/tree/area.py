@@ -14,7 +14,7 @@ import numpy as np
 
 from .jit.compiling import inlined, lean_kernel
 from .jit.intrinsics import stack_array
-from .nodes import DEEPEST, NONE, ROOT, is_leaf
+from .nodes import DEEPEST, NONE, ROOT, is_leaf, next_node
 from .store.turns import begin_query, end_query
 
 # Edges between these need no scaling: their products, and sums of many, are normal doubles.
@@ -84,13 +84,13 @@ def area_scale(nodes, a, b):
 
 
 @lean_kernel
-def cost_now(nodes, tight, handles, state, version):
+def cost_now(tree, version):
     """`tree_cost` of the whole tree, 0 if it is empty; negative if it is changed meanwhile."""
+    state, cost = tree.state, 0.0
     if not begin_query(state, version):
         return -1.0
-    cost = 0.0
     if state[ROOT] != NONE:
-        cost = tree_cost(nodes, state[ROOT])
+        cost = tree_cost(tree.nodes, state[ROOT])
     end_query(state)
     return cost
 
@@ -107,15 +107,11 @@ def tree_cost(nodes, root):
         return 0.0
     scale = area_scale(nodes, root, root)
     root_area = node_area(nodes, root, scale)
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, total, inner = root, 1, 0.0, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node):
-            continue
-        inner += 1
-        total += node_area(nodes, node, scale)
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
+    stack, top, node = stack_array(DEEPEST, np.int64), 0, np.int64(root)
+    total, inner = 0.0, 0
+    while node != NONE:
+        if not is_leaf(node):
+            inner += 1
+            total += node_area(nodes, node, scale)
+        node, top = next_node(nodes, node, not is_leaf(node), stack, top)
     return total / root_area if root_area > 0.0 else float(inner)

@@ -13,10 +13,22 @@ import numpy as np
 from .area import tree_cost
 from .build import building
 from .build.building import build_anew, is_too_high
+from .entries import entry_points
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
 from .jit.intrinsics import stack_array
-from .moving import fits, insert_rows, move_leaf, move_rows, remove_rows, write_leaf, write_tight
+from .moving import (
+    LARGEST,
+    Change,
+    Policy,
+    fits,
+    insert_rows,
+    move_leaf,
+    move_rows,
+    remove_rows,
+    write_leaf,
+    write_tight,
+)
 from .nodes import (
     BUILT_COST,
     BUILT_COUNT,
@@ -31,16 +43,17 @@ from .nodes import (
     REMOVED,
     ROOT,
     SERIAL,
-    SHAPES,
     SLOT_BITS,
-    SLOT_MASK,
+    find_slot,
     free_leaf,
+    note_all_written,
+    note_written,
     take_leaf,
 )
 from .store.turns import ANY_VERSION, begin_change, end_change
 
 # Why a change is refused, besides those in `turns`.
-FULL, OWING, UNKNOWN, NO_NUMBERS = -3, -4, -5, -6
+FULL, OWING, UNKNOWN, NO_NUMBERS, NO_BOX = -3, -4, -5, -6, -7
 REASONS = -9  # below are no reasons but handles
 
 # The cost is looked at after so many moves a box; if it has become so much higher than it was
@@ -65,7 +78,6 @@ def _end_one(heights, state):
     """True if something is owed."""
     if is_too_high(heights, state) or state[REFITS] >= REFITS_BEFORE_A_LOOK * state[COUNT] > 0:
         state[OWES] = 1
-    state[SHAPES] += 1
     owes = state[OWES] != 0
     end_change(state, True)
     return owes
@@ -79,87 +91,110 @@ def _refuses(handles, state, more):
     return NO_NUMBERS if state[SERIAL] + more - 1 > LAST_SERIAL else 0
 
 
+@inlined
+def _copy_box(lo, hi, box):
+    """Copy a box from the caller's memory, lo and hi as rows of `box`; whether it is one: finite,
+    and lo <= hi.
+    """
+    good = True
+    for axis in range(lo.shape[0]):
+        box[0, axis], box[1, axis] = lo[axis], hi[axis]
+        good &= (box[0, axis] >= -LARGEST) & (box[0, axis] <= box[1, axis])
+        good &= box[1, axis] <= LARGEST
+    return good
+
+
 @lean_kernel
-def insert_one(nodes, heights, tight, handles, state, lo, hi, mask, margin, branch_and_bound):
-    """Insert a box: its handle, negative if something is owed then; or why not."""
+def insert_one(tree, lo, hi, mask, margin, branch_and_bound):
+    """Insert a box, lo and hi of shape (ndim,) float64: its handle, negative if something is owed
+    then; or why not.
+    """
+    nodes, state = tree.nodes, tree.state
+    box, still = stack_array(6, np.float64).reshape(2, 3), stack_array(3, np.float64)
+    if not _copy_box(lo, hi, box):
+        return np.int64(NO_BOX)
     refused = _begin_one(state)
     if refused != 0:
         return np.int64(refused)
-    refused = _refuses(handles, state, 1)
+    refused = _refuses(tree.handles, state, 1)
     if refused != 0:
         end_change(state, False)
         return np.int64(refused)
-    still = stack_array(3, np.float64)
     still[0] = still[1] = still[2] = 0.0
     leaf = take_leaf(nodes, state)
-    write_leaf(nodes, tight, leaf, lo, hi, margin, still)
+    write_leaf(nodes, tree.tight, leaf, box[0], box[1], margin, still)
     nodes[leaf].mask = mask
     handle = state[SERIAL] << SLOT_BITS | leaf >> 1
-    handles[leaf >> 1] = handle
-    insert_leaf(nodes, heights, state, leaf, branch_and_bound)
+    tree.handles[leaf >> 1] = handle
+    insert_leaf(nodes, tree.heights, state, leaf, branch_and_bound)
+    note_written(state, leaf >> 1)
     state[SERIAL] += 1
     state[INSERTED] += 1
-    return -handle if _end_one(heights, state) else handle
-
-
-@inlined
-def _slot_of(handles, handle):
-    slot = handle & SLOT_MASK
-    return slot if slot < handles.shape[0] and handles[slot] == handle else NONE
+    return -handle if _end_one(tree.heights, state) else handle
 
 
 @lean_kernel
-def remove_one(nodes, heights, tight, handles, state, handle):
+def remove_one(tree, handle):
     """Remove a box: 1, or 2 if something is owed then; or why not."""
+    nodes, heights, state = tree.nodes, tree.heights, tree.state
+    slot = find_slot(tree.handles, handle)
+    if slot == NONE:
+        return np.int64(UNKNOWN)
     refused = _begin_one(state)
     if refused != 0:
         return np.int64(refused)
-    slot = _slot_of(handles, handle)
-    if slot == NONE:
+    if tree.handles[slot] != handle:  # another thread was quicker
         end_change(state, False)
         return np.int64(UNKNOWN)
     remove_leaf(nodes, heights, state, 2 * slot)
     free_leaf(nodes, state, 2 * slot)
-    handles[slot] = NONE
+    tree.handles[slot] = NONE
+    note_written(state, slot)
     state[REMOVED] += 1
     return np.int64(1 + _end_one(heights, state))
 
 
 @lean_kernel
-def move_one(
-    nodes, heights, tight, handles, state, handle, lo, hi, margin, displacement, branch_and_bound
-):
+def move_one(tree, handle, lo, hi, margin, displacement, branch_and_bound):
     """Move a box: 0 if it stays in its fat box, else 1, or 2 if something is owed then; or why
     not.
     """
+    state, tight = tree.state, tree.tight
+    slot = find_slot(tree.handles, handle)
+    if slot == NONE:
+        return np.int64(UNKNOWN)
+    box = stack_array(6, np.float64).reshape(2, 3)
+    if not _copy_box(lo, hi, box):
+        return np.int64(NO_BOX)
     refused = _begin_one(state)
     if refused != 0:
         return np.int64(refused)
-    slot = _slot_of(handles, handle)
-    if slot == NONE:
+    if tree.handles[slot] != handle:  # another thread was quicker
         end_change(state, False)
         return np.int64(UNKNOWN)
     leaf = 2 * slot
-    if fits(nodes, tight, leaf, lo, hi, margin, displacement):
-        write_tight(tight, leaf, lo, hi)
+    if fits(tree.nodes, tight, leaf, box[0], box[1], margin, displacement):
+        write_tight(tight, leaf, box[0], box[1])
         state[KEPT] += 1
         end_change(state, True)
         return np.int64(0)
-    move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound)
+    move_leaf(tree, leaf, box[0], box[1], margin, displacement, branch_and_bound)
     state[REINSERTED] += 1
     state[REFITS] += 1
-    return np.int64(1 + _end_one(heights, state))
+    return np.int64(1 + _end_one(tree.heights, state))
 
 
 @lean_kernel
-def set_masks(nodes, heights, tight, handles, state, version, slots, masks):
+def set_masks(tree, version, slots, masks):
     """Write the masks of leaves, and widen or narrow those of their ancestors."""
+    nodes, state = tree.nodes, tree.state
     refused = begin_change(state, version)
     if refused != 0:
-        return refused
+        return np.int64(refused)
     for i in range(slots.shape[0]):
         node = 2 * slots[i]
         nodes[node].mask = masks[i]
+        note_written(state, slots[i])
         node = np.int64(nodes[node].parent)
         while node != NONE:
             union = nodes[nodes[node].left].mask | nodes[nodes[node].right].mask
@@ -167,82 +202,44 @@ def set_masks(nodes, heights, tight, handles, state, version, slots, masks):
                 break
             nodes[node].mask = union
             node = np.int64(nodes[node].parent)
-    state[SHAPES] += 1
     end_change(state, True)
-    return 0
+    return np.int64(0)
 
 
 @lean_kernel
-def change_many(
-    nodes,
-    heights,
-    tight,
-    handles,
-    state,
-    version,
-    how,
-    rows,
-    boxes,
-    masks,
-    margin,
-    branch_and_bound,
-    shares,
-    order,
-    room,
-):
+def change_many(tree, version, how, change, policy, room):
     """Everything that may build a part of the tree anew: the number of rows that changed it, or
-    why not.
-
-    INSERT writes handles to `rows`, REMOVE and MOVE take slots from there. `boxes` are lo, hi and
-    displacements; `shares` are those of the boxes from which on many are refitted, and far ones
-    make the tree be built anew. `order` is scratch, two numbers a row of MOVE; `room` is from
-    `building.room_to_build`.
+    why not. `how` is INSERT and so on, `change` a `moving.Change`, `policy` a `moving.Policy`;
+    `room` is from `building.room_to_build`.
     """
+    nodes, heights, handles, state = tree.nodes, tree.heights, tree.handles, tree.state
     refused = begin_change(state, version)
     if refused != 0:
         return np.int64(refused)
+    count = change.rows.shape[0]
     if how == INSERT:
-        refused = _refuses(handles, state, rows.shape[0])
+        refused = _refuses(handles, state, count)
         if refused != 0:
             end_change(state, False)
             return np.int64(refused)
-    lo, hi, _ = boxes
-    count = np.int64(0)
-    if how == INSERT:
-        count = rows.shape[0]
         build = count >= max(2, state[COUNT])
-        insert_rows(
-            nodes,
-            heights,
-            tight,
-            handles,
-            state,
-            lo,
-            hi,
-            masks,
-            margin,
-            branch_and_bound,
-            not build,
-            rows,
-            room,
-        )
+        insert_rows(tree, change, policy, not build, room)
         if build:
             build_anew(nodes, heights, handles, state, room)
     elif how == REMOVE:
-        count = rows.shape[0]
-        remove_rows(nodes, heights, handles, state, rows, room)
+        remove_rows(tree, change.rows, room)
     elif how == MOVE:
-        arrays = nodes, heights, tight, handles, state
-        count = move_rows(arrays, rows, boxes, margin, branch_and_bound, shares, order, room)
+        count = move_rows(tree, change, policy, room)
     elif how == BUILD:
         build_anew(nodes, heights, handles, state, room)
+        note_all_written(state)  # none is, but a snapshot of the better tree is better, too
     elif how == OPTIMIZE:
         building.optimize(nodes, heights, state, room)
+        note_all_written(state)
     if how != MOVE or count > 0 or state[OWES] != 0:
         _settle(nodes, heights, handles, state, room)
-        state[SHAPES] += 1
     end_change(state, True)
-    return count
+    return np.int64(count)
 
 
 @inlined
@@ -256,3 +253,14 @@ def _settle(nodes, heights, handles, state, room):
         if worse or not 0.8 * built < count < 1.25 * built:
             build_anew(nodes, heights, handles, state, room)
     state[OWES] = 0
+
+
+# How Python calls them: by the number of dimensions, see `compiling.entry_points`.
+_POINT, _IDS = np.empty(0), np.empty(0, np.int64)
+_CHANGE = Change(_IDS, *(np.empty((0, 3)),) * 3, np.empty(0, np.uint32), _IDS)
+_POLICY = Policy(0.0, False, 0.0, 0.0)
+insert_entry = entry_points(insert_one, _POINT, _POINT, np.uint32(0), 0.0, False)
+remove_entry = entry_points(remove_one, 0)
+move_entry = entry_points(move_one, 0, _POINT, _POINT, 0.0, _POINT, False)
+masks_entry = entry_points(set_masks, 0, _IDS, np.empty(0, np.uint32))
+many_entry = entry_points(change_many, 0, 0, _CHANGE, _POLICY, building.room_to_build(0))

@@ -18,6 +18,9 @@ Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
 FLOAT64 = np.dtype(np.float64)
+LAST_INT64 = (1 << 63) - 1
+# One for all rows, where nothing else is asked for.
+FOREVER, EVERYTHING = np.array([np.inf]), np.array([EVERY])
 
 # What others' objects raise when they are asked for numbers, warnings made errors among them. Not
 # every Exception: a signal handler's, say a TimeoutError, is not about the argument.
@@ -101,13 +104,30 @@ def _unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floa
     return floats(name, value)
 
 
-def floats_to_read(name: str, value: ArrayLike, shape: tuple[int, ...] | None = None) -> Floats:
-    """The same array type, but the caller's memory where that is of it: for kernels that read
-    every row once. What has not the `shape` will be refused.
+def floats_to_read(name: str, value: ArrayLike) -> Floats:
+    """As `floats`, but the caller's memory where that is of the same array type: for kernels that
+    read every row once.
     """
     if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
         return value
-    return floats(name, value) if shape is None else _unless_refused(name, value, shape)
+    return floats(name, value)
+
+
+def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
+    """As `point`, but the caller's memory where that is of the same array type, and not known to
+    be finite: for kernels that read it and see to that.
+    """
+    if (
+        type(value) is np.ndarray
+        and value.dtype is FLOAT64
+        and value.shape == (ndim,)
+        and value.flags.carray
+    ):
+        return value
+    array = _unless_refused(name, value, (ndim,))
+    if array.shape != (ndim,):
+        raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
+    return array
 
 
 def point(name: str, value: ArrayLike, ndim: int) -> Floats:
@@ -133,8 +153,12 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     """As `points`, neither copied nor known to be finite: that is left to who reads them, and to
     `finite`.
     """
+    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
+        shape = value.shape
+        if len(shape) == 2 and shape[1] == ndim and (count is None or shape[0] == count):
+            return value
     _refuse_before_copying(name, value, ndim, count)
-    return _rows(name, floats_to_read(name, value), ndim, count)
+    return _rows(name, floats(name, value), ndim, count)
 
 
 def _refuse_before_copying(name: str, value: ArrayLike, ndim: int, count: int | None) -> None:
@@ -181,6 +205,12 @@ def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
     return low, high
 
 
+def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:
+    """What is raised where a kernel says that these are no box."""
+    box(lo, hi, ndim)
+    return ValueError('lo and hi were changed while they were read')
+
+
 def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
     if value is ALL:  # the default, and much the most common: not worth a microsecond
@@ -214,6 +244,11 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
     if bad.size:
         raise ValueError(f'mask must be from 0 to {ALL}: row {bad[0]} is {array[bad[0]]}')
     return array.astype(np.uint32)
+
+
+def masks_or_one(value: Any, count: int) -> NDArray[np.uint32]:
+    """A mask a row, or an array of one for all."""
+    return EVERYTHING if value is ALL else masks(value, 1 if np.isscalar(value) else count)
 
 
 def _one(name: str, value: Any) -> float:
@@ -277,6 +312,25 @@ def limits(name: str, value: ArrayLike, count: int) -> Floats:
     if bad.size:
         raise ValueError(f'{name} must not be negative or NaN: row {bad[0]} is {array[bad[0]]}')
     return array
+
+
+def limits_or_one(name: str, value: Any, count: int) -> Floats:
+    """A distance >= 0 a row, or an array of one for all."""
+    if type(value) is float:
+        return FOREVER if value == math.inf else np.array([limit(name, value)])
+    return limits(name, value, 1 if np.isscalar(value) else count)
+
+
+def unknown(handle: Any) -> KeyError:
+    """What is raised where a handle names no box."""
+    return KeyError(f'handle {shown_short(handle)} names no box of this tree')
+
+
+def handle(value: Any) -> int:
+    """What may be a handle, else KeyError; what is no integer is none."""
+    if is_integer(value) and not isinstance(value, bool) and 0 <= value <= LAST_INT64:
+        return int(value)
+    raise unknown(value)
 
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:

@@ -16,8 +16,13 @@ from .introspection import Introspection
 from .rays.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
-from .store.storage import clear, new_storage
+from .store.storage import clear_entry, new_storage
+from .store.turns import CHANGED, QUERIED
 
+# Why a change of one box is refused, where that is no fault of the arguments.
+MENDED = QUERIED, CHANGED, changing.FULL, changing.OWING, changing.NO_NUMBERS
+
+STILL = np.zeros(3)  # a displacement
 SEARCHES = ('greedy', 'branch_and_bound')
 
 # move_many, measured (see `bvh_report speed`): from this share of boxes that move near by on,
@@ -91,6 +96,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         if np.isinf(self._margin):
             raise ValueError('margin must be finite')
         self._sibling_search = sibling_search
+        self._thorough = sibling_search == 'branch_and_bound'
         places = checks.capacity('capacity', capacity)
         self._storage = new_storage(self._ndim, places, self._margin > 0.0)
         self._wide = 0, 0, None
@@ -124,16 +130,12 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     # ---- changes: each is one kernel of `changing`
 
-    @property
-    def _thorough(self) -> bool:
-        return self._sibling_search == 'branch_and_bound'
-
     def _change(self, kernel: Any, *arguments: Any) -> int:
-        """Call a kernel until nothing that can be mended is in its way."""
+        """Call a kernel until nothing that can be mended is in its way; what it returned then."""
         while True:
             storage = self._settled()
-            done: int = kernel(*storage[:5], *arguments)
-            if done >= 0 or done < changing.REASONS:
+            done: int = kernel(storage.tree, *arguments)
+            if done >= 0 or done not in MENDED:
                 return done
             self._make_way(done, storage, 1)
 
@@ -147,20 +149,25 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         margin is zero.
         """
         storage = self._settled()
-        while not len(storage.tight):
-            self._replace_storage(storage, len(storage.handles), True)
+        while not len(storage.tree.tight):
+            self._replace_storage(storage, len(storage.tree.handles), True)
             storage = self._settled()
 
     def insert(self, lo: ArrayLike, hi: ArrayLike, mask: int = 1) -> int:
         """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend
         with every insertion.
         """
-        low, high = checks.box(lo, hi, self.ndim)
-        asked = low, high, checks.mask(mask), self._margin, self._thorough
-        handle = self._change(changing.insert_one, *asked)
-        if handle < 0:
-            self._settle_soon()
-        return abs(handle)
+        ndim = self._ndim
+        low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
+        handle = self._change(
+            changing.insert_entry(ndim), low, high, checks.mask(mask), self._margin, self._thorough
+        )
+        if handle >= 0:
+            return handle
+        if handle == changing.NO_BOX:
+            raise checks.no_box(low, high, ndim)
+        self._settle_soon()
+        return -handle
 
     def insert_many(self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike | None = None) -> Ids:
         """Insert n boxes, shape (n, ndim) each; return their handles in row order.
@@ -177,20 +184,23 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def remove(self, handle: int) -> None:
         """Remove a box. KeyError if the handle names none."""
-        self._slot(handle)
-        if self._change(changing.remove_one, int(handle)) > 1:
+        number = checks.handle(handle)
+        done = self._change(changing.remove_entry(self._ndim), number)
+        if done == changing.UNKNOWN:
+            raise checks.unknown(handle)
+        if done > 1:
             self._settle_soon()
 
     def remove_many(self, handles: ArrayLike) -> None:
         """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError),
         none.
         """
-        view = self.view()
-        self._change_many(changing.REMOVE, checks.slots_of(view[2], handles), version=view[4])
+        tree, version = self.view()
+        self._change_many(changing.REMOVE, checks.slots_of(tree.handles, handles), version=version)
 
     def clear(self) -> None:
         """Remove all boxes. Their handles stay stale for ever."""
-        self._change(clear)
+        self._change(clear_entry(self._ndim))
 
     def move(
         self, handle: int, lo: ArrayLike, hi: ArrayLike, displacement: ArrayLike | None = None
@@ -201,14 +211,17 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         `displacement`, shape (ndim,), is where the box is expected to be next, relative to now:
         its fat box then reaches there. KeyError if the handle names no box.
         """
-        self._slot(handle)
-        low, high = checks.box(lo, hi, self.ndim)
-        ahead = np.zeros(self._ndim)
+        number, ndim, ahead = checks.handle(handle), self._ndim, STILL
+        low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         if displacement is not None:
-            there = checks.point('displacement', displacement, self._ndim)
+            there = checks.point('displacement', displacement, ndim)
             ahead = self._ahead(there[None], 1)[0]
-        asked = int(handle), low, high, self._margin, ahead, self._thorough
-        changed = self._change(changing.move_one, *asked)
+        asked = number, low, high, self._margin, ahead, self._thorough
+        changed = self._change(changing.move_entry(ndim), *asked)
+        if changed == changing.UNKNOWN:
+            raise checks.unknown(handle)
+        if changed == changing.NO_BOX:
+            raise checks.no_box(low, high, ndim)
         if changed > 1:
             self._settle_soon()
         return changed > 0
@@ -227,13 +240,13 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         have made the tree costlier, it is built anew. All or, if a handle is unknown (KeyError) or
         given twice (ValueError), none.
         """
-        view = self.view()
-        slots = checks.slots_of(view[2], handles)
+        tree, version = self.view()
+        slots = checks.slots_of(tree.handles, handles)
         low, high = checks.boxes(lo, hi, self.ndim, len(slots))
         ahead = self._ahead(displacement, len(slots))
         shares = REFIT_SHARE, REBUILD_SHARE
         boxes = low, high, ahead
-        return self._change_many(changing.MOVE, slots, boxes, version=view[4], shares=shares)
+        return self._change_many(changing.MOVE, slots, boxes, version=version, shares=shares)
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
         if displacement is None:
@@ -245,10 +258,10 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
-        view = self.view()
-        slots = checks.slots_of(view[2], handles)
+        tree, version = self.view()
+        slots = checks.slots_of(tree.handles, handles)
         masks = checks.masks(mask, len(slots))
-        self._change(changing.set_masks, view[4], slots, masks)
+        self._change(changing.masks_entry(self._ndim), version, slots, masks)
 
     def rebuild(self) -> None:
         """Build the tree anew by binned SAH over all axes. Handles stay."""

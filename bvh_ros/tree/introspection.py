@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import checks, plotting, validation
 from .area import cost_now
+from .entries import entry_points
 from .jit.kernel_cache import cache_folder
 from .nodes import (
     BUILT_COST,
@@ -19,12 +20,14 @@ from .nodes import (
     RAYS,
     ROOT,
     SERIAL,
-    SHAPES,
-    SLOT_MASK,
     STATE_PLACES,
+    WRITTEN,
+    Tree,
 )
 from .store.arrays import Arrays, Floats, Ids
 from .store.turns import IS_CHANGED
+
+cost_entry = entry_points(cost_now, 0)
 
 
 class Introspection(Arrays):
@@ -32,7 +35,7 @@ class Introspection(Arrays):
 
     def __contains__(self, handle: object) -> bool:
         try:
-            self._slot(handle)
+            self.slot(handle)  # type: ignore[arg-type]
         except KeyError:
             return False
         return True
@@ -43,7 +46,7 @@ class Introspection(Arrays):
     def ids(self) -> Ids:
         """All handles, ascending."""
         view = self.view()
-        handles = view[2]
+        handles = view.tree.handles
         live = np.sort(handles[handles >= 0])
         self.check_unchanged(view)
         return live
@@ -53,8 +56,8 @@ class Introspection(Arrays):
         no box.
         """
         view = self.view()
-        nodes, tight, live, _, _ = view
-        slots = checks.slots_of(live, handles, once=False)
+        nodes, tight = view.tree.nodes, view.tree.tight
+        slots = checks.slots_of(view.tree.handles, handles, once=False)
         records = tight[slots] if len(tight) else nodes[2 * slots]
         self.check_unchanged(view)
         return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
@@ -64,8 +67,8 @@ class Introspection(Arrays):
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
         view = self.view()
-        slots = checks.slots_of(view[2], handles, once=False)
-        masks = np.array(view[0]['mask'][2 * slots], np.uint32)
+        slots = checks.slots_of(view.tree.handles, handles, once=False)
+        masks = np.array(view.tree.nodes['mask'][2 * slots], np.uint32)
         self.check_unchanged(view)
         return masks
 
@@ -73,8 +76,8 @@ class Introspection(Arrays):
     def bounds(self) -> tuple[Floats, Floats] | None:
         """Smallest box around all exact boxes, as (lo, hi); None if the tree is empty."""
         view = self.view()
-        nodes, tight, handles, _, _ = view
-        live = np.flatnonzero(handles >= 0)
+        nodes, tight = view.tree.nodes, view.tree.tight
+        live = np.flatnonzero(view.tree.handles >= 0)
         records = tight[live] if len(tight) else nodes[2 * live]
         self.check_unchanged(view)
         if not len(live):
@@ -85,9 +88,9 @@ class Introspection(Arrays):
     def height(self) -> int:
         """Levels of inner nodes; at most 4 log2(n) + 4."""
         self._settle()
-        view, heights = self._view_and_heights()
-        root = view[3].item(ROOT)
-        height: int = 0 if root == NONE else heights.item(root)
+        view = self.view()
+        root = view.tree.state.item(ROOT)
+        height: int = 0 if root == NONE else view.tree.heights.item(root)
         self.check_unchanged(view)
         return height
 
@@ -111,7 +114,7 @@ class Introspection(Arrays):
             for name, value in (('first', first), ('last', last), ('most', most))
         )
         view = self.view()
-        all_nodes, root = view[0], view[3].item(ROOT)
+        all_nodes, root = view.tree.nodes, view.tree.state.item(ROOT)
         here = np.array([] if root == NONE else [root], np.int64)
         nodes, depths, depth = [here[:0]], [here[:0]], 0
         while len(here) and depth <= last and sum(map(len, nodes)) < most:
@@ -163,39 +166,40 @@ class Introspection(Arrays):
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of
         inner nodes if that is zero.
         """
-        cost = float(cost_now(*self.view()))
+        cost = float(cost_entry(self._ndim)(*self.view()))
         if cost < 0.0:
             raise RuntimeError(IS_CHANGED)
         return cost
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
-        *arrays, state = self._copied()
-        serial = state.item(SERIAL)
-        arrays.append(state[:STATE_PLACES])
-        complaint = validation.complaint_about(self.ndim, self.margin, serial, tuple(arrays))
+        tree = self._copied()
+        serial, state = tree.state.item(SERIAL), tree.state[:STATE_PLACES]
+        complaint = validation.complaint_about(
+            self.ndim, self.margin, serial, tree._replace(state=state)
+        )
         if complaint:
             raise RuntimeError(complaint)
 
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""
         view = self.view()
-        arrays, (_, _, snapshot) = self._settled()[:5], self._wide
-        _, tight, handles, state, _ = view
+        tree, (written, _, snapshot) = view.tree, self._wide
+        state = tree.state
         built_cost = state.view(np.float64).item(BUILT_COST)
         stats = {
             'boxes': len(self),
-            'capacity': len(handles),
+            'capacity': len(tree.handles),
             'ndim': self.ndim,
             'height': self.height,
             'cost': self.cost(),
             'cost_when_built': built_cost,  # at the last bulk build; 0 before the first
-            'bytes': sum(array.nbytes for array in arrays),
+            'bytes': sum(array.nbytes for array in tree),
             'snapshot_bytes': snapshot.nbytes if snapshot else 0,
             'margin': self.margin,
             'sibling_search': self.sibling_search,
-            'exact_boxes_beside_nodes': bool(len(tight)),
-            'wide_snapshot': snapshot is not None and self._wide[0] == state.item(SHAPES),
+            'exact_boxes_beside_nodes': bool(len(tree.tight)),
+            'wide_snapshot': snapshot is not None and written == state.item(WRITTEN),
             'kernel_cache': str(cache_folder()),
             'rays': state.item(RAYS),
             'rays_decided_exactly': state.item(EXACT_RAYS),
@@ -204,20 +208,10 @@ class Introspection(Arrays):
         self.check_unchanged(view)
         return stats
 
-    def _copied(self) -> tuple[NDArray[Any], ...]:
+    def _copied(self) -> Tree:
         """The tree's arrays, all as they were at one time."""
         self._settle()
-        view, heights = self._view_and_heights()
-        nodes, tight, handles, state, _ = view
-        copies = tuple(array.copy() for array in (nodes, heights, tight, handles, state))
+        view = self.view()
+        copies = Tree._make(array.copy() for array in view.tree)
         self.check_unchanged(view)
         return copies
-
-    def _slot(self, handle: Any) -> int:
-        """Slot of a live handle, else KeyError; what is no integer is no handle either."""
-        if checks.is_integer(handle) and not isinstance(handle, bool) and handle >= 0:
-            slot = int(handle) & SLOT_MASK
-            handles = self._settled().handles
-            if slot < len(handles) and handles[slot] == handle:
-                return slot
-        raise KeyError(f'handle {checks.shown_short(handle)} names no box of this tree')

@@ -11,7 +11,10 @@ for one tick does not stay large.
 These are parts of `changing.change_many`; `room` is from `building.room_to_build`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .build.building import build_anew, rebalance, refit_all
 from .insertion import insert_leaf, remove_leaf
@@ -30,11 +33,39 @@ from .nodes import (
     SERIAL,
     SLOT_BITS,
     free_leaf,
+    note_written,
     take_leaf,
 )
 
 LARGEST = 1.7976931348623157e308
-SLACK = 5.0
+LARGEST_FAT = 5.0  # margins and displacements by which a fat box may be larger than the exact one
+
+
+class Change(NamedTuple):
+    """Rows of boxes that are inserted, removed or moved."""
+
+    rows: NDArray[np.int64]
+    """Slots; of boxes to insert: room for their handles."""
+    lo: NDArray[np.float64]
+    """Shape (n, ndim), as the next two."""
+    hi: NDArray[np.float64]
+    ahead: NDArray[np.float64]
+    """Where boxes that move are expected to be next, relative to now."""
+    masks: NDArray[np.uint32]
+    """Of boxes to insert."""
+    order: NDArray[np.int64]
+    """Scratch: two numbers a box to move."""
+
+
+class Policy(NamedTuple):
+    """How a tree does it."""
+
+    margin: float
+    branch_and_bound: bool
+    refit_share: float
+    """The share of the boxes from which on those that move near by are refitted."""
+    rebuild_share: float
+    """The share from which on, of those that move far, the tree is built anew."""
 
 
 @inlined
@@ -74,7 +105,7 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
             if here.lo[axis] != lo[axis] or here.hi[axis] != hi[axis]:
                 return False
             continue
-        slack = SLACK * (margin + abs(displacement[axis]))
+        slack = LARGEST_FAT * (margin + abs(displacement[axis]))
         low, high = _fat_bounds(lo[axis], hi[axis], slack, 0.0)
         if not (low <= here.lo[axis] <= lo[axis] and hi[axis] <= here.hi[axis] <= high):
             return False
@@ -82,45 +113,47 @@ def fits(nodes, tight, leaf, lo, hi, margin, displacement):
 
 
 @lean_kernel
-def insert_rows(
-    nodes, heights, tight, handles, state, lo, hi, masks, margin, branch_and_bound, link, new, room
-):
-    """Insert rows of boxes, with ascending serial numbers; their handles go to `new`. link False:
-    the caller builds the tree.
+def insert_rows(tree, change, policy, link, room):
+    """Insert rows of boxes, with ascending serial numbers; their handles go to `change.rows`. link
+    False: the caller builds the tree.
     """
+    nodes, state = tree.nodes, tree.state
     still = stack_array(3, np.float64)
     still[0] = still[1] = still[2] = 0.0
-    for i in range(lo.shape[0]):
+    for i in range(change.lo.shape[0]):
         leaf = take_leaf(nodes, state)
-        write_leaf(nodes, tight, leaf, lo[i], hi[i], margin, still)
-        nodes[leaf].mask = masks[i]
-        heights[leaf] = 0
+        write_leaf(nodes, tree.tight, leaf, change.lo[i], change.hi[i], policy.margin, still)
+        nodes[leaf].mask = change.masks[i]
+        tree.heights[leaf] = 0
         slot = leaf >> 1
-        handles[slot] = new[i] = (state[SERIAL] + i) << SLOT_BITS | slot
+        tree.handles[slot] = change.rows[i] = (state[SERIAL] + i) << SLOT_BITS | slot
+        note_written(state, slot)
         if link:
-            insert_leaf(nodes, heights, state, leaf, branch_and_bound)
-            rebalance(nodes, heights, state, room)
-    state[SERIAL] += lo.shape[0]
-    state[INSERTED] += lo.shape[0]
+            insert_leaf(nodes, tree.heights, state, leaf, policy.branch_and_bound)
+            rebalance(nodes, tree.heights, state, room)
+    state[SERIAL] += change.lo.shape[0]
+    state[INSERTED] += change.lo.shape[0]
 
 
 @lean_kernel
-def remove_rows(nodes, heights, handles, state, slots, room):
-    for i in range(slots.shape[0]):
-        leaf = 2 * slots[i]
-        remove_leaf(nodes, heights, state, leaf)
-        free_leaf(nodes, state, leaf)
-        handles[slots[i]] = NONE
-        rebalance(nodes, heights, state, room)
-    state[REMOVED] += slots.shape[0]
+def remove_rows(tree, slots, room):
+    for slot in slots:
+        remove_leaf(tree.nodes, tree.heights, tree.state, 2 * slot)
+        free_leaf(tree.nodes, tree.state, 2 * slot)
+        tree.handles[slot] = NONE
+        note_written(tree.state, slot)
+        rebalance(tree.nodes, tree.heights, tree.state, room)
+    tree.state[REMOVED] += slots.shape[0]
 
 
 @lean_kernel
-def move_leaf(nodes, heights, tight, state, leaf, lo, hi, margin, displacement, branch_and_bound):
+def move_leaf(tree, leaf, lo, hi, margin, displacement, branch_and_bound):
     """Take the leaf out and insert it at its new place."""
+    nodes, heights, state = tree.nodes, tree.heights, tree.state
     remove_leaf(nodes, heights, state, leaf)
-    write_leaf(nodes, tight, leaf, lo, hi, margin, displacement)
+    write_leaf(nodes, tree.tight, leaf, lo, hi, margin, displacement)
     insert_leaf(nodes, heights, state, leaf, branch_and_bound)
+    note_written(state, leaf >> 1)
 
 
 @inlined
@@ -146,17 +179,18 @@ def _is_near(nodes, leaf, lo, hi):
 
 
 @lean_kernel
-def classify_moves(nodes, tight, slots, lo, hi, margin, displacements, near, far):
+def classify_moves(tree, change, margin, near, far):
     """Number the rows whose box has left its fat box, near and far; return how many of each.
 
     For the others only the exact box is written.
     """
+    nodes, tight, slots = tree.nodes, tree.tight, change.rows
     near_count, far_count = 0, 0
     for i in range(slots.shape[0]):
-        leaf = 2 * slots[i]
-        if fits(nodes, tight, leaf, lo[i], hi[i], margin, displacements[i]):
-            write_tight(tight, leaf, lo[i], hi[i])
-        elif _is_near(nodes, leaf, lo[i], hi[i]):
+        leaf, lo, hi = 2 * slots[i], change.lo[i], change.hi[i]
+        if fits(nodes, tight, leaf, lo, hi, margin, change.ahead[i]):
+            write_tight(tight, leaf, lo, hi)
+        elif _is_near(nodes, leaf, lo, hi):
             near[near_count] = i
             near_count += 1
         else:
@@ -166,84 +200,50 @@ def classify_moves(nodes, tight, slots, lo, hi, margin, displacements, near, far
 
 
 @lean_kernel
-def reinsert_rows(
-    nodes,
-    heights,
-    tight,
-    state,
-    rows,
-    slots,
-    lo,
-    hi,
-    margin,
-    displacements,
-    branch_and_bound,
-    room,
-):
+def reinsert_rows(tree, rows, change, policy, room):
+    state = tree.state
     for row in rows:
-        move_leaf(
-            nodes,
-            heights,
-            tight,
-            state,
-            2 * slots[row],
-            lo[row],
-            hi[row],
-            margin,
-            displacements[row],
-            branch_and_bound,
-        )
-        rebalance(nodes, heights, state, room)
+        leaf, lo, hi = 2 * change.rows[row], change.lo[row], change.hi[row]
+        ahead, branch_and_bound = change.ahead[row], policy.branch_and_bound
+        move_leaf(tree, leaf, lo, hi, policy.margin, ahead, branch_and_bound)
+        rebalance(tree.nodes, tree.heights, state, room)
     state[REINSERTED] += rows.shape[0]
     state[REFITS] += rows.shape[0]
 
 
 @lean_kernel
-def write_rows(nodes, tight, rows, slots, lo, hi, margin, displacements):
+def write_rows(tree, rows, change, margin):
     for i in rows:
-        write_leaf(nodes, tight, 2 * slots[i], lo[i], hi[i], margin, displacements[i])
+        leaf, lo, hi = 2 * change.rows[i], change.lo[i], change.hi[i]
+        write_leaf(tree.nodes, tree.tight, leaf, lo, hi, margin, change.ahead[i])
+        note_written(tree.state, leaf >> 1)
 
 
 @lean_kernel
-def move_rows(arrays, slots, boxes, margin, branch_and_bound, shares, order, room):
+def move_rows(tree, change, policy, room):
     """Few that leave their fat boxes, and those that go far, are inserted again one by one; many
     that stay near are written in place. Returns how many did either.
     """
-    nodes, heights, tight, handles, state = arrays
-    lo, hi, ahead = boxes
-    total = slots.shape[0]
+    state, order, total = tree.state, change.order, change.rows.shape[0]
     near_count, far_count = classify_moves(
-        nodes, tight, slots, lo, hi, margin, ahead, order[:total], order[total:]
+        tree, change, policy.margin, order[:total], order[total:]
     )
     near, far = order[:near_count], order[total : total + far_count]
     count = near_count + far_count
     state[KEPT] += total - count
     if count == 0:
         return count
-    if far_count >= shares[1] * state[COUNT]:
-        write_rows(nodes, tight, near, slots, lo, hi, margin, ahead)
-        write_rows(nodes, tight, far, slots, lo, hi, margin, ahead)
-        build_anew(nodes, heights, handles, state, room)
+    if far_count >= policy.rebuild_share * state[COUNT]:
+        write_rows(tree, near, change, policy.margin)
+        write_rows(tree, far, change, policy.margin)
+        build_anew(tree.nodes, tree.heights, tree.handles, state, room)
         return count
-    if count >= shares[0] * state[COUNT]:
-        write_rows(nodes, tight, near, slots, lo, hi, margin, ahead)
-        refit_all(nodes, heights, state[ROOT], room[2])
+    if count >= policy.refit_share * state[COUNT]:
+        write_rows(tree, near, change, policy.margin)
+        refit_all(tree.nodes, tree.heights, state[ROOT], room.made)
         state[REFITTED] += near_count
         state[REFITS] += near_count
         near = near[:0]
     for rows in (near, far):
-        reinsert_rows(
-            nodes,
-            heights,
-            tight,
-            state,
-            rows,
-            slots,
-            lo,
-            hi,
-            margin,
-            ahead,
-            branch_and_bound,
-            room,
-        )
+        reinsert_rows(tree, rows, change, policy, room)
     return count

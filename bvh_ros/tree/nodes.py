@@ -14,7 +14,7 @@ A node is 64 bytes in 3D: one cache line. Free places form two lists, linked thr
 """
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,7 @@ STATE_PLACES = 6  # so far a file holds them
     BUILT_COST,  # ... and cost (a float64) after the last bulk build
     OWES,  # whether the tree is too high or its cost due for a look, see `changing`
     CHANGES,  # the version of the tree
-    SHAPES,  # the version of its nodes: exact boxes may move within their fat ones
+    WRITTEN,  # leaves that were put in, taken out or written anew; the last are RECENT
     TURN,  # see `turns`
     INSERTED,
     REMOVED,
@@ -53,7 +53,9 @@ STATE_PLACES = 6  # so far a file holds them
     REFITTED,
     REBUILDS,
 ) = range(6, 20)
-ALL_PLACES = 20
+RECENT = 20  # here begins a ring of the slots that were written last
+RECENT_PLACES = 128
+ALL_PLACES = RECENT + RECENT_PLACES
 COUNTERS = {
     'inserted': INSERTED,
     'removed': REMOVED,
@@ -62,6 +64,29 @@ COUNTERS = {
     'refitted': REFITTED,
     'rebuilds': REBUILDS,
 }
+
+
+class Tree(NamedTuple):
+    """The arrays of a tree, as kernels read and write them."""
+
+    nodes: NDArray[Any]
+    """Of `node_dtype`, shape (2 capacity,)."""
+    heights: NDArray[np.int16]
+    """Levels below each node."""
+    tight: NDArray[Any]
+    """Of `box_dtype`: exact boxes by slot where nodes are fat, else empty."""
+    handles: NDArray[np.int64]
+    """By slot, NONE where it is free."""
+    state: NDArray[np.int64]
+    """The places above."""
+
+
+class View(NamedTuple):
+    """A tree as it is now, for a query of several steps."""
+
+    tree: Tree
+    version: int
+    """`state[CHANGES]`: kernels refuse another one."""
 
 
 # One object for all trees: numba knows a record at once by its address, another one like it only
@@ -100,9 +125,56 @@ def aligned_empty(count: int, dtype: np.dtype[Any], alignment: int = 64) -> NDAr
     return buffer[start : start + count * dtype.itemsize].view(dtype)
 
 
+@functools.cache
+def empty_tree(ndim: int) -> Tree:
+    """Arrays without places, to tell a compiler the types."""
+    numbers, nodes = np.empty(0, np.int64), np.empty(0, node_dtype(ndim))
+    return Tree(nodes, np.empty(0, np.int16), np.empty(0, box_dtype(ndim)), numbers, numbers)
+
+
 @inlined
 def is_leaf(node):
     return node & 1 == 0
+
+
+@inlined
+def slot_of(handle):
+    """The slot that a live handle names."""
+    return handle & SLOT_MASK
+
+
+@inlined
+def find_slot(handles, handle):
+    """The slot of a handle, NONE if it names no box."""
+    slot = handle & SLOT_MASK
+    if handle >= 0 and slot < handles.shape[0] and handles[slot] == handle:
+        return slot
+    return np.int64(NONE)
+
+
+@inlined
+def next_node(nodes, node, below, stack, top):
+    """One step of a walk over a subtree, parents first: (the node after `node`, top of the stack);
+    NONE after the last one. `below`: whether the children of `node` are walked over.
+    """
+    if below:
+        stack[top] = nodes[node].left
+        return np.int64(nodes[node].right), top + 1
+    if top == 0:
+        return np.int64(NONE), top
+    return stack[top - 1], top - 1
+
+
+@inlined
+def note_written(state, slot):
+    """Remember that the leaf of a slot is not what it was."""
+    state[RECENT + state[WRITTEN] % RECENT_PLACES] = slot
+    state[WRITTEN] += 1
+
+
+@inlined
+def note_all_written(state):
+    state[WRITTEN] += RECENT_PLACES + 1
 
 
 @inlined
@@ -142,6 +214,7 @@ def take_inner(nodes, state):
 
 @inlined
 def free_leaf(nodes, state, leaf):
+    nodes[leaf].mask = 0  # a snapshot that still knows it: nobody sees it
     nodes[leaf].parent = state[FREE_LEAF]
     state[FREE_LEAF] = leaf
     state[COUNT] -= 1

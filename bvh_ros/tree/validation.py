@@ -22,6 +22,7 @@ from .nodes import (
     SLOT_BITS,
     SLOT_MASK,
     STATE_PLACES,
+    Tree,
     box_dtype,
     is_leaf,
     node_dtype,
@@ -59,9 +60,9 @@ def array_forms(ndim: int, capacity: int, fat: bool) -> dict[str, tuple[Any, tup
     }
 
 
-def complaint_about(ndim: int, margin: float, serial: int, arrays: Any) -> str | None:
-    """What is broken about a tree of these `arrays` (nodes, heights, tight, handles, state), whose
-    next serial number is `serial`; None if it is sound.
+def complaint_about(ndim: int, margin: float, serial: int, arrays: Tree) -> str | None:
+    """What is broken about a tree of these arrays, whose next serial number is `serial`; None if
+    it is sound.
 
     Nothing is read before it is known to be there: the arrays' forms first, then links, each
     looked at before it is followed, and only then what hangs on them.
@@ -71,18 +72,16 @@ def complaint_about(ndim: int, margin: float, serial: int, arrays: Any) -> str |
         return complaint
     if not 1 <= serial <= LAST_SERIAL + 1:
         return f'the next serial number is {serial}'
-    nodes, heights, tight, handles, state = arrays
-    kind, node = check_structure(nodes, handles, state)
+    kind, node = check_structure(arrays.nodes, arrays.handles, arrays.state)
     if kind == SOUND:
-        kind, node = check_metrics(nodes, heights, tight, state)
+        kind, node = check_metrics(arrays.nodes, arrays.heights, arrays.tight, arrays.state)
     if kind == SOUND:
-        kind, node = _check_serials(handles, serial)
+        kind, node = _check_serials(arrays.handles, serial)
     return None if kind == SOUND else f'{COMPLAINTS[kind]} (node {node})'
 
 
-def _look_at_forms(ndim: int, margin: float, arrays: Any) -> str | None:
-    _, _, tight, handles, state = arrays
-    capacity = len(handles)
+def _look_at_forms(ndim: int, margin: float, arrays: Tree) -> str | None:
+    tight, state, capacity = arrays.tight, arrays.state, len(arrays.handles)
     if not 1 <= capacity <= SLOT_MASK + 1:
         return f'there is room for {capacity} boxes, which is not from 1 to {SLOT_MASK + 1}'
     if margin > 0.0 and not len(tight):

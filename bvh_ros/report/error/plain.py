@@ -9,56 +9,45 @@ decides. What is left is the slab test as it is usually written.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from types import FunctionType
 from typing import Any
 
-import numba
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree.rays import ray_hits, raycasting
-from ...tree.store.arrays import View
+from ...tree.jit.compiling import inlined, rewired
+from ...tree.nodes import View
+from ...tree.rays import ray_batches, ray_hits, raycasting, slab
 from ...tree.wide import best_hit
 from ...tree.wide import raycasting as wide_raycasting
 from ..scenes import Boxes, Rays
 
 
-def rewired(original: Any, **calls: Any) -> Any:
-    """The same kernel with the same options, compiled again with some of the functions it calls
-    replaced.
-    """
-    python = original.py_func
-    function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
-    options = {
-        k: v for k, v in original.targetoptions.items() if k not in ('nopython', 'boundscheck')
-    }
-    return numba.njit(function, **options)
-
-
-@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
+@inlined
 def _plain_slabs(lo, hi, ray, leave):
     """(met, t, axis) by rounded arithmetic."""
-    entry, leave, entered = best_hit.rounded_slabs(lo, hi, ray, leave)
+    entry, leave, entered = slab.rounded_slabs(lo, hi, ray, leave)
     return entry <= leave, entry, entered
 
 
-@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
+@inlined
 def _plain_meets(lo, hi, ray, t_max):
     return _plain_slabs(lo, hi, ray, t_max)
 
 
-@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
-def _plain_is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_axis):
-    return t < other_t or (t == other_t and handles[slot] < handles[other])
+@inlined
+def _plain_is_before(tree, ray, hit, other):
+    return hit[1] < other[1] or (
+        hit[1] == other[1] and tree.handles[hit[0]] < tree.handles[other[0]]
+    )
 
 
-@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
+@inlined
 def _plain_verdict(lo, hi, ray, best_t):
     met, t, axis = _plain_slabs(lo, hi, ray, best_t)
     return best_hit.MEETS if met else best_hit.MISSES, t, axis
 
 
-@numba.njit(error_model='numpy', forceinline=True, _nrt=False)
+@inlined
 def _plain_axis(lo, hi, ray, t_max, t, entered):
     return entered
 
@@ -67,7 +56,7 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 def binary_kernel() -> Any:
     """`ray_hits.raycast_rows` without the exact decision."""
     one = rewired(raycasting.raycast, intersect_exact=_plain_meets, is_before=_plain_is_before)
-    return rewired(ray_hits.raycast_rows, raycast=one)
+    return rewired(ray_hits.raycast_rows, raycast_row=rewired(ray_hits.raycast_row, raycast=one))
 
 
 @cache
@@ -75,28 +64,31 @@ def wide_kernel() -> Any:
     """`wide.raycasting.cast_rows` without the exact decision."""
     better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
     visit = rewired(wide_raycasting.visit_leaf, is_better=better)
-    group = rewired(
-        wide_raycasting.cast_group,
+    return rewired(
+        wide_raycasting.cast_rows,
         traverse=rewired(wide_raycasting.traverse, visit_leaf=visit),
-        write_hits=rewired(wide_raycasting.write_hits, exact_entry_axis=_plain_axis),
+        write_hit=rewired(wide_raycasting.write_hit, exact_entry_axis=_plain_axis),
     )
-    return rewired(wide_raycasting.cast_rows, cast_group=group)
 
 
 @contextmanager
-def replaced(cast_rows: Any, raycast_rows: Any) -> Iterator[None]:
-    """Batches of rays go through other kernels."""
-    kept = wide_raycasting.cast_rows, ray_hits.raycast_rows
-    wide_raycasting.cast_rows, ray_hits.raycast_rows = cast_rows, raycast_rows
+def replaced(**kernels: Any) -> Iterator[None]:
+    """Batches of rays go through other kernels, all of them large ones."""
+    kept = {name: getattr(ray_batches, name) for name in ('rows_entry', 'cast_entry')}
+    kept['FEW_RAYS'] = ray_batches.FEW_RAYS
     try:
+        ray_batches.FEW_RAYS = 0
+        for name, kernel in kernels.items():
+            setattr(ray_batches, name, lambda ndim, kernel=kernel: kernel)
         yield
     finally:
-        wide_raycasting.cast_rows, ray_hits.raycast_rows = kept
+        for name, value in kept.items():
+            setattr(ray_batches, name, value)
 
 
 def rounded_decisions() -> Any:
     """A context in which batches of rays are decided by rounded arithmetic."""
-    return replaced(wide_kernel(), binary_kernel())
+    return replaced(rows_entry=binary_kernel(), cast_entry=wide_kernel())
 
 
 class BinaryTree(DynamicBVH):
@@ -109,17 +101,17 @@ class BinaryTree(DynamicBVH):
 def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
     """A batch through the binary tree whose boxes and rays are rounded to float32."""
     tree = BinaryTree.from_boxes(*boxes)
-    storage = tree._storage
-    nodes, tight = _rounded(storage.nodes), _rounded(storage.tight)
-    tree._storage = storage._replace(nodes=nodes, tight=tight)
+    arrays = tree.view().tree
+    rounded = arrays._replace(nodes=_rounded(arrays.nodes), tight=_rounded(arrays.tight))
     kernel = binary_kernel()
 
-    def rows(*arguments: Any) -> Any:
-        view, rays, rest = arguments[:5], arguments[5:8], arguments[8:]
-        return kernel(*view, *(array.astype(np.float32) for array in rays), *rest)
+    def rows(_: Any, version: int, asked: Any, hits: RayHits) -> Any:
+        origins, directions, t_max = (part.astype(np.float32) for part in asked[:3])
+        asked = asked._replace(origins=origins, directions=directions, t_max=t_max)
+        return kernel(rounded, version, asked, hits)
 
     def run() -> RayHits:
-        with replaced(wide_raycasting.cast_rows, rows):
+        with replaced(rows_entry=rows):
             return tree.raycast_many(*rays)
 
     return run

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree.nodes import SLOT_MASK
 from ..page import Page
 from ..scenes import Boxes, Rays
 from ..tables import Table
@@ -49,12 +48,12 @@ def repeats(brief: bool) -> int:
 
 def tree_answer(tree: DynamicBVH, rays: Rays) -> Answer:
     """First hits in one batch."""
-    return as_answer(tree.raycast_many(*rays))
+    return as_answer(tree, tree.raycast_many(*rays))
 
 
-def as_answer(hits: RayHits) -> Answer:
-    """Rows of a tree that was built at once: its slots."""
-    return Answer(np.where(hits.ids >= 0, hits.ids & SLOT_MASK, NOTHING), hits.t)
+def as_answer(tree: DynamicBVH, hits: RayHits) -> Answer:
+    """Rows of a tree that was built at once: its handles are in their order."""
+    return Answer(np.where(hits.ids >= 0, np.searchsorted(tree.ids(), hits.ids), NOTHING), hits.t)
 
 
 def rounded_answer(tree: DynamicBVH, rays: Rays) -> Answer:
@@ -67,7 +66,7 @@ def one_by_one(tree: DynamicBVH, rays: Rays) -> Answer:
     """First hits by a call each."""
     hits = [tree.raycast(*ray) for ray in zip(*rays, strict=True)]
     return Answer(
-        np.array([hit.id & SLOT_MASK if hit else NOTHING for hit in hits]),
+        np.array([tree.slot(hit.id) if hit else NOTHING for hit in hits]),
         np.array([hit.t if hit else np.inf for hit in hits]),
     )
 
@@ -85,7 +84,7 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
         'bvh_ros, binary tree': lambda: tree_answer(binary, rays),
         'batch, plain float64 leaves': lambda: rounded_answer(tree, rays),
         'binary tree, plain float64 leaves': lambda: rounded_answer(binary, rays),
-        'binary tree, float32': lambda: as_answer(single()),
+        'binary tree, float32': lambda: as_answer(tree, single()),
         f'brute force, float64 ({len(few.origins)} rays)': lambda: Answer(
             *brute_force(boxes, few)
         ),

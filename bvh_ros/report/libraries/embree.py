@@ -37,7 +37,8 @@ class Embree(Library):
         'triangle alone; not the robust mode, which is slower'
     )
 
-    def _scene(self, mesh: Mesh) -> Any:
+    def scene(self, mesh: Mesh) -> Any:
+        """A static scene of these triangles."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -47,7 +48,7 @@ class Embree(Library):
 
     def cast(self, work: Work) -> Job:
         """First hits."""
-        scene = self._scene(triangles(work.boxes))
+        scene = self.scene(triangles(work.boxes))
         rays = [np.ascontiguousarray(part, np.float32) for part in work.rays]
         return Job(lambda: scene.run(*rays), len(rays[0]), _hits)
 
@@ -56,13 +57,13 @@ class Embree(Library):
         meshes = [triangles(state) for state in work.states]
         rays = [np.ascontiguousarray(part, np.float32) for part in work.rays]
         turn = iter(range(1 << 62))
-        return Job(lambda: self._scene(meshes[1 - next(turn) % 2]).run(*rays), 1, _hits)
+        return Job(lambda: self.scene(meshes[1 - next(turn) % 2]).run(*rays), 1, _hits)
 
     def build(self, work: Work) -> Job:
         """Build; Embree does when the first ray comes. Making the triangles is not counted."""
         mesh = triangles(work.boxes)
         ray = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
-        return Job(lambda: self._scene(mesh).run(*ray), len(work.boxes.lo))
+        return Job(lambda: self.scene(mesh).run(*ray), len(work.boxes.lo))
 
 
 def _hits(triangle: NDArray[np.int32]) -> int:

@@ -12,7 +12,7 @@ from ... import DynamicBVH
 from ..page import Page
 from ..scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from ..tables import Cell, Table
-from ..timing import Job, interleaved
+from ..timing import Job, Timing, interleaved
 
 BOXES, CALLS, REPEATS = 10_000, 2_000, 5
 
@@ -23,7 +23,7 @@ def calls(page: Page, brief: bool) -> None:
     times = interleaved(_jobs(size, count), REPEATS, warm=True)
     names = list(dict.fromkeys(name.partition(' ')[0] for name in times))
     rows: list[list[Cell]] = [
-        [name, *(times[f'{name} {form}'].nanoseconds / 1e3 for form in ('one', 'batch'))]
+        [name, *(_microseconds(times, f'{name} {form}') for form in ('one', 'batch'))]
         for name in names
     ]
     page.add('### Calls')
@@ -32,6 +32,10 @@ def calls(page: Page, brief: bool) -> None:
         '*move* is to a place nearby and back.'
     )
     page.table(Table('speed_calls', ('method', 'us a call', 'us a row in a batch'), rows))
+
+
+def _microseconds(times: dict[str, Timing], name: str) -> float | None:
+    return times[name].nanoseconds / 1e3 if name in times else None
 
 
 def _each(function: Callable[..., Any], *columns: Any) -> Callable[[], None]:
@@ -60,6 +64,7 @@ def _question_jobs(boxes: Boxes, rays: Rays, near: Boxes, calls: int) -> dict[st
         'occluded batch': lambda: tree.occluded_many(*rays),
         'overlap one': _each(tree.overlap, *near),
         'overlap batch': lambda: tree.overlap_many(*near),
+        'boxcast one': _each(tree.boxcast, *near, near.hi - near.lo),
         'nearest one': _each(tree.nearest, near.lo),
         'nearest batch': lambda: tree.nearest_many(near.lo),
     }
@@ -80,4 +85,12 @@ def _change_jobs(boxes: Boxes, count: int) -> dict[str, Job]:
         shift = next(away)
         batch.move_many(rows, low + shift, high + shift)
 
-    return {'move one': Job(move_one, count), 'move batch': Job(move_batch, count)}
+    def insert_and_remove_one() -> None:
+        for handle in [one.insert(lo, hi) for lo, hi in zip(low, high, strict=True)]:
+            one.remove(handle)
+
+    return {
+        'move one': Job(move_one, count),
+        'move batch': Job(move_batch, count),
+        'insert+remove one': Job(insert_and_remove_one, count),
+    }

@@ -12,14 +12,15 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import SLOT_MASK
-from ...tree.rays import raycasting
-from ...tree.rays.ray_hits import REFUSED, locate, raycast_one
-from ...tree.rays.slab import INSIDE, RAY_ROWS
-from ...tree.store.turns import IS_CHANGED
+from ...tree.nodes import slot_of
+from ...tree.rays import ray_hits, raycasting
+from ...tree.rays.ray_hits import locate
+from ...tree.rays.slab import INSIDE
+from ...tree.store.turns import IS_CHANGED, REFUSED
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, require_few
 
@@ -30,14 +31,15 @@ def first(
     tree: DynamicBVH, origin: Floats, way: Floats, mask: np.uint32, skip_inside: bool
 ) -> BoxHit | None:
     """The first box from `origin` to `origin + way`, shape (3,) each and finite."""
-    place = np.zeros((2 + RAY_ROWS, 3))
+    place = np.zeros((2, 3))
     place[0, 2] = origin[2]
-    handle, t = raycast_one(
-        *tree.view()[:4], *(origin, way, 1.0, mask, skip_inside, raycasting.CLOSEST, place)
+    start, direction = checks.vector('origin', origin, 3), checks.vector('way', way, 3)
+    handle, t = ray_hits.one_entry(tree.ndim)(
+        tree.view().tree, *(start, direction, 1.0, mask, skip_inside, raycasting.CLOSEST, place)
     )
     if handle == REFUSED:
         raise RuntimeError(IS_CHANGED)
-    return None if handle < 0 else (handle & SLOT_MASK, t, place[0], place[1])
+    return None if handle < 0 else (tree.slot(handle), t, place[0], place[1])
 
 
 def every(
@@ -53,13 +55,13 @@ def every(
     """
     starts, ways = origin[None, : tree.ndim], way[None, : tree.ndim]
     view = tree.view()
-    _, slots, ts, axes = tree.every_hit(view, starts, ways, 1.0, mask, skip_inside)
+    found = tree.every_hit(view, starts, ways, 1.0, mask, skip_inside)[1]
     tree.check_unchanged(view)
-    require_few(len(slots), most)
-    nodes, tight, _, _, _ = view
-    places = np.zeros((len(slots), 2, 3))
+    require_few(len(found.slots), most)
+    nodes, tight = view.tree.nodes, view.tree.tight
+    places = np.zeros((len(found.slots), 2, 3))
     places[:, 0, 2] = origin[2]
-    hits = zip(slots.tolist(), ts.tolist(), axes.tolist(), places, strict=True)
+    hits = zip(*(column.tolist() for column in found), places, strict=True)
     for slot, t, axis, place in hits:
         locate(nodes, tight, origin, way, slot, t, axis, place)
         yield slot, t, place[0], place[1]
@@ -93,7 +95,7 @@ def describe(
             handles[i] = NO_NODE
             points[i] = np.nan
             continue
-        slot, axis = ids[i] & SLOT_MASK, INSIDE
+        slot, axis = slot_of(ids[i]), INSIDE
         for k in range(outwards.shape[1]):
             if outwards[i, k] != 0.0:
                 normals[i, k], axis = outwards[i, k], k

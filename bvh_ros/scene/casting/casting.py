@@ -103,7 +103,9 @@ def precedes(tree, geometry, footprints, ray, radius, one, another):
     if radius == 0.0 and plain(geometry, footprints, slot) and plain(geometry, footprints, other):
         lo, hi = leaf_box(nodes, tight, 2 * slot)
         other_lo, other_hi = leaf_box(nodes, tight, 2 * other)
-        order = compare_hits(lo, hi, t, feature, other_lo, other_hi, other_t, other_feature, ray)
+        order = compare_hits(
+            ray, lo, hi, (t, feature), other_lo, other_hi, (other_t, other_feature)
+        )
     return order < 0 or (order == 0 and handles[slot] < handles[other])
 
 

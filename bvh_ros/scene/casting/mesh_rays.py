@@ -97,7 +97,7 @@ def first_crossing(surface, ray):
         top -= 1
         if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
             continue
-        node, top = descend(nodes, ray, limit, wide, ALL, stack, entries, stack[top], top)
+        node, top = descend(nodes, ray, limit, wide, ALL, stack, entries, top)
         if node == NONE:
             continue
         face = np.int64(node >> 1)

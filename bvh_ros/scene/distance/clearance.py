@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import SLOT_MASK
 from ..geometry.hull import hull_of
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
@@ -104,7 +103,7 @@ def nearest_other(tree: DynamicBVH, columns: Columns, slot: int) -> Neighbour | 
     with np.errstate(over='ignore'):
         largest = np.finfo(np.float64).max
         near = tree.overlap(np.maximum(lo - reach, -largest), np.minimum(hi + reach, largest))
-    slots = near & SLOT_MASK
+    slots = tree.slots(near)
     slots = slots[columns.node_handle[slots] != columns.node_handle[slot]]
     low, high = tree.boxes(columns.tree_handle[slots])
     gaps = lengths(np.maximum(np.maximum(low - hi, lo - high), 0.0))
@@ -125,7 +124,7 @@ def _some_other(tree: DynamicBVH, columns: Columns, slot: int, point: Floats) ->
     """A slot near a point that holds another obstacle."""
     asked, handle = 2, columns.node_handle[slot]
     while True:
-        slots: Slots = tree.nearest(point, asked)[0] & SLOT_MASK
+        slots: Slots = tree.slots(tree.nearest(point, asked)[0])
         others = slots[columns.node_handle[slots] != handle]
         if len(others):
             return int(others[0])

@@ -63,7 +63,7 @@ class Nearness:
             kernel, variant = nearest_shapes, hulls is not None
             bodies = (Bodies(columns.geometry, columns.footprint, hulls, hulls),)
         found = self._scratch.found
-        given = self._tree.view(), *bodies, point, asked, columns.node_handle, found
+        given = self._tree.view().tree, *bodies, point, asked, columns.node_handle, found
         entry = self._entries.get(variant)
         if entry is None:
             entry = self._entries[variant] = entry_point(kernel, *given)

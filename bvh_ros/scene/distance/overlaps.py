@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
-from ...tree.nodes import SLOT_MASK
 from ...tree.store.turns import IS_CHANGED
 from ..geometry.shapes import Floats
 from ..results import require_few
@@ -73,7 +72,7 @@ class Overlaps:
         """
         while True:
             found = self._scratch.found
-            given = self._tree.view(), *bodies, query, mask, self._columns.node_handle, found
+            given = self._tree.view().tree, *bodies, query, mask, self._columns.node_handle, found
             entry = self._entries.get(variant)
             if entry is None:
                 entry = self._entries[variant] = entry_point(kernel, *given)
@@ -96,11 +95,11 @@ class Overlaps:
 
 def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
     """Slots (m, 2) of all obstacles that touch each other, the older of a pair first, sorted."""
-    pairs = tree.overlap_pairs(mask) & SLOT_MASK
+    pairs = tree.slots(tree.overlap_pairs(mask))
     narrow = columns.geometry['shaped'][pairs].any(axis=1)
     if not narrow.any():
         return pairs
-    touches = ~narrow
+    touches = np.asarray(~narrow)
     found = np.empty(np.count_nonzero(narrow), np.bool_)
     planar = columns.footprint is not None
     columns.pairs_compared += len(found)

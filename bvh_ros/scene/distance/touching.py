@@ -15,7 +15,7 @@ from ...tree.boxes.nearest import nearest
 from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import ROOT, leaf_box
+from ...tree.nodes import leaf_box
 from ...tree.store.turns import ANY_VERSION, begin_query, end_query
 from .closest import closest_from_above, closest_in_box, closest_in_obstacle, length, look_back
 from .narrow_phase import near
@@ -40,13 +40,6 @@ class Found(NamedTuple):
     """Rows by distance, then node handle."""
 
 
-class Box(NamedTuple):
-    """As the tree's kernels take one."""
-
-    lo: Any
-    hi: Any
-
-
 class Bodies(NamedTuple):
     """What the narrow phase reads."""
 
@@ -64,10 +57,9 @@ def reached(tree, query, mask, found):
     """Write the slots whose boxes touch the grown query's; return how many, which may be more
     than fit.
     """
-    nodes, tight, _, state, _ = tree
     grown = stack_array(6, np.float64).reshape(2, 3)
     grow(query, grown)
-    return overlap(nodes, tight, state[ROOT], Box(grown[0], grown[1]), mask, found.slots, 0)
+    return overlap(tree, grown[0], grown[1], mask, found.slots, 0)
 
 
 @inlined
@@ -89,7 +81,7 @@ def touching_boxes(tree, query, mask, node_handles, found):
     """Fill in the boxes that touch an aligned query; return (how many, how many are doubtful).
     More than fit: none is filled in.
     """
-    nodes, tight, _, state, _ = tree
+    nodes, tight, state = tree.nodes, tree.tight, tree.state
     if not begin_query(state, ANY_VERSION):
         return np.int64(REFUSED), 0
     total, count, doubtful = reached(tree, query, mask, found), 0, 0
@@ -121,7 +113,7 @@ def touching_shapes(tree, bodies, query, mask, node_handles, found):
     """`touching_boxes` of any shapes: (how many, how many are doubtful, how many pairs were
     compared, how many of them took more digits).
     """
-    nodes, tight, _, state, _ = tree
+    nodes, tight, state = tree.nodes, tree.tight, tree.state
     if not begin_query(state, ANY_VERSION):
         return np.int64(REFUSED), 0, 0, 0
     solid, planar = query.record[0], bodies.footprints is not None
@@ -157,41 +149,33 @@ def nearest_boxes(tree, point, asked, node_handles, found):
     """Fill in the boxes nearest to a point; asked = (count, max_distance, mask). Return how many
     there are.
     """
-    nodes, tight, handles, state, _ = tree
     count, max_distance, mask = asked
-    if not begin_query(state, ANY_VERSION):
+    if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(
-        nodes, tight, handles, state[ROOT], point, count, max_distance, mask,
-        found.slots, found.bounds,
-    )  # fmt: skip
+    count = nearest(tree, point, count, max_distance, mask, found.slots, found.bounds)
     for i in range(count):
-        lo, hi = leaf_box(nodes, tight, 2 * found.slots[i])
+        lo, hi = leaf_box(tree.nodes, tree.tight, 2 * found.slots[i])
         found.points[i, 2] = point[2]
         closest_in_box(lo, hi, point, found.points[i])
         found.distances[i] = look_back(found.points[i], point, lo.shape[0], found.normals[i])
     order_found(found, count, node_handles)
-    end_query(state)
+    end_query(tree.state)
     return np.int64(count)
 
 
 @lean_kernel
 def nearest_shapes(tree, bodies, point, asked, node_handles, found):
     """`nearest_boxes`, with the distances of the shapes in the boxes."""
-    nodes, tight, handles, state, _ = tree
     count, max_distance, mask = asked
-    if not begin_query(state, ANY_VERSION):
+    if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(
-        nodes, tight, handles, state[ROOT], point, count, max_distance, mask,
-        found.slots, found.bounds,
-    )  # fmt: skip
+    count = nearest(tree, point, count, max_distance, mask, found.slots, found.bounds)
     for i in range(count):
         shape = bodies.shapes[found.slots[i]]
         found.points[i, 2] = point[2]
         look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
     order_found(found, count, node_handles)
-    end_query(state)
+    end_query(tree.state)
     return np.int64(count)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.nodes import SLOT_MASK
 from ..geometry.shapes import Floats
 from ..results import LAST_NODE_HANDLE, SceneHit
 from .columns import NEVER, Columns
@@ -115,7 +114,7 @@ class Obstacles:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
         masks = rows.categories
         handles = self.tree.insert_many(rows.lo, rows.hi, masks)
-        slots = handles & SLOT_MASK
+        slots: Slots = self.tree.slots(handles)
         columns = self.columns
         columns.grow(int(slots.max()) + 1)
         columns.tree_handle[slots] = handles

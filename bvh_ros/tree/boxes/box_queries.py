@@ -5,21 +5,22 @@ are nearest to a point.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .. import checks
-from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty, box_dtype
-from ..rays import boxcasting, ray_hits
-from ..rays.slab import RAY_ROWS
+from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty
+from ..rays import boxcasting
 from ..results import RayHit
 from ..store.arrays import Arrays, Floats, Ids
-from ..store.turns import IS_CHANGED
+from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..store.workers import in_threads
 from . import nearest, nearest_packets, ordering, overlapping, pairs
 
 # Batches of points dense enough for eight neighbours to share their way: as many points a box, and
 # at least so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
 PACKETS_PER_BOX, LEAST_PACKETS = 1 / 4, 64
+# Boxes that there is room for at first.
+FEW_OVERLAPS, FEW_NEAREST = 64, 64
 
 
 class BoxQueries(Arrays):
@@ -29,8 +30,20 @@ class BoxQueries(Arrays):
         """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
         ascending.
         """
-        low, high = checks.box(lo, hi, self.ndim)
-        return self._touching(low[None], high[None], checks.masks(checks.mask(mask), 1), 1)[1]
+        ndim, room = self._ndim, FEW_OVERLAPS
+        low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
+        seen, kernel = checks.mask(mask), overlapping.one_entry(ndim)
+        while True:
+            found = np.empty(room, np.int64)
+            count = kernel(self._settled().tree, low, high, seen, found)
+            if 0 <= count <= room:
+                break
+            _refuse(count, low, high, ndim)
+            room = count
+        handles = found[:count]
+        if count > 1:
+            handles.sort()
+        return handles
 
     def overlap_many(
         self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike = ALL, threads: int = 1
@@ -39,27 +52,18 @@ class BoxQueries(Arrays):
 
         Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts.
         """
-        low, high = checks.boxes(lo, hi, self.ndim)
-        return self._touching(low, high, checks.masks(mask, len(low)), threads)
-
-    def _touching(
-        self, low: Floats, high: Floats, seen: NDArray[np.uint32], threads: int
-    ) -> tuple[Ids, Ids]:
-        """`overlap_many` of good input."""
+        low, high = checks.boxes(lo, hi, self._ndim)
         count = len(low)
-        queries = np.empty(count, box_dtype(self.ndim))
-        queries['lo'], queries['hi'] = low, high
+        queries = overlapping.Queries(low, high, checks.masks_or_one(mask, count))
         sizes = np.empty(count, np.int64)
         view = self.view()
 
         def work(start: int, stop: int) -> Ids:
-            return overlapping.overlap_many(view, queries, seen, start, stop, sizes)
+            return overlapping.overlap_many(view, queries, start, stop, sizes)
 
         handles = np.concatenate(in_threads(work, count, threads))
         offsets = np.zeros(count + 1, np.int64)
         np.cumsum(sizes, out=offsets[1:])
-        if count == 1:
-            return offsets, np.sort(handles)
         order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
         return offsets, handles[order]
 
@@ -67,21 +71,22 @@ class BoxQueries(Arrays):
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
         sorted.
         """
-        seen = checks.mask(mask)
+        ndim, seen = self._ndim, checks.mask(mask)
         view = self.view()
-        boxes = view[3].item(COUNT)
-        packed = aligned_empty(pairs.blocks_needed(boxes), pairs.block_dtype(self.ndim))
-        top = pairs.pack(*view, seen, packed)
-        if top == pairs.REFUSED:
+        boxes = view.tree.state.item(COUNT)
+        packed = aligned_empty(pairs.blocks_needed(boxes), pairs.block_dtype(ndim))
+        top = pairs.pack_entry(ndim)(*view, seen, packed)
+        if top == REFUSED:
             raise RuntimeError(IS_CHANGED)
         if top == NONE:
             return np.empty((0, 2), np.int64)
         slots = np.empty(max(4 * boxes, 64), np.int64)
-        count = pairs.touching_pairs(packed, top, slots)
+        find = pairs.pairs_entry(ndim)
+        count = find(packed, top, slots)
         if count > len(slots):
             slots = np.empty(count, np.int64)
-            pairs.touching_pairs(packed, top, slots)
-        one, other = view[2][slots[:count].reshape(-1, 2).T]
+            find(packed, top, slots)
+        one, other = view.tree.handles[slots[:count].reshape(-1, 2).T]
         self.check_unchanged(view)
         smaller, larger = np.minimum(one, other), np.maximum(one, other)
         order = np.lexsort((larger, smaller))
@@ -125,15 +130,19 @@ class BoxQueries(Arrays):
         >>> hit.id == wall, hit.t, hit.point.tolist(), hit.normal.tolist()
         (True, 0.5, [4.0, 1.0], [-1.0, 0.0])
         """
-        low, high = checks.box(lo, hi, self.ndim)
-        way = checks.point('translation', translation, self.ndim)
-        ray, place = np.empty((RAY_ROWS, self.ndim)), np.empty((2, self.ndim))
-        handle, t = boxcasting.boxcast(
-            *self.view()[:4], low, high, way, checks.mask(mask), ray, place
+        ndim = self._ndim
+        low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
+        translation, place = checks.vector('translation', translation, ndim), np.empty((2, ndim))
+        handle, t = boxcasting.entry(ndim)(
+            self._settled().tree, low, high, translation, checks.mask(mask), place
         )
-        if handle == ray_hits.REFUSED:
-            raise RuntimeError(IS_CHANGED)
-        return None if handle < 0 else RayHit(int(handle), t, place[0], place[1])
+        if handle >= 0:
+            return RayHit(handle, t, place[0], place[1])
+        if handle == NOT_FINITE:
+            checks.point('translation', translation, ndim)
+        if handle != NONE:
+            _refuse(handle, low, high, ndim)
+        return None
 
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
@@ -144,13 +153,27 @@ class BoxQueries(Arrays):
         The distance is 0 inside a box, and within 4 roundings of the exact one (see
         `tree.proximity`).
         """
-        where = checks.point('point', point, self.ndim)
-        k = min(checks.capacity('k', k), max(len(self), 1))
-        ids, distances = self.nearest_many(
-            where[None], k, checks.limit('max_distance', max_distance), checks.mask(mask)
+        ndim = self._ndim
+        where, k = checks.vector('point', point, ndim), checks.capacity('k', k)
+        if k > FEW_NEAREST:  # not more room than for all
+            k = min(k, max(len(self), 1))
+        ids, distances = np.empty(k, np.int64), np.empty(k)
+        count = nearest.one_entry(ndim)(
+            self._settled().tree,
+            where,
+            k,
+            checks.limit('max_distance', max_distance),
+            checks.mask(mask),
+            ids,
+            distances,
         )
-        count = int(np.count_nonzero(ids[0] >= 0))
-        return ids[0, :count], distances[0, :count]
+        if count == k:
+            return ids, distances
+        if count == NOT_FINITE:
+            checks.point('point', where, ndim)
+        if count < 0:
+            raise RuntimeError(IS_CHANGED)
+        return ids[:count], distances[:count]
 
     def nearest_many(
         self,
@@ -160,24 +183,30 @@ class BoxQueries(Arrays):
         mask: ArrayLike = ALL,
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
-        where = checks.points('points', points, self.ndim)
+        where = checks.points('points', points, self._ndim)
         k = checks.capacity('k', k)
         count = len(where)
-        reaches, seen = (
-            checks.limits('max_distance', max_distance, count),
-            checks.masks(mask, count),
-        )
+        ndim, reaches = self._ndim, checks.limits('max_distance', max_distance, count)
+        asked = nearest.Points(where, k, reaches, checks.masks(mask, count))
         ids, distances = np.empty((count, k), np.int64), np.empty((count, k))
-        asked = k, reaches, seen, ids, distances
         view = self.view()
-        boxes = view[3].item(COUNT)
+        nodes, state = view.tree.nodes, view.tree.state
+        boxes = state.item(COUNT)
         if boxes and count >= max(PACKETS_PER_BOX * boxes, LEAST_PACKETS):
             keys, order, spare = np.empty((3, count), np.int64)
-            root = view[0][view[3].item(ROOT)]
+            root = nodes[state.item(ROOT)]
             ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
-            answered = nearest_packets.nearest_packets(*view, where, order, *asked)
+            answered = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)
         else:
-            answered = nearest.nearest_many(*view, where, *asked)
+            answered = nearest.many_entry(ndim)(*view, asked, ids, distances)
         if not answered:
             raise RuntimeError(IS_CHANGED)
         return ids, distances
+
+
+def _refuse(reason: int, low: Floats, high: Floats, ndim: int) -> None:
+    """Raise what a query of one box was refused for, if it was."""
+    if reason == NOT_FINITE:
+        checks.box(low, high, ndim)
+    if reason < 0:
+        raise RuntimeError(IS_CHANGED)

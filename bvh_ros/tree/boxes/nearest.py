@@ -10,14 +10,27 @@ distances, ties by the smaller handle; so the answer does not depend on the shap
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
 from ..rays.slab import PAD, TINY
-from ..store.turns import begin_query, end_query
+from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
+
+
+class Points(NamedTuple):
+    """What is asked for."""
+
+    points: NDArray[np.float64]
+    k: int
+    reaches: NDArray[np.float64]
+    """The largest distance, a point."""
+    masks: NDArray[np.uint32]
 
 
 @inlined
@@ -77,8 +90,9 @@ def _square(lo, hi, point):
 
 
 @lean_kernel
-def nearest(nodes, tight, handles, root, point, k, max_distance, mask, slots, distances):
+def nearest(tree, point, k, max_distance, mask, slots, distances):
     """Write the k nearest within `max_distance`, nearest first; return how many there are."""
+    nodes, tight, handles, root = tree.nodes, tree.tight, tree.handles, tree.state[ROOT]
     if root == NONE or k == 0:
         return 0
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
@@ -124,29 +138,47 @@ def name_row(handles, slots, distances, count):
 
 
 @lean_kernel
-def nearest_many(
-    nodes, tight, handles, state, version, points, k, max_distances, masks, found, distances
-):
+def nearest_one(tree, point, k, max_distance, mask, found, distances):
+    """Handles and distances of the k nearest, nearest first: how many there are; NOT_FINITE if the
+    point is not, REFUSED if the tree is being changed.
+    """
+    for axis in range(point.shape[0]):
+        if not np.isfinite(point[axis]):
+            return np.int64(NOT_FINITE)
+    if not begin_query(tree.state, ANY_VERSION):
+        return np.int64(REFUSED)
+    count = nearest(tree, point, k, max_distance, mask, found, distances)
+    for j in range(count):
+        found[j] = tree.handles[found[j]]
+    end_query(tree.state)
+    return np.int64(count)
+
+
+@lean_kernel
+def nearest_many(tree, version, asked, found, distances):
     """Row by row, handles to `found`, padded with NONE and inf; false if the tree is changed
     meanwhile.
     """
-    if not begin_query(state, version):
+    if not begin_query(tree.state, version):
         return False
-    root = state[ROOT]
-    for i in range(points.shape[0]):
-        row_slots, row_distances = found[i], distances[i]
+    for i in range(asked.points.shape[0]):
         count = nearest(
-            nodes,
-            tight,
-            handles,
-            root,
-            points[i],
-            k,
-            max_distances[i],
-            masks[i],
-            row_slots,
-            row_distances,
+            tree,
+            asked.points[i],
+            asked.k,
+            asked.reaches[i],
+            asked.masks[i],
+            found[i],
+            distances[i],
         )
-        name_row(handles, row_slots, row_distances, count)
-    end_query(state)
+        name_row(tree.handles, found[i], distances[i], count)
+    end_query(tree.state)
     return True
+
+
+_ROWS, _NAMES = np.empty((0, 3)), np.empty((0, 1), np.int64)
+NO_POINTS = Points(_ROWS, 1, np.empty(0), np.empty(0, np.uint32))
+one_entry = entry_points(
+    nearest_one, np.empty(0), 1, 0.0, np.uint32(0), np.empty(0, np.int64), np.empty(0)
+)
+many_entry = entry_points(nearest_many, 0, NO_POINTS, _NAMES, _ROWS)

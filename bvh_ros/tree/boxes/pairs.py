@@ -9,17 +9,18 @@ is walked against itself, two blocks at a time.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..jit.compiling import inlined, lean_kernel
+from ..entries import entry_points
+from ..jit.compiling import entry_point, inlined, lean_kernel
 from ..jit.float64x8 import EIGHT, touching8
 from ..jit.intrinsics import stack_array, trailing_zeros
-from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box
-from ..store.turns import begin_query, end_query
-
-REFUSED = -2
+from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box, next_node
+from ..store.turns import REFUSED, begin_query, end_query
 
 ALL_LANES = np.uint32((1 << EIGHT) - 1)
 
@@ -57,20 +58,14 @@ def _place(blocks, number, lo, hi, kid):
 @lean_kernel
 def _pack_leaves(nodes, tight, root, mask, blocks):
     """Fill the blocks of the lowest level with the leaves that the mask sees; return how many."""
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        while nodes[node].mask & mask != 0:
-            if is_leaf(node):
-                lo, hi = leaf_box(nodes, tight, node)
-                _place(blocks, count, lo, hi, ~(node >> 1))
-                count += 1
-                break
-            stack[top] = nodes[node].right
-            top += 1
-            node = np.int64(nodes[node].left)
+    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    while node != NONE:
+        seen = nodes[node].mask & mask != 0
+        if seen and is_leaf(node):
+            lo, hi = leaf_box(nodes, tight, node)
+            _place(blocks, count, lo, hi, ~(node >> 1))
+            count += 1
+        node, top = next_node(nodes, node, seen and not is_leaf(node), stack, top)
     return count
 
 
@@ -91,16 +86,16 @@ def _pack_above(blocks, first, last, above):
 
 
 @lean_kernel
-def pack(nodes, tight, handles, state, version, mask, blocks):
+def pack(tree, version, mask, blocks):
     """Fill `blocks` level by level; return the topmost block, NONE if the mask sees nothing,
     REFUSED if the tree is changed meanwhile.
     """
-    if not begin_query(state, version):
-        return REFUSED
+    if not begin_query(tree.state, version):
+        return np.int64(REFUSED)
     first, boxes = 0, 0
-    if state[ROOT] != NONE:
-        boxes = _pack_leaves(nodes, tight, state[ROOT], mask, blocks)
-    end_query(state)
+    if tree.state[ROOT] != NONE:
+        boxes = _pack_leaves(tree.nodes, tree.tight, tree.state[ROOT], mask, blocks)
+    end_query(tree.state)
     empty = stack_array(3, np.float64)
     empty[0] = empty[1] = empty[2] = np.nan
     nothing = empty[: blocks[0].lo.shape[0]]
@@ -109,10 +104,10 @@ def pack(nodes, tight, handles, state, version, mask, blocks):
         for number in range(first * EIGHT + boxes, last * EIGHT):
             _place(blocks, number, nothing, nothing, NONE)
         if last == first + 1:
-            return first
+            return np.int64(first)
         _pack_above(blocks, first, last, last)
         first, boxes = last, last - first
-    return NONE
+    return np.int64(NONE)
 
 
 @lean_kernel
@@ -147,4 +142,17 @@ def touching_pairs(blocks, root, found):
                 if count + 2 <= found.shape[0]:
                     found[count], found[count + 1] = ~kid, ~other
                 count += 2
-    return count
+    return np.int64(count)
+
+
+def _no_blocks(ndim: int) -> NDArray[Any]:
+    return np.empty(0, block_dtype(ndim))
+
+
+pack_entry = entry_points(pack, 0, np.uint32(0), _no_blocks)
+
+
+@functools.cache
+def pairs_entry(ndim: int) -> Callable[..., Any]:
+    """The machine code of `touching_pairs`."""
+    return entry_point(touching_pairs, _no_blocks(ndim), 0, np.empty(0, np.int64))

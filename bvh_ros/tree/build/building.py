@@ -8,6 +8,7 @@ bound on the stacks and on the worst query, whatever the scene.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from ..nodes import (
     ROOT,
     free_inner,
     is_leaf,
+    next_node,
     refit_node,
     take_inner,
 )
@@ -69,17 +71,25 @@ def _adopt_back(nodes, heights, made, first, stop):
         refit_node(nodes, heights, np.int64(made[i]))
 
 
-Room = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
+class Room(NamedTuple):
+    """Memory to build in; `items` and `numbers` are one array, see `binning`."""
+
+    items: NDArray[np.float32]
+    """Eight places an item, for twice as many items as there are leaves."""
+    numbers: NDArray[np.int32]
+    """The same memory."""
+    made: NDArray[np.int32]
+    """An inner node a leaf."""
 
 
 def room_to_build(count: int) -> Room:
-    """Memory to build a tree of so many boxes, or any part of it: `items`, `numbers` and `made`.
+    """Memory to build a tree of so many boxes, or any part of it.
 
     It is made before anything changes: within a change nothing may be short of memory.
     """
     places = 2 * LANES * (count + TREELET)
     room = np.empty(places + count, np.int32)
-    return room[:places].view(np.float32), room[:places], room[places:]
+    return Room(room[:places].view(np.float32), room[:places], room[places:])
 
 
 @lean_kernel
@@ -87,10 +97,10 @@ def build(nodes, heights, state, room, count, levels):
     """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
     nodes; return its root.
 
-    `room` is from `room_to_build`. Its `items` (float32) and `numbers` (int32) are one array of
-    eight places an item, see `binning`: `count` items, which are reordered, and room for as many.
+    `room` is from `room_to_build`: `count` of its items are reordered, and there is room for as
+    many.
     """
-    items, numbers, made = room
+    items, numbers, made = room.items, room.numbers, room.made
     if count == 1:
         return np.int64(numbers[NODE])
     rescale_items(nodes, items, numbers, 0, count)
@@ -127,16 +137,24 @@ def build(nodes, heights, state, room, count, levels):
 
 @lean_kernel
 def count_leaves(nodes, root):
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node):
+    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    while node != NONE:
+        count += is_leaf(node)
+        node, top = next_node(nodes, node, not is_leaf(node), stack, top)
+    return count
+
+
+@lean_kernel
+def post_order(nodes, root, order):
+    """Number the inner nodes below and with `root`, parents before children: read it backwards for
+    children first. Returns how many there are.
+    """
+    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    while node != NONE:
+        if not is_leaf(node):
+            order[count] = node
             count += 1
-            continue
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
+        node, top = next_node(nodes, node, not is_leaf(node), stack, top)
     return count
 
 
@@ -145,18 +163,16 @@ def free_inner_nodes(nodes, state, root, most, numbers):
     """Free the inner nodes from `root` down to the largest subtrees of at most `most` leaves;
     return how many of those there are, in `numbers`.
     """
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node) or (most > 1 and count_leaves(nodes, node) <= most):
-            numbers[count * LANES + NODE] = node
+    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    while node != NONE:
+        below = not (is_leaf(node) or (most > 1 and count_leaves(nodes, node) <= most))
+        here = node
+        node, top = next_node(nodes, node, below, stack, top)
+        if below:
+            free_inner(nodes, state, here)
+        else:
+            numbers[count * LANES + NODE] = here
             count += 1
-            continue
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
-        free_inner(nodes, state, node)
     return count
 
 
@@ -166,7 +182,7 @@ def rebuild_subtree(nodes, heights, state, root, room, count, levels):
     its new root.
     """
     parent = np.int64(nodes[root].parent)
-    numbers = room[1]
+    numbers = room.numbers
     # Where it hangs is noted before `root` itself is freed and perhaps taken again.
     on_left = parent != NONE and nodes[parent].left == root
     is_root = state[ROOT] == root
@@ -238,7 +254,7 @@ def build_all(nodes, heights, handles, state, room):
     if count == 0:
         state[ROOT] = NONE
         return
-    numbers = room[1]
+    numbers = room.numbers
     if state[ROOT] != NONE:
         free_inner_nodes(nodes, state, state[ROOT], 1, numbers)
     for slot in range(handles.shape[0]):
@@ -268,17 +284,7 @@ def refit_all(nodes, heights, root, order):
     """
     if root == NONE or is_leaf(root):
         return
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        order[count] = node
-        count += 1
-        for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
-            if not is_leaf(child):
-                stack[top] = child
-                top += 1
+    count = post_order(nodes, root, order)
     for i in range(count - 1, -1, -1):
         refit_node(nodes, heights, np.int64(order[i]))
 
@@ -293,11 +299,11 @@ def optimize(nodes, heights, state, room):
     """
     if state[COUNT] < 3:
         return
-    items, numbers, made = room
+    items, numbers = room.items, room.numbers
     treelets = free_inner_nodes(nodes, state, state[ROOT], TREELET, numbers)
     state[ROOT] = NONE
     below = 2 * LANES * treelets  # the top needs what comes before
-    room_below = items[below:], numbers[below:], made
+    room_below = Room(items[below:], numbers[below:], room.made)
     for i in range(treelets):
         root = np.int64(numbers[i * LANES + NODE])
         nodes[root].parent = NONE

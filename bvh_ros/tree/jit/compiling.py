@@ -4,6 +4,7 @@
 
 import os
 from collections.abc import Callable
+from types import FunctionType
 from typing import Any
 
 import numba
@@ -75,12 +76,24 @@ def inlined(function: Callable[..., Any]) -> Any:
     return _compiled(function, _nrt=False, forceinline=True)
 
 
+def rewired(original: Any, **calls: Any) -> Any:
+    """The same kernel with the same options, compiled again, for this process only, with some of
+    the functions it calls replaced.
+    """
+    python = original.py_func
+    function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
+    own = 'nopython', 'boundscheck', 'no_cfunc_wrapper'
+    return numba.njit(
+        function, **{k: v for k, v in original.targetoptions.items() if k not in own}
+    )
+
+
 def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of exactly these types. It does not check
     the types of what it is given: other types are undefined behaviour.
 
-    numba's dispatcher looks at the types of all arguments at every call. For seven arrays that
-    takes half a microsecond, as long as a ray.
+    numba's dispatcher looks at the types of all arguments at every call. For twelve arrays that
+    takes 0.4 us, as long as a ray; for twelve in a NamedTuple, 1.3 us.
     """
     code: Callable[..., Any] = compiled.compile(tuple(map(numba.typeof, arguments)))
     return code

@@ -44,28 +44,29 @@ def _slabs(builder: Any, boxes: list[Any], field: Any) -> tuple[Any, Any]:
 
 
 @intrinsic
-def stream16(typingctx, planes, node, octant, rays, places, start, count, hits, nearest):
-    """Test the rays of places[start:start + count] against the sixteen boxes of a wide node.
+def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
+    """Test the rays of `places` against the sixteen boxes of a wide node.
 
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
     the least distance of each box, as integers of the same order; returns which boxes any ray
     meets. The rays are records as of `filtering.ray_dtype`; bit k of `octant` says that they fly
     down axis k.
     """
-    sig = types.uint32(planes, node, octant, rays, places, start, count, hits, nearest)
+    sig = types.uint32(planes, node, octant, rays, places, hits, nearest)
     record = rays.dtype
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        _, node, octant, rays, _, start, count, _, _ = args
+        node, octant, rays = args[1:4]
 
         def part(k: int, first: Any, length: Any) -> Any:
             return elements_at(context, builder, signature.args[k], args[k], first, length)
 
+        count = context.make_array(signature.args[4])(context, builder, args[4]).nitems
         ndim = record.typeof('slope').shape[0]
         floats = index(2 * ndim * WIDTH)
         boxes = _near_and_far(builder, part(0, builder.mul(node, floats), floats), octant, ndim)
-        places, hits = part(4, start, count), part(7, index(0), count)
-        nearest = part(8, index(0), index(WIDTH))
+        places, hits = part(4, index(0), count), part(5, index(0), count)
+        nearest = part(6, index(0), index(WIDTH))
         least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         any_hits = cgutils.alloca_once_value(builder, ir.Constant(_INT, 0))
         with cgutils.for_range(builder, count) as loop:

@@ -12,6 +12,7 @@ from numba.np.arrayobj import make_array, populate_array
 
 LANES = 8  # floats of a box: lower and upper bounds, padded
 WIDTH = 16  # children of a wide node
+CACHE_LINE = 64  # bytes
 
 _FLOAT, _BIT, _BYTE = ir.FloatType(), ir.IntType(1), ir.IntType(8)
 _INT, _LONG = ir.IntType(32), ir.IntType(64)
@@ -21,7 +22,7 @@ _VECTOR = ir.VectorType(_FLOAT, LANES)
 @intrinsic(prefer_literal=True)
 def stack_array(typingctx, size, dtype):
     """Uninitialised array of a constant `size` that lives until the calling kernel returns; it
-    must not be returned.
+    must not be returned. `dtype` may be an array: of the same dtype.
     """
     kind = types.Array(dtype.dtype, 1, 'C')
     length = size.literal_value
@@ -29,6 +30,8 @@ def stack_array(typingctx, size, dtype):
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         item = context.get_data_type(kind.dtype)
         room = cgutils.alloca_once(builder, ir.ArrayType(item, length))
+        if isinstance(kind.dtype, types.Record):
+            room.align = CACHE_LINE
         array = make_array(kind)(context, builder)
         extent = context.get_constant(types.intp, length)
         step = context.get_constant(types.intp, context.get_abi_sizeof(item))

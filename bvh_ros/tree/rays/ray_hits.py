@@ -2,18 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays in, and out what the caller reads: handles, points and normals."""
 
-import functools
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
-from ..jit.compiling import entry_point, inlined, lean_kernel
+from ..entries import entry_points
+from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, box_dtype, leaf_box, node_dtype
-from ..store.turns import ANY_VERSION, begin_query, end_query
-from .raycasting import ANY, CLOSEST, raycast
-from .slab import DIRECTION, EXACT, INSIDE, set_ray
+from ..nodes import EXACT_RAYS, NONE, RAYS, leaf_box
+from ..results import RayHits
+from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, count_rays, end_query
+from .raycasting import CLOSEST, NO_RAYS, Asked, Found, of_row, raycast
+from .slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS, set_ray
 
 
 @lean_kernel
@@ -36,138 +34,102 @@ def locate(nodes, tight, origin, direction, slot, t, axis, place):
             place[0, k] = min(max(origin[k] + t * direction[k], lo[k]), hi[k])
 
 
-NOT_FINITE, REFUSED = -2, -3
+@lean_kernel
+def locate_hit(tree, origin, direction, slot, t, axis, place):
+    """`locate`, as Python calls it."""
+    locate(tree.nodes, tree.tight, origin, direction, slot, t, axis, place)
+
+
+@inlined
+def is_finite(origin, direction):
+    finite = True
+    for k in range(origin.shape[0]):
+        finite &= np.isfinite(origin[k]) & np.isfinite(direction[k])
+    return finite
 
 
 @lean_kernel
-def raycast_one(
-    nodes, tight, handles, state, origin, direction, t_max, mask, skip_inside, mode, place
-):
-    """One ray in one call: (handle, t), and its point and normal in `place`, whose other rows are
-    scratch; instead of a handle NONE if there is none, NOT_FINITE if the input is not, REFUSED if
-    the tree is being changed.
+def raycast_one(tree, origin, direction, t_max, mask, skip_inside, mode, place):
+    """One ray in one call: (handle, t), and for CLOSEST its point and normal in `place`; instead
+    of a handle NONE if there is none, NOT_FINITE if the input is not, REFUSED if the tree is being
+    changed.
     """
-    for k in range(origin.shape[0]):
-        if not (np.isfinite(origin[k]) and np.isfinite(direction[k])):
-            return NOT_FINITE, np.inf
+    state = tree.state
+    if not is_finite(origin, direction):
+        return NOT_FINITE, np.inf
     if not begin_query(state, ANY_VERSION):
         return REFUSED, np.inf
-    set_ray(place[2:], origin, direction)
-    slots, ts, axes = (
-        stack_array(1, np.int64),
-        stack_array(1, np.float64),
-        stack_array(1, np.int64),
-    )
-    found = raycast(
-        nodes,
-        tight,
-        handles,
-        state[ROOT],
-        place[2:],
-        t_max,
-        mask,
-        skip_inside,
-        mode,
-        slots,
-        ts,
-        axes,
-        0,
-    )
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
+    ts = stack_array(1, np.float64)
+    set_ray(ray, origin, direction)
+    asked, found = Asked(t_max, mask, skip_inside, mode), Found(slots, ts, axes)
+    hits = raycast(tree, ray, asked, found, 0)
     state[RAYS] += 1
-    state[EXACT_RAYS] += np.int64(place[2 + EXACT, 0])
+    state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     handle = np.int64(NONE)
-    if found > 0:
-        handle = handles[slots[0]]
-        locate(nodes, tight, origin, direction, slots[0], ts[0], axes[0], place)
+    if hits > 0:
+        handle = tree.handles[slots[0]]
+        if mode == CLOSEST:
+            locate(tree.nodes, tree.tight, origin, direction, slots[0], ts[0], axes[0], place)
     end_query(state)
-    return handle, (ts[0] if found > 0 else np.inf)
-
-
-@functools.cache
-def raycast_entry(ndim: int) -> Callable[..., Any]:
-    """`raycast_one` for a tree of so many dimensions, without numba's look at the arguments: they
-    must be exactly of these types, the arrays C-ordered.
-    """
-    numbers, doubles = np.empty(0, np.int64), np.empty(0)
-    tree = np.empty(0, node_dtype(ndim)), np.empty(0, box_dtype(ndim)), numbers, numbers
-    place = np.empty((0, ndim))
-    return entry_point(
-        raycast_one, *tree, doubles, doubles, 0.0, np.uint32(0), False, CLOSEST, place
-    )
-
-
-@inlined
-def of_row(values, i):
-    """The value of row i; where there is but one, it is for all."""
-    return values[i if values.shape[0] > 1 else 0]
-
-
-@inlined
-def write_hit(handles, ray, slot, t, axis, i, ids, ts, normals):
-    """Row i of a batch's answer; axis INSIDE where slot is NONE."""
-    ids[i], ts[i] = NONE, t
-    if slot != NONE:
-        ids[i] = handles[slot]
-    for k in range(normals.shape[1]):
-        normals[i, k] = 0.0
-    if axis != INSIDE:
-        normals[i, axis] = -1.0 if ray[DIRECTION, axis] > 0.0 else 1.0
+    return handle, (ts[0] if hits > 0 else np.inf)
 
 
 @lean_kernel
-def raycast_rows(
-    nodes,
-    tight,
-    handles,
-    state,
-    version,
-    ray,
-    origins,
-    directions,
-    t_max,
-    masks,
-    skip_inside,
-    mode,
-    rows,
-    ids,
-    ts,
-    normals,
-):
-    """First hits (CLOSEST) of the rays of `rows`, or to any (ANY) no more than an id; NONE where
-    there is none. `ray` is scratch. Returns how many took exact arithmetic, negative if the tree
-    is changed meanwhile.
+def raycast_row(tree, ray, rays, row, found, hits):
+    """The first hit (CLOSEST) of one ray of a batch, or of any (ANY) no more than an id; NONE
+    where there is none. `ray` and `found` are scratch. Returns 1 if it took exact arithmetic, else
+    0; NOT_FINITE if the ray is not.
     """
-    if not begin_query(state, version):
-        return np.int64(-1)
-    root, exact = state[ROOT], np.int64(0)
-    slots, distances, axes = (
-        stack_array(1, np.int64),
-        stack_array(1, np.float64),
-        stack_array(1, np.int64),
-    )
-    for i in rows:
-        set_ray(ray, origins[i], directions[i])
-        reach, seen = of_row(t_max, i), of_row(masks, i)
-        slots[0], distances[0], axes[0] = NONE, np.inf, INSIDE
-        raycast(
-            nodes,
-            tight,
-            handles,
-            root,
-            ray,
-            reach,
-            seen,
-            skip_inside,
-            mode,
-            slots,
-            distances,
-            axes,
-            0,
-        )
-        exact += np.int64(ray[EXACT, 0])
-        if mode == ANY:
-            ids[i] = slots[0]
-        else:
-            write_hit(handles, ray, slots[0], distances[0], axes[0], i, ids, ts, normals)
-    end_query(state)
+    origin, direction = rays.origins[row], rays.directions[row]
+    if not is_finite(origin, direction):
+        return np.int64(NOT_FINITE)
+    set_ray(ray, origin, direction)
+    asked = Asked(of_row(rays.t_max, row), of_row(rays.masks, row), rays.skip_inside, rays.mode)
+    slot, axis, t = np.int64(NONE), np.int64(INSIDE), np.inf
+    if raycast(tree, ray, asked, found, 0) > 0:
+        slot, axis, t = found.slots[0], found.axes[0], found.ts[0]
+    hits.ids[row] = tree.handles[slot] if slot != NONE else NONE
+    if rays.mode == CLOSEST:
+        hits.t[row] = t
+        for k in range(origin.shape[0]):
+            hits.normals[row, k] = 0.0
+        if axis != INSIDE:
+            hits.normals[row, axis] = -1.0 if direction[axis] > 0.0 else 1.0
+    return np.int64(ray[EXACT, 0])
+
+
+@lean_kernel
+def raycast_rows(tree, version, rays, hits):
+    """`raycast_row` for all rays. Returns how many took exact arithmetic; NOT_FINITE if a ray is
+    not, REFUSED if the tree is changed meanwhile.
+    """
+    if not begin_query(tree.state, version):
+        return np.int64(REFUSED)
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
+    found = Found(slots, stack_array(1, np.float64), axes)
+    exact = np.int64(0)
+    for row in range(rays.origins.shape[0]):
+        done = raycast_row(tree, ray, rays, row, found, hits)
+        if done < 0:
+            exact = done
+            break
+        exact += done
+    end_query(tree.state)
     return exact
+
+
+@lean_kernel
+def count(tree, rays, exact):
+    """Count rays, and those of them that took exact arithmetic."""
+    count_rays(tree.state, rays, exact)
+
+
+_POINT, _ROWS = np.empty(0), np.empty((0, 3))
+NO_HITS = RayHits(np.empty(0, np.int64), np.empty(0), _ROWS)
+locate_entry = entry_points(locate_hit, _POINT, _POINT, 0, 0.0, 0, _ROWS)
+one_entry = entry_points(raycast_one, _POINT, _POINT, 0.0, np.uint32(0), False, CLOSEST, _ROWS)
+count_entry = entry_points(count, 0, 0)
+rows_entry = entry_points(raycast_rows, 0, NO_RAYS, NO_HITS)

@@ -2,21 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What rays meet, one by one or in batches. Each method checks its input and calls one kernel."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import checks
-from ..nodes import ALL, NONE
+from ..nodes import ALL, NONE, View
 from ..results import RayHit, RayHits
-from ..store.arrays import Arrays, Floats, Ids, View
-from ..store.turns import IS_CHANGED, accepted, count_rays
+from ..store.arrays import Arrays, Floats, Ids
+from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
-from ..wide import raycasting as wide_raycasting
-from ..wide.ray_streams import RAYS_AT_ONCE, make_scratch
-from . import ray_hits, raycasting
-from .slab import RAY_ROWS
+from ..wide.ray_streams import RAYS_AT_ONCE
+from . import ray_batches, ray_hits, raycasting
+from .raycasting import Rays
 
 
 class RayQueries(Arrays):
@@ -82,14 +79,14 @@ class RayQueries(Arrays):
         """Return every box that the ray meets, nearest first (exactly; ties by handle). Arguments
         as `raycast`.
         """
-        start = checks.point('origin', origin, self.ndim)
-        way = checks.point('direction', direction, self.ndim)
-        reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        origin = checks.point('origin', origin, self._ndim)
+        direction = checks.point('direction', direction, self._ndim)
+        asked = checks.limit('t_max', t_max), checks.mask(mask), skip_inside
         view = self.view()
-        found = self.every_hit(view, start[None], way[None], reach, seen, skip_inside)
+        found = self.every_hit(view, origin[None], direction[None], *asked)[1]
         hits = [
-            self._hit(view, start, way, *row)
-            for row in zip(*(column.tolist() for column in found[1:]), strict=True)
+            self._hit(view, origin, direction, *row)
+            for row in zip(*(column.tolist() for column in found), strict=True)
         ]
         self.check_unchanged(view)
         return hits
@@ -156,13 +153,13 @@ class RayQueries(Arrays):
         """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i +
         1]]``, nearest first.
         """
-        starts = checks.points('origins', origins, self.ndim)
-        ways = checks.points('directions', directions, self.ndim, len(starts))
+        origins = checks.points('origins', origins, self._ndim)
+        directions = checks.points('directions', directions, self._ndim, len(origins))
         view = self.view()
-        offsets, slots, ts, _ = self.every_hit(view, starts, ways, t_max, mask, skip_inside)
-        ids = view[2][slots]
+        offsets, found = self.every_hit(view, origins, directions, t_max, mask, skip_inside)
+        ids = view.tree.handles[found.slots]
         self.check_unchanged(view)
-        return offsets, ids, ts
+        return offsets, ids, found.ts
 
     def _cast(
         self,
@@ -174,44 +171,35 @@ class RayQueries(Arrays):
         mode: int,
     ) -> tuple[int, float, Floats] | None:
         """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""
-        shape = (self.ndim,)
-        start = checks.floats_to_read('origin', origin, shape)
-        way = checks.floats_to_read('direction', direction, shape)
-        if start.shape != shape or way.shape != shape:
-            checks.point('origin', start, self.ndim)
-            checks.point('direction', way, self.ndim)
-        reach, seen = checks.limit('t_max', t_max), checks.mask(mask)
-        place = np.empty((2 + RAY_ROWS, self.ndim))
-        nodes, _, tight, handles, state, heirs, _ = self._storage
-        if heirs:
-            nodes, _, tight, handles, state, _, _ = self._settled()
-        handle, t = ray_hits.raycast_entry(self.ndim)(
-            nodes,
-            tight,
-            handles,
-            state,
-            start,
-            way,
-            reach,
-            seen,
+        ndim = self._ndim
+        origin = checks.vector('origin', origin, ndim)
+        direction = checks.vector('direction', direction, ndim)
+        place = np.empty((2, ndim))
+        handle, t = ray_hits.one_entry(ndim)(
+            self._settled().tree,
+            origin,
+            direction,
+            checks.limit('t_max', t_max),
+            checks.mask(mask),
             checks.flag('skip_inside', skip_inside),
             mode,
             place,
         )
-        if handle == ray_hits.NOT_FINITE:
-            checks.point('origin', start, self.ndim)
-            checks.point('direction', way, self.ndim)
-        if handle == ray_hits.REFUSED:
+        if handle >= 0:
+            return handle, t, place
+        if handle == NOT_FINITE:
+            checks.point('origin', origin, ndim)
+            checks.point('direction', direction, ndim)
+        if handle == REFUSED:
             raise RuntimeError(IS_CHANGED)
-        return None if handle < 0 else (handle, t, place)
+        return None
 
     def _hit(
-        self, view: View, start: Floats, way: Floats, slot: int, t: float, axis: int
+        self, view: View, origin: Floats, direction: Floats, slot: int, t: float, axis: int
     ) -> RayHit:
-        nodes, tight, handles, _, _ = view
-        place = np.empty((2, self.ndim))
-        ray_hits.locate(nodes, tight, start, way, slot, t, axis, place)
-        return RayHit(int(handles[slot]), t, place[0], place[1])
+        tree, place = view.tree, np.empty((2, self._ndim))
+        ray_hits.locate_entry(self._ndim)(tree, origin, direction, slot, t, axis, place)
+        return RayHit(int(tree.handles[slot]), t, place[0], place[1])
 
     def _first(
         self,
@@ -226,75 +214,54 @@ class RayQueries(Arrays):
         """First hits, or of any hits no more than ids, in one pass over the memory: what is
         copied, checked or written apart costs a fifth of a ray among 1,000 boxes.
         """
-        starts = checks.rows('origins', origins, self.ndim)
-        count = len(starts)
-        ways = checks.rows('directions', directions, self.ndim, count)
-        reaches = checks.limits('t_max', t_max, 1 if np.isscalar(t_max) else count)
-        seen = checks.masks(mask, 1 if np.isscalar(mask) else count)
-        rays = starts, ways, reaches, seen, checks.flag('skip_inside', skip_inside)
-        described = count if mode == raycasting.CLOSEST else 0
-        # One piece of memory: three make the allocator give theirs back to the system after each
-        # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
-        room = np.empty(count + described * (1 + self.ndim))
-        hits = RayHits(
-            room[:count].view(np.int64),
-            room[count : count + described],
-            room[count + described :].reshape(described, self.ndim),
-        )
+        ndim = self._ndim
+        origins = checks.rows('origins', origins, ndim)
+        count = len(origins)
+        directions = checks.rows('directions', directions, ndim, count)
+        t_max = checks.limits_or_one('t_max', t_max, count)
+        masks = checks.masks_or_one(mask, count)
+        skip_inside = checks.flag('skip_inside', skip_inside)
+        # As Rays(...), which would take one more call of a function of Python's.
+        rays = tuple.__new__(Rays, (origins, directions, t_max, masks, skip_inside, mode))
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        hits = ray_batches.room_for(count, ndim, mode)
         view = self.view()
-        left, exact = self._first_wide(view, rays, mode, threads, hits)
-        if left.size:
-            checks.finite('origins', starts)
-            checks.finite('directions', ways)
-
-        def cast(start: int, stop: int) -> int:
-            scratch, rows = np.empty((RAY_ROWS, self.ndim)), left[start:stop]
-            return accepted(ray_hits.raycast_rows(*view, scratch, *rays, mode, rows, *hits))
-
-        exact += sum(in_threads(cast, len(left), threads))
-        count_rays(view[3], count, exact)  # once all are answered: what is refused counts none
-        return hits
-
-    def _first_wide(
-        self, view: View, rays: tuple[Any, ...], mode: int, threads: int, hits: RayHits
-    ) -> tuple[Ids, int]:
-        """Answer what the snapshot can: the rows left, and how many others were exact work."""
-        count = len(hits.ids)
         snapshot = self._snapshot_for(count, view)
-        if snapshot is None:
-            return np.arange(count), 0
-        marks = np.empty(count, np.bool_)
+        if threads == 1:
+            exact = ray_batches.cast(view, snapshot, rays, hits)
+        else:
 
-        def cast(start: int, stop: int) -> int:
-            done = wide_raycasting.cast_rows(
-                *snapshot[:-1],
-                *view,
-                *make_scratch(stop - start, self.ndim, snapshot.depth),
-                *rays,
-                mode == raycasting.ANY,
-                start,
-                stop,
-                *hits,
-                marks,
-            )
-            return accepted(done)
+            def work(start: int, stop: int) -> int:
+                part = ray_batches.part_of(rays, hits, start, stop)
+                return ray_batches.cast(view, snapshot, *part)
 
-        exact = in_threads(cast, count, threads, 2 * RAYS_AT_ONCE)
-        return np.flatnonzero(marks), sum(exact)
+            done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
+            exact = min(done) if min(done) < 0 else sum(done)
+        if exact == NOT_FINITE:
+            checks.finite('origins', origins)
+            checks.finite('directions', directions)
+        # Rays are counted once all are answered: of what is refused none counts.
+        ray_hits.count_entry(ndim)(view.tree, count, accepted(exact))
+        return hits
 
     def every_hit(
         self,
         view: View,
-        starts: Floats,
-        ways: Floats,
+        origins: Floats,
+        directions: Floats,
         t_max: ArrayLike,
         mask: ArrayLike,
         skip_inside: bool,
-    ) -> tuple[Ids, Ids, Floats, Ids]:
-        """`raycast_all_many` of good input: offsets, slots, t and axes entered; right if the tree
-        is unchanged afterwards.
+    ) -> tuple[Ids, raycasting.Found]:
+        """`raycast_all_many` of good input: offsets, and slots, t and axes entered; right if the
+        tree is unchanged afterwards.
         """
-        count = len(starts)
-        reaches, seen = checks.limits('t_max', t_max, count), checks.masks(mask, count)
-        skips = checks.flag('skip_inside', skip_inside)
-        return raycasting.every_hit(view, starts, ways, reaches, seen, skips)
+        count, mode = len(origins), raycasting.EVERY
+        t_max, mask = (
+            checks.limits_or_one('t_max', t_max, count),
+            checks.masks_or_one(mask, count),
+        )
+        skip_inside = checks.flag('skip_inside', skip_inside)
+        rays = Rays(origins, directions, t_max, mask, skip_inside, mode)
+        return raycasting.every_hit(view, rays)

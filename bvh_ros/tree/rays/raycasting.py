@@ -1,20 +1,21 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays through the binary tree: the first hit, any hit or all of them, with one traversal.
+"""Rays against the tree: first hit, any hit, all hits.
 
 The nearer child first, the other on a stack with its entry distance, and no visit to what is
 entered after the best hit.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
-from ..store.turns import IS_CHANGED, begin_query, count_rays, end_query
+from ..store.turns import accepted, begin_query, count_rays, end_query
 from .slab import (
     EXACT,
     INSIDE,
@@ -35,44 +36,88 @@ Floats = NDArray[np.float64]
 CLOSEST, ANY, EVERY = range(3)
 
 
+class Rays(NamedTuple):
+    """What is asked for."""
+
+    origins: Floats
+    """Shape (n, ndim), as the directions."""
+    directions: Floats
+    t_max: Floats
+    """A distance a ray, or one for all."""
+    masks: NDArray[np.uint32]
+    """A mask a ray, or one for all."""
+    skip_inside: bool
+    mode: int
+    """CLOSEST, ANY or EVERY."""
+
+
+class Found(NamedTuple):
+    """What the traversal finds, hit by hit."""
+
+    slots: Ids
+    ts: Floats
+    axes: Ids
+    """The axis entered last, INSIDE where the ray starts in the box."""
+
+
+class Asked(NamedTuple):
+    """What is asked of one ray."""
+
+    t_max: float
+    mask: np.uint32
+    skip_inside: bool
+    mode: int
+
+
+class Hit(NamedTuple):
+    """One box that a ray meets."""
+
+    slot: int
+    t: float
+    axis: int
+
+
+@inlined
+def of_row(values, i):
+    """The value of row i; where there is but one, it is for all."""
+    return values[i if values.shape[0] > 1 else 0]
+
+
 @lean_kernel
-def raycast(
-    nodes, tight, handles, root, ray, t_max, mask, skip_inside, mode, slots, ts, axes, filled
-):
-    """Cast one ray and write its hits to (slots, ts, axes) from `filled` on; return where the next
-    would go.
+def raycast(tree, ray, asked, found, filled):
+    """Cast one ray (see `slab`), `asked` as of `Asked`, and write its hits to `found` from
+    `filled` on; return where the next would go.
 
     CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return
     beyond the arrays' end says how large they should have been: what did not fit is counted, not
     written.
     """
+    nodes, root, mask = tree.nodes, tree.state[ROOT], asked.mask
+    slots, ts, axes = found.slots, found.ts, found.axes
     if root == NONE or nodes[root].mask & mask == 0:
         return filled
     scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    limit = traversal_distance(t_max, scale)
+    limit = traversal_distance(asked.t_max, scale)
     begin, best = filled, np.int64(NONE)
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = (
-        root,
-        intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide),
-        1,
-    )
+    stack[0], top = root, 1
+    entries[0] = intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide)
     while top > 0:
         top -= 1
         if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
             continue
-        node, top = descend(nodes, ray, limit, wide, mask, stack, entries, stack[top], top)
+        node, top = descend(nodes, ray, limit, wide, mask, stack, entries, top)
         if node == NONE:
             continue
-        lo, hi = leaf_box(nodes, tight, node)
-        hit, t, axis = intersect_exact(lo, hi, ray, t_max)
-        if not hit or (skip_inside and axis == INSIDE):
+        lo, hi = leaf_box(nodes, tree.tight, node)
+        hit, t, axis = intersect_exact(lo, hi, ray, asked.t_max)
+        if not hit or (asked.skip_inside and axis == INSIDE):
             continue
         slot = np.int64(node >> 1)
         place = filled
-        if mode == CLOSEST:
+        if asked.mode == CLOSEST:
             if best != NONE and not is_before(
-                nodes, tight, handles, ray, slot, t, axis, best, ts[begin], axes[begin]
+                tree, ray, (slot, t, axis), (best, ts[begin], axes[begin])
             ):
                 continue
             best, place = slot, begin
@@ -80,16 +125,17 @@ def raycast(
         if place < slots.shape[0]:
             slots[place], ts[place], axes[place] = slot, t, axis
         filled = place + 1
-        if mode == ANY:
+        if asked.mode == ANY:
             break
     return filled
 
 
 @inlined
-def descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
-    """Follow the nearer child down to a leaf, putting the others on the stack; (leaf or NONE, top
-    of the stack).
+def descend(nodes, ray, limit, wide, mask, stack, entries, top):
+    """Follow the nearer child from the node stack[top] down to a leaf, putting the others on the
+    stack: (leaf or NONE, top of the stack).
     """
+    node = stack[top]
     while not is_leaf(node):
         first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
         first_entry, second_entry = np.inf, np.inf
@@ -110,131 +156,96 @@ def descend(nodes, ray, limit, wide, mask, stack, entries, node, top):
 
 
 @lean_kernel
-def is_before(nodes, tight, handles, ray, slot, t, axis, other, other_t, other_axis):
-    """Whether the first of two hits of a ray is the nearer, or as near with the smaller handle."""
-    lo, hi = leaf_box(nodes, tight, 2 * slot)
-    other_lo, other_hi = leaf_box(nodes, tight, 2 * other)
-    order = compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray)
-    return order < 0 or (order == 0 and handles[slot] < handles[other])
+def is_before(tree, ray, hit, other):
+    """Whether the first of two hits of a ray, each (slot, t, axis), is the nearer, or as near with
+    the smaller handle.
+    """
+    (slot, t, axis), (other_slot, other_t, other_axis) = hit, other
+    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+    other_lo, other_hi = leaf_box(tree.nodes, tree.tight, 2 * other_slot)
+    order = compare_hits(ray, lo, hi, (t, axis), other_lo, other_hi, (other_t, other_axis))
+    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
 
 
 @lean_kernel
-def raycast_every_row(
-    nodes,
-    tight,
-    handles,
-    state,
-    version,
-    ray,
-    origins,
-    directions,
-    t_max,
-    masks,
-    skip_inside,
-    offsets,
-    found,
-    first,
-):
-    """All hits of every ray from `first` on; those of ray i go to [offsets[i], offsets[i + 1]) of
-    the arrays `found`: slots, ts and axes, in no order. `ray` is scratch.
+def raycast_every_row(tree, version, ray, rays, offsets, found, first):
+    """All hits of every ray of `rays` from `first` on; those of ray i go to [offsets[i],
+    offsets[i + 1]) of `found`, in no order. `ray` is scratch.
 
     Returns (rays done, room wanted): fewer than there are where there is no room for the hits of
     the next one, negative if the tree is changed meanwhile.
     """
-    if not begin_query(state, version):
+    if not begin_query(tree.state, version):
         return np.int64(-1), np.int64(0)
-    slots, ts, axes = found
     done, exact, end = np.int64(first), np.int64(0), np.int64(0)
-    while done < origins.shape[0]:
-        set_ray(ray, origins[done], directions[done])
-        end = raycast(
-            nodes,
-            tight,
-            handles,
-            state[ROOT],
-            ray,
-            t_max[done],
-            masks[done],
-            skip_inside,
-            EVERY,
-            slots,
-            ts,
-            axes,
-            offsets[done],
-        )
-        if end > slots.shape[0]:
+    while done < rays.origins.shape[0]:
+        set_ray(ray, rays.origins[done], rays.directions[done])
+        t_max, mask = of_row(rays.t_max, done), of_row(rays.masks, done)
+        asked = Asked(t_max, mask, rays.skip_inside, EVERY)
+        end = raycast(tree, ray, asked, found, offsets[done])
+        if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
         done += 1
         offsets[done] = end
-    count_rays(state, done - first, exact)
-    end_query(state)
+    count_rays(tree.state, done - first, exact)
+    end_query(tree.state)
     return done, np.int64(end)
 
 
 @lean_kernel
-def sort_hits_exactly(nodes, tight, handles, ray, origins, directions, offsets, slots, ts, axes):
+def sort_hits_exactly(tree, ray, rays, offsets, found):
     """Bring hits that are sorted by computed distance into the order of the exact one, then of
     handles. `ray` is scratch.
 
     Few are out of place, so insertion does it. Each t then becomes the largest up to it: within 2
     ulp still, and never falling.
     """
-    for i in range(origins.shape[0]):
-        set_ray(ray, origins[i], directions[i])
+    slots, ts, axes = found.slots, found.ts, found.axes
+    for i in range(rays.origins.shape[0]):
+        set_ray(ray, rays.origins[i], rays.directions[i])
         for j in range(offsets[i] + 1, offsets[i + 1]):
             slot, t, axis = slots[j], ts[j], axes[j]
             place = j
             while place > offsets[i] and is_before(
-                nodes,
-                tight,
-                handles,
-                ray,
-                slot,
-                t,
-                axis,
-                slots[place - 1],
-                ts[place - 1],
-                axes[place - 1],
+                tree, ray, (slot, t, axis), (slots[place - 1], ts[place - 1], axes[place - 1])
             ):
-                slots[place], ts[place], axes[place] = (
-                    slots[place - 1],
-                    ts[place - 1],
-                    axes[place - 1],
-                )
+                slots[place], ts[place] = slots[place - 1], ts[place - 1]
+                axes[place] = axes[place - 1]
                 place -= 1
             slots[place], ts[place], axes[place] = slot, t, axis
         for j in range(offsets[i] + 1, offsets[i + 1]):
             ts[j] = max(ts[j], ts[j - 1])
 
 
-def every_hit(
-    view: Any, starts: Floats, ways: Floats, t_max: Floats, masks: Any, skip_inside: bool
-) -> tuple[Ids, Ids, Floats, Ids]:
-    """All hits of all rays in their order, with as much room as it takes: offsets, slots, t and
-    axes entered. RuntimeError if the tree is changed before they are found.
+def _room_for_hits(count: int) -> Found:
+    return Found(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+
+
+NO_RAYS = Rays(*(np.empty((0, 3)),) * 2, np.empty(0), np.empty(0, np.uint32), False, CLOSEST)
+_NO_RAY, _NUMBERS = np.empty((RAY_ROWS, 3)), np.empty(0, np.int64)
+every_entry = entry_points(raycast_every_row, 0, _NO_RAY, NO_RAYS, _NUMBERS, _room_for_hits(0), 0)
+sorting_entry = entry_points(sort_hits_exactly, _NO_RAY, NO_RAYS, _NUMBERS, _room_for_hits(0))
+
+
+def every_hit(view: Any, rays: Rays) -> tuple[Ids, Found]:
+    """All hits of all rays in their order, with as much room as it takes: offsets and what was
+    found. RuntimeError if the tree is changed before they are found.
     """
-    count = len(starts)
-    offsets = np.zeros(count + 1, np.int64)
-    scratch = np.empty((RAY_ROWS, starts.shape[1]))
-    asked = starts, ways, t_max, masks, skip_inside, offsets
+    count, ndim = rays.origins.shape
+    offsets, scratch = np.zeros(count + 1, np.int64), np.empty((RAY_ROWS, ndim))
     done, found = 0, _room_for_hits(64)
     while done < count:
-        done, wanted = raycast_every_row(*view, scratch, *asked, found, done)
-        if done < 0:
-            raise RuntimeError(IS_CHANGED)
-        if done < count:
-            full, found = found, _room_for_hits(max(2 * len(found[0]), wanted))
+        done, wanted = every_entry(ndim)(*view, scratch, rays, offsets, found, done)
+        if accepted(done) < count:
+            full, found = found, _room_for_hits(max(2 * len(found.slots), wanted))
             for old, new in zip(full, found, strict=True):
                 new[: len(old)] = old
-    nodes, tight, handles, _, _ = view
     total = offsets[-1]
-    slots, ts, axes = found[0][:total], found[1][:total], found[2][:total]
-    order = np.lexsort((handles[slots], ts, np.repeat(np.arange(count), np.diff(offsets))))
-    slots, ts, axes = slots[order], ts[order], axes[order]
-    sort_hits_exactly(nodes, tight, handles, scratch, starts, ways, offsets, slots, ts, axes)
-    return offsets, slots, ts, axes
-
-
-def _room_for_hits(count: int) -> tuple[Ids, Floats, Ids]:
-    return np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64)
+    found = Found(found.slots[:total], found.ts[:total], found.axes[:total])
+    if total > 1:
+        rows = np.repeat(np.arange(count), np.diff(offsets))
+        order = np.lexsort((view.tree.handles[found.slots], found.ts, rows))
+        found = Found(found.slots[order], found.ts[order], found.axes[order])
+        sorting_entry(ndim)(view.tree, scratch, rays, offsets, found)
+    return offsets, found

@@ -42,6 +42,7 @@ INSIDE = -1  # the axis of a hit whose ray starts inside
 # ray[EXACT, 0] says whether a decision about it took exact arithmetic.
 ORIGIN, UPPER, DIRECTION, INVERSE, EXACT = range(5)
 RAY_ROWS = 5
+RAY_FLOATS = 3 * RAY_ROWS
 
 
 @inlined
@@ -101,22 +102,31 @@ def traversal_distance(t, scale):
 
 
 @inlined
-def intersect_node(lo, hi, ray, limit, wide):
-    """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters
-    after `limit`.
+def rounded_slabs(lo, hi, ray, limit):
+    """Where a ray enters a box, where it leaves it, `limit` at the latest, and the axis entered
+    last: (entry, leave, axis), each distance with an error of three roundings.
 
     0 * inf is NaN where the ray runs in the plane of a face: comparisons with NaN are false, so
     the slab bounds nothing, and the touching ray goes on, as closed boxes want.
     """
-    entry = 0.0
-    leave = limit
+    entry, leave, entered = 0.0, limit, INSIDE
     for axis in range(lo.shape[0]):
         inverse = ray[INVERSE, axis]
         at_lo = (lo[axis] - ray[UPPER, axis]) * inverse
         at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
         near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
-        entry = near if near > entry else entry
+        if near > entry:
+            entry, entered = near, axis
         leave = far if far < leave else leave
+    return entry, leave, entered
+
+
+@inlined
+def intersect_node(lo, hi, ray, limit, wide):
+    """Distance at which the ray may enter a node's box, or inf if it surely misses it or enters
+    after `limit`.
+    """
+    entry, leave, _ = rounded_slabs(lo, hi, ray, limit)
     if math.isinf(entry):
         return 0.0 if wide else np.inf
     return entry if entry <= leave * PAD + TINY else np.inf
@@ -247,8 +257,9 @@ def intersect_exact(lo, hi, ray, t_max):
 
 
 @lean_kernel
-def compare_hits(lo, hi, t, axis, other_lo, other_hi, other_t, other_axis, ray):
-    """Sign of the exact difference of two hits' distances along one ray."""
+def compare_hits(ray, lo, hi, hit, other_lo, other_hi, other):
+    """Sign of the exact difference of two hits' distances along one ray; a hit is (t, axis)."""
+    (t, axis), (other_t, other_axis) = hit, other
     if axis == INSIDE or other_axis == INSIDE:
         return (0 if other_axis == INSIDE else -1) if axis == INSIDE else 1
     plane, other_plane = (

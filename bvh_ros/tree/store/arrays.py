@@ -8,20 +8,30 @@ import os
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .. import changing
+from .. import changing, checks
 from ..build import building
-from ..nodes import CHANGES, COUNT, LAST_SERIAL, OWES, ROOT, SHAPES, SLOT_MASK, STATE_PLACES, TURN
+from ..moving import Change, Policy
+from ..nodes import (
+    CHANGES,
+    COUNT,
+    LAST_SERIAL,
+    OWES,
+    RECENT_PLACES,
+    ROOT,
+    SLOT_MASK,
+    STATE_PLACES,
+    TURN,
+    WRITTEN,
+    View,
+)
 from ..wide import snapshot as wide
-from .storage import Storage, allocate, inherit
+from .storage import Storage, allocate, inherit_entry
 from .turns import ANY_VERSION, IS_CHANGED, IS_QUERIED, QUERIED
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
-# What kernels that query take first: nodes, exact boxes (where nodes are fat), handles by slot,
-# the state and the version of the tree.
-View = tuple[NDArray[Any], NDArray[Any], Ids, Ids, int]
 NO_ROWS, NO_MASKS = np.empty(0, np.int64), np.empty(0, np.uint32)
 
 
@@ -31,8 +41,10 @@ class Arrays:
     _ndim: int
     _margin: float
     _sibling_search: str
+    _thorough: bool
     _storage: Storage
-    # Version of the nodes, rays cast since, the snapshot if there is one: written together.
+    # `state[WRITTEN]` when it was last looked at; the snapshot if there is one, and rays cast
+    # without one, or how often rays visited its loose nodes. All are written together.
     _wide: tuple[int, int, wide.Snapshot | None]
 
     @property
@@ -53,7 +65,7 @@ class Arrays:
     def __len__(self) -> int:
         """How many boxes there are."""
         view = self.view()
-        count = view[3].item(COUNT)
+        count = view.tree.state.item(COUNT)
         self.check_unchanged(view)
         return count
 
@@ -62,52 +74,64 @@ class Arrays:
 
         To be read only, and only until the tree changes: these are the tree's own arrays.
         """
-        nodes, tight, handles, state, _ = self.view()
-        return nodes, tight, handles, state.item(ROOT)
+        tree = self.view().tree
+        return tree.nodes, tree.tight, tree.handles, tree.state.item(ROOT)
+
+    def slots(self, handles: ArrayLike) -> Ids:
+        """Slots of live handles, in an array of the same shape: small numbers, each of one box, by
+        which a caller may keep in arrays what he knows of the boxes. A slot is given again once
+        its box is removed. KeyError if a handle names no box.
+        """
+        given = np.asarray(handles)
+        flat = checks.slots_of(self.view().tree.handles, given.reshape(-1), once=False)
+        return flat.reshape(given.shape)
+
+    def slot(self, handle: int) -> int:
+        """`slots` of one handle."""
+        number, handles = checks.handle(handle), self._settled().tree.handles
+        slot = number & SLOT_MASK
+        if slot < len(handles) and handles.item(slot) == number:
+            return slot
+        raise checks.unknown(handle)
 
     @property
     def state(self) -> NDArray[np.int64]:
         """Its root and what it counts, see `nodes`: kernels that count rays write there."""
-        return self._settled().state
+        return self._settled().tree.state
 
     @property
     def _nodes(self) -> NDArray[Any]:
-        return self._settled().nodes
+        return self._settled().tree.nodes
 
     @property
     def _heights(self) -> NDArray[np.int16]:
-        return self._settled().heights
+        return self._settled().tree.heights
 
     @property
     def _tight(self) -> NDArray[Any]:
-        return self._settled().tight
+        return self._settled().tree.tight
 
     @property
     def _handles(self) -> Ids:
-        return self._settled().handles
+        return self._settled().tree.handles
 
     @property
     def _state(self) -> NDArray[np.int64]:
         """What of the state a file holds."""
-        return self._settled().state[:STATE_PLACES]
+        return self._settled().tree.state[:STATE_PLACES]
 
     # ---- turns
 
     def view(self) -> View:
         """The tree as it is now, for a query of several steps."""
-        nodes, _, tight, handles, state, heirs, _ = self._storage
-        if heirs:
-            nodes, _, tight, handles, state, _, _ = self._settled()
-        return nodes, tight, handles, state, state.item(CHANGES)
-
-    def _view_and_heights(self) -> tuple[View, NDArray[np.int16]]:
-        nodes, heights, tight, handles, state, _, _ = self._settled()
-        return (nodes, tight, handles, state, state.item(CHANGES)), heights
+        storage = self._storage
+        tree = self._settled().tree if storage.heirs else storage.tree
+        return View(tree, tree.state.item(CHANGES))
 
     def check_unchanged(self, view: View) -> None:
         """RuntimeError if what was read since the view was taken may not fit together."""
-        _, _, _, state, version = view
-        if state.item(TURN) < 0 or state.item(CHANGES) != version:
+        state = view.tree.state
+        if state.item(TURN) < 0 or state.item(CHANGES) != view.version:
             raise RuntimeError(IS_CHANGED)
 
     def _settled(self) -> Storage:
@@ -115,7 +139,7 @@ class Arrays:
         storage = self._storage
         while storage.heirs:
             heir = storage.heirs[0]
-            if inherit(*storage[:5], *heir[:5]) != 0:
+            if inherit_entry(self._ndim)(storage.tree, heir.tree) != 0:
                 break  # it is just being changed: that change is the one that is refused
             self._storage = storage = heir
         return storage
@@ -128,11 +152,11 @@ class Arrays:
 
     def _reserve(self, storage: Storage, more: int) -> None:
         """Make room for so many more boxes, at least doubling."""
-        old, need = len(storage.handles), storage.state.item(COUNT) + more
+        old, need = len(storage.tree.handles), storage.tree.state.item(COUNT) + more
         capacity = min(max(need, 2 * old), SLOT_MASK + 1)
         if need > capacity:
             raise ValueError(f'lo and hi are too many: a tree holds at most {SLOT_MASK + 1} boxes')
-        self._replace_storage(storage, capacity, len(storage.tight) > 0)
+        self._replace_storage(storage, capacity, len(storage.tree.tight) > 0)
 
     def _make_way(self, reason: int, storage: Storage, more: int = 0) -> None:
         """Take away what a change was refused for; RuntimeError if it is another thread."""
@@ -144,7 +168,8 @@ class Arrays:
             raise ValueError(f'lo and hi are too many: a tree can name {LAST_SERIAL} insertions')
         elif reason == QUERIED and storage.process != os.getpid():
             # In a forked process a query that was under way in the parent never ends.
-            self._replace_storage(storage, len(storage.handles), len(storage.tight) > 0)
+            tree = storage.tree
+            self._replace_storage(storage, len(tree.handles), len(tree.tight) > 0)
         else:
             raise RuntimeError(IS_QUERIED if reason == QUERIED else IS_CHANGED)
 
@@ -162,50 +187,51 @@ class Arrays:
             boxes = (np.empty((0, self.ndim)),) * 3
         more = len(rows) if how == changing.INSERT else 0
         order = np.empty(2 * len(rows) if how == changing.MOVE else 0, np.int64)
+        change = Change(rows, *boxes, masks, order)
+        policy = Policy(self._margin, self._thorough, *shares)
+        kernel = changing.many_entry(self._ndim)
         while True:
             storage = self._settled()
-            now = storage.state.item(CHANGES) if version == ANY_VERSION else version
-            room = building.room_to_build(storage.state.item(COUNT) + more)
-            done: int = changing.change_many(
-                *storage[:5],
-                now,
-                how,
-                rows,
-                boxes,
-                masks,
-                self.margin,
-                self.sibling_search == 'branch_and_bound',
-                shares,
-                order,
-                room,
-            )
+            state = storage.tree.state
+            now = state.item(CHANGES) if version == ANY_VERSION else version
+            room = building.room_to_build(state.item(COUNT) + more)
+            done: int = kernel(storage.tree, now, how, change, policy, room)
             if done >= 0:
                 return done
             self._make_way(done, storage, more)
 
     def _settle(self) -> None:
         """See to what an interrupted change of one box still owes."""
-        if self._settled().state.item(OWES):
+        if self._settled().tree.state.item(OWES):
             self._change_many(changing.SETTLE)
 
     # ---- the snapshot
 
     def _snapshot_for(self, count: int, view: View) -> wide.Snapshot | None:
-        """The wide snapshot of the tree as it is, if the rays since the last change, `count` more
-        now, are worth building it.
+        """The wide snapshot of the tree as it is, if the rays since it was last outdated, `count`
+        more now, are worth building it. Few changes are patched, as long as what that costs the
+        rays is not worth building it again.
 
         Threads that ask at the same time may each build one: none waits for another.
         """
-        state = view[3]
-        shape, boxes = state.item(SHAPES), state.item(COUNT)
+        state = view.tree.state
+        written, boxes = state.item(WRITTEN), state.item(COUNT)
         of, rays, snapshot = self._wide
-        if of != shape:
-            rays, snapshot = 0, None
-        rays += count
-        enough = max(wide.RAYS_PER_BOX * boxes, wide.LEAST_RAYS)
-        if snapshot is None and boxes > 1 and rays >= enough:
-            snapshot = wide.take_snapshot(view)
+        if of != written:
+            if snapshot is not None:
+                snapshot = wide.patched(snapshot, view)
+                rays = rays if snapshot else 0
+            elif rays < 0 or written - of > RECENT_PLACES:
+                rays = 0
+        if snapshot is None:
+            rays += count
+            enough = max(wide.RAYS_PER_BOX * boxes, wide.LEAST_RAYS)
+        else:
+            rays += count * snapshot.loose
+            enough = wide.LOOSE_VISITS_PER_BOX * boxes
+        if rays >= enough and boxes > 1 and (snapshot is None or snapshot.loose):
+            rays, snapshot = 0, wide.take_snapshot(view)
             if snapshot is None:  # nor will there be one before the tree changes
                 rays = -(2**62)
-        self._wide = shape, rays, snapshot
+        self._wide = written, rays, snapshot
         return snapshot

@@ -33,13 +33,11 @@ LARGEST_VALUE = 4096  # bytes
 
 def pack(tree: Any) -> dict[str, Any]:
     """The arrays and values that make up a tree, by name."""
-    nodes, heights, tight, handles, state = tree._copied()
+    arrays = tree._copied()
+    state = arrays.state
     return {
         'version': VERSION,
-        'nodes': nodes,
-        'heights': heights,
-        'tight': tight,
-        'handles': handles,
+        **arrays._asdict(),
         'state': state[:STATE_PLACES],
         'ndim': tree.ndim,
         'margin': tree.margin,
@@ -164,8 +162,8 @@ def unpack(tree: Any, packed: Any) -> None:
     tree._begin(kept['ndim'], kept['margin'], kept['sibling_search'], 1)
     storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
     for name in ARRAYS[:-1]:
-        getattr(storage, name)[:] = kept[name]
-    state = storage.state
+        getattr(storage.tree, name)[:] = kept[name]
+    state = storage.tree.state
     state[:STATE_PLACES], state[SERIAL], state[TURN] = kept['state'], kept['serial'], 0
     for name, count in kept['counters'].items():
         state[COUNTERS[name]] = count

@@ -7,13 +7,15 @@ fills them, and forbids to change the old ones for ever; then they are the tree'
 interrupted in between leaves the rest to the next call, which sees the heir.
 """
 
+import functools
 import os
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..jit.compiling import lean_kernel
+from ..entries import entry_points
+from ..jit.compiling import entry_point, lean_kernel
 from ..nodes import (
     ALL_PLACES,
     COUNT,
@@ -23,12 +25,15 @@ from ..nodes import (
     REMOVED,
     ROOT,
     SERIAL,
-    SHAPES,
     TURN,
+    Tree,
     aligned_empty,
     box_dtype,
+    empty_tree,
+    leaf_box,
     link_free,
     node_dtype,
+    note_all_written,
 )
 from .turns import (
     ANY_VERSION,
@@ -43,15 +48,9 @@ from .turns import (
 
 
 class Storage(NamedTuple):
-    """What kernels read and write, see `nodes`; they take the first five."""
+    """A tree's arrays, and what becomes of them."""
 
-    nodes: NDArray[Any]
-    heights: NDArray[np.int16]
-    tight: NDArray[Any]
-    """Exact boxes by slot where nodes are fat, else empty."""
-    handles: NDArray[np.int64]
-    """By slot, NONE where it is free."""
-    state: NDArray[np.int64]
+    tree: Tree
     heirs: list['Storage']
     """Once it is outgrown: the first is the heir."""
     process: int
@@ -62,86 +61,82 @@ def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
     """Storage for so many boxes that waits to be filled."""
     state = np.zeros(ALL_PLACES, np.int64)
     state[TURN] = UNFILLED
-    return Storage(
+    tree = Tree(
         aligned_empty(2 * capacity, node_dtype(ndim)),
         np.empty(2 * capacity, np.int16),
         np.empty(capacity if fat else 0, box_dtype(ndim)),
         np.empty(capacity, np.int64),
         state,
-        [],
-        os.getpid(),
     )
+    return Storage(tree, [], os.getpid())
 
 
 def new_storage(ndim: int, capacity: int, fat: bool) -> Storage:
     """Storage of an empty tree."""
     storage = allocate(ndim, capacity, fat)
-    storage.heights.fill(0)
-    storage.state[TURN], storage.state[SERIAL] = 0, 1
-    clear(*storage[:5])
+    storage.tree.heights.fill(0)
+    storage.tree.state[TURN], storage.tree.state[SERIAL] = 0, 1
+    clear_entry(ndim)(storage.tree)
     return storage
 
 
 @lean_kernel
-def clear(nodes, heights, tight, handles, state):
+def clear(tree):
     """Remove all boxes."""
+    handles, state = tree.handles, tree.state
     refused = begin_change(state, ANY_VERSION)
     if refused != 0:
-        return refused
+        return np.int64(refused)
     state[REMOVED] += state[COUNT]
     state[ROOT], state[COUNT], state[FREE_LEAF], state[FREE_INNER] = NONE, 0, NONE, NONE
     handles[:] = NONE
-    link_free(nodes, state, 0, handles.shape[0])
-    state[SHAPES] += 1
+    link_free(tree.nodes, state, 0, handles.shape[0])
+    note_all_written(state)
     end_change(state, True)
-    return 0
+    return np.int64(0)
 
 
 @lean_kernel
-def inherit(
-    nodes,
-    heights,
-    tight,
-    handles,
-    state,
-    new_nodes,
-    new_heights,
-    new_tight,
-    new_handles,
-    new_state,
-):
-    """Fill an heir, unless it is; CHANGED if the old storage is being changed.
+def inherit(old, new):
+    """Fill an heir, unless it is; CHANGED if the old tree is being changed.
 
-    The turn that this takes at the old storage is that of a query that never ends: it may be read
+    The turn that this takes at the old tree is that of a query that never ends: it may be read
     further on, but not be changed.
     """
-    if replace_atomically(new_state, TURN, UNFILLED, CHANGING) != UNFILLED:
-        return 0
-    if add_atomically(state, TURN, 1) < 0:
-        add_atomically(state, TURN, -1)
-        new_state[TURN] = UNFILLED
-        return CHANGED
-    for i in range(nodes.shape[0]):
-        old, new = nodes[i], new_nodes[i]
-        new.left, new.right, new.parent, new.mask = old.left, old.right, old.parent, old.mask
-        for axis in range(old.lo.shape[0]):
-            new.lo[axis], new.hi[axis] = old.lo[axis], old.hi[axis]
-        new_heights[i] = heights[i]
-    count = handles.shape[0]
-    for slot in range(new_handles.shape[0]):
-        new_handles[slot] = handles[slot] if slot < count else NONE
-    for slot in range(new_tight.shape[0] if new_tight.shape[0] < count else count):
-        box = new_tight[slot]
-        for axis in range(box.lo.shape[0]):
-            if tight.shape[0] > 0:
-                box.lo[axis], box.hi[axis] = tight[slot].lo[axis], tight[slot].hi[axis]
-            else:
-                leaf = nodes[2 * slot]
-                box.lo[axis], box.hi[axis] = leaf.lo[axis], leaf.hi[axis]
-    for place in range(state.shape[0]):
+    if replace_atomically(new.state, TURN, UNFILLED, CHANGING) != UNFILLED:
+        return np.int64(0)
+    if add_atomically(old.state, TURN, 1) < 0:
+        add_atomically(old.state, TURN, -1)
+        new.state[TURN] = UNFILLED
+        return np.int64(CHANGED)
+    for i in range(old.nodes.shape[0]):
+        there, here = old.nodes[i], new.nodes[i]
+        here.left, here.right, here.parent = there.left, there.right, there.parent
+        here.mask = there.mask
+        for axis in range(there.lo.shape[0]):
+            here.lo[axis], here.hi[axis] = there.lo[axis], there.hi[axis]
+        new.heights[i] = old.heights[i]
+    count = old.handles.shape[0]
+    for slot in range(new.handles.shape[0]):
+        new.handles[slot] = old.handles[slot] if slot < count else NONE
+    for slot in range(min(count, new.tight.shape[0])):
+        lo, hi = leaf_box(old.nodes, old.tight, 2 * slot)
+        box = new.tight[slot]
+        for axis in range(lo.shape[0]):
+            box.lo[axis], box.hi[axis] = lo[axis], hi[axis]
+    for place in range(old.state.shape[0]):
         if place != TURN:
-            new_state[place] = state[place]
-    new_heights[nodes.shape[0] :] = 0
-    link_free(new_nodes, new_state, count, new_handles.shape[0])
-    add_atomically(new_state, TURN, -CHANGING)
-    return 0
+            new.state[place] = old.state[place]
+    new.heights[old.nodes.shape[0] :] = 0
+    link_free(new.nodes, new.state, count, new.handles.shape[0])
+    add_atomically(new.state, TURN, -CHANGING)
+    return np.int64(0)
+
+
+clear_entry = entry_points(clear)
+
+
+@functools.cache
+def inherit_entry(ndim: int) -> Callable[..., Any]:
+    """The machine code of `inherit`."""
+    return entry_point(inherit, empty_tree(ndim), empty_tree(ndim))

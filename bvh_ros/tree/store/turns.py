@@ -28,6 +28,8 @@ UNFILLED = -(1 << 50)  # storage that waits for what it is to hold
 
 # Why a kernel did nothing.
 QUERIED, CHANGED = -1, -2
+# Why a query of one box or ray did nothing: its numbers are not finite, or it got no turn.
+NOT_FINITE, REFUSED = -2, -3
 IS_QUERIED = 'the tree is being queried by another thread'
 IS_CHANGED = 'the tree is being changed by another thread'
 

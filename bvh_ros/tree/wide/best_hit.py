@@ -11,27 +11,19 @@ import numpy as np
 from ..jit.compiling import inlined, lean_kernel
 from ..nodes import NONE, leaf_box
 from ..rays.raycasting import is_before
-from ..rays.slab import DIRECTION, INSIDE, INVERSE, ORIGIN, PAD, TINY, intersect_exact, near_plane
+from ..rays.slab import (
+    DIRECTION,
+    INSIDE,
+    INVERSE,
+    ORIGIN,
+    PAD,
+    TINY,
+    intersect_exact,
+    near_plane,
+    rounded_slabs,
+)
 
 MISSES, MEETS, ASK = range(3)
-
-
-@inlined
-def rounded_slabs(lo, hi, ray, leave):
-    """Where a ray enters a box and leaves it, `leave` at the latest, and the axis entered last:
-    (entry, leave, axis), each distance with an error of three roundings.
-    """
-    entry = 0.0
-    entered = INSIDE
-    for axis in range(lo.shape[0]):
-        inverse = ray[INVERSE, axis]
-        at_lo = (lo[axis] - ray[ORIGIN, axis]) * inverse
-        at_hi = (hi[axis] - ray[ORIGIN, axis]) * inverse
-        near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
-        if near > entry:
-            entry, entered = near, axis
-        leave = far if far < leave else leave
-    return entry, leave, entered
 
 
 @inlined
@@ -63,18 +55,19 @@ def exact_entry_axis(lo, hi, ray, t_max, t, entered):
 
 
 @inlined
-def is_better(nodes, tight, handles, ray, t_max, skip_inside, slot, best, best_t, best_axis):
-    """Whether a leaf is hit before the best so far: (better, about t, axis)."""
-    lo, hi = leaf_box(nodes, tight, 2 * slot)
+def is_better(tree, ray, t_max, skip_inside, slot, best):
+    """Whether a leaf is hit before the best hit, (slot, t, axis): (better, about t, axis)."""
+    best_slot, best_t, best_axis = best
+    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
     verdict, t, axis = quick_decision(lo, hi, ray, best_t)
     if verdict != ASK:
         return verdict == MEETS, t, axis
     met, t, axis = intersect_exact(lo, hi, ray, t_max)
     if not met or (skip_inside and axis == INSIDE):
         return False, t, axis
-    if best == NONE:
+    if best_slot == NONE:
         return True, t, axis
-    best_lo, best_hi = leaf_box(nodes, tight, 2 * best)
+    best_lo, best_hi = leaf_box(tree.nodes, tree.tight, 2 * best_slot)
     best_axis = exact_entry_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
-    better = is_before(nodes, tight, handles, ray, slot, t, axis, best, best_t, best_axis)
+    better = is_before(tree, ray, (slot, t, axis), (best_slot, best_t, best_axis))
     return better, t, axis

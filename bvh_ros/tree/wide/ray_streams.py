@@ -22,6 +22,7 @@ from ..jit.intrinsics import WIDTH, trailing_zeros
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
 from .filtering import octant_of, ray_dtype
+from .snapshot import LOOSE_NODES
 
 # How many rays go together: their records stay in a processor core's own cache, and so do, for the
 # most part, the rays and answers of those that are sorted by octant in one go.
@@ -45,13 +46,13 @@ class Scratch(NamedTuple):
     """Of the rays that are sorted together."""
     rows: NDArray[np.int64]
     """Of these rays, octant by octant."""
-    rays: NDArray[Any]
+    records: NDArray[Any]
     """Of `filtering.ray_dtype`, those at once."""
     lists: NDArray[np.int32]
-    """Places in `rays`."""
+    """Places in `records`."""
     found: NDArray[np.int32]
-    """Places in `rays` of those that hit anything."""
-    hits: NDArray[np.uint32]
+    """Places in `records` of those that hit anything."""
+    met: NDArray[np.uint32]
     """Bit masks of the children that the rays of a list meet."""
     stack: NDArray[np.int32]
     """A node a row."""
@@ -68,7 +69,7 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
         np.empty(together * (1 + LISTS * depth), np.int32),
         np.empty(together, np.int32),
         np.empty(together, np.uint32),
-        np.empty((WIDTH * depth, 4), np.int32),
+        np.empty((WIDTH * depth + LOOSE_NODES, 4), np.int32),
     )
 
 

@@ -6,11 +6,13 @@
 
 import numpy as np
 
+from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
 from ..jit.intrinsics import WIDTH, prefetch, stack_array
 from ..nodes import ALL, NONE, leaf_box
-from ..rays.ray_hits import of_row
+from ..rays.ray_hits import NO_HITS, raycast_row
+from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
 from ..rays.slab import (
     DIRECTION,
     EXACT,
@@ -21,7 +23,7 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
-from ..store.turns import begin_query, end_query
+from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
 from .ray_streams import (
@@ -34,155 +36,142 @@ from .ray_streams import (
     START,
     child_lists,
     farthest_first,
+    make_scratch,
     sort_by_octant,
 )
+from .snapshot import no_snapshot
 
 ALL32 = np.uint32(ALL)
 OCTANTS = 8  # of two dimensions, four are empty
 LINES_OF_PLANES = 6  # of a wide node of three dimensions
-FOUND, DECIDED_EXACTLY = range(2)  # what is counted
+FOUND, DECIDED_EXACTLY, BAD = range(3)  # what is counted
+TALLY = 3
 
 
 @lean_kernel
-def cast_rows(
-    planes,
-    children,
-    wide_masks,
-    center,
-    per_length,
-    nodes,
-    tight,
-    handles,
-    state,
-    version,
-    ray,
-    octants,
-    rows,
-    rays,
-    lists,
-    found,
-    hits,
-    stack,
-    origins,
-    directions,
-    t_max,
-    masks,
-    skip_inside,
-    any_hit,
-    start,
-    stop,
-    ids,
-    ts,
-    normals,
-    left_over,
-):
-    """First hits of the rays [start, stop), or of any hit no more than an id; those not suited are
-    marked in `left_over`, some of which may not be finite. From `ray` to `stack`: a `Scratch`.
-    Returns how many took exact arithmetic, negative if the tree is changed meanwhile.
+def cast_rows(tree, version, snapshot, rays, scratch, hits):
+    """First hits of `rays`, or of any hit no more than an id. Returns how many took exact
+    arithmetic; NOT_FINITE if a ray is not, REFUSED if the tree is changed meanwhile.
     """
-    if not begin_query(state, version):
-        return np.int64(-1)
-    boxes, scratch = (nodes, tight, handles), (ray, lists, found, hits, stack)
-    asked = origins, directions, t_max, masks, skip_inside, any_hit
-    tally, ends = stack_array(2, np.int64), stack_array(OCTANTS, np.int64)
-    tally[DECIDED_EXACTLY] = 0
-    ids[start:stop], ts[start:stop], normals[start:stop] = NONE, np.inf, 0.0
-    answers = ids, ts, normals, left_over
-    for first in range(start, stop, RAYS_SORTED):
-        batch = rows[: min(stop - first, RAYS_SORTED)]
-        sort_by_octant(directions, first, octants, batch, ends)
+    if not begin_query(tree.state, version):
+        return np.int64(REFUSED)
+    tally, ends = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
+    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
+    one = Found(slots, stack_array(1, np.float64), axes)
+    tally[DECIDED_EXACTLY] = tally[BAD] = 0
+    hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
+    count = rays.origins.shape[0]
+    for first in range(0, count, RAYS_SORTED):
+        batch = scratch.rows[: min(count - first, RAYS_SORTED)]
+        sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
         begin = 0
         for octant in range(OCTANTS):
-            wide = planes, children, wide_masks, center, per_length, octant
             while begin < ends[octant]:
-                end = min(ends[octant], begin + RAYS_AT_ONCE)
-                cast_group(wide, boxes, rays, batch[begin:end], scratch, asked, tally, answers)
-                begin = end
-    end_query(state)
-    return tally[DECIDED_EXACTLY]
+                rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]
+                alive = start_group(snapshot, rays, rows, scratch)
+                # Those that are not suited come last in the list.
+                for place in scratch.lists[alive : rows.shape[0]]:
+                    done = raycast_row(tree, scratch.ray, rays, rows[place], one, hits)
+                    tally[DECIDED_EXACTLY if done >= 0 else BAD] += abs(done)
+                tally[FOUND] = 0
+                if alive > 0:
+                    traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally)
+                for i in scratch.found[: tally[FOUND]]:
+                    best, row = scratch.records[i], rows[i]
+                    set_inverse(scratch.ray, rays.origins[row], rays.directions[row])
+                    hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
+                    exact = write_hit(tree, scratch.ray, rays, row, hit, hits)
+                    tally[DECIDED_EXACTLY] += exact and not best.exact
+                begin += rows.shape[0]
+    end_query(tree.state)
+    return tally[DECIDED_EXACTLY] if tally[BAD] == 0 else np.int64(NOT_FINITE)
 
 
 @inlined
-def cast_group(wide, boxes, rays, rows, scratch, asked, tally, answers):
-    """Answer the rays of `rows`, all of one octant."""
-    _, _, _, center, per_length, _ = wide
-    _, lists, _, _, _ = scratch
-    origins, directions, t_max, _, _, _ = asked
-    _, _, _, left_over = answers
-    alive = 0
+def start_group(snapshot, rays, rows, scratch):
+    """Fill the records of the rays of `rows`, all of one octant, and list them, those that are
+    suited first; return how many are.
+    """
+    alive, last = 0, rows.shape[0]
     for i in range(rows.shape[0]):
-        origin, direction, reach = origins[rows[i]], directions[rows[i]], of_row(t_max, rows[i])
-        suited = start_ray(rays[i], origin, direction, center, per_length, reach)
-        lists[alive] = i
+        suited = start_ray(
+            scratch.records[i],
+            rays.origins[rows[i]],
+            rays.directions[rows[i]],
+            snapshot.center,
+            snapshot.per_length,
+            of_row(rays.t_max, rows[i]),
+        )
+        last -= not suited
+        scratch.lists[alive if suited else last] = i
         alive += suited
-        left_over[rows[i]] = not suited
-    tally[FOUND] = 0
-    if alive > 0:
-        traverse(wide, boxes, rays, rows, alive, scratch, asked, tally)
-    write_hits(boxes, rays, rows, scratch, asked, tally, answers)
+    return alive
 
 
 @inlined
-def traverse(wide, boxes, rays, rows, alive, scratch, asked, tally):
-    """Find the best hits of the rays lists[:alive], all of one octant, and note them in `rays`."""
-    planes, children, wide_masks, _, _, octant = wide
-    _, lists, _, hits, stack = scratch
-    masks = asked[3]
+def traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally):
+    """Find the best hits of the rays lists[:alive], all of one octant, and note them in their
+    records.
+    """
+    lists, stack, masks = scratch.lists, scratch.stack, rays.masks
     all_seen = masks.shape[0] == 1 and masks[0] == ALL32
     nearest, ends = stack_array(WIDTH, np.int32), stack_array(LISTS, np.uint64)
     keys = stack_array(WIDTH, np.int64)
-    stack[0, NODE], stack[0, START], stack[0, COUNT], stack[0, FREE] = 0, 0, alive, alive
-    top = 1
+    top = 1 + snapshot.loose
+    for row in range(top):
+        stack[row, NODE] = 0 if row == 0 else snapshot.size + row - 1
+        stack[row, START], stack[row, COUNT], stack[row, FREE] = 0, alive, alive
+    patched = snapshot.loose > 0
     while top > 0:
         top -= 1
         node, start = np.int64(stack[top, NODE]), np.int64(stack[top, START])
         count, free = np.int64(stack[top, COUNT]), np.int64(stack[top, FREE])
         if node < 0:
-            visit_leaf(boxes, ~node, rays, rows, start, count, scratch, asked, tally)
+            listed = lists[start : start + count]
+            visit_leaf(tree, ~node, patched, rows, listed, rays, scratch, tally)
             continue
-        met = stream16(planes, node, octant, rays, lists, start, count, hits, nearest)
+        here = lists[start : start + count]
+        met = stream16(snapshot.planes, node, octant, scratch.records, here, scratch.met, nearest)
         if not all_seen:
-            met = apply_masks(wide_masks, node, masks, rows, lists, start, count, hits)
+            met = apply_masks(snapshot.masks, node, masks, rows, here, scratch.met)
         first, step = start, np.int64(0)  # the list of a single ray serves all children
         ends[:WIDTH] = np.uint64(start + 1)
         if count > 1:
             first, step = free, count
-            child_lists(lists, start, count, free, hits, ends)
+            child_lists(lists, start, count, free, scratch.met, ends)
             free += LISTS * count
         for i in range(farthest_first(met, nearest, keys)):
             lane = keys[i] & (WIDTH - 1)
-            child, begin = children[node * WIDTH + lane], first + lane * step
-            fetch_ahead(planes, children, boxes, np.int64(child))
+            child, begin = snapshot.children[node * WIDTH + lane], first + lane * step
+            fetch_ahead(snapshot, tree, np.int64(child))
             stack[top, NODE], stack[top, START] = child, begin
             stack[top, COUNT], stack[top, FREE] = np.int64(ends[lane]) - begin, free
             top += 1
 
 
 @inlined
-def visit_leaf(boxes, slot, rays, rows, start, count, scratch, asked, tally):
-    """See for each ray of lists[start:start + count] whether the leaf is its best hit."""
-    ray, lists, found, _, _ = scratch
-    origins, directions, t_max, _, skip_inside, any_hit = asked
-    nodes, tight, handles = boxes
-    for i in range(start, start + count):
-        state, row = rays[lists[i]], rows[lists[i]]
-        if any_hit and state.slot != NONE:
+def visit_leaf(tree, slot, patched, rows, places, rays, scratch, tally):
+    """See for each ray of `places` whether the leaf is its best hit."""
+    ray = scratch.ray
+    for place in places:
+        best, row = scratch.records[place], rows[place]
+        if rays.mode == ANY and best.slot != NONE:
             continue
-        set_inverse(ray, origins[row], directions[row])
-        t_best, best, best_axis = state.best_t, np.int64(state.slot), np.int64(state.axis)
-        reach = of_row(t_max, row)
-        better, t, axis = is_better(
-            nodes, tight, handles, ray, reach, skip_inside, slot, best, t_best, best_axis
-        )
-        if ray[EXACT, 0] != 0.0 and not state.exact:
-            state.exact = True
+        if patched and is_stale(tree, slot, of_row(rays.masks, row), best.slot):
+            continue
+        set_inverse(ray, rays.origins[row], rays.directions[row])
+        before = np.int64(best.slot), best.best_t, np.int64(best.axis)
+        t_max = of_row(rays.t_max, row)
+        better, t, axis = is_better(tree, ray, t_max, rays.skip_inside, slot, before)
+        if ray[EXACT, 0] != 0.0 and not best.exact:
+            best.exact = True
             tally[DECIDED_EXACTLY] += 1
         if better:
-            if best == NONE:
-                found[tally[FOUND]] = lists[i]
+            if best.slot == NONE:
+                scratch.found[tally[FOUND]] = place
                 tally[FOUND] += 1
-            state.slot, state.best_t, state.axis = slot, t, axis
-            state.limit = NOWHERE if any_hit else limit32(t, state.unit)
+            best.slot, best.best_t, best.axis = slot, t, axis
+            best.limit = NOWHERE if rays.mode == ANY else limit32(t, best.unit)
 
 
 @inlined
@@ -194,23 +183,24 @@ def set_inverse(ray, origin, direction):
 
 
 @inlined
-def apply_masks(wide_masks, node, masks, rows, lists, start, count, hits):
-    """Take from `hits` what a ray's mask does not see; return what any ray still meets."""
-    met = np.uint32(0)
-    for i in range(count):
-        mask = of_row(masks, rows[lists[start + i]])
-        hits[i] &= seen16(wide_masks, node * WIDTH, mask)
-        met |= hits[i]
-    return met
+def apply_masks(wide_masks, node, masks, rows, places, met):
+    """Take from `met` what a ray's mask does not see; return what any ray still meets."""
+    any_met = np.uint32(0)
+    for i in range(places.shape[0]):
+        mask = of_row(masks, rows[places[i]])
+        met[i] &= seen16(wide_masks, node * WIDTH, mask)
+        any_met |= met[i]
+    return any_met
 
 
 @inlined
-def fetch_ahead(planes, children, boxes, child):
+def fetch_ahead(snapshot, tree, child):
     """Ask for the memory of a child that will be visited soon."""
-    nodes, tight, _ = boxes
+    nodes, tight = tree.nodes, tree.tight
     if child >= 0:
-        prefetch(planes, child * (2 * nodes[0].lo.shape[0] * WIDTH), LINES_OF_PLANES)
-        prefetch(children, child * WIDTH, 1)
+        planes = child * (2 * nodes[0].lo.shape[0] * WIDTH)
+        prefetch(snapshot.planes, planes, LINES_OF_PLANES)
+        prefetch(snapshot.children, child * WIDTH, 1)
     elif tight.shape[0] > 0:
         prefetch(tight, ~child, 1)
     else:
@@ -218,24 +208,32 @@ def fetch_ahead(planes, children, boxes, child):
 
 
 @inlined
-def write_hits(boxes, rays, rows, scratch, asked, tally, answers):
-    """Write the answers of the rays that hit anything."""
-    nodes, tight, handles = boxes
-    ray, _, found, _, _ = scratch
-    origins, directions, t_max, _, _, any_hit = asked
-    ids, ts, normals, _ = answers
-    for i in found[: tally[FOUND]]:
-        state, row = rays[i], rows[i]
-        slot, axis = np.int64(state.slot), np.int64(state.axis)
-        ids[row] = slot if any_hit else handles[slot]
-        if any_hit:
-            continue
-        ts[row] = 0.0
-        if axis != INSIDE:
-            lo, hi = leaf_box(nodes, tight, 2 * slot)
-            set_inverse(ray, origins[row], directions[row])
-            axis = exact_entry_axis(lo, hi, ray, of_row(t_max, row), state.best_t, axis)
-            tally[DECIDED_EXACTLY] += ray[EXACT, 0] != 0.0 and not state.exact
-            plane = near_plane(lo, hi, ray, axis)
-            ts[row] = plane_distance(plane, ray[ORIGIN, axis], ray[DIRECTION, axis])
-            normals[row, axis] = -1.0 if ray[DIRECTION, axis] > 0.0 else 1.0
+def is_stale(tree, slot, mask, best):
+    """Whether a leaf of a snapshot that was patched is to be left out: what it was is removed or
+    has another mask now, or it is met twice.
+    """
+    return tree.nodes[2 * slot].mask & mask == 0 or slot == best
+
+
+@inlined
+def write_hit(tree, ray, rays, row, hit, hits):
+    """Write the answer of a ray that hits, (slot, about t, axis); whether that took exact
+    arithmetic. `ray` has its inverses.
+    """
+    slot, t, axis = hit
+    hits.ids[row] = tree.handles[slot]
+    if rays.mode == ANY:
+        return False
+    hits.t[row] = 0.0
+    if axis != INSIDE:
+        lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+        axis = exact_entry_axis(lo, hi, ray, of_row(rays.t_max, row), t, axis)
+        plane = near_plane(lo, hi, ray, axis)
+        hits.t[row] = plane_distance(plane, ray[ORIGIN, axis], ray[DIRECTION, axis])
+        hits.normals[row, axis] = -1.0 if ray[DIRECTION, axis] > 0.0 else 1.0
+    return ray[EXACT, 0] != 0.0
+
+
+cast_entry = entry_points(
+    *(cast_rows, 0, no_snapshot, NO_RAYS, lambda ndim: make_scratch(0, ndim, 0), NO_HITS)
+)

@@ -15,17 +15,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import longest_edge, node_area, unit_scale
-from ..build.building import count_leaves
+from ..build.building import count_leaves, post_order
+from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import WIDTH, stack_array
-from ..nodes import COUNT, DEEPEST, ROOT, is_leaf
-from ..store.turns import IS_CHANGED, begin_query, end_query
+from ..nodes import (
+    COUNT,
+    DEEPEST,
+    NONE,
+    RECENT,
+    RECENT_PLACES,
+    ROOT,
+    WRITTEN,
+    View,
+    is_leaf,
+    next_node,
+)
+from ..store.turns import REFUSED, accepted, begin_query, end_query
+from .filtering import ray_dtype
 
 # Batches for which building pays, measured: a ray through the binary tree costs five times one
 # through the snapshot, and building costs a box what that saves on 0.2 (100,000 boxes) to 0.4
 # rays (1,000 boxes).
 RAYS_PER_BOX = 0.4
 LEAST_RAYS = 64
+# How often rays have visited loose nodes when building would have cost as much.
+LOOSE_VISITS_PER_BOX = 6
 
 # Fixed cost of visiting a wide node, in units of testing one ray against it, divided by the number
 # of rays in a batch. Measured: from 0.0003 to 0.001 there is no difference. With 0 the snapshot of
@@ -43,9 +58,10 @@ BLURRED = 2.0**-18
 MOST_BLURRED = 64
 
 
-DEEPEST_WIDE = (
-    DEEPEST * (WIDTH - 1) + 1
-)  # a stack of wide nodes: all but one of the lanes on every level
+# A stack of wide nodes: all but one of the lanes on every level.
+DEEPEST_WIDE = DEEPEST * (WIDTH - 1) + 1
+LOOSE_NODES = RECENT_PLACES // WIDTH
+BEYOND = -2
 
 
 class Snapshot(NamedTuple):
@@ -61,20 +77,30 @@ class Snapshot(NamedTuple):
     """Of the scene, in its units, shape (ndim,)."""
     per_length: float
     """Snapshot units per scene unit, a power of two."""
+    size: int
+    """How many nodes there are; behind them there is room for LOOSE_NODES."""
     depth: int
     """Levels of nodes."""
+    written: int
+    """`state[WRITTEN]` of the tree when it was taken."""
+    loose: int
+    """How many of the nodes behind the others hold what was written since, see `patched`."""
+    record: NDArray[Any]
+    """None, but of `filtering.ray_dtype`: for kernels that make one."""
 
     @property
     def nbytes(self) -> int:
         return self.planes.nbytes + self.children.nbytes + self.masks.nbytes
 
 
-def take_snapshot(view: tuple[Any, ...]) -> Snapshot | None:
-    """Collapse a tree of two boxes or more, see `arrays.View`; None where float32 would see too
-    little of the scene, RuntimeError if the tree is changed meanwhile.
+def take_snapshot(view: View) -> Snapshot | None:
+    """Collapse a tree of two boxes or more; None where float32 would see too little of the scene,
+    RuntimeError if the tree is changed meanwhile.
     """
-    nodes, _, _, state, version = view
-    root, inner = state.item(ROOT), state.item(COUNT) - 1
+    tree, version = view
+    nodes, state = tree.nodes, tree.state
+    written = state.item(WRITTEN)
+    root, inner, ndim = state.item(ROOT), state.item(COUNT) - 1, nodes['lo'].shape[1]
     lo, hi = nodes['lo'][root], nodes['hi'][root]
     half = float((hi * 0.5 - lo * 0.5).max())
     if (
@@ -83,24 +109,34 @@ def take_snapshot(view: tuple[Any, ...]) -> Snapshot | None:
     ):
         return None
     center, per_length = lo * 0.5 + hi * 0.5, 2.0 ** -math.ceil(math.log2(half))
-    blurred = is_blurred(nodes, state, version, BLURRED / per_length)
-    if blurred < 0:
-        raise RuntimeError(IS_CHANGED)
-    if blurred:
+    if accepted(blurred_entry(ndim)(tree, version, BLURRED / per_length)):
         return None
     places = len(nodes) // 2
     least, shares = np.empty((places, WIDTH), np.float32), np.empty((places, WIDTH), np.uint8)
     order = np.empty(max(inner, 1), np.int64)
-    count = plan_collapse(nodes, state, version, least, shares, order)
-    if count < 0:
-        raise RuntimeError(IS_CHANGED)
-    planes = _on_cache_lines(count * 2 * WIDTH * nodes['lo'].shape[1])
-    children, masks = np.empty(count * WIDTH, np.int32), np.empty(count * WIDTH, np.uint32)
-    arrays = planes, children, masks
-    depth = collapse(nodes, state, version, shares, center, per_length, arrays, order)
-    if depth < 0:
-        raise RuntimeError(IS_CHANGED)
-    return Snapshot(planes, children, masks, center, per_length, depth)
+    count = accepted(planning_entry(ndim)(tree, version, least, shares, order))
+    places = count + LOOSE_NODES
+    planes = _on_cache_lines(places * 2 * WIDTH * ndim)
+    children, masks = np.empty(places * WIDTH, np.int32), np.empty(places * WIDTH, np.uint32)
+    sizes, record = (count, 0, written, 0), np.empty(0, ray_dtype(ndim))
+    snapshot = Snapshot(planes, children, masks, center, per_length, *sizes, record)
+    depth = accepted(collapse_entry(ndim)(tree, version, shares, snapshot, order))
+    return snapshot._replace(depth=depth)
+
+
+def patched(snapshot: Snapshot, view: View) -> Snapshot | None:
+    """The snapshot for a tree of which some leaves were written since; None if they are too many,
+    or one lies outside the units of the snapshot; RuntimeError if the tree is changed meanwhile.
+
+    Each of them is put into a node behind the others, which every ray visits. What the other nodes
+    say of them is left there: a leaf is looked at as it is now. Threads that do this at once write
+    the same into the same memory; whoever reads there asks for a version of the tree, and so for
+    what was written for that.
+    """
+    if view.tree.state.item(WRITTEN) - snapshot.written > RECENT_PLACES:
+        return None
+    nodes = loose_entry(len(snapshot.center))(*view, snapshot)
+    return None if nodes == BEYOND else snapshot._replace(loose=accepted(nodes))
 
 
 def _on_cache_lines(count: int) -> NDArray[np.float32]:
@@ -113,50 +149,26 @@ def _on_cache_lines(count: int) -> NDArray[np.float32]:
 
 
 @lean_kernel
-def is_blurred(nodes, state, version, least_edge):
+def is_blurred(tree, version, least_edge):
     """Whether more than MOST_BLURRED boxes lie in a subtree with no edge of `least_edge`; negative
     if the tree is changed meanwhile.
     """
+    nodes, state = tree.nodes, tree.state
     if not begin_query(state, version):
         return -1
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, blurred = state[ROOT], 1, 0
-    while top > 0 and blurred == 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node):
-            continue
-        if longest_edge(nodes, node, node) < least_edge:
-            if count_leaves(nodes, node) > MOST_BLURRED:
-                blurred = 1
-            continue
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
+    stack, top, node = stack_array(DEEPEST, np.int64), 0, np.int64(state[ROOT])
+    blurred = 0
+    while node != NONE and blurred == 0:
+        large = not is_leaf(node) and longest_edge(nodes, node, node) >= least_edge
+        if not large and not is_leaf(node) and count_leaves(nodes, node) > MOST_BLURRED:
+            blurred = 1
+        node, top = next_node(nodes, node, large, stack, top)
     end_query(state)
     return blurred
 
 
 @lean_kernel
-def post_order(nodes, root, order):
-    """Number the inner nodes below and with `root`, parents before children: read it backwards for
-    children first. Returns how many there are.
-    """
-    stack = stack_array(DEEPEST, np.int64)
-    stack[0], top, count = root, 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if is_leaf(node):
-            continue
-        order[count] = node
-        count += 1
-        stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-        top += 2
-    return count
-
-
-@lean_kernel
-def plan_collapse(nodes, state, version, least, shares, order):
+def plan_collapse(tree, version, least, shares, order):
     """Least cost of wide nodes, their area and `NODE_COST` each, by dynamic programming (Ylitie et
     al. 2017, section 3.1).
 
@@ -168,6 +180,7 @@ def plan_collapse(nodes, state, version, least, shares, order):
     Whatever the costs are, shares[k, WIDTH - 1] is from 1 to WIDTH - 1, and no other one is more
     than its lanes allow: what fills the nodes needs nothing else to stay within them.
     """
+    nodes, state = tree.nodes, tree.state
     if not begin_query(state, version):
         return -1
     root = state[ROOT]
@@ -245,19 +258,75 @@ def _up32(x):
     return np.nextafter(np.float32(x), np.float32(np.inf))
 
 
+@inlined
+def write_lane(snapshot, nodes, node, lane, child):
+    """Let a lane, counted through all wide nodes, hold a node of the tree, or NONE."""
+    ndim = snapshot.center.shape[0]
+    place = lane // WIDTH * (2 * ndim * WIDTH) + lane % WIDTH
+    for axis in range(ndim):
+        lo, hi = np.float32(np.inf), np.float32(-np.inf)
+        if node != NONE:
+            center = snapshot.center[axis]
+            lo = _down32((nodes[node].lo[axis] - center) * snapshot.per_length)
+            hi = _up32((nodes[node].hi[axis] - center) * snapshot.per_length)
+        snapshot.planes[place + axis * WIDTH] = lo
+        snapshot.planes[place + (axis + ndim) * WIDTH] = hi
+    snapshot.masks[lane] = nodes[node].mask if node != NONE else np.uint32(0)
+    snapshot.children[lane] = child
+
+
+@inlined
+def _fits_units(snapshot, nodes, leaf):
+    """Whether the error of a float32 is bounded for this box as for those of the scene."""
+    fits = True
+    for axis in range(snapshot.center.shape[0]):
+        center = snapshot.center[axis]
+        fits &= (nodes[leaf].lo[axis] - center) * snapshot.per_length >= -1.0
+        fits &= (nodes[leaf].hi[axis] - center) * snapshot.per_length <= 1.0
+    return fits
+
+
 @lean_kernel
-def collapse(nodes, state, version, shares, center, per_length, arrays, queue):
+def add_loose(tree, version, snapshot):
+    """Write the leaves that were written since the snapshot was taken into the nodes behind the
+    others, all lanes of these; return how many nodes. BEYOND if one does not lie in the units of
+    the snapshot, REFUSED if the tree is changed meanwhile.
+    """
+    nodes, state = tree.nodes, tree.state
+    if not begin_query(state, version):
+        return np.int64(REFUSED)
+    begin = snapshot.size * WIDTH
+    end = begin
+    for number in range(snapshot.written, state[WRITTEN]):
+        slot = state[RECENT + number % RECENT_PLACES]
+        known = nodes[2 * slot].mask == 0
+        for lane in range(begin, end):
+            known |= snapshot.children[lane] == ~slot
+        if known:
+            continue
+        if not _fits_units(snapshot, nodes, 2 * slot):
+            end_query(state)
+            return np.int64(BEYOND)
+        write_lane(snapshot, nodes, 2 * slot, end, ~slot)
+        end += 1
+    while end == begin or end % WIDTH != 0:  # one node at least says that it is patched
+        write_lane(snapshot, nodes, np.int64(NONE), end, -1)
+        end += 1
+    end_query(state)
+    return np.int64((end - begin) // WIDTH)
+
+
+@lean_kernel
+def collapse(tree, version, shares, snapshot, queue):
     """Fill the arrays of a `Snapshot`; return its depth, negative if the tree is changed
     meanwhile. `queue` is scratch.
 
     Node by node in the order of breadth, so that the top, which every ray visits, lies together.
     """
+    nodes, state = tree.nodes, tree.state
     if not begin_query(state, version):
         return -1
-    planes, children, masks = arrays
     root = state[ROOT]
-    ndim = nodes[root].lo.shape[0]
-    stride = 2 * ndim * WIDTH
     members = stack_array(WIDTH, np.int64)
     queue[0], made, at = root, 1, 0
     depth, level_end = 0, 0
@@ -266,26 +335,29 @@ def collapse(nodes, state, version, shares, center, per_length, arrays, queue):
             depth, level_end = depth + 1, made
         size = _gather(nodes, shares, queue[at], members)
         for lane in range(WIDTH):
-            place = at * stride + lane
-            here = nodes[members[lane if lane < size else 0]]
-            visible = lane < size and here.mask != 0
-            for axis in range(ndim):
-                lo, hi = np.float32(np.inf), np.float32(-np.inf)
-                if visible:
-                    lo = _down32((here.lo[axis] - center[axis]) * per_length)
-                    hi = _up32((here.hi[axis] - center[axis]) * per_length)
-                planes[place + axis * WIDTH] = lo
-                planes[place + (axis + ndim) * WIDTH] = hi
-            place = at * WIDTH + lane
-            masks[place], children[place] = 0, -1
-            if visible:
-                masks[place] = here.mask
-                if is_leaf(members[lane]):
-                    children[place] = ~np.int32(members[lane] >> 1)
-                else:
-                    children[place] = made
-                    queue[made] = members[lane]
-                    made += 1
+            member = members[lane] if lane < size else np.int64(NONE)
+            if member == NONE or nodes[member].mask == 0:
+                write_lane(snapshot, nodes, np.int64(NONE), at * WIDTH + lane, -1)
+            elif is_leaf(member):
+                write_lane(snapshot, nodes, member, at * WIDTH + lane, ~(member >> 1))
+            else:
+                write_lane(snapshot, nodes, member, at * WIDTH + lane, made)
+                queue[made] = member
+                made += 1
         at += 1
     end_query(state)
     return depth
+
+
+def no_snapshot(ndim: int) -> Snapshot:
+    """Arrays without places, to tell a compiler the types."""
+    lanes = np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0, np.uint32)
+    return Snapshot(*lanes, np.empty(0), 1.0, 0, 0, 0, 0, np.empty(0, ray_dtype(ndim)))
+
+
+_COSTS, _SHARES = np.empty((0, WIDTH), np.float32), np.empty((0, WIDTH), np.uint8)
+_ORDER = np.empty(0, np.int64)
+blurred_entry = entry_points(is_blurred, 0, 0.0)
+planning_entry = entry_points(plan_collapse, 0, _COSTS, _SHARES, _ORDER)
+collapse_entry = entry_points(collapse, 0, _SHARES, no_snapshot, _ORDER)
+loose_entry = entry_points(add_loose, 0, no_snapshot)

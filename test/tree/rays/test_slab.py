@@ -75,7 +75,8 @@ def test_two_hits_are_in_their_exact_order(ndim: int, scale: float) -> None:
             for b in hits[:4]:
                 t_a, t_b = (intersect_exact(lo[h.row], hi[h.row], rows, np.inf)[1] for h in (a, b))
                 order = compare_hits(
-                    lo[a.row], hi[a.row], t_a, a.axis, lo[b.row], hi[b.row], t_b, b.axis, rows
+                    *(rows, lo[a.row], hi[a.row], (t_a, a.axis)),
+                    *(lo[b.row], hi[b.row], (t_b, b.axis)),
                 )
                 assert order == (a.t > b.t) - (a.t < b.t)
 

@@ -28,6 +28,7 @@ from tree.reference import effort, snapshot
 
 import bvh_ros
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.nodes import WRITTEN
 
 ROOM = str(Path(bvh_ros.__file__).parent / 'tree')
 RNG = np.random.default_rng(4)
@@ -134,6 +135,13 @@ def live_on(tree: DynamicBVH, newest: int) -> None:
     assert tree.ids().tolist() == sorted(set(tree.ids().tolist()))
 
 
+def copied(tree: DynamicBVH) -> DynamicBVH:
+    """With its snapshot, and what that knows of the tree's changes."""
+    other = copy.copy(tree)
+    other._wide, other.state[WRITTEN] = tree._wide, tree.state[WRITTEN]
+    return other
+
+
 @pytest.mark.parametrize('name', CHANGES)
 @pytest.mark.parametrize('margin', [0.0, 0.3])
 def test_at_every_bytecode(name: str, margin: float) -> None:
@@ -143,15 +151,13 @@ def test_at_every_bytecode(name: str, margin: float) -> None:
         before.insert_many(LO, LO + 1)
     else:
         before = some_tree(margin)
-    after = copy.copy(before)
-    after._wide = before._wide
+    after = copied(before)
     change(after)
     old, new = snapshot(before), snapshot(after)
     step = effort(6, 1) if margin == 0.0 else effort(15, 1)
     at, seen = 1, []
     while True:
-        tree = copy.copy(before)
-        tree._wide = before._wide
+        tree = copied(before)
         if not interrupted(lambda tree=tree: change(tree), at):
             break
         now = snapshot(tree)
@@ -273,6 +279,7 @@ SHORT_OF_MEMORY = """
             warm = DynamicBVH.from_boxes(lo[:200], lo[:200] + 1, margin=margin)
             lo, kept = lo[:200], lo
             change(warm), warm.validate(), warm.insert_many(lo, lo + 1)
+            warm.raycast_many(*np.tile(lo, (2, 20, 1)))
             lo = kept
 
     def used():

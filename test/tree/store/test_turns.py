@@ -170,7 +170,7 @@ def test_a_growth_within_a_query() -> None:
     before = tree._snapshot_for(10**6, view)
     starts, ways = np.tile([-10.0, 0.5, 0.5], (70, 1)), np.tile([1.0, 0, 0], (70, 1))
     assert before is not None
-    assert new not in view[2]
+    assert new not in view.tree.handles
     assert set(tree.raycast_many(starts, ways).ids) == {new}
 
 

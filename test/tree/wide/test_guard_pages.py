@@ -69,9 +69,9 @@ def ask_everything(ndim: int, boxes: int, rays: int, decade: int) -> None:
 
 def run() -> None:
     ray_streams_made, snapshot_taken = ray_streams.make_scratch, wide.take_snapshot
-    from bvh_ros.tree.rays import ray_queries
+    from bvh_ros.tree.rays import ray_batches
 
-    ray_queries.make_scratch = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
+    ray_batches.make_scratch = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
 
     def take(*arguments):
         taken = snapshot_taken(*arguments)
@@ -82,9 +82,11 @@ def run() -> None:
         ask_everything(ndim, 40, 200, 0)
     np.empty = guarded
     for ndim in (2, 3):
-        for boxes, rays in ((2, 64), (17, 65), (40, 200)):
-            for decade in (-300, -150, -20, 0, 17, 20, 38, 100, 160, 300):
-                ask_everything(ndim, boxes, rays, decade)
+        for few_rays in (0, 1000):
+            ray_batches.FEW_RAYS = few_rays
+            for boxes, rays in ((2, 64), (17, 65), (40, 200)):
+                for decade in (-300, -150, -20, 0, 17, 20, 38, 100, 160, 300):
+                    ask_everything(ndim, boxes, rays, decade)
 
 
 @pytest.mark.skipif(not sys.platform.startswith('linux'), reason='mprotect as on Linux')

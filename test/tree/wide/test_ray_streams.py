@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.rays import ray_queries
+from bvh_ros.tree.rays import ray_batches
 from bvh_ros.tree.wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, Scratch, make_scratch
 from bvh_ros.tree.wide.snapshot import LEAST_RAYS
 
@@ -114,7 +114,8 @@ def test_what_is_noted_stays_in_its_memory(monkeypatch: pytest.MonkeyPatch) -> N
         fence.append(np.full(len(scratch.found) + 1, 77, np.int32))
         return scratch._replace(found=fence[-1][:-1])
 
-    monkeypatch.setattr(ray_queries, 'make_scratch', fenced)
+    monkeypatch.setattr(ray_batches, 'make_scratch', fenced)
+    monkeypatch.setattr(ray_batches, 'FEW_RAYS', 0)
     for start in range(0, int(hit.sum()) - 64, 64):
         rows = np.flatnonzero(hit)[start : start + 64]
         assert (tree.raycast_many(origins[rows], ways[rows]).ids >= 0).all()

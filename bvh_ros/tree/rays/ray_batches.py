@@ -1,0 +1,66 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which way a batch of rays takes, and room for its answers."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..nodes import View
+from ..results import RayHits
+from ..wide.few_rays import few_entry
+from ..wide.ray_streams import make_scratch
+from ..wide.raycasting import cast_entry
+from ..wide.snapshot import Snapshot
+from .ray_hits import rows_entry
+from .raycasting import CLOSEST, Rays
+
+# Smaller batches go through the snapshot ray by ray. Measured among 10,000 boxes: lists of rays
+# take 1.25 times as long for 256 rays from anywhere, as long for 1,024, 0.85 times for 4,096.
+FEW_RAYS = 1500
+# From so many rays on the answers of a batch are one piece of memory.
+LARGE = 1024
+INT64 = np.dtype(np.int64)
+
+
+def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
+    """Answer rays: how many took exact arithmetic, or why not."""
+    count, ndim = rays.origins.shape
+    if snapshot is None:
+        done = rows_entry(ndim)(*view, rays, hits)
+    elif count < FEW_RAYS:
+        done = few_entry(ndim)(*view, snapshot, rays, hits)
+    else:
+        scratch = make_scratch(count, ndim, snapshot.depth)
+        done = cast_entry(ndim)(*view, snapshot, rays, scratch, hits)
+    return int(done)
+
+
+def part_of(rays: Rays, hits: RayHits, start: int, stop: int) -> tuple[Rays, RayHits]:
+    """The rows [start, stop); what stands for all rows, or for none, stays as it is."""
+
+    def cut(rows: NDArray[Any]) -> NDArray[Any]:
+        return rows[start:stop] if len(rows) == len(rays.origins) else rows
+
+    t_max, masks = cut(rays.t_max), cut(rays.masks)
+    part = rays._replace(
+        origins=cut(rays.origins), directions=cut(rays.directions), t_max=t_max, masks=masks
+    )
+    return part, RayHits(*map(cut, hits))
+
+
+def room_for(count: int, ndim: int, mode: int) -> RayHits:
+    """Room for the answers of so many rays."""
+    described = count if mode == CLOSEST else 0
+    if count < LARGE:
+        ids, ts = np.empty(count, INT64), np.empty(described)
+        return tuple.__new__(RayHits, (ids, ts, np.empty((described, ndim))))
+    # One piece of memory: three make the allocator give theirs back to the system after each
+    # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
+    room = np.empty(count + described * (1 + ndim))
+    return RayHits(
+        room[:count].view(np.int64),
+        room[count : count + described],
+        room[count + described :].reshape(described, ndim),
+    )

@@ -1,0 +1,136 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A batch finds the same ray by ray and in lists, and in a snapshot that was patched."""
+
+import numpy as np
+import pytest
+from tree.reference import Floats
+
+from bvh_ros import DynamicBVH
+from bvh_ros.tree.nodes import RECENT_PLACES
+from bvh_ros.tree.rays import ray_batches
+from bvh_ros.tree.results import RayHits
+from bvh_ros.tree.wide.snapshot import LOOSE_VISITS_PER_BOX
+
+BOXES, RAYS = 300, 200
+
+
+def world(ndim: int, margin: float = 0.0) -> tuple[DynamicBVH, Floats, Floats]:
+    """Boxes on whole numbers, so that hits tie, and rays, of which some are for the binary tree:
+    they begin too far away, or have no direction.
+    """
+    rng = np.random.default_rng(ndim)
+    lo = rng.integers(-50, 50, (BOXES, ndim)).astype(float)
+    hi = lo + rng.integers(0, 12, (BOXES, ndim))
+    tree = DynamicBVH.from_boxes(lo, hi, margin=margin, mask=1 + np.arange(BOXES) % 3)
+    ways = rng.integers(-9, 10, (RAYS, ndim)).astype(float)
+    origins = rng.integers(-70, 70, (RAYS, ndim)).astype(float)
+    origins[::50] *= 1e6
+    ways[::31] = 0.0
+    ways[::50] = -origins[::50]
+    return tree, origins, ways
+
+
+def both_ways(
+    monkeypatch: pytest.MonkeyPatch, tree: DynamicBVH, *asked: object
+) -> tuple[RayHits, int]:
+    """The answer, and the least number of loose nodes that there were."""
+    answers, loose = [], []
+    for few in (0, 10**9):
+        monkeypatch.setattr(ray_batches, 'FEW_RAYS', few)
+        answers.append(tree.raycast_many(*asked))
+        blocked = tree.occluded_many(*asked)
+        assert (blocked == (answers[-1].ids >= 0)).all()
+        snapshot = tree._wide[2]
+        assert snapshot is not None
+        loose.append(snapshot.loose)
+    for one, other in zip(*answers, strict=True):
+        assert np.array_equal(one, other)
+    return answers[0], min(loose)
+
+
+def check_one_by_one(tree: DynamicBVH, hits: RayHits, *asked: Floats) -> None:
+    for row, ray in enumerate(zip(*asked, strict=True)):
+        alone = tree.raycast(*ray[:3], mask=int(ray[3]))
+        assert hits.ids[row] == (alone.id if alone else -1)
+        assert hits.t[row] == (alone.t if alone else np.inf)
+        assert hits.normals[row].tolist() == (alone.normal.tolist() if alone else [0] * tree.ndim)
+
+
+@pytest.mark.parametrize('margin', [0.0, 0.5])
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_after_changes_of_every_kind(
+    monkeypatch: pytest.MonkeyPatch, ndim: int, margin: float
+) -> None:
+    tree, origins, ways = world(ndim, margin)
+    rng = np.random.default_rng(9)
+    asked = (
+        *(origins, ways, np.where(np.arange(RAYS) % 3, np.inf, 2.5)),
+        (np.arange(RAYS) % 4).astype(np.uint32),
+    )
+    tree.raycast_many(origins, ways)
+    patched = 0
+    for turn in range(12):
+        handles = tree.ids()
+        low = rng.integers(-40, 40, (6, ndim)).astype(float)
+        if turn % 4 == 0:
+            tree.move_many(handles[:6], low, low + rng.integers(0, 9, (6, ndim)))
+        elif turn % 4 == 1:
+            tree.remove_many(handles[10:13])
+            tree.remove(int(handles[20]))
+        elif turn % 4 == 2:
+            tree.insert_many(low, low + 5.0, np.full(6, 2))
+            tree.insert(low[0], low[0] + 1.0, 4)
+        else:
+            tree.set_masks(handles[30:36], np.array([0, 1, 2, 3, 4, 0xFFFFFFFF]))
+        hits, loose = both_ways(monkeypatch, tree, *asked)
+        check_one_by_one(tree, hits, *asked)
+        patched += loose > 0
+    assert patched > 6  # else it was time for a new snapshot
+    tree.validate()
+
+
+def test_a_change_beyond_the_units_or_too_many_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree, origins, ways = world(3)
+    everything = np.full(RAYS, np.inf), np.full(RAYS, 0xFFFFFFFF, np.uint32)
+    handle = int(tree.ids()[0])
+    for far in (150.0, -1e6):
+        tree.raycast_many(origins, ways)
+        tree.move(handle, np.full(3, far), np.full(3, far + 30.0))
+        hits, loose = both_ways(monkeypatch, tree, origins, ways, *everything)
+        assert loose == 0
+        check_one_by_one(tree, hits, origins, ways, *everything)
+    tree.move(handle, np.zeros(3), np.ones(3))
+    tree.raycast_many(origins, ways)
+    for turn in range(RECENT_PLACES + 1):
+        tree.move(handle, np.full(3, turn % 7), np.full(3, turn % 7 + 1.0))
+    hits, loose = both_ways(monkeypatch, tree, origins, ways, *everything)
+    assert loose == 0
+    check_one_by_one(tree, hits, origins, ways, *everything)
+
+
+def test_many_visits_of_loose_boxes_are_worth_a_new_snapshot() -> None:
+    tree, origins, ways = world(3)
+    tree.raycast_many(origins, ways)
+    tree.move(int(tree.ids()[0]), np.zeros(3), np.ones(3))
+    seen = []
+    for _ in range(LOOSE_VISITS_PER_BOX * BOXES // RAYS + 1):
+        tree.raycast_many(origins, ways)
+        seen.append(tree._wide[2].loose)
+    assert seen[0] == 1
+    assert seen[-1] == 0
+
+
+def test_slots() -> None:
+    tree, _, _ = world(2)
+    handles = tree.ids()
+    slots = tree.slots(handles.reshape(-1, 2))
+    assert slots.shape == (BOXES // 2, 2)
+    assert sorted(slots.ravel()) == list(range(BOXES))
+    assert tree.slots(handles[3]) == tree.slot(int(handles[3])) == slots[1, 1]
+    tree.remove(int(handles[5]))
+    for stale in (handles[5], -1, 7):
+        with pytest.raises(KeyError):
+            tree.slots([handles[4], stale])
+        with pytest.raises(KeyError):
+            tree.slot(int(stale))
