@@ -89,14 +89,16 @@ def _last(rows: Integers, of: Integers, count: int) -> Integers:
     return last
 
 
+# What a marker that adds wants, by its type; the last is for types that there are not.
+_ADDED = np.full(TRIANGLES + 2, NOTHING)
+_ADDED[list(SINGLE_SHAPES)], _ADDED[list(LISTED_SHAPES)], _ADDED[TRIANGLES] = SINGLE, LISTED, MESH
+
+
 def _wishes(table: MarkerTable) -> Integers:
     kind, action = table.type, table.action
-    wish = np.full(len(kind), NOTHING)
-    add = action == ADD_OR_MODIFY
-    wish[add & np.isin(kind, list(SINGLE_SHAPES))] = SINGLE
-    wish[add & np.isin(kind, list(LISTED_SHAPES))] = LISTED
-    wish[add & (kind == TRIANGLES)] = MESH
-    wish[add & (table.lifetime < 0)] = NOTHING
+    known = (kind >= 0) & (kind <= TRIANGLES)
+    wish: Integers = _ADDED[np.where(known, kind, TRIANGLES + 1)]
+    wish[(action != ADD_OR_MODIFY) | (table.lifetime < 0)] = NOTHING
     wish[action == DELETE] = REMOVAL
     wish[action == DELETE_ALL] = SWEEP
     return wish

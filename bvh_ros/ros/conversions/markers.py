@@ -272,7 +272,11 @@ class _Reader:
     def single_names(self, rows: Integers) -> Families:
         """Two families a namespace: `ns/` and, for negative ids, `ns/-`."""
         table, number = self.table, self.table.id[rows]
-        used, place = np.unique(table.namespace[rows], return_inverse=True)
+        if not len(rows):
+            return Families([], rows, number)
+        used, place = np.array([0]), np.zeros(len(rows), np.int64)
+        if len(table.namespaces) > 1:
+            used, place = np.unique(table.namespace[rows], return_inverse=True)
         spaces = [f'{self.prefix}{table.namespaces[space]}/' for space in used.tolist()]
         prefixes = [spaces[i // 2] + '-' * (i % 2) for i in range(2 * len(spaces))]
         return Families(prefixes, 2 * place + (number < 0), np.abs(number))
