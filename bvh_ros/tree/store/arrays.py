@@ -141,6 +141,8 @@ class Arrays:
             heir = storage.heirs[0]
             if inherit_entry(self._ndim)(storage.tree, heir.tree) != 0:
                 break  # it is just being changed: that change is the one that is refused
+            # Who still asks the old arrays may patch a snapshot for them: it is theirs alone.
+            self._wide = 0, 0, None
             self._storage = storage = heir
         return storage
 
@@ -217,6 +219,8 @@ class Arrays:
         state = view.tree.state
         written, boxes = state.item(WRITTEN), state.item(COUNT)
         of, rays, snapshot = self._wide
+        if view.tree is not self._storage.tree:  # outgrown: what there is, is of larger arrays
+            of, rays, snapshot = written, 0, None
         if of != written:
             if snapshot is not None:
                 snapshot = wide.patched(snapshot, view)
@@ -233,5 +237,6 @@ class Arrays:
             rays, snapshot = 0, wide.take_snapshot(view)
             if snapshot is None:  # nor will there be one before the tree changes
                 rays = -(2**62)
-        self._wide = written, rays, snapshot
+        if view.tree is self._storage.tree:
+            self._wide = written, rays, snapshot
         return snapshot
