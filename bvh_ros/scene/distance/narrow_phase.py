@@ -131,16 +131,6 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
 
 
 @lean_kernel
-def near_query(records, hulls, query, query_hulls, tolerance, planar, found):
-    """Fill in which shapes are near a query's shape; return how many took more digits."""
-    count = 0
-    for i in range(records.shape[0]):
-        found[i], more = near(records[i], hulls, query[0], query_hulls, tolerance, planar)
-        count += more
-    return count
-
-
-@lean_kernel
 def near_pairs(records, hulls, pairs, planar, found):
     """Fill in which pairs (m, 2) of shapes touch; return how many took more digits."""
     count = 0
