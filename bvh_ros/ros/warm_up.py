@@ -73,18 +73,13 @@ class Job(NamedTuple):
 
 
 def jobs(needs: Needs) -> list[Job]:
-    """Return all calls: those that the first answers wait for, then the longest. Overlaps come
-    last, as who compiles them after swept balls, which share their kernels, is done in half the
-    time.
-    """
+    """Return all calls: those that the first answers wait for, then the longest."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         ('obstacles', 11.0, _obstacles),
-        ('thin rays', 4.5, _thin_rays),
-        ('swept balls', 20.0, _swept_balls),
-        *([('batches of rays', 8.0, _batches)] if needs.batch else []),
+        ('thin rays', 4.0, _thin_rays),
+        ('true shapes', 28.0, _true_shapes),
+        *([('batches of rays', 7.0, _batches)] if needs.batch else []),
         ('checks', 1.5, _checks),
-        ('rays at true shapes', 4.5, _rays_at_shapes),
-        ('overlaps', 6.5, _overlaps),
     ]
     tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
     return [
@@ -147,6 +142,15 @@ def _obstacles(needs: Needs) -> None:
 
 def _thin_rays(needs: Needs) -> None:
     _empty(needs).raycast(START, GOAL)
+
+
+def _true_shapes(needs: Needs) -> None:
+    """One after the other: rays alone, or overlaps, would take three times as long in a process
+    that has not compiled balls, most of which they share.
+    """
+    _swept_balls(needs)
+    _rays_at_shapes(needs)
+    _overlaps(needs)
 
 
 def _rays_at_shapes(needs: Needs) -> None:

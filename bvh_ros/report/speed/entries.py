@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a node without configuration compiles, kernel by kernel, and how long that takes.
 
-    python -m bvh_ros.report.speed.entries
-
-with an empty cache compiles it in one process, and prints a line of JSON for each signature of a
-kernel that Python calls. What such a kernel calls is compiled as part of it, unless that came
+`main`, in a process with an empty cache, compiles it, and prints a line of JSON for each signature
+of a kernel that Python calls. What such a kernel calls is compiled as part of it, unless that came
 before.
 """
 
@@ -55,7 +53,7 @@ def default_jobs() -> list[Job]:
 def measure(**environment: str) -> list[Entry]:
     """Compile in a new process; return its kernels, the slowest first."""
     ended = subprocess.run(
-        [sys.executable, '-m', __name__],
+        [sys.executable, '-c', f'from {__name__} import main; main()'],
         env={**os.environ, **environment},
         stdout=subprocess.PIPE,
         text=True,
@@ -84,7 +82,3 @@ def main() -> None:
         job.run()
     for entry in compiled():
         print(json.dumps(entry))
-
-
-if __name__ == '__main__':
-    main()

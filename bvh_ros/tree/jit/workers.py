@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from .worker import packed
 
-MOST = 4  # processes, of some 300 MB: the longest call takes as long as a third of all
+MOST = 4  # processes, of some 300 MB: the longest call takes half as long as all
 START = 'import sys; sys.path[:] = {}; from bvh_ros.tree.jit.worker import main; main()'
 
 
