@@ -10,12 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting, casting
+from .casting.casting import Rays
 from .geometry.shapes import Floats, along_axes
 from .results import NO_NODE, SceneHit, require_few
 from .store.obstacles import Obstacles
-from .store.registry import Slots
-
-Masks = NDArray[np.uint32]
 
 
 class RayQueries:
@@ -120,32 +118,31 @@ class RayQueries:
         points, normals : (n, 3)
             NaN and zero where nothing is hit.
         """
-        starts = checks.points('origins', origins, 3)
-        ways = checks.points('directions', directions, 3, len(starts))
-        reaches, masks = (
-            checks.limits('t_max', t_max, len(starts)),
-            checks.masks(mask, len(starts)),
+        origins = checks.points('origins', origins, 3)
+        directions = checks.points('directions', directions, 3, len(origins))
+        limits, masks = (
+            checks.limits('t_max', t_max, len(origins)),
+            checks.masks(mask, len(origins)),
         )
-        rays = starts, ways, reaches, masks
-        if not self._held.columns.shaped:
-            handles = self._held.columns.node_handle
+        rays, columns = Rays(origins, directions, limits, masks), self._held.columns
+        if not columns.shaped:
+            handles = columns.node_handle
             return box_casting.first_of_many(self._held.tree, handles, rays, bool(skip_inside))
-        return self._first_of_many(*rays, skip_inside)
+        return self._first_of_many(rays, bool(skip_inside))
 
     def _first_of_many(
-        self, starts: Floats, ways: Floats, t_max: Floats, masks: Masks, skip_inside: bool
+        self, rays: Rays, skip_inside: bool
     ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
         """The same against the true shapes."""
-        found = self._cast(starts, ways, t_max, masks, skip_inside, False)
-        offsets, slots, ts, points, normals = found
-        count, rows = len(starts), np.flatnonzero(np.diff(offsets))
-        handles, distances = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
-        places, outwards = np.full((count, 3), np.nan), np.zeros((count, 3))
-        handles[rows], distances[rows] = self._held.columns.node_handle[slots], ts
-        places[rows], outwards[rows] = points, normals
+        found = self._cast(rays, skip_inside, False)
+        count, rows = len(rays.origins), np.flatnonzero(np.diff(found.offsets))
+        handles, ts = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
+        points, normals = np.full((count, 3), np.nan), np.zeros((count, 3))
+        handles[rows] = self._held.columns.node_handle[found.hits.slots]
+        ts[rows], points[rows], normals[rows] = found.hits.ts, found.points, found.normals
         if self._held.planar:
-            places[rows, 2] = starts[rows, 2]
-        return handles, distances, places, outwards
+            points[rows, 2] = rays.origins[rows, 2]
+        return handles, ts, points, normals
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float
@@ -156,62 +153,50 @@ class RayQueries:
         origin, end = checks.floats('start', start), checks.floats('goal', goal)
         if origin.shape == end.shape == (3,):
             # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
-            way = [b - a for a, b in zip(origin.tolist(), end.tolist(), strict=True)]
-            if all(map(math.isfinite, way)):  # so both ends are
-                return origin, np.array(way), radius
+            direction = [b - a for a, b in zip(origin.tolist(), end.tolist(), strict=True)]
+            if all(map(math.isfinite, direction)):  # so both ends are
+                return origin, np.array(direction), radius
         checks.point('start', origin, 3)
         checks.point('goal', end, 3)
         raise ValueError('the segment from start to goal is longer than the largest double')
 
-    def _cast(
-        self,
-        starts: Floats,
-        ways: Floats,
-        t_max: Floats,
-        masks: Masks,
-        skip_inside: bool,
-        every: bool,
-    ) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-        """Offsets, slots, t, points and normals of thin rays against the true shapes."""
-        ndim = self._held.tree.ndim
-        rays = along_axes(starts, ndim), along_axes(ways, ndim), t_max, masks
-        return casting.cast_all(
-            self._held.tree, self._held.columns, rays, bool(skip_inside), every
-        )
+    def _cast(self, rays: Rays, skip_inside: bool, every: bool) -> casting.Found:
+        """Thin rays against the true shapes."""
+        held = self._held
+        origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
+        flat = Rays(origins, directions, rays.t_max, rays.masks)
+        return casting.cast_all(held.tree, held.columns, flat, skip_inside, every)
 
     def _cast_one(
         self,
         origin: Floats,
-        way: Floats,
+        direction: Floats,
         radius: float,
         mask: int,
         skip_inside: bool,
         every: bool,
         most: int | None = None,
     ) -> list[SceneHit]:
-        seen = checks.mask(mask)
+        held, skip = self._held, bool(skip_inside)
         if radius > 0.0:
-            slots, ts, points, normals = ball_casting.cast_ball(
-                *(
-                    self._held.tree,
-                    self._held.columns,
-                    origin,
-                    way,
-                    radius,
-                    seen,
-                    bool(skip_inside),
-                    every,
-                ),
-                most,
-            )
+            asked = ball_casting.Sweep(origin, direction, radius, checks.mask(mask), skip, every)
+            hits, points, normals = ball_casting.cast_ball(held.tree, held.columns, asked, most)
+            slots, ts = hits.slots, hits.ts
         else:
-            masks = checks.masks(seen, 1)
-            found = self._cast(origin[None], way[None], np.ones(1), masks, skip_inside, every)
-            _, slots, ts, points, normals = found
+            masks = np.full(1, checks.mask(mask))
+            rays = Rays(origin[None], direction[None], np.ones(1), masks)
+            found = self._cast(rays, skip, every)
+            slots, ts, points, normals = (
+                found.hits.slots,
+                found.hits.ts,
+                found.points,
+                found.normals,
+            )
             require_few(len(slots), most)
-            order = np.lexsort((self._held.columns.node_handle[slots], ts))
-            slots, ts, points, normals = slots[order], ts[order], points[order], normals[order]
-        if self._held.planar:
+            if len(slots) > 1:
+                order = np.lexsort((held.columns.node_handle[slots], ts))
+                slots, ts, points, normals = (x[order] for x in (slots, ts, points, normals))
+        if held.planar:
             points[:, 2] = origin[2]
-        hits = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
-        return [self._held.hit(*hit) for hit in hits]
+        rows = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
+        return [held.hit(*row) for row in rows]

@@ -25,10 +25,10 @@ ROUNDING = 2.0**-50
 
 
 @inlined
-def slope_of(normal, way):
+def slope_of(normal, direction):
     slope = 0.0
-    for axis in range(way.shape[0]):
-        slope += normal[axis] * way[axis]
+    for axis in range(direction.shape[0]):
+        slope += normal[axis] * direction[axis]
     return slope
 
 
@@ -46,17 +46,17 @@ def approach_by(measure: Any) -> Any:
         its distance there; s is 0 if it touches at the start. Rows of `work`: where it starts, the
         unit vector along its way, two to work in.
         """
-        origin, way, point, normal = work[0], work[1], work[2], work[3]
+        origin, direction, point, normal = work[0], work[1], work[2], work[3]
         s, slope, near = 0.0, -np.inf, np.inf  # near: first within rounding
         for _ in range(MOST_STEPS):
-            for axis in range(way.shape[0]):
-                point[axis] = origin[axis] + s * way[axis]
+            for axis in range(direction.shape[0]):
+                point[axis] = origin[axis] + s * direction[axis]
             low, high = measure(solid, point, normal)
             if high <= radius or low <= radius:
                 return s, slope
             if high <= radius + slack:
                 near = min(near, s)
-            slope = slope_of(normal, way)
+            slope = slope_of(normal, direction)
             if slope >= 0.0 or s == reach:
                 return near, slope
             step = (low - radius) / -slope

@@ -4,7 +4,7 @@
 
 The closed form of `ray_shapes.enter_rounded_box` rounds: each offset of the origin from a face
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
-sum of lengths) leaves origin + s * way within 40 u L of the surface of the box grown by the radius
+sum of lengths) leaves origin + s * direction within 40 u L of the surface of the box grown by it
 (u = 2**-53, L the sum of the largest offsets, the length of the way and the radius). Nor can a box
 be missed, or met wrongly, that is not within 40 u L of being so. A ball smaller by the slack of
 128 u L therefore comes surely late, and one larger by it surely early:
@@ -24,17 +24,28 @@ from numpy.typing import NDArray
 
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
-from ...tree.nodes import DEEPEST, NONE
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, RAY_ROWS, set_ray
+from ...tree.nodes import NONE
+from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, set_ray
 from ..distance import overlaps
+from ..geometry.rim import ROUND
 from ..geometry.shapes import Floats
 from ..results import require_few
 from ..store.columns import Columns
 from ..store.registry import Slots
 from . import exact_balls
-from .casting import cast, enter_obstacle, plain, touch
+from .casting import (
+    Asked,
+    Ball,
+    Hits,
+    call,
+    cast,
+    enter_obstacle,
+    new_scratch,
+    plain,
+    touch,
+    world_of,
+)
 from .exact_balls import START, Root
-from .ray_shapes import ROUND
 
 SLACK = 2.0**-46
 LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
@@ -42,126 +53,106 @@ EARLY, AT, LATE = range(3)
 
 
 @lean_kernel
-def slack_of(tree, ray, radius):
+def slack_of(world, ray, radius):
     """By how much a larger ball is surely early, and a smaller one late."""
-    nodes, _, _, root = tree
-    total = radius
+    here, total = world.nodes[world.root], radius
     for axis in range(ray.shape[1]):
-        above = abs(nodes[root].hi[axis] - ray[ORIGIN, axis])
-        below = abs(nodes[root].lo[axis] - ray[ORIGIN, axis])
+        above = abs(here.hi[axis] - ray[ORIGIN, axis])
+        below = abs(here.lo[axis] - ray[ORIGIN, axis])
         total += abs(ray[DIRECTION, axis]) + max(above, below)
     return SLACK * total if radius > SMALL and total < LARGE else np.inf
 
 
 @lean_kernel
-def find(tree, geometry, footprints, radius, slack, mask, skip_inside, every, scratch, hits):
+def find(world, ball, mask, skip_inside, every, scratch, hits):
     """Write what may be the first hit, or a hit, in no order; return how many there are, which may
     be more than fit.
     """
     latest = 1.0
-    if not every and not skip_inside and slack < radius:
-        sure = cast(
-            tree, geometry, footprints, radius, -slack, 1.0, 1.0, mask, False, False, scratch,
-            hits, 0,
-        )  # fmt: skip
-        if sure > 0:
-            latest = min(hits[1][0] * (1.0 + SLACK) + SMALL, 1.0)
-    return cast(
-        tree, geometry, footprints, radius, slack, 1.0, latest, mask, False, True, scratch, hits, 0
-    )
+    if not every and not skip_inside and ball.slack < ball.radius:
+        smaller = Ball(ball.radius, -ball.slack)
+        if cast(world, smaller, Asked(1.0, 1.0, mask, False, False), scratch, hits, 0) > 0:
+            latest = min(hits.ts[0] * (1.0 + SLACK) + SMALL, 1.0)
+    return cast(world, ball, Asked(1.0, latest, mask, False, True), scratch, hits, 0)
 
 
 @lean_kernel
-def bracket(tree, geometry, footprints, radius, slack, scratch, slots, times, features):
+def bracket(world, ball, scratch, slots, times, features):
     """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
     for i in range(slots.shape[0]):
-        doubt = slack if plain(geometry, footprints, slots[i]) else 0.0
+        doubt = ball.slack if plain(world.geometry, world.footprints, slots[i]) else 0.0
         for row in range(3):
-            ball = radius + (AT - row) * doubt if row != AT else radius
+            radius = ball.radius + (AT - row) * doubt if row != AT else ball.radius
             times[row, i], features[row, i] = np.inf, ROUND
-            if ball > 0.0:
+            if radius > 0.0:
                 times[row, i], features[row, i] = enter_obstacle(
-                    tree, geometry, footprints, slots[i], scratch[0], ball, 1.0, scratch[2]
+                    world, slots[i], scratch.ray, radius, 1.0, scratch.work
                 )
 
 
 @lean_kernel
-def touch_all(tree, geometry, footprints, radius, scratch, hits, points, normals):
+def sweep_ball(world, ball, asked, scratch, hits, brackets):
+    """`find` and `bracket`; asked = (mask, skip_inside, every), brackets = (times, features)."""
+    mask, skip_inside, every = asked
+    times, features = brackets
+    slack = slack_of(world, scratch.ray, ball.radius) if world.root != NONE else 0.0
+    larger = Ball(ball.radius, slack)
+    count = find(world, larger, mask, skip_inside, every, scratch, hits)
+    if count <= hits.slots.shape[0]:
+        bracket(world, larger, scratch, hits.slots[:count], times[:, :count], features[:, :count])
+    return count
+
+
+@lean_kernel
+def touch_all(world, radius, scratch, hits, points, normals):
     """Fill in points and normals of hits."""
     for j in range(points.shape[0]):
-        touch(
-            tree,
-            geometry,
-            footprints,
-            scratch[0],
-            radius,
-            hits,
-            j,
-            scratch[2],
-            points[j],
-            normals[j],
-        )
+        touch(world, scratch, radius, hits, j, points[j], normals[j])
 
 
 class Sweep(NamedTuple):
-    """What is asked for, for exact arithmetic."""
+    """What is asked for."""
 
-    origin: list[float]
-    way: list[float]
+    origin: Floats
+    direction: Floats
     radius: float
+    mask: np.uint32
     skip_inside: bool
     every: bool
 
 
 def cast_ball(
-    tree: DynamicBVH,
-    columns: Columns,
-    origin: Floats,
-    way: Floats,
-    radius: float,
-    mask: np.uint32,
-    skip_inside: bool,
-    every: bool,
-    most: int | None = None,
-) -> tuple[Slots, Floats, Floats, Floats]:
-    """The first obstacle that a ball meets from `origin` to `origin + way`, or all in order, ties
-    by handle: slots, t, points and normals. TooManyHitsError if it may touch more than `most`.
+    tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
+) -> tuple[Hits, Floats, Floats]:
+    """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
+    ties by handle: hits, points and normals. TooManyHitsError if it may touch more than `most`.
     """
     ndim = tree.ndim
-    arrays, geometry, footprints = (
-        tree.arrays(),
-        columns.geometry_arrays(),
-        columns.footprint_arrays(),
-    )
-    scratch = (
-        np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
-        np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
-    )  # fmt: skip
-    set_ray(scratch[0], origin[:ndim], way[:ndim])
-    slack = slack_of(arrays, scratch[0], radius) if arrays[3] != NONE else 0.0
+    world, scratch = world_of(tree, columns), new_scratch(ndim)
+    sweep = sweep._replace(origin=sweep.origin[:ndim], direction=sweep.direction[:ndim])
+    set_ray(scratch.ray, sweep.origin, sweep.direction)
+    asked, ball = (sweep.mask, sweep.skip_inside, sweep.every), Ball(sweep.radius, 0.0)
     count, room = 16, 0
     while count > room:
         room = count
-        hits = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-        count = find(
-            arrays, geometry, footprints, radius, slack, mask, skip_inside, every, scratch, hits
-        )
-    if every:
+        hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
+        brackets = np.empty((3, room)), np.empty((3, room), np.int64)
+        count = call(sweep_ball, world, ball, asked, scratch, hits, brackets)
+    if sweep.every:
         require_few(count, most)
-    slots = hits[0][:count]
-    times, features = np.empty((3, count)), np.empty((3, count), np.int64)
-    bracket(arrays, geometry, footprints, radius, slack, scratch, slots, times, features)
-    sweep = Sweep(origin[:ndim].tolist(), way[:ndim].tolist(), radius, skip_inside, every)
-    slots, ts, met = _in_order(columns, slots, times, features, sweep)
-    if skip_inside:
+    slots, times, features = hits.slots[:count], brackets[0][:, :count], brackets[1][:, :count]
+    ts, met = times[AT], features[AT]
+    if count > 1 or (count == 1 and _undecided(times, features)[0]):
+        slots, ts, met = _in_order(columns, slots, times, features, sweep)
+    if sweep.skip_inside:
         slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
-    if not every:
+    if not sweep.every:
         slots, ts, met = slots[:1], ts[:1], met[:1]
     points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
     # Of one type, however many there are: rows of one column are contiguous, others are not.
-    met_ones = slots, np.ascontiguousarray(ts), np.ascontiguousarray(met)
-    touch_all(arrays, geometry, footprints, radius, scratch, met_ones, points, normals)
-    return slots, ts, points, normals
+    hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(met))
+    call(touch_all, world, sweep.radius, scratch, hits, points, normals)
+    return hits, points, normals
 
 
 def _in_order(
@@ -209,14 +200,15 @@ def _exact(
     never does; and, if only the first hit is asked for, where it does so later than another box.
     """
     lows, highs = overlaps.corners(columns.geometry[slots])
-    ndim, latest = len(sweep.origin), np.inf
+    origin, direction = sweep.origin.tolist(), sweep.direction.tolist()
+    ndim, latest = len(origin), np.inf
     roots: dict[int, Root | None] = {}
     for row in rows[np.argsort(early[rows])].tolist():
         roots[row] = None
         if early[row] > latest:
             continue
         lo, hi = lows[row, :ndim].tolist(), highs[row, :ndim].tolist()
-        root = exact_balls.first_touch(lo, hi, sweep.origin, sweep.way, sweep.radius)
+        root = exact_balls.first_touch(lo, hi, origin, direction, sweep.radius)
         roots[row] = root
         if root is not None and not sweep.every and not (sweep.skip_inside and root is START):
             latest = min(latest, float(root) * (1.0 + SLACK))

@@ -6,18 +6,18 @@ Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_cas
 thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 
-`tree` is the tuple of arrays that the tree's own kernels take. Of `geometry` (a pair: records of
-`columns.GEOMETRY`, one a slot, and the `mesh_store.Hulls`, or None) and `footprints` (the same
-with records of `footprint.FOOTPRINT`) one is None: numba drops a branch that asks for what is
-None, so that a planar scene compiles none of the solid shapes, and a scene without meshes nothing
-of theirs.
+Of `geometry` (a pair: records of `records.GEOMETRY`, one a slot, and the `mesh_store.Hulls`, or
+None) and `footprints` (the same with records of `footprint.FOOTPRINT`) one is None: numba drops a
+branch that asks for an argument that is None, so that a planar scene compiles none of the solid
+shapes, and a scene without meshes nothing of theirs.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
 
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import entry_point, lean_kernel
 from ...tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
 from ...tree.rays.slab import (
     INSIDE,
@@ -31,12 +31,108 @@ from ...tree.rays.slab import (
     set_ray,
     traversal_distance,
 )
-from ..geometry.shapes import Floats
 from ..store.columns import Columns
-from ..store.registry import Slots
 from .contact import contact, enter_shape
-from .frame import COORDINATES, SLACK
+from .frame import COORDINATES, SLACK, Met
 from .ray_footprint import enter_footprint, touch_footprint
+
+
+class World(NamedTuple):
+    """What rays go through."""
+
+    nodes: Any
+    tight: Any
+    handles: Any
+    root: Any
+    geometry: Any
+    footprints: Any
+
+
+class Ball(NamedTuple):
+    """What goes along a ray: a point has radius 0."""
+
+    radius: Any
+    slack: Any
+    """By which it is larger for axis-aligned boxes."""
+
+
+class Asked(NamedTuple):
+    """Which hits are asked for."""
+
+    t_max: Any
+    latest: Any
+    """No hit is left out that is not after this t."""
+    mask: Any
+    skip_inside: Any
+    every: Any
+    """Not only the first."""
+
+
+class Rays(NamedTuple):
+    """n rays."""
+
+    origins: Any
+    directions: Any
+    t_max: Any
+    masks: Any
+
+
+class Hits(NamedTuple):
+    """Hits, one a row."""
+
+    slots: Any
+    ts: Any
+    features: Any
+
+
+class Found(NamedTuple):
+    """What n rays hit: ray i the rows [offsets[i], offsets[i + 1]) of the others."""
+
+    offsets: Any
+    hits: Hits
+    points: Any
+    normals: Any
+
+
+class Scratch(NamedTuple):
+    """Room for one ray; see `slab` for its rows."""
+
+    ray: Any
+    box: Any
+    work: Any
+    stack: Any
+    entries: Any
+
+
+def world_of(tree: DynamicBVH, columns: Columns) -> World:
+    """The arrays of a scene."""
+    return World._make((*tree.arrays(), columns.geometry_arrays(), columns.footprint_arrays()))
+
+
+_entries: dict[tuple[Any, bool, bool], Any] = {}
+
+
+def call(kernel: Any, world: World, *arguments: Any) -> Any:
+    """Call a kernel that takes a world, and always the same types besides, as machine code: numba
+    would look at every array of it.
+    """
+    _, hulls = world.geometry or world.footprints
+    variant = kernel, world.footprints is None, hulls is None
+    code = _entries.get(variant)
+    if code is None:
+        code = _entries[variant] = entry_point(kernel, world, *arguments)
+    return code(world, *arguments)
+
+
+def new_scratch(ndim: int) -> Scratch:
+    """Room for one ray."""
+    return Scratch(
+        np.empty((RAY_ROWS, ndim)),
+        np.empty((2, ndim)),
+        np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64),
+        np.empty(DEEPEST),
+    )
 
 
 @lean_kernel
@@ -65,12 +161,11 @@ def doubt_of(ray, radius):
 @lean_kernel
 def push_children(nodes, node, mask, radius, limit, wide, scratch, top):
     """Put the children that the ray may enter on the stack, the nearer on top."""
-    ray, box, _, stack, entries = scratch
-    bottom = top
+    box, stack, entries, bottom = scratch.box, scratch.stack, scratch.entries, top
     for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
         if nodes[child].mask & mask != 0:
             grow(nodes[child], radius, box)
-            entry = intersect_node(box[0], box[1], ray, limit, wide)
+            entry = intersect_node(box[0], box[1], scratch.ray, limit, wide)
             if entry < np.inf:
                 stack[top], entries[top] = child, entry
                 top += 1
@@ -91,70 +186,58 @@ def plain(geometry, footprints, slot):
 
 
 @lean_kernel
-def precedes(tree, geometry, footprints, ray, radius, one, another):
+def precedes(world, ray, radius, one, another):
     """Whether a hit (slot, t, feature) comes before another; ties by handle.
 
     Between thin hits of axis-aligned boxes as real arithmetic says.
     """
-    nodes, tight, handles, _ = tree
     slot, t, feature = one
     other, other_t, other_feature = another
     order = -1 if t < other_t else (1 if t > other_t else 0)
-    if radius == 0.0 and plain(geometry, footprints, slot) and plain(geometry, footprints, other):
-        lo, hi = leaf_box(nodes, tight, 2 * slot)
-        other_lo, other_hi = leaf_box(nodes, tight, 2 * other)
+    if radius == 0.0 and (
+        plain(world.geometry, world.footprints, slot)
+        and plain(world.geometry, world.footprints, other)
+    ):
+        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+        other_lo, other_hi = leaf_box(world.nodes, world.tight, 2 * other)
         order = compare_hits(
             ray, lo, hi, (t, feature), other_lo, other_hi, (other_t, other_feature)
         )
-    return order < 0 or (order == 0 and handles[slot] < handles[other])
+    return order < 0 or (order == 0 and world.handles[slot] < world.handles[other])
 
 
 @lean_kernel
-def enter_obstacle(tree, geometry, footprints, slot, ray, radius, t_max, work):
+def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
-    lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
+    lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+    return enter_any(world.geometry, world.footprints, slot, Met(ray, lo, hi), radius, t_max, work)
+
+
+@lean_kernel
+def enter_any(geometry, footprints, slot, met, radius, t_max, work):
     t, feature = np.inf, np.int64(INSIDE)
     if geometry is not None:
-        t, feature = enter_shape(geometry[0][slot], geometry[1], lo, hi, ray, radius, t_max, work)
+        t, feature = enter_shape(geometry[0][slot], geometry[1], met, radius, t_max, work)
     if footprints is not None:
-        t, feature = enter_footprint(
-            footprints[0][slot], footprints[1], lo, hi, ray, radius, t_max, work
-        )
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], met, radius, t_max, work)
     return t, feature
 
 
 @lean_kernel
-def cast(
-    tree,
-    geometry,
-    footprints,
-    radius,
-    slack,
-    t_max,
-    latest,
-    mask,
-    skip_inside,
-    every,
-    scratch,
-    hits,
-    filled,
-):
-    """Write the first hit, or every hit in no order, into hits from `filled` on; none is left out
-    that is not after `latest`.
-
-    hits = (slots, ts, features). Return where the next would go: beyond the arrays' end, hits are
-    counted, not written. For axis-aligned boxes the ball is larger by `slack`.
+def cast(world, ball, asked, scratch, hits, filled):
+    """Write the first hit, or every hit in no order, into hits from `filled` on. Return where the
+    next would go: beyond the arrays' end, hits are counted, not written.
     """
-    nodes, _, _, root = tree
-    ray, box, work, stack, entries = scratch
+    nodes, root, ray, box = world.nodes, world.root, scratch.ray, scratch.box
+    stack, entries = scratch.stack, scratch.entries
     slots, ts, features = hits
-    if root == NONE or nodes[root].mask & mask == 0:
+    if root == NONE or nodes[root].mask & asked.mask == 0:
         return filled
     begin = filled
-    grown = radius + max(slack, 0.0) + doubt_of(ray, radius)
+    grown = ball.radius + max(ball.slack, 0.0) + doubt_of(ray, ball.radius)
     grow(nodes[root], grown, box)
     scale, wide = prepare_ray(ray, box[0], box[1])
-    limit = traversal_distance(min(t_max, latest), scale)
+    limit = traversal_distance(min(asked.t_max, asked.latest), scale)
     stack[0], entries[0], top = root, intersect_node(box[0], box[1], ray, limit, wide), 1
     while top > 0:
         top -= 1
@@ -162,84 +245,73 @@ def cast(
         if entry > limit * PAD + TINY or entry == np.inf:
             continue
         if not is_leaf(node):
-            top = push_children(nodes, node, mask, grown, limit, wide, scratch, top)
+            top = push_children(nodes, node, asked.mask, grown, limit, wide, scratch, top)
             continue
-        slot = node >> 1
-        ball = radius + slack if plain(geometry, footprints, slot) else radius
-        t, feature = enter_obstacle(tree, geometry, footprints, slot, ray, ball, t_max, work)
-        if t == np.inf or (skip_inside and feature == INSIDE):
+        slot, radius = node >> 1, ball.radius
+        if plain(world.geometry, world.footprints, slot):
+            radius += ball.slack
+        t, feature = enter_obstacle(world, slot, ray, radius, asked.t_max, scratch.work)
+        if t == np.inf or (asked.skip_inside and feature == INSIDE):
             continue
-        if not every and filled > begin:
+        if not asked.every and filled > begin:
             best = slots[begin], ts[begin], features[begin]
-            if not precedes(tree, geometry, footprints, ray, radius, (slot, t, feature), best):
+            if not precedes(world, ray, ball.radius, (slot, t, feature), best):
                 continue
             filled = begin
         if filled < slots.shape[0]:
             slots[filled], ts[filled], features[filled] = slot, t, feature
         filled += 1
-        if not every:
+        if not asked.every:
             limit = traversal_distance(t, scale)
     return filled
 
 
 @lean_kernel
-def touch(tree, geometry, footprints, ray, radius, hits, j, work, point, normal):
+def touch(world, scratch, radius, hits, j, point, normal):
     """Fill in where hit j meets its obstacle, and the outward normal there."""
-    slots, ts, features = hits
-    slot, t, feature = slots[j], ts[j], features[j]
-    lo, hi = leaf_box(tree[0], tree[1], 2 * slot)
-    if geometry is not None:
-        records, hulls = geometry
-        contact(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
-    if footprints is not None:
-        records, hulls = footprints
-        touch_footprint(records[slot], hulls, lo, hi, ray, t, feature, radius, work, point, normal)
+    slot, hit = hits.slots[j], (hits.ts[j], hits.features[j])
+    lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+    met, out = Met(scratch.ray, lo, hi), (point, normal)
+    touch_any(world.geometry, world.footprints, slot, met, hit, radius, scratch.work, out)
 
 
 @lean_kernel
-def cast_rays(tree, geometry, footprints, rays, skip_inside, every, scratch, found):
-    """First hits, or every hit in no order, of many rays; return how many there are.
+def touch_any(geometry, footprints, slot, met, hit, radius, work, out):
+    point, normal = out
+    if geometry is not None:
+        contact(geometry[0][slot], geometry[1], met, hit, radius, work, point, normal)
+    if footprints is not None:
+        touch_footprint(footprints[0][slot], footprints[1], met, hit, radius, work, point, normal)
 
-    rays = (origins, directions, t_max, masks); found = (offsets, slots, ts, features, points,
-    normals): what ray i hits goes to [offsets[i], offsets[i + 1]), as far as there is room.
+
+@lean_kernel
+def cast_rays(world, rays, skip_inside, every, scratch, found):
+    """First hits, or every hit in no order, of many rays, as far as there is room; return how many
+    there are.
     """
-    origins, directions, t_max, masks = rays
-    offsets, slots, ts, features, points, normals = found
-    ray, work, hits = scratch[0], scratch[2], (slots, ts, features)
+    offsets, room, point = found.offsets, found.hits.slots.shape[0], Ball(0.0, 0.0)
     offsets[0] = 0
-    for i in range(origins.shape[0]):
-        set_ray(ray, origins[i], directions[i])
-        filled = cast(
-            tree, geometry, footprints, 0.0, 0.0, t_max[i], t_max[i], masks[i], skip_inside, every,
-            scratch, hits, offsets[i],
-        )  # fmt: skip
-        for j in range(offsets[i], min(filled, slots.shape[0])):
-            touch(tree, geometry, footprints, ray, 0.0, hits, j, work, points[j], normals[j])
+    for i in range(rays.origins.shape[0]):
+        set_ray(scratch.ray, rays.origins[i], rays.directions[i])
+        asked = Asked(rays.t_max[i], rays.t_max[i], rays.masks[i], skip_inside, every)
+        filled = cast(world, point, asked, scratch, found.hits, offsets[i])
+        for j in range(offsets[i], min(filled, room)):
+            touch(world, scratch, 0.0, found.hits, j, found.points[j], found.normals[j])
         offsets[i + 1] = filled
     return offsets[-1]
 
 
 def cast_all(
-    tree: DynamicBVH,
-    columns: Columns,
-    rays: tuple[Floats, Floats, Floats, NDArray[np.uint32]],
-    skip_inside: bool,
-    every: bool,
-) -> tuple[Slots, Slots, Floats, Floats, Floats]:
-    """`cast_rays` with room for what it finds: offsets, slots, t, points and normals."""
-    geometry, footprints = columns.geometry_arrays(), columns.footprint_arrays()
-    count, ndim = rays[0].shape
-    scratch = (
-        np.empty((RAY_ROWS, ndim)), np.empty((2, ndim)), np.empty((5, 3)),
-        np.empty(DEEPEST, np.int64), np.empty(DEEPEST),
-    )  # fmt: skip
+    tree: DynamicBVH, columns: Columns, rays: Rays, skip_inside: bool, every: bool
+) -> Found:
+    """`cast_rays` with room for what it finds."""
+    world, scratch = world_of(tree, columns), new_scratch(tree.ndim)
+    count = len(rays.origins)
     offsets, total, room = np.empty(count + 1, np.int64), max(count, 16), 0
     while total > room:
         room = total
-        slots, ts, features = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64)
-        points, normals = np.zeros((room, 3)), np.zeros((room, 3))
-        found = (offsets, slots, ts, features, points, normals)
-        total = cast_rays(
-            tree.arrays(), geometry, footprints, rays, skip_inside, every, scratch, found
-        )
-    return offsets, slots[:total], ts[:total], points[:total], normals[:total]
+        hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
+        found = Found(offsets, hits, np.zeros((room, 3)), np.zeros((room, 3)))
+        total = call(cast_rays, world, rays, skip_inside, every, scratch, found)
+    hits = Hits(*(column[:total] for column in hits))
+    return Found(offsets, hits, found.points[:total], found.normals[:total])

@@ -13,31 +13,20 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ..geometry.hull import MESH, closest_on_mesh, enter_mesh
-from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, scale_of, time_of
-from .mesh_rays import FACE
+from ..distance.hull_gap import closest_on_mesh
+from ..geometry.lengths import length, scale_of
+from ..geometry.rim import FACE, ROUND
+from ..geometry.rotation import rotate
+from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
+from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, time_of
+from .ray_hulls import enter_mesh
 from .ray_shapes import (
-    ROUND,
     enter_box,
     enter_cylinder,
     enter_rounded_box,
     enter_rounded_cylinder,
     enter_sphere,
-    length,
 )
-
-BOX, SPHERE, CYLINDER, CAPSULE = range(4)  # ShapeKind, as a kernel can read it
-
-
-@lean_kernel
-def rotate(quaternion, vector, sign):
-    """Turn a vector in place by a unit quaternion, or back by it with sign -1."""
-    x, y, z, w = sign * quaternion[0], sign * quaternion[1], sign * quaternion[2], quaternion[3]
-    a, b, c = vector[0], vector[1], vector[2]
-    u, v, n = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-    vector[0] = a + w * u + y * n - z * v
-    vector[1] = b + w * v + z * u - x * n
-    vector[2] = c + w * n + x * v - y * u
 
 
 @lean_kernel
@@ -66,12 +55,13 @@ def to_frame(shape, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_shape(shape, hulls, lo, hi, ray, radius, t_max, work):
+def enter_shape(shape, hulls, met, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
 
     t is in units of the ray's direction. What misses, but would not if the shape were larger by
     the frame's slack, touches: so rounding makes no hit a miss.
     """
+    ray, lo, hi = met
     if not shape.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -95,12 +85,12 @@ def enter_shape(shape, hulls, lo, hi, ray, radius, t_max, work):
 @lean_kernel
 def enter_form(shape, lo, hi, scale, ball, slack, reach, work):
     """(s, feature) of a shape that has a closed form, larger by `slack`."""
-    origin, way, low, high, half = work[0], work[1], work[2], work[3], shape.half
+    origin, direction, low, high, half = work[0], work[1], work[2], work[3], shape.half
     if shape.kind == SPHERE:
-        return enter_sphere(origin, way, half[0] * scale + ball + slack, reach)
+        return enter_sphere(origin, direction, half[0] * scale + ball + slack, reach)
     if shape.kind == CYLINDER:
         radius, height = half[0] * scale + slack, half[2] * scale + slack
-        return enter_cylinder(origin, way, radius, height, reach)
+        return enter_cylinder(origin, direction, radius, height, reach)
     for axis in range(3):
         low[axis] = -half[axis] * scale if shape.shaped else lo[axis] * scale
         high[axis] = half[axis] * scale if shape.shaped else hi[axis] * scale
@@ -109,11 +99,11 @@ def enter_form(shape, lo, hi, scale, ball, slack, reach, work):
         low[0] = low[1] = high[0] = high[1] = 0.0
         low[2], high[2] = low[2] + half[0] * scale, high[2] - half[0] * scale
     if ball > 0.0:
-        return enter_rounded_box(origin, way, low, high, ball + slack, reach)
+        return enter_rounded_box(origin, direction, low, high, ball + slack, reach)
     for axis in range(3):
         low[axis] -= slack
         high[axis] += slack
-    return enter_box(origin, way, low, high, reach)
+    return enter_box(origin, direction, low, high, reach)
 
 
 @lean_kernel
@@ -154,18 +144,20 @@ def axis_point(shape, scale, z):
 
 
 @lean_kernel
-def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
-    """Fill in the obstacle's point that is met at t, and the outward normal.
+def contact(shape, hulls, met, hit, radius, work, point, normal):
+    """Fill in the obstacle's point that is met by a hit (t, feature), and the outward normal.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
+    ray, lo, hi = met
+    t, feature = hit
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
-    centre, way, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
+    centre, direction, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
     noise = frame.slack + SLACK * s
     for axis in range(3):
-        centre[axis] += s * way[axis]
+        centre[axis] += s * direction[axis]
         outward[axis] = 0.0
         if not shape.shaped:  # in metres: what lies on a face lies there exactly
             centre[axis] = ray[ORIGIN, axis] + t * ray[DIRECTION, axis]
@@ -192,7 +184,7 @@ def contact(shape, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
 @lean_kernel
 def face_normal(shape, hulls, lo, hi, feature, scale, work):
     """Fill in the direction outwards where a thin ray enters; a flat face's point lies on it."""
-    centre, way, closest, outward = work[0], work[1], work[2], work[3]
+    centre, direction, closest, outward = work[0], work[1], work[2], work[3]
     if feature >= FACE:
         if hulls is not None:
             face = hulls.spans[shape.mesh].faces[0] + feature - FACE
@@ -203,11 +195,11 @@ def face_normal(shape, hulls, lo, hi, feature, scale, work):
         if shape.kind != CYLINDER:
             outward[2] = centre[2] - axis_point(shape, scale, centre[2])
     else:
-        outward[feature] = -math.copysign(1.0, way[feature])
+        outward[feature] = -math.copysign(1.0, direction[feature])
         if shape.shaped:
             closest[feature] = outward[feature] * (shape.half[feature] * scale)
         else:
-            closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
+            closest[feature] = lo[feature] if direction[feature] > 0.0 else hi[feature]
 
 
 @lean_kernel

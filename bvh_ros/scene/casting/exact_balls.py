@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """When a swept ball touches an axis-aligned box, in exact arithmetic.
 
-The squared distance of origin + t * way from a box is convex in t and, between two crossings of
+The squared distance of origin + t * direction from a box is convex in t and, between two of
 planes of faces, a quadratic with rational coefficients. So the first contact is the smaller root
 of one of them, middle - sqrt(square), and two of those can be told apart by squaring twice.
 """
@@ -40,15 +40,15 @@ def first_touch(
     lo: Sequence[float],
     hi: Sequence[float],
     origin: Sequence[float],
-    way: Sequence[float],
+    direction: Sequence[float],
     radius: float,
 ) -> Root | None:
-    """The least t from 0 to 1 at which origin + t * way is within `radius` of the closed box; None
+    """The least t from 0 to 1 at which origin + t * direction is within `radius` of the box; None
     if there is none, START if it is from the beginning.
     """
     axes = [
         (Fraction(low) - Fraction(x), Fraction(high) - Fraction(x), Fraction(step))
-        for low, high, x, step in zip(lo, hi, origin, way, strict=True)
+        for low, high, x, step in zip(lo, hi, origin, direction, strict=True)
     ]
     limit = Fraction(radius) ** 2
     if _quadratic(axes, Fraction(0))[2] <= limit:

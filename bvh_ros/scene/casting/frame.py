@@ -6,29 +6,18 @@ Lengths are brought by a power of two, which rounds nothing, to where products o
 overflow nor vanish. In everyday scenes they are there, and stay metres.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.rays.slab import DIRECTION
-from .ray_shapes import length
+from ..geometry.lengths import length, scale_of
 
 # What nobody can tell apart touches: shares of the largest length in play, as seen from the
 # shape, and of the largest coordinate, which was rounded before.
 SLACK = 2.0**-46
 COORDINATES = 2.0**-51
-
-LARGE, SMALL = 2.0**200, 2.0**-200  # between them lengths may be multiplied four times
-
-
-@inlined
-def scale_of(largest):
-    """The power of two that brings lengths between SMALL and LARGE; 1 where they are."""
-    if SMALL < largest < LARGE or largest == 0.0:
-        return 1.0
-    return math.ldexp(1.0, min(max(-math.frexp(largest)[1], -1000), 1000))
 
 
 @inlined
@@ -43,6 +32,14 @@ def time_of(s, pace, t_max):
     if not 0.0 < s < np.inf:
         return s
     return min(s / pace, t_max, 1.7976931348623157e308)
+
+
+class Met(NamedTuple):
+    """A ray, and the box in the tree of the obstacle that it may meet."""
+
+    ray: Any
+    lo: Any
+    hi: Any
 
 
 class Frame(NamedTuple):

@@ -35,9 +35,7 @@ from ...tree.rays.slab import (
     set_ray,
     traversal_distance,
 )
-from .ray_shapes import ROUND
-
-FACE = 4  # feature of the first triangle; below are those of `ray_shapes`
+from ..geometry.rim import FACE, ROUND
 
 
 class Surface(NamedTuple):
@@ -51,16 +49,18 @@ class Surface(NamedTuple):
 
 
 @lean_kernel
-def enter_surface(surface, scale, origin, way, reach):
+def enter_surface(surface, scale, origin, direction, reach):
     """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
     The ray is given in lengths times `scale`.
     """
     ray = stack_array(15, np.float64).reshape(RAY_ROWS, 3)
     along = 0.0
     for axis in range(3):
-        along -= origin[axis] * way[axis]
-        ray[DIRECTION, axis] = way[axis]
-    if way[0] == 0.0 and way[1] == 0.0 and way[2] == 0.0:  # a point: along any line through it
+        along -= origin[axis] * direction[axis]
+        ray[DIRECTION, axis] = direction[axis]
+    if (
+        direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0
+    ):  # a point: along any line through it
         ray[DIRECTION, 0] = 1.0
         along, reach = -origin[0], 0.0
     begin, end = along - surface.radius * scale, along + surface.radius * scale
@@ -110,14 +110,14 @@ def first_crossing(surface, ray):
 
 
 @inlined
-def shear(way):
+def shear(direction):
     """How to shear a direction onto an axis: (the other two axes, that axis, by how much)."""
     z = 0
     for axis in range(1, 3):
-        if abs(way[axis]) > abs(way[z]):
+        if abs(direction[axis]) > abs(direction[z]):
             z = axis
     x, y = (z + 1) % 3, (z + 2) % 3
-    return x, y, z, way[x] / way[z], way[y] / way[z]
+    return x, y, z, direction[x] / direction[z], direction[y] / direction[z]
 
 
 @inlined

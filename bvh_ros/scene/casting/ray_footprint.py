@@ -11,13 +11,26 @@ import math
 import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
 from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ..geometry.oval import approach_oval, cross_oval, measure_oval, to_oval
-from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, scale_of, time_of
-from .mesh_rays import FACE
-from .ray_polygon import Rim, closest_on_polygon, cross_polygon, edge_of, enter_rounded_rim
-from .ray_shapes import ROUND, enter_rounded_box, length
+from ..geometry.lengths import length, scale_of
+from ..geometry.oval import cross_oval, measure_oval, to_oval
+from ..geometry.rim import (
+    FACE,
+    ROUND,
+    closest_on_footprint,
+    closest_on_polygon,
+    cross_polygon,
+    edge_of,
+    look_out_of_oval,
+    oval_of,
+    rim_of,
+)
+from .approach import approach_by
+from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, time_of
+from .ray_polygon import enter_rounded_rim
+from .ray_shapes import enter_rounded_box
+
+approach_oval = approach_by(measure_oval)
 
 
 @lean_kernel
@@ -39,22 +52,23 @@ def to_centre(footprint, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_footprint(footprint, hulls, lo, hi, ray, radius, t_max, work):
+def enter_footprint(footprint, hulls, met, radius, t_max, work):
     """(t, feature) as `contact.enter_shape`.
 
     The feature of a thin ray is FACE and the edge of a polygon that is entered, or ROUND.
     """
+    ray, lo, hi = met
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
     frame = to_centre(footprint, lo, hi, ray, radius, work)
-    origin, way, ball = work[0, :2], work[1, :2], radius * frame.scale
+    origin, direction, ball = work[0, :2], work[1, :2], radius * frame.scale
     reach = reach_of(t_max, frame.pace)
     if not footprint.shaped:
         low, high = work[2, :2], work[3, :2]
         for axis in range(2):
             low[axis], high[axis] = lo[axis] * frame.scale, hi[axis] * frame.scale
-        s, feature = enter_rounded_box(origin, way, low, high, ball, reach)
+        s, feature = enter_rounded_box(origin, direction, low, high, ball, reach)
     elif footprint.oval and ball > 0.0:
         s, feature = enter_rounded_oval(footprint, frame, ball, reach, work)
     elif ball + footprint.radius > 0.0:
@@ -69,29 +83,13 @@ def enter_footprint(footprint, hulls, lo, hi, ray, radius, t_max, work):
 
 
 @lean_kernel
-def rim_of(footprint, hulls, scale):
-    """The rim of a footprint that is no oval: what is seen of a mesh is kept with those."""
-    if hulls is not None and footprint.polygon > 0:
-        span = hulls.spans[footprint.polygon - 1].vertices
-        return Rim(hulls.vertices[span[0] : span[1], :2], scale)
-    return Rim(footprint.corners[:, :2], scale)
-
-
-@lean_kernel
-def oval_of(footprint, scale):
-    """See `oval`."""
-    a, b = footprint.half_axes[0] * scale, footprint.half_axes[1] * scale
-    return footprint.straight * scale, a, b
-
-
-@lean_kernel
 def enter_thin(footprint, hulls, frame, reach, work):
     """(s, feature) of a thin ray. Where its line crosses the footprint, but before the ray or
     beyond it, the end of the ray that is next to there may touch it.
     """
-    origin, way, place, closest = work[0, :2], work[1, :2], work[2, :2], work[3, :2]
-    place[0], place[1] = way[0], way[1]
-    if way[0] == 0.0 and way[1] == 0.0:  # a point: any line through it
+    origin, direction, place, closest = work[0, :2], work[1, :2], work[2, :2], work[3, :2]
+    place[0], place[1] = direction[0], direction[1]
+    if direction[0] == 0.0 and direction[1] == 0.0:  # a point: any line through it
         place[0], reach = 1.0, 0.0
     feature = np.int64(ROUND)
     if footprint.oval:
@@ -106,7 +104,7 @@ def enter_thin(footprint, hulls, frame, reach, work):
         return entry, feature
     s = reach if entry > 0.0 else 0.0
     for axis in range(2):
-        place[axis] = origin[axis] + s * way[axis]
+        place[axis] = origin[axis] + s * direction[axis]
     gap = closest_on_footprint(footprint, hulls, frame.scale, place, closest)
     return (s if gap <= frame.slack else np.inf), (feature if s > 0.0 else np.int64(INSIDE))
 
@@ -114,11 +112,11 @@ def enter_thin(footprint, hulls, frame, reach, work):
 @lean_kernel
 def enter_rounded_polygon(footprint, hulls, frame, ball, reach, work):
     """(s, feature) of a disc, or of a thin ray against a disc or capsule."""
-    origin, way, closest = work[0, :2], work[1, :2], work[2, :2]
+    origin, direction, closest = work[0, :2], work[1, :2], work[2, :2]
     rim = rim_of(footprint, hulls, frame.scale)
     if closest_on_polygon(rim, origin, closest) <= ball:
         return 0.0, np.int64(INSIDE)
-    s = enter_rounded_rim(rim, origin, way, ball, reach, closest)
+    s = enter_rounded_rim(rim, origin, direction, ball, reach, closest)
     return s, np.int64(ROUND)
 
 
@@ -134,36 +132,6 @@ def enter_rounded_oval(footprint, frame, ball, reach, work):
 
 
 @lean_kernel
-def closest_on_footprint(footprint, hulls, scale, point, out):
-    """Fill `out` with a footprint's closest point, `point` itself inside; return the distance."""
-    if footprint.oval:
-        return look_out_of_oval(footprint, scale, point, out, out)
-    distance = closest_on_polygon(rim_of(footprint, hulls, scale), point, out)
-    radius = footprint.radius * scale
-    if distance <= radius:
-        out[0], out[1] = point[0], point[1]
-        return 0.0
-    for axis in range(2):
-        out[axis] += (point[axis] - out[axis]) * (radius / distance)
-    return distance - radius
-
-
-@lean_kernel
-def look_out_of_oval(footprint, scale, point, normal, closest):
-    """Fill in the direction outwards at the oval's rim next to a point, then the closest point,
-    itself inside; return the distance.
-    """
-    along, across = footprint.along, stack_array(4, np.float64).reshape(2, 2)
-    across[0, 0], across[0, 1] = to_oval(along, point)
-    _, distance = measure_oval(oval_of(footprint, scale), across[0], across[1])
-    u, v = across[1, 0], across[1, 1]
-    x, y = u * along[0] - v * along[1], u * along[1] + v * along[0]
-    normal[0], normal[1] = x, y
-    closest[0], closest[1] = point[0] - distance * x, point[1] - distance * y
-    return distance
-
-
-@lean_kernel
 def look_out(footprint, hulls, scale, point, normal, closest):
     """`look_out_of_oval` of any footprint; of a polygon the direction from its rim, which is zero
     or noise at it.
@@ -176,18 +144,20 @@ def look_out(footprint, hulls, scale, point, normal, closest):
 
 
 @lean_kernel
-def touch_footprint(footprint, hulls, lo, hi, ray, t, feature, radius, work, point, normal):
-    """Fill in the footprint's point that is met at t and the outward normal there.
+def touch_footprint(footprint, hulls, met, hit, radius, work, point, normal):
+    """Fill in the footprint's point that is met by a hit (t, feature), and the outward normal.
 
     The normal of a disc is zero where its centre is in the footprint, or no farther from it than
     rounding: there it would be noise.
     """
+    ray, lo, hi = met
+    t, feature = hit
     frame = to_centre(footprint, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
-    centre, way, closest, scale = work[0, :2], work[1, :2], work[2, :2], frame.scale
+    centre, direction, closest, scale = work[0, :2], work[1, :2], work[2, :2], frame.scale
     noise = frame.slack + SLACK * s
     for axis in range(2):
-        centre[axis] += s * way[axis]
+        centre[axis] += s * direction[axis]
         if not footprint.shaped:  # in metres: what lies on an edge lies there exactly
             centre[axis] = ray[ORIGIN, axis] + t * ray[DIRECTION, axis]
             closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
@@ -206,13 +176,13 @@ def touch_footprint(footprint, hulls, lo, hi, ray, t, feature, radius, work, poi
     elif feature >= FACE:
         x, y = edge_of(rim_of(footprint, hulls, scale), feature - FACE)
         if x == 0.0 and y == 0.0:  # a corner, in passing
-            side = math.copysign(1.0, way[1] * closest[0] - way[0] * closest[1])
-            x, y = side * way[0], side * way[1]
+            side = math.copysign(1.0, direction[1] * closest[0] - direction[0] * closest[1])
+            x, y = side * direction[0], side * direction[1]
         normal[0], normal[1] = y, -x
     elif feature != ROUND:  # an edge of a rectangle
         normal[0] = normal[1] = 0.0
-        normal[feature] = -math.copysign(1.0, way[feature])
-        closest[feature] = lo[feature] if way[feature] > 0.0 else hi[feature]
+        normal[feature] = -math.copysign(1.0, direction[feature])
+        closest[feature] = lo[feature] if direction[feature] > 0.0 else hi[feature]
     total = length(normal[:2])
     for axis in range(2):
         normal[axis] = normal[axis] / total if total > 0.0 else 0.0

@@ -4,13 +4,14 @@
 
 A ball of radius r meets a shape where its centre meets the shape grown by r with rounded edges
 (Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives (s, feature):
-the distance along the unit direction `way` at which `origin + s * way` enters the shape, inf if it
+the distance at which `origin + s * direction`, a unit vector, enters the shape, inf if it
 does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray starts
 in the (grown) shape, the axis of a flat face, ROUND elsewhere.
 
-The error is one of place: origin + s * way, computed exactly, lies within 8 u L of the surface of
-the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the shape, or an
-edge). How far s itself is off follows from the angle at which the ray meets the surface.
+The error is one of place: origin + s * direction, computed exactly, is within 8 u L of the
+surface of the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the
+shape, or an edge). How far s itself is off follows from the angle at which the ray meets the
+surface.
 """
 
 import math
@@ -19,18 +20,9 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.rays.slab import INSIDE
+from ..geometry.lengths import length
+from ..geometry.rim import ROUND
 from .approach import ROUNDING, approach_by
-
-ROUND = 3
-
-
-@lean_kernel
-def length(vector):
-    """Euclidean length; neither overflows nor vanishes where the result does not."""
-    total = abs(vector[0])
-    for axis in range(1, vector.shape[0]):
-        total = math.hypot(total, vector[axis])
-    return total
 
 
 @lean_kernel
@@ -49,15 +41,15 @@ def disc_interval(along, square, across, radius):
 
 
 @lean_kernel
-def enter_sphere(origin, way, radius, reach):
+def enter_sphere(origin, direction, radius, reach):
     if length(origin) <= radius:
         return 0.0, INSIDE
     along = 0.0
     for axis in range(origin.shape[0]):
-        along -= origin[axis] * way[axis]
+        along -= origin[axis] * direction[axis]
     across = 0.0
     for axis in range(origin.shape[0]):
-        across = math.hypot(across, origin[axis] + along * way[axis])
+        across = math.hypot(across, origin[axis] + along * direction[axis])
     entry, leave = disc_interval(along, 1.0, across, radius)
     if leave < 0.0 or entry > reach:
         return np.inf, ROUND
@@ -65,41 +57,41 @@ def enter_sphere(origin, way, radius, reach):
 
 
 @lean_kernel
-def enter_box(origin, way, lo, hi, reach):
+def enter_box(origin, direction, lo, hi, reach):
     """Slabs (Kay and Kajiya 1986)."""
     entry, leave, entered = 0.0, reach, INSIDE
     for axis in range(lo.shape[0]):
-        if lo[axis] <= origin[axis] <= hi[axis] and way[axis] == 0.0:
+        if lo[axis] <= origin[axis] <= hi[axis] and direction[axis] == 0.0:
             continue
-        if way[axis] == 0.0:
+        if direction[axis] == 0.0:
             return np.inf, INSIDE
-        near, far = (lo[axis], hi[axis]) if way[axis] > 0.0 else (hi[axis], lo[axis])
-        first = (near - origin[axis]) / way[axis]
-        leave = min(leave, (far - origin[axis]) / way[axis])
+        near, far = (lo[axis], hi[axis]) if direction[axis] > 0.0 else (hi[axis], lo[axis])
+        first = (near - origin[axis]) / direction[axis]
+        leave = min(leave, (far - origin[axis]) / direction[axis])
         if first > entry:
             entry, entered = first, axis
     return (entry if entry <= leave else np.inf), entered
 
 
 @lean_kernel
-def slab_offset(origin, way, lo, hi, s):
+def slab_offset(origin, direction, lo, hi, s):
     """How a coordinate lies to its slab just after s: (offset, outside, until).
 
-    While `outside`, it is offset + s * way beyond the slab; that holds until s = `until`.
+    While `outside`, it is offset + s * direction beyond the slab; that holds until s = `until`.
     """
     below, above = origin - lo, origin - hi
-    if way == 0.0:
+    if direction == 0.0:
         return (below if below < 0.0 else above), below < 0.0 or above > 0.0, np.inf
-    first, second = (below, above) if way > 0.0 else (above, below)
-    if s < -first / way:
-        return first, True, -first / way
-    if s < -second / way:
-        return 0.0, False, -second / way
+    first, second = (below, above) if direction > 0.0 else (above, below)
+    if s < -first / direction:
+        return first, True, -first / direction
+    if s < -second / direction:
+        return 0.0, False, -second / direction
     return second, True, np.inf
 
 
 @lean_kernel
-def enter_rounded_box(origin, way, lo, hi, radius, reach):
+def enter_rounded_box(origin, direction, lo, hi, radius, reach):
     """The squared distance to a box is a sum, over the axes, of squared distances to slabs.
 
     Between two crossings of face planes it is one quadratic in s, and the whole is convex: of at
@@ -112,17 +104,19 @@ def enter_rounded_box(origin, way, lo, hi, radius, reach):
         end, square, product, across = np.inf, 0.0, 0.0, 0.0
         for axis in range(lo.shape[0]):
             offset, outside, until = slab_offset(
-                origin[axis], way[axis], lo[axis], hi[axis], begin
+                origin[axis], direction[axis], lo[axis], hi[axis], begin
             )
             end = min(end, until)
             if outside:
-                square += way[axis] * way[axis]
-                product += offset * way[axis]
+                square += direction[axis] * direction[axis]
+                product += offset * direction[axis]
         along = -product / square if square > 0.0 else 0.0
         for axis in range(lo.shape[0]):
-            offset, outside, _ = slab_offset(origin[axis], way[axis], lo[axis], hi[axis], begin)
+            offset, outside, _ = slab_offset(
+                origin[axis], direction[axis], lo[axis], hi[axis], begin
+            )
             if outside:
-                across = math.hypot(across, offset + along * way[axis])
+                across = math.hypot(across, offset + along * direction[axis])
         entry, leave = disc_interval(along, square, across, radius)
         if entry <= end and leave >= begin:
             entry = max(entry, begin)
@@ -132,20 +126,22 @@ def enter_rounded_box(origin, way, lo, hi, radius, reach):
 
 
 @lean_kernel
-def enter_cylinder(origin, way, radius, half_height, reach):
+def enter_cylinder(origin, direction, radius, half_height, reach):
     """A cylinder about the z axis: the overlap of an endless one and a slab."""
     if math.hypot(origin[0], origin[1]) <= radius and abs(origin[2]) <= half_height:
         return 0.0, INSIDE
-    square = way[0] * way[0] + way[1] * way[1]
-    along = -(origin[0] * way[0] + origin[1] * way[1]) / square if square > 0.0 else 0.0
-    across = math.hypot(origin[0] + along * way[0], origin[1] + along * way[1])
+    square = direction[0] * direction[0] + direction[1] * direction[1]
+    along = (
+        -(origin[0] * direction[0] + origin[1] * direction[1]) / square if square > 0.0 else 0.0
+    )
+    across = math.hypot(origin[0] + along * direction[0], origin[1] + along * direction[1])
     entry, leave = disc_interval(along, square, across, radius)
     feature = ROUND
-    if way[2] != 0.0:
-        cap = math.copysign(half_height, way[2])
-        leave = min(leave, (cap - origin[2]) / way[2])
-        if (-cap - origin[2]) / way[2] > entry:
-            entry, feature = (-cap - origin[2]) / way[2], 2
+    if direction[2] != 0.0:
+        cap = math.copysign(half_height, direction[2])
+        leave = min(leave, (cap - origin[2]) / direction[2])
+        if (-cap - origin[2]) / direction[2] > entry:
+            entry, feature = (-cap - origin[2]) / direction[2], 2
     elif abs(origin[2]) > half_height:
         return np.inf, ROUND
     entry = max(entry, 0.0)
@@ -177,11 +173,11 @@ def enter_rounded_cylinder(radius, half_height, ball, reach, slack, work):
 
     A ray enters a union where it first enters a part. `work` as for `approach`.
     """
-    origin, way = work[0], work[1]
+    origin, direction = work[0], work[1]
     if cylinder_distance(origin[0], origin[1], origin[2], radius, half_height) <= ball:
         return 0.0, INSIDE
-    side, _ = enter_cylinder(origin, way, radius + ball, half_height, reach)
-    cap, _ = enter_cylinder(origin, way, radius, half_height + ball, reach)
+    side, _ = enter_cylinder(origin, direction, radius + ball, half_height, reach)
+    cap, _ = enter_cylinder(origin, direction, radius, half_height + ball, reach)
     face = min(side, cap)
     solid, limit = (radius, half_height), min(face, reach)
     rim, slope = approach_cylinder(solid, ball, limit, slack, work)

@@ -12,11 +12,12 @@ import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ..casting.frame import scale_of
-from ..casting.ray_footprint import closest_on_footprint
-from ..geometry.canonical import fill_rotation
-from ..geometry.hull import closest_on_hull, hull_of
+from ..geometry.hull import hull_of
+from ..geometry.lengths import scale_of
+from ..geometry.rim import closest_on_footprint
+from ..geometry.rotation import fill_rotation
 from ..geometry.shapes import BOX, CYLINDER, MESH
+from .hull_gap import closest_on_hull
 
 
 @lean_kernel

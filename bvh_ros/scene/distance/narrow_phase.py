@@ -24,8 +24,9 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ..casting.contact import CAPSULE, CYLINDER, SPHERE, rotate
-from ..geometry.hull import MESH, hull_of
+from ..geometry.hull import hull_of
+from ..geometry.rotation import rotate
+from ..geometry.shapes import CAPSULE, CYLINDER, MESH, SPHERE
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, SLACK, WAY_ROOM
 from .separation import separation
 from .sure_gap import sure_bounds

@@ -16,13 +16,13 @@ from ..geometry.canonical import (
     REASONS,
     canonical_row,
     canonicalise,
-    fill_rotation,
     fill_unit,
     is_finite,
     maps_axes_to_axes,
 )
 from ..geometry.polygon import outlined
 from ..geometry.records import GEOMETRY, UNTURNED, Records
+from ..geometry.rotation import fill_rotation
 from ..geometry.shapes import BOX, MESH, Floats, Shapes, as_shapes
 from ..store.mesh_store import Hulls, MeshStore
 

@@ -17,6 +17,7 @@ from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from .meshes import Mesh
 from .records import GEOMETRY, Records
+from .rotation import fill_rotation
 from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Floats, Shapes, rotations
 
 # A unit quaternion is known to about one ulp a component. One this close to a rotation that maps
@@ -143,23 +144,6 @@ def maps_axes_to_axes(unit):
         if abs(magnitude - (ideal if magnitude > SNAP else 0.0)) > SNAP:
             return False
     return count != 3
-
-
-@lean_kernel
-def fill_rotation(unit, matrix):
-    """Fill in the rotation matrix (3, 3) of a unit quaternion; its column k is the shape's own
-    axis k.
-    """
-    x, y, z, w = unit[0], unit[1], unit[2], unit[3]
-    matrix[0, 0] = 1 - 2 * (y * y + z * z)
-    matrix[0, 1] = 2 * (x * y - z * w)
-    matrix[0, 2] = 2 * (x * z + y * w)
-    matrix[1, 0] = 2 * (x * y + z * w)
-    matrix[1, 1] = 1 - 2 * (x * x + z * z)
-    matrix[1, 2] = 2 * (y * z - x * w)
-    matrix[2, 0] = 2 * (x * z - y * w)
-    matrix[2, 1] = 2 * (y * z + x * w)
-    matrix[2, 2] = 1 - 2 * (x * x + y * y)
 
 
 @lean_kernel

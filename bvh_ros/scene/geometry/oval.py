@@ -17,7 +17,6 @@ import math
 import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
-from ..casting.approach import approach_by
 
 MOST_STEPS = 64
 STILL = 1e-150  # a way along an axis that leads nowhere
@@ -63,11 +62,11 @@ def cross_ellipse(a, b, x, y, way_x, way_y, slack):
 
 
 @lean_kernel
-def cross_oval(oval, along, origin, way, slack):
+def cross_oval(oval, along, origin, direction, slack):
     """(entry, leave) of a line into an oval, (inf, -inf) if it misses it by more than `slack`."""
     straight, a, b = oval
     u, v = to_oval(along, origin)
-    way_u, way_v = to_oval(along, way)
+    way_u, way_v = to_oval(along, direction)
     entry, leave = slab(u, way_u, straight)
     first, last = slab(v, way_v, b)
     entry, leave = max(entry, first), min(leave, last)
@@ -92,9 +91,6 @@ def measure_oval(oval, point, normal):
     normal[0], normal[1] = math.copysign(across_x, u), math.copysign(across_y, v)
     low = across_x * x + across_y * y - math.hypot(a * across_x, b * across_y)
     return low, high
-
-
-approach_oval = approach_by(measure_oval)
 
 
 @lean_kernel
