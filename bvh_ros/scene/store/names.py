@@ -93,9 +93,10 @@ def as_families(names: Names) -> Families:
         raise ValueError('the prefixes of names must be strings')
     if plain and not any(prefix[-1:].isdigit() for prefix in prefixes):
         return Families(prefixes, family, numbers)
-    # 'a1' and 5, 'a' and 15 are one name.
-    pairs = zip(family.tolist(), numbers.tolist(), strict=True)
-    return _from_strings([f'{prefixes[place]}{number}' for place, number in pairs])
+    # 'a1' and 5, 'a' and 15 are one name; only Families know names without a number.
+    if isinstance(names, Families):
+        return _from_strings([*names.texts()])
+    return _from_strings([f'{names.prefix}{number}' for number in numbers.tolist()])
 
 
 @lean_kernel

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Families, Numbered, Scene, Shapes
+from bvh_ros.scene import Families, Numbered, Part, Scene, Shapes
 from bvh_ros.scene.store.names import as_families
 from bvh_ros.scene.store.registry import UNKNOWN, Registry
 
@@ -120,3 +120,21 @@ def test_names_of_several_prefixes_are_the_same_names_as_strings():
     (refusal,) = scene.update('b', Numbered('a/', np.array([4])), shapes.take([0]), stamp=9)
     assert "source 'a'" in refusal.reason
     scene.validate()
+
+
+def test_names_that_were_split_stay_the_same_names() -> None:
+    """An update that is cut into parts splits its names before each part does."""
+    names = ['a', 'b7', 'c-1', '-1', '', 'd01', 'e1', 'f123456789012345678901']
+    once = as_families(names)
+    assert [*once.texts()] == names
+    assert [*as_families(once).texts()] == names
+    assert [*as_families(Numbered('x', np.array([-1, 2]))).texts()] == ['x-1', 'x2']
+
+    scene, kept = Scene(), [name for name in names if name]
+    count = len(kept)
+    kinds, ones = np.ones(count, np.uint8), np.ones((count, 3))
+    shapes = Shapes(kinds, ones, np.tile((0.0, 0.0, 0.0, 1.0), (count, 1)), ones)
+    for part in Part(kept, shapes, 0).cut(4):
+        assert not scene.update('s', part.names, part.shapes, stamp=part.stamp)
+    assert all(name in scene for name in kept)
+    assert len(scene) == count
