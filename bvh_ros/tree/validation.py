@@ -7,6 +7,7 @@ heights) are checked apart.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .build.building import height_limit
 from .jit.compiling import kernel
@@ -87,6 +88,7 @@ def _look_at_forms(ndim: int, margin: float, arrays: Tree) -> str | None:
     if margin > 0.0 and not len(tight):
         return 'the exact boxes are missing, which a tree with a margin has'
     forms = array_forms(ndim, capacity, bool(len(tight)))
+    array: NDArray[Any]
     for (name, (dtype, shape)), array in zip(forms.items(), arrays, strict=True):
         if array.dtype != dtype or array.shape != shape:
             return (
