@@ -18,6 +18,7 @@ ROS = [
 ]
 BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
+VIEW = ['viser>=1.0,<2']
 PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', *FCL]
 DOCS = ['sphinx>=7', 'myst-parser>=3']
 TEST = [
@@ -29,6 +30,8 @@ TEST = [
     *ROS,
     *BAGS,
     *REPORT,
+    *VIEW,
+    'selenium>=4.20',
 ]
 
 setup(
@@ -57,6 +60,7 @@ setup(
         'bags': BAGS,
         'report': REPORT,
         'peers': PEERS,
+        'view': VIEW,
         'docs': DOCS,
         'test': TEST,
     },
@@ -67,6 +71,7 @@ setup(
             'bvh_demo = bvh_ros.demo:main',
             'bvh_warm_up = bvh_ros.warm_up:main',
             'bvh_report = bvh_ros.report.cli:main',
+            'bvh_view = bvh_ros.view.main:main',
         ]
     },
 )

@@ -7,13 +7,15 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros import demo
+from bvh_ros import scenarios
+from bvh_ros.view import beside
 
 ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+/\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
 
@@ -69,22 +71,57 @@ def children_of(pid):
 
 
 def test_every_frame_of_the_warehouse():
-    frames = list(demo.warehouse())
-    assert len(frames) == demo.DURATION * demo.RATE
+    frames = list(scenarios.warehouse())
+    assert len(frames) == scenarios.DURATION * scenarios.RATE
     for frame in frames:
         names = [(thing.namespace, thing.number) for thing in frame.things]
         assert len(set(names)) == len(names)
 
 
 def test_markers_of_things_that_are_gone():
-    thing = demo.Thing('box', 'a', 1, (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), 0.0)
-    add, delete = demo.markers([thing], [('a', 2)]).markers
+    thing = scenarios.Thing('box', 'a', 1, (1.0, 2.0, 3.0), (1.0, 1.0, 1.0), 0.0)
+    add, delete = scenarios.markers([thing], [('a', 2)]).markers
     assert (add.ns, add.id, add.action) == ('a', 1, 0)
     assert (delete.ns, delete.id, delete.action) == ('a', 2, 2)
+    assert [one.action for one in scenarios.markers([thing], [], begin=True).markers] == [3, 0]
+
+
+def test_the_demo_with_a_view_says_where_it_is_and_ends_it():
+    pytest.importorskip('viser', reason='viser is not installed')
+    demo = start('--view')
+    line = demo.stdout.readline()
+    address = re.fullmatch(r'the view: (http://127\.0\.0\.1:\d+); Ctrl-C ends it\n', line)
+    children = children_of(demo.pid)
+    with urllib.request.urlopen(address[1]) as page:
+        assert b'<html' in page.read(1000)
+    demo.send_signal(signal.SIGINT)
+    assert finished(demo)[0] == 130
+    assert not any(Path(f'/proc/{child}').exists() for child in children)
+
+
+def test_without_viser_a_line_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(beside.importlib.util, 'find_spec', lambda _name: None)
+    with (
+        pytest.raises(RuntimeError, match=re.escape("pip install 'bvh_ros[view]'")),
+        beside.running_view('/bvh'),
+    ):
+        pass
+
+
+def test_a_picture_needs_no_node(tmp_path):
+    code, output, _ = finished(start('--picture', str(tmp_path / 'demo.png')))
+    assert (code, output) == (0, f'{tmp_path / "demo.png"}\n')
+    assert (tmp_path / 'demo.png').read_bytes().startswith(b'\x89PNG')
 
 
 @pytest.mark.parametrize(
-    'arguments', [('--replay', '/nowhere.csv'), ('--speed', '0'), ('--speed', 'nan')]
+    'arguments',
+    [
+        ('--replay', '/nowhere.csv'),
+        ('--speed', '0'),
+        ('--speed', 'nan'),
+        ('--view', '--picture', 'a.png'),
+    ],
 )
 def test_wrong_arguments(arguments):
     assert finished(start(*arguments))[0] == 2

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-HEAVY = ('rclpy', 'fcl', 'matplotlib', 'tqdm')
+HEAVY = ('rclpy', 'fcl', 'matplotlib', 'tqdm', 'viser')
 
 
 @pytest.mark.parametrize('module', ['bvh_ros', 'bvh_ros.tree', 'bvh_ros.scene'])
@@ -16,3 +16,12 @@ def test_importing_does_not_import_optional_parts(module):
     result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert result.stdout.split() == []
+
+
+@pytest.mark.parametrize('module', ['bvh_ros.demo', 'bvh_ros.ros.node', 'bvh_ros.view.main'])
+def test_a_view_that_is_off_is_not_imported(module):
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    parts = '{"viser", "trimesh", "matplotlib"}'
+    program = f'import sys, {module}; print(*{parts} & {{*sys.modules}})'
+    result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert (result.returncode, result.stdout.split()) == (0, []), result.stderr

@@ -30,8 +30,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros import bags
-from bvh_ros import demo as demo_module
+from bvh_ros import bags, scenarios
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+[/#]\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
@@ -229,7 +228,7 @@ def test_a_file_that_is_no_track_file(tmp_path):
     for content in (b'', b'a,b\n1,2\n', b'frame,t_s,id\n0,x,1\n', b'\xff\x00', b'frame\n' * 3):
         path.write_bytes(content)
         with pytest.raises(RuntimeError, match=r'tracks\.csv is no track file: '):
-            next(demo_module.tracks(path))
+            next(scenarios.tracks(path))
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def running_node(
         command += ['-r', f'__ns:={namespace}', '--params-file', str(file)]
         process = None
         try:
-            with _signals_waiting():
+            with signals_waiting():
                 # A session of its own: Ctrl-C reaches us alone, and we end the node.
                 process = subprocess.Popen(
                     command, env=environment, stdout=log, stderr=log, start_new_session=True
@@ -89,7 +89,7 @@ def running_node(
 
 
 @contextmanager
-def _signals_waiting() -> Iterator[None]:
+def signals_waiting() -> Iterator[None]:
     """Let what would end us wait: a process that is just being started would be left behind."""
     came: list[int] = []
     theirs = {

@@ -127,8 +127,9 @@ def _new_axes(ndim: int) -> Any:
     if ndim == 3:
         axes.set_zlabel('z [m]')
         axes.zaxis.set_major_locator(pyplot.MaxNLocator(3))
-        axes.view_init(elev=32.0, azim=-65.0)
-        figure.subplots_adjust(0.0, 0.0, 1.0, 1.0)
+        axes.view_init(elev=40.0, azim=-65.0)
+        axes.computed_zorder = False  # rays and hits are seen through what is in front of them
+        figure.subplots_adjust(0.0, 0.0, 0.97, 0.94)
     return axes
 
 

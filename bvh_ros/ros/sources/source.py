@@ -124,6 +124,13 @@ class Source(ABC):
         now, came = self._clock.now().nanoseconds, time.perf_counter()
         self._then(partial(self._begin, serialised, now, came), len(serialised))
 
+    def apply_now(self, serialised: bytes, now: int) -> None:
+        """Apply a message at once, as if it came at `now` (ns on whatever clock)."""
+        self.messages += 1
+        self._hurried = True
+        for _ in self._applying(serialised, now):
+            pass
+
     def _begin(self, serialised: bytes, now: int, came: float) -> None:
         size = len(serialised)
         self._hurried = self._pace.begin(size, came) or self._waits >= size

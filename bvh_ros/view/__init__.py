@@ -1,0 +1,7 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_view`: a live node, a recording or a saved tree in a browser.
+
+`worlds`, `recorded` and `live` are what can be looked at, without a browser; `page`, `panel`,
+`drawing` and `probe` show it with viser.
+"""

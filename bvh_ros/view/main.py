@@ -1,0 +1,127 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_view`: a live node, a recording or a saved tree in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import ipaddress
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from bvh_ros.view.worlds import World
+
+HOST, PORT = '127.0.0.1', 8080
+GET_IT = "the view needs viser: pip install 'bvh_ros[view]'"
+MOST_PORT = 65535
+
+
+def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog='bvh_view', description=__doc__)
+    parser.add_argument(
+        'what',
+        nargs='?',
+        default='/bvh',
+        help='name of a node (default /bvh), a bag (folder, .mcap, .db3), a track file (.csv) '
+        'or a saved tree (.npz)',
+    )
+    parser.add_argument('--topic', default='', help='only this one of the bag')
+    parser.add_argument('--host', default=HOST, help=f'address to serve at (default {HOST})')
+    parser.add_argument(
+        '--port', type=int, default=PORT, help=f'or the first free one after it (default {PORT})'
+    )
+    options = parser.parse_args(args)
+    if not 1 <= options.port <= MOST_PORT:
+        parser.error(f'--port must be 1 to {MOST_PORT}')
+    return options
+
+
+def _is_local(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == 'localhost'
+
+
+def _open(what: str, topic: str, ended: threading.Event) -> World:
+    """Open what is to be shown; what is not needed for that is not imported."""
+    path = Path(what)
+    if path.suffix == '.npz':
+        from bvh_ros.view.worlds import SavedTree
+
+        return SavedTree(path)
+    if path.exists():
+        from bvh_ros.view.recorded import open_recording
+
+        return open_recording(path, topic)
+    if not what.startswith('/') or path.suffix:
+        raise RuntimeError(f'there is no file or folder {what}; names of nodes begin with /')
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from bvh_ros.ros import large_messages
+    from bvh_ros.view.live import Live
+
+    def give_up() -> None:
+        if ended.is_set():
+            raise KeyboardInterrupt
+
+    large_messages.enable()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    return Live(what, give_up)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Show until Ctrl-C or SIGTERM; return the exit code."""
+    options = _arguments(args)
+    try:
+        from bvh_ros.view.page import LocalServer, Page
+    except ModuleNotFoundError as error:
+        if error.name not in ('viser', 'trimesh'):
+            raise
+        print(f'bvh_view: {GET_IT}', file=sys.stderr)
+        return 1
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: ended.set())
+    server = LocalServer(options.host, options.port)
+    world = None
+    try:
+        print(f'bvh_view: http://{options.host}:{server.get_port()}', flush=True)
+        if not _is_local(options.host):
+            print(
+                f'bvh_view: {options.host} can be reached from other machines, and whoever '
+                'reaches it sees and asks all; nothing is encrypted',
+                file=sys.stderr,
+            )
+        waiting = server.gui.add_markdown(f'opening {options.what} ...')
+        world = _open(options.what, options.topic, ended)
+        waiting.remove()
+        Page(server, world).run(ended.is_set)
+    except KeyboardInterrupt:
+        pass
+    except (RuntimeError, ValueError, OSError) as error:
+        print(f'bvh_view: {error}', file=sys.stderr)
+        return 1
+    finally:
+        if world is not None:
+            world.close()
+        server.stop()
+        _end_ros()
+    return 0
+
+
+def _end_ros() -> None:
+    if 'rclpy' in sys.modules:
+        import rclpy
+
+        rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    sys.exit(main())

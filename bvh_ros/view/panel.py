@@ -1,0 +1,121 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The controls and figures beside the picture."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import viser
+
+from bvh_ros.view.drawing import COLOURS
+from bvh_ros.view.playing import Recording
+from bvh_ros.view.probe import CHOICES
+from bvh_ros.view.worlds import World
+
+BY_SOURCE, BY_NAMESPACE = 'source', 'namespace'
+MOST_IN_LEGEND = 12
+SPEEDS = ('0.1', '0.25', '0.5', '1', '2', '5', '10')
+Do = Callable[[Callable[[], object]], None]
+
+
+class Panel:
+    """Everything that can be read and set.
+
+    What a control does is not done in viser's threads, but handed to `do`, as is what the page
+    does by itself: nothing happens twice at a time.
+    """
+
+    def __init__(self, server: viser.ViserServer, world: World, do: Do) -> None:
+        self._gui, self._do = server.gui, do
+        self._recording: Recording | None = None
+        self.figures = self._gui.add_markdown(f'**{world.title}**')
+        self.legend = self._gui.add_html('')
+        if isinstance(world, Recording):
+            self._add_player(world)
+        with self._gui.add_folder('Clicked'):
+            self.picked = self._gui.add_markdown('Click an obstacle.')
+            self.follow = self._gui.add_checkbox('follow', False, disabled=True)
+        with self._gui.add_folder('Ask'):
+            self.ask = self._gui.add_dropdown('with', CHOICES)
+            self.answer = self._gui.add_markdown('')
+        with self._gui.add_folder('Tree'):
+            self.tree = self._gui.add_checkbox('boxes', False)
+            deepest = max(1, world.height)
+            self.depths = self._gui.add_multi_slider('depths', 0, deepest, 1, (0, min(3, deepest)))
+        with self._gui.add_folder('Show'):
+            self.colour = self._gui.add_dropdown('colours by', (BY_SOURCE, BY_NAMESPACE))
+            self.queries = self._gui.add_checkbox('queries and hits', world.has_queries)
+            self.queries.visible = world.has_queries
+            self.scan = self._gui.add_checkbox('virtual scan', world.has_scan)
+            self.scan.visible = world.has_scan
+            self.grid = self._gui.add_checkbox('grid', True)
+            self.frames = self._gui.add_checkbox('frames', True)
+            self.shadows = self._gui.add_checkbox('shadows', True)
+            self.dark = self._gui.add_checkbox('dark', False)
+
+    def _add_player(self, recording: Recording) -> None:
+        self._recording = recording
+        with self._gui.add_folder('Recording'):
+            self._time = self._gui.add_slider(
+                'time [s]', 0.0, max(recording.seconds, 0.01), 0.01, 0
+            )
+            self._play = self._gui.add_button('Pause')
+            step = self._gui.add_button('Step')
+            speed = self._gui.add_dropdown('speed', SPEEDS, initial_value='1')
+        self.on(self._time, lambda: self._seek(recording))
+        self.on_click(self._play, lambda: self._toggle(recording))
+        self.on_click(step, recording.step)
+        self.on(speed, lambda: setattr(recording, 'speed', float(speed.value)))
+
+    def _seek(self, recording: Recording) -> None:
+        if abs(self._time.value - recording.t) > 0.02:  # else it is we who moved the slider
+            recording.playing = False
+            recording.seek(self._time.value)
+
+    def _toggle(self, recording: Recording) -> None:
+        recording.playing = not recording.playing
+
+    def on(self, control: Any, act: Callable[[], object]) -> None:
+        """Have something done when a control is set by somebody in a browser."""
+        control.on_update(lambda event: self._do(act) if event.client is not None else None)
+
+    def on_click(self, button: Any, act: Callable[[], object]) -> None:
+        """Have something done when a button is clicked."""
+        button.on_click(lambda _event: self._do(act))
+
+    def tell(self, title: str, count: int, figures: Mapping[str, str]) -> None:
+        """Write the figures, and where a recording is."""
+        rows = [f'| {key} | {value} |' for key, value in figures.items()]
+        table = '\n'.join(['| | |', '|:--|--:|', *rows]) if rows else ''
+        _set(self.figures, f'**{count:,} obstacles** · {title}\n\n{table}')
+        if self._recording is not None:
+            t = round(min(self._recording.t, self._recording.seconds), 2)
+            self._time.value = t
+            label = 'Pause' if self._recording.playing else 'Play'
+            if self._play.label != label:
+                self._play.label = label
+
+    def tell_legend(self, legend: Mapping[str, tuple[int, int]]) -> None:
+        """Write which colour stands for what; `legend` gives a colour's number and a count."""
+        lines = []
+        for name, (number, count) in list(legend.items())[:MOST_IN_LEGEND]:
+            colour = 'rgb({},{},{})'.format(*COLOURS[number % len(COLOURS)])
+            lines.append(
+                f'<div style="display:flex;gap:.5em;align-items:center">'
+                f'<span style="width:.8em;height:.8em;border-radius:2px;background:{colour}">'
+                f'</span><span style="flex:1">{html.escape(name)}</span>'
+                f'<span>{count:,}</span></div>'
+            )
+        if len(legend) > MOST_IN_LEGEND:
+            lines.append(f'<div>and {len(legend) - MOST_IN_LEGEND} more</div>')
+        text = f'<div style="padding:0 .8em .5em;font-size:.85em">{"".join(lines)}</div>'
+        _set(self.legend, text)
+
+
+def _set(handle: Any, text: str) -> None:
+    """Write only what is new: everybody who looks is sent it."""
+    if handle.content != text:
+        handle.content = text

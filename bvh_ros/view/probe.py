@@ -1,0 +1,103 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A segment or a box that is drawn by two handles, and what it meets."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+
+import numpy as np
+import viser
+
+from bvh_ros.tree.plotting import BLOCKED_WAY, FREE_WAY
+from bvh_ros.view.drawing import Dots, Lines, edges
+from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, World
+
+NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
+CHOICES = (NOTHING, SEGMENT, BOX)
+SHOWN = 5  # names of a longer answer
+
+
+class Probe:
+    """Asks again whenever a handle or the world has moved."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._lines = Lines(server, '/ask/lines', 4.0)
+        self._spots = Dots(server, '/ask/hits', BLOCKED_WAY)
+        self._handles: list[viser.TransformControlsHandle] = []
+        self._label: viser.LabelHandle | None = None
+        self._asked: Hashable = None
+        self.kind = NOTHING
+        self.answer = ''
+
+    def choose(self, kind: str, middle: Floats, size: float) -> None:
+        """Begin with two handles about the middle of the world, or end."""
+        self.kind, self._asked, self.answer = kind, None, ''
+        for handle in self._handles:
+            handle.remove()
+        self._handles.clear()
+        if kind == NOTHING:
+            self._show(np.empty((0, 2, 3)), NO_POINTS, '', 1.0)
+            return
+        reach = np.array((0.25, 0.12, 0.02)) * size
+        for name, place in (('a', middle - reach), ('b', middle + reach)):
+            handle = self._server.scene.add_transform_controls(
+                f'/ask/{name}', scale=0.09 * size, disable_rotations=True, position=place,
+                translation_limits=((-1e9, 1e9),) * 3, depth_test=False,
+            )  # fmt: skip
+            self._handles.append(handle)
+
+    def place(self, one: Floats, other: Floats) -> None:
+        """Put the handles somewhere."""
+        for handle, place in zip(self._handles, (one, other), strict=True):
+            handle.position = place
+
+    def update(self, world: World, version: Hashable, size: float) -> None:
+        """Ask, if anything has moved."""
+        if self.kind == NOTHING:
+            return
+        one, other = (np.array(handle.position, np.float64) for handle in self._handles)
+        asked = (*one.tolist(), *other.tolist(), version)
+        if asked == self._asked:
+            return
+        self._asked = asked
+        try:
+            answer = (world.raycast if self.kind == SEGMENT else world.overlap)(one, other)
+        except (RuntimeError, ValueError) as error:
+            self.answer = f'no answer: {error}'
+            return
+        self.answer = in_words(answer)
+        spots = np.array([hit.point for hit in answer.hits]).reshape(-1, 3)
+        lines = np.stack((one, other))[None]
+        if self.kind == BOX:
+            lines = edges(np.minimum(one, other)[None], np.maximum(one, other)[None])
+        elif len(spots):
+            lines = np.array([(one, spots[0])])
+        names = ', '.join(hit.name for hit in answer.hits[:SHOWN])
+        self._show(lines, spots, names or 'free', size)
+
+    def _show(self, lines: Floats, spots: Floats, text: str, size: float) -> None:
+        colour = BLOCKED_WAY if len(spots) else FREE_WAY
+        self._lines.draw(lines, np.tile(colour, (len(lines), 1)))
+        self._spots.draw(spots, 0.01 * size)
+        if self._label is not None:
+            self._label.remove()
+            self._label = None
+        if text:
+            place = spots[0] if len(spots) else lines.mean(axis=(0, 1))
+            self._label = self._server.scene.add_label(
+                '/ask/answer', text, position=place, anchor='bottom-center'
+            )
+
+
+def in_words(answer: Answer) -> str:
+    """Who was met, where, and how long it took."""
+    took = f'{answer.microseconds:,.0f} us'
+    if not answer.hits:
+        return f'**free** · {took}'
+    names = ', '.join(f'**{hit.name}**' for hit in answer.hits[:SHOWN])
+    rest = len(answer.hits) - SHOWN
+    more = f' and {rest} more' if rest > 0 else ''
+    x, y, z = answer.hits[0].point
+    return f'{names}{more} at ({x:.3f}, {y:.3f}, {z:.3f}) m · {took}'

@@ -1,0 +1,244 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What can be looked at: a scene, what is drawn over it, and who answers questions about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Sequence
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.scene import Numbered, Scene, Shapes
+from bvh_ros.tree import DynamicBVH
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+MOST_BOXES = 20_000  # of the tree, in the browser
+NO_POINTS = np.empty((0, 3))
+THIN = 0.01  # height of what has none, a share of the world's width
+
+
+class Named(Protocol):
+    """An obstacle that a question met: a `SceneHit`, or a client's `Hit`."""
+
+    @property
+    def name(self) -> str:
+        """Of the obstacle."""
+
+    @property
+    def point(self) -> Sequence[float] | Floats:
+        """Where it is met, m."""
+
+
+class Met(NamedTuple):
+    """The same, of a tree that has no names."""
+
+    name: str
+    point: Floats
+
+
+class Answer(NamedTuple):
+    """What a question met, nearest first, and how long it took."""
+
+    hits: Sequence[Named]
+    microseconds: float
+
+
+class Group(NamedTuple):
+    """The obstacles of one source."""
+
+    source: str
+    shapes: Shapes
+    handles: Integers
+
+
+class Overlay(NamedTuple):
+    """What is drawn over the obstacles."""
+
+    lines: Floats = np.empty((0, 2, 3))
+    colours: Floats = np.empty((0, 3))  # one a line
+    spots: Floats = NO_POINTS  # hits
+    scan: Floats = NO_POINTS
+
+
+class Frame(NamedTuple):
+    """A coordinate frame within the world's."""
+
+    name: str
+    position: Floats
+    orientation: Floats  # quaternion x, y, z, w
+
+
+class Wanted(NamedTuple):
+    """What somebody wants to see; for the rest nobody works."""
+
+    tree: bool = False
+    queries: bool = False
+    scan: bool = False
+
+
+class World:
+    """A scene that does not change, and answers itself.
+
+    Parameters
+    ----------
+    title : str
+        What is shown, in words.
+    scene : Scene
+    """
+
+    frame_id = 'world'
+    has_queries = False  # whether others ask, and their questions can be shown
+    has_scan = False
+
+    def __init__(self, title: str, scene: Scene) -> None:
+        self.title = title
+        self.scene = scene
+
+    def prepare(self) -> None:
+        """Compile what questions need: the first answer is to be as fast as the others."""
+        nowhere = np.zeros(3)
+        self.raycast(nowhere, nowhere)
+        self.overlap(nowhere, nowhere)
+
+    def advance(self, until: float) -> None:
+        """Let the world go on until then (time.monotonic)."""
+        time.sleep(max(0.0, until - time.monotonic()))
+
+    def want(self, wanted: Wanted) -> None:
+        """Bring what somebody looks at, and nothing else."""
+
+    def version(self) -> Hashable:
+        """Another one after each change of the obstacles."""
+        return self.scene.population, self.scene.newest
+
+    def groups(self) -> list[Group]:
+        """All obstacles, by source."""
+        most = max(1, len(self.scene))
+        return [
+            Group(name, self.scene.shapes_of(name, most), self.scene.handles_of(name, most))
+            for name in self.scene.sources()
+        ]
+
+    def levels(self, first: int, last: int) -> tuple[Floats, Floats, Integers]:
+        """Boxes of the tree from one depth to another: lo, hi, depth."""
+        return self.scene.tree_levels(first, last, MOST_BOXES)
+
+    @property
+    def height(self) -> int:
+        """The greatest depth there is to show."""
+        return int(self.scene.stats()['height'])
+
+    def overlay(self) -> Overlay:
+        """Return what is to be drawn over the obstacles."""
+        return Overlay()
+
+    def frames(self) -> list[Frame]:
+        """Return the frames that are known, without the world's own."""
+        return []
+
+    def now(self) -> int:
+        """Return the time on the clock that stamps are of, ns; 0 if there is none."""
+        return 0
+
+    def figures(self) -> dict[str, str]:
+        """Tell how it goes."""
+        stats = self.scene.stats()
+        return {'height of the tree': str(stats['height']), 'cost': f'{stats["cost"]:.4g}'}
+
+    def raycast(self, start: Floats, goal: Floats) -> Answer:
+        """Ask for the first obstacle on a segment."""
+        began = time.perf_counter()
+        hit = self.scene.raycast(start, goal)
+        return _answer([] if hit is None else [hit], began)
+
+    def overlap(self, lo: Floats, hi: Floats) -> Answer:
+        """Ask for all obstacles that touch a box."""
+        began = time.perf_counter()
+        return _answer(self.scene.overlap(lo, hi), began)
+
+    def pick(self, start: Floats, direction: Floats, reach: float) -> Answer:
+        """Ask what somebody sees who looks this way; in a planar world what stands there."""
+        if not self.scene.planar:
+            return self.raycast(start, start + direction * reach)
+        down = -start[2] / direction[2] if direction[2] else 0.0
+        foot = start + direction * max(down, 0.0)
+        return self.overlap(foot, foot)
+
+    def close(self) -> None:
+        """Leave nothing open."""
+
+
+def _answer(hits: Sequence[Named], began: float) -> Answer:
+    return Answer(hits, 1e6 * (time.perf_counter() - began))
+
+
+class SavedTree(World):
+    """The file of a tree. Questions go to the tree itself, to its last bit.
+
+    Parameters
+    ----------
+    path : Path
+        What `DynamicBVH.save` wrote.
+
+    Raises
+    ------
+    ValueError
+        If the file holds no tree, or boxes too large to be drawn.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.tree = tree = DynamicBVH.load(path)
+        ids = tree.ids()
+        lo, hi = (_upright(corner) for corner in tree.boxes(ids))
+        if tree.ndim == 2 and len(ids):
+            hi[:, 2] = THIN * float((hi - lo).max(axis=0).max())
+        scene = Scene(planar=tree.ndim == 2, max_obstacles=max(1, len(ids)))
+        shapes = Shapes.boxes(0.5 * lo + 0.5 * hi, hi - lo)
+        for refusal in scene.update(path.name, Numbered('box/', ids), shapes, stamp=0):
+            raise ValueError(f'{path}: {refusal}')
+        super().__init__(f'{path.name}, {tree.ndim}D', scene)
+
+    def levels(self, first: int, last: int) -> tuple[Floats, Floats, Integers]:
+        """Boxes of the saved tree, not of a new one."""
+        return self.tree.levels(first, last, MOST_BOXES)
+
+    @property
+    def height(self) -> int:
+        """Of the saved tree."""
+        return self.tree.height
+
+    def figures(self) -> dict[str, str]:
+        """Tell the saved tree's height and cost."""
+        return {'height of the tree': str(self.height), 'cost': f'{self.tree.cost():.4g}'}
+
+    def raycast(self, start: Floats, goal: Floats) -> Answer:
+        """Ask the saved tree for the first box on a segment."""
+        began = time.perf_counter()
+        ndim = self.tree.ndim
+        hit = self.tree.raycast(start[:ndim], (goal - start)[:ndim], 1.0)
+        if hit is None:
+            return _answer([], began)
+        point = np.append(hit.point, start[ndim:])
+        return _answer([Met(f'box/{hit.id}', point)], began)
+
+    def overlap(self, lo: Floats, hi: Floats) -> Answer:
+        """Ask the saved tree for all boxes that touch a box, nearest to its middle first."""
+        began = time.perf_counter()
+        ndim = self.tree.ndim
+        lo, hi = np.minimum(lo, hi), np.maximum(lo, hi)
+        ids = self.tree.overlap(lo[:ndim], hi[:ndim])
+        middle = 0.5 * lo + 0.5 * hi
+        points = np.tile(middle, (len(ids), 1))
+        points[:, :ndim] = np.clip(middle[:ndim], *self.tree.boxes(ids))
+        order = np.argsort(np.linalg.norm(points - middle, axis=1), kind='stable')
+        return _answer([Met(f'box/{ids[row]}', points[row]) for row in order.tolist()], began)
+
+
+def _upright(corners: Floats) -> Floats:
+    """Corners (n, 3), those of a planar tree at z = 0."""
+    return np.pad(corners, ((0, 0), (0, 3 - corners.shape[1])))

@@ -1,0 +1,105 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Saved trees are shown and asked as they are, and only they are imported for that."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from bvh_ros import DynamicBVH
+from bvh_ros.scene import Scene, Shapes
+from bvh_ros.view.grouping import Namespaces, namespace_of
+from bvh_ros.view.main import _is_local
+from bvh_ros.view.worlds import SavedTree, World
+
+RNG = np.random.default_rng(4)
+
+
+@pytest.fixture(params=[2, 3])
+def saved(request, tmp_path):
+    """A tree, and the world that was made of its file."""
+    lo = RNG.uniform(0.0, 50.0, (200, request.param))
+    tree = DynamicBVH.from_boxes(lo, lo + RNG.uniform(0.1, 3.0, lo.shape))
+    tree.remove_many(tree.ids()[::7])
+    tree.save(tmp_path / 'tree.npz')
+    return tree, SavedTree(tmp_path / 'tree.npz')
+
+
+def test_a_saved_tree_is_shown_as_it_was(saved):
+    tree, world = saved
+    (group,) = world.groups()
+    lo, hi = tree.boxes(tree.ids())
+    half = 0.5 * group.shapes.size
+    np.testing.assert_allclose((group.shapes.position - half)[:, : tree.ndim], lo, rtol=1e-12)
+    np.testing.assert_allclose((group.shapes.position + half)[:, : tree.ndim], hi, rtol=1e-12)
+    assert world.height == tree.height
+    for given, wanted in zip(world.levels(1, 3), tree.levels(1, 3, 99_999), strict=True):
+        np.testing.assert_array_equal(given, wanted)
+
+
+def test_questions_are_answered_by_the_saved_tree(saved):
+    tree, world = saved
+    for _ in range(50):
+        start, goal = RNG.uniform(0.0, 50.0, (2, 3))
+        hit = tree.raycast(start[: tree.ndim], (goal - start)[: tree.ndim], 1.0)
+        answer = world.raycast(start, goal)
+        assert [one.name for one in answer.hits] == ([] if hit is None else [f'box/{hit.id}'])
+        near = world.overlap(start, goal).hits
+        lo, hi = np.minimum(start, goal), np.maximum(start, goal)
+        ids = tree.overlap(lo[: tree.ndim], hi[: tree.ndim])
+        assert {one.name for one in near} == {f'box/{one}' for one in ids}
+        away = [np.linalg.norm(one.point - (start + goal) / 2) for one in near]
+        assert away == sorted(away)
+        assert all(one.name in world.scene for one in near)
+
+
+def test_a_click_on_a_planar_world_asks_for_what_stands_there():
+    scene = Scene(planar=True)
+    scene.update('us', ['post'], Shapes.boxes([(2, 3, 0)], 1.0), stamp=0)
+    world = World('flat', scene)
+    eye = np.array((0.0, 0.0, 10.0))
+    assert [hit.name for hit in world.pick(eye, np.array((2, 3, -10.0)), 1.0).hits] == ['post']
+    assert world.pick(eye, np.array((2, 5, -10.0)), 1.0).hits == []
+
+
+def test_a_file_that_holds_no_tree(tmp_path):
+    (tmp_path / 'no.npz').write_bytes(b'no')
+    with pytest.raises(ValueError, match='no'):
+        SavedTree(tmp_path / 'no.npz')
+
+
+@pytest.mark.parametrize(
+    ('name', 'namespace'),
+    [('a/b/3', 'a/b'), ('a/3#17', 'a'), ('cloud#9', 'cloud'), ('box', 'box'), ('/3', '/3')],
+)
+def test_the_namespace_of_a_name(name, namespace):
+    assert namespace_of(name) == namespace
+
+
+def test_namespaces_of_those_who_come_and_go():
+    scene, split = Scene(), Namespaces()
+    for names in (['a/1', 'b/1', 'a/2'], ['b/2', 'a/2', 'c/1'], ['c/1']):
+        places = [(k, 0, 0) for k in range(len(names))]
+        scene.replace('us', '', names, Shapes.boxes(places, 0.5), stamp=0)
+        found = dict(split.split(scene, World('', scene).groups()))
+        wanted = {name[0] for name in names}
+        assert {name for name, shapes in found.items()} == wanted
+        for letter in wanted:
+            places = sorted(k for k, name in enumerate(names) if name[0] == letter)
+            assert sorted(found[letter].position[:, 0].tolist()) == places
+
+
+def test_a_saved_tree_needs_no_ros_and_the_worlds_no_viser():
+    program = 'import sys, bvh_ros.view.worlds; print(*{"rclpy", "viser"} & {*sys.modules})'
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.split()) == (0, []), done.stderr
+
+
+@pytest.mark.parametrize(
+    ('host', 'local'),
+    [('127.0.0.1', True), ('::1', True), ('localhost', True), ('0.0.0.0', False), ('x', False)],
+)
+def test_who_can_reach_the_page(host, local):
+    assert _is_local(host) == local
