@@ -74,6 +74,25 @@ def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     return np.maximum(gaps.max(axis=1), 0.0)
 
 
+def hull_distances(points: Floats, triangles: Floats) -> Floats:
+    """Distances of points (n, 3) from the convex solid with these faces (m, 3, 3), 0 inside: of
+    its faces, seen straight on, and their edges the nearest.
+    """
+    turned = np.roll(triangles, -1, axis=1)
+    normals = np.cross(*np.moveaxis(turned - triangles, 1, 0)[:2])
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    outwards = np.einsum('mi,mi->m', normals, triangles[:, 0] - triangles.mean(axis=(0, 1)))
+    heights = points @ normals.T - np.einsum('mi,mi->m', normals, triangles[:, 0])
+    heights *= np.copysign(1.0, outwards)
+    sides, from_corner = turned - triangles, points[:, None, None] - triangles
+    straight_on = np.einsum('mei,nmei->nme', np.cross(normals[:, None], sides), from_corner) >= 0
+    share = np.einsum('mei,nmei->nme', sides, from_corner) / np.sum(sides * sides, axis=2)
+    to_edge = from_corner - np.clip(share, 0.0, 1.0)[..., None] * sides
+    best = np.linalg.norm(to_edge, axis=3).min(axis=(1, 2))
+    faced = np.where(straight_on.all(axis=2), np.abs(heights), np.inf).min(axis=1)
+    return np.where((heights <= 0.0).all(axis=1), 0.0, np.minimum(best, faced))
+
+
 def geometry_arrays(shapes: Shapes) -> list[Solid]:
     turns = np.where(np.any(shapes.orientation, axis=1)[:, None], shapes.orientation, [0, 0, 0, 1])
     matrices = Rotation.from_quat(turns).as_matrix()
