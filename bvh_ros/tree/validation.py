@@ -88,8 +88,8 @@ def _look_at_forms(ndim: int, margin: float, arrays: Tree) -> str | None:
     if margin > 0.0 and not len(tight):
         return 'the exact boxes are missing, which a tree with a margin has'
     forms = array_forms(ndim, capacity, bool(len(tight)))
-    array: NDArray[Any]
-    for (name, (dtype, shape)), array in zip(forms.items(), arrays, strict=True):
+    each: tuple[NDArray[Any], ...] = arrays
+    for (name, (dtype, shape)), array in zip(forms.items(), each, strict=True):
         if array.dtype != dtype or array.shape != shape:
             return (
                 f'the {name} must be {dtype} of shape {shape}, '
