@@ -54,7 +54,8 @@ def over_edge(simplex, i, j, trial):
     between(simplex, i, j, step)
     at_corner(simplex, i, corner)
     square, along = dot2(step, step), dot2(corner, step)
-    if not 0.0 < -along[0] < square[0]:
+    beyond = plus(square, along)  # by all digits: an end may be that near
+    if not (along[0] < 0.0 < beyond[0]):
         return False
     share = over((-along[0], -along[1]), square)
     trial[:] = 0.0

@@ -6,7 +6,7 @@ boxes.
 
 import numpy as np
 import pytest
-from scene.reference import geometry_arrays, random_shapes
+from scene.reference import geometry_arrays, hull_of, random_shapes
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
@@ -105,6 +105,25 @@ def test_meshes_apart_in_one_box():
     assert found.distance == pytest.approx(1 / np.sqrt(3))
     assert found.point.sum() == pytest.approx(1)
     assert found.other_point.sum() == pytest.approx(2)
+
+
+def test_a_corner_next_to_the_foot_of_an_edge_is_not_lost():
+    """Corners of two solids, 8.089e-11 m apart: true value in rationals, to the rounding of the
+    turns. The foot was within 2**-53 of the edge's end, and the edge was passed over.
+    """
+    angle = np.arange(4) * np.pi / 2
+    rim = np.column_stack((np.cos(angle), np.sin(angle), np.full(4, -1.0)))
+    mesh = Mesh(hull_of(np.vstack((rim, rim * [1, 1, -1]))))
+    place = [2.0276924442535242, -0.16799615471023405, -1.8961507196848433]
+    other = [2.730285123749456, -1.7345266680773037, -3.154270107781881]
+    turn = [0.39079225778914123, -0.7677200925595162, -0.3950377768121889, 0.3191119327504951]
+    nearly = [0.3907922576480083, -0.7677200926380268, -0.3950377768610538, 0.3191119326739578]
+    size = [1.5240712412707102, 1.8409593686503811, 0.9771056534053408]
+    scene = Scene()
+    scene.update('test', ['box'], Shapes.boxes([place], size, [turn]), stamp=1)
+    scene.update('test', ['mesh'], Shapes.of_meshes([mesh], [other], [nearly]), stamp=1)
+    for name in ('box', 'mesh'):
+        assert abs(scene.clearance(name).distance - 8.0890292e-11) < 1e-13
 
 
 def test_seen_from_above():
