@@ -13,6 +13,7 @@ import numpy as np
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 
+FEW = 256  # rays that go through the snapshot one by one, where there is one
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
@@ -186,7 +187,7 @@ def _batches(needs: Needs) -> None:
     scene.replace(
         'cloud', '', Numbered('box#', np.arange(MANY)), Shapes.boxes(line, EDGE), stamp=1
     )
-    for count in (1, MANY):
+    for count in (1, MANY, FEW):  # the snapshot is there once many were asked
         scene.raycast_many(line[:count], line[:count])
 
 
