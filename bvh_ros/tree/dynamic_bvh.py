@@ -99,7 +99,7 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
         self._thorough = sibling_search == 'branch_and_bound'
         places = checks.capacity('capacity', capacity)
         self._storage = new_storage(self._ndim, places, self._margin > 0.0)
-        self._wide = 0, 0, None
+        self._wide = 0, 0, None, None
 
     @classmethod
     def from_boxes(

@@ -184,7 +184,7 @@ class Introspection(Arrays):
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""
         view = self.view()
-        tree, (written, _, snapshot) = view.tree, self._wide
+        tree, (written, _, snapshot, _) = view.tree, self._wide
         state = tree.state
         built_cost = state.view(np.float64).item(BUILT_COST)
         stats = {

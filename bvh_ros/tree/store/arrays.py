@@ -24,6 +24,7 @@ from ..nodes import (
     STATE_PLACES,
     TURN,
     WRITTEN,
+    Tree,
     View,
 )
 from ..wide import snapshot as wide
@@ -44,8 +45,9 @@ class Arrays:
     _thorough: bool
     _storage: Storage
     # `state[WRITTEN]` when it was last looked at; the snapshot if there is one, and rays cast
-    # without one, or how often rays visited its loose nodes. All are written together.
-    _wide: tuple[int, int, wide.Snapshot | None]
+    # without one, or how often rays visited its loose nodes; the arrays that it was taken of. All
+    # are written together.
+    _wide: tuple[int, int, wide.Snapshot | None, Tree | None]
 
     @property
     def ndim(self) -> int:
@@ -141,8 +143,7 @@ class Arrays:
             heir = storage.heirs[0]
             if inherit_entry(self._ndim)(storage.tree, heir.tree) != 0:
                 break  # it is just being changed: that change is the one that is refused
-            # Who still asks the old arrays may patch a snapshot for them: it is theirs alone.
-            self._wide = 0, 0, None
+            self._wide = 0, 0, None, None
             self._storage = storage = heir
         return storage
 
@@ -218,8 +219,8 @@ class Arrays:
         """
         state = view.tree.state
         written, boxes = state.item(WRITTEN), state.item(COUNT)
-        of, rays, snapshot = self._wide
-        if view.tree is not self._storage.tree:  # outgrown: what there is, is of larger arrays
+        of, rays, snapshot, tree = self._wide
+        if tree is not view.tree:  # who still asks outgrown arrays patches nothing of the new ones
             of, rays, snapshot = written, 0, None
         if of != written:
             if snapshot is not None:
@@ -237,6 +238,5 @@ class Arrays:
             rays, snapshot = 0, wide.take_snapshot(view)
             if snapshot is None:  # nor will there be one before the tree changes
                 rays = -(2**62)
-        if view.tree is self._storage.tree:
-            self._wide = written, rays, snapshot
+        self._wide = written, rays, snapshot, view.tree
         return snapshot

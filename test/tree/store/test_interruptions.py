@@ -138,7 +138,8 @@ def live_on(tree: DynamicBVH, newest: int) -> None:
 def copied(tree: DynamicBVH) -> DynamicBVH:
     """With its snapshot, and what that knows of the tree's changes."""
     other = copy.copy(tree)
-    other._wide, other.state[WRITTEN] = tree._wide, tree.state[WRITTEN]
+    other._wide = (*tree._wide[:-1], other._storage.tree)
+    other.state[WRITTEN] = tree.state[WRITTEN]
     return other
 
 

@@ -202,7 +202,7 @@ FORK = """
                     tree.move(int(handles[0]), lo[1], lo[1] + 1)
                     tree.rebuild()
                 else:
-                    tree._wide = 0, 0, None  # a snapshot is built by each batch
+                    tree._wide = 0, 0, None, None  # a snapshot is built by each batch
                     tree.raycast_many(lo, lo, threads=2)
             except RuntimeError:
                 pass
