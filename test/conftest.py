@@ -5,6 +5,7 @@
 import os
 import signal
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +49,16 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f'the recordings are not on this machine: no folder {folder}')
     return folder
+
+
+@pytest.fixture(scope='session')
+def ros_context() -> Iterator[None]:
+    """ROS in this process, from the first test that needs it to the last: `rclpy.init` is legal
+    only once, and a test that shut it down would take it from another file's fixtures.
+    """
+    rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.try_shutdown()

@@ -171,20 +171,17 @@ class World:
 
 
 @pytest.fixture(scope='session')
-def ros() -> Iterator[Any]:
+def ros(ros_context: None) -> Iterator[Any]:
     """The node and the executor of this process."""
-    rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    import rclpy
     from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('test')
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     yield node, executor
     executor.shutdown()
     node.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.fixture(scope='module')

@@ -12,7 +12,6 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
-from rclpy.signals import SignalHandlerOptions
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient
@@ -62,9 +61,8 @@ class Publisher:
 
 
 @pytest.fixture(scope='module')
-def live():
+def live(ros_context):
     """The view, and who publishes; the source `early` spoke before anybody looked."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('others', namespace=SPACE)
     client, others = BvhClient(node), Publisher(node)
     with running_node(SPACE, PARAMETERS) as process:
@@ -82,7 +80,6 @@ def live():
         finally:
             world.close()
     node.destroy_node()
-    rclpy.try_shutdown()
 
 
 def until(world, condition):

@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-import rclpy
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -93,7 +92,7 @@ def bag(tmp_path):
     return tmp_path / 'bag'
 
 
-def test_a_bag_is_read_as_the_node_reads_it(bag):
+def test_a_bag_is_read_as_the_node_reads_it(ros_context, bag):
     recording = open_recording(bag)
     try:
         recording.playing = False
@@ -109,14 +108,12 @@ def test_a_bag_is_read_as_the_node_reads_it(bag):
         assert 'dies/1' in recording.scene
     finally:
         recording.close()
-        rclpy.try_shutdown()
 
 
 @pytest.mark.parametrize('source', ['warehouse', 'bag'])
-def test_a_still_shows_rays_and_hits(source, bag, tmp_path, monkeypatch):
+def test_a_still_shows_rays_and_hits(ros_context, source, bag, tmp_path, monkeypatch):
     pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
     still.draw(tmp_path / 'still.png', None if source == 'warehouse' else bag)
-    rclpy.try_shutdown()
     seen = np.rint(255 * pyplot.imread(tmp_path / 'still.png')[..., :3]).astype(int)
     hit = np.abs(seen - (214, 94, 0)).max(axis=2) < 3
     assert hit.sum() > 30
