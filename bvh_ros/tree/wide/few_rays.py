@@ -18,10 +18,11 @@ from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, end_query
 from .best_hit import is_better
+from .collapse_plan import DEEPEST_WIDE
 from .filtering import limit32, octant_of, start_ray
 from .ray_streams import without_lowest
 from .raycasting import ALL32, is_stale, set_inverse, write_hit
-from .snapshot import DEEPEST_WIDE, LOOSE_NODES, no_snapshot
+from .snapshot import LOOSE_NODES, no_snapshot
 
 _STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
