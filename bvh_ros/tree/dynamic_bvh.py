@@ -5,6 +5,7 @@
 import contextlib
 import inspect
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -275,17 +276,27 @@ class DynamicBVH(RayQueries, BoxQueries, Introspection):
 
     # ---- keeping
 
-    def save(self, path: str | PathLike[str]) -> None:
-        """Write the tree to one .npz file; `load` gives it back with the same handles."""
-        files.save(checks.path('path', path), self._packed())
+    def save(self, path: str | PathLike[str], mapped: bool = False) -> None:
+        """Write the tree to one file, from which `load` gives it back with the same handles: an
+        .npz, or with `mapped` a file that is larger and can be mapped into memory.
+        """
+        files.save(checks.path('path', path), self._packed(), checks.flag('mapped', mapped))
 
     @classmethod
-    def load(cls, path: str | PathLike[str]) -> 'DynamicBVH':
+    def load(cls, path: str | PathLike[str], mmap: bool = False) -> 'DynamicBVH':
         """Read what `save` wrote. ValueError if the file is of another format version, not such a
         file, or of a tree that is not sound. A subclass' `__init__` is not called.
+
+        `mmap`: map what was saved with ``mapped=True`` into memory. That takes a millisecond,
+        whatever the size, and all processes of a machine share the memory. The tree is read-only:
+        a change raises ValueError. Only the header is checked, so map no file that you do not
+        trust, and do not write into a file that is mapped (`save` puts a new one in its place).
         """
-        tree = cls.__new__(cls)
-        tree.__setstate__(files.load(checks.path('path', path)))
+        tree, file = cls.__new__(cls), checks.path('path', path)
+        if checks.flag('mmap', mmap):
+            files.attach(tree, Path(file))
+        else:
+            tree.__setstate__(files.load(file))
         return tree
 
     def _packed(self) -> dict[str, Any]:

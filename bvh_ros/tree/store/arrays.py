@@ -28,11 +28,12 @@ from ..nodes import (
     View,
 )
 from ..wide import snapshot as wide
-from .storage import Storage, allocate, inherit_entry
+from .storage import READ_ONLY, Storage, allocate, inherit_entry
 from .turns import ANY_VERSION, IS_CHANGED, IS_QUERIED, QUERIED
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
+IS_READ_ONLY = 'the tree is mapped from a file and read-only: load it without mmap to change it'
 NO_ROWS, NO_MASKS = np.empty(0, np.int64), np.empty(0, np.uint32)
 
 
@@ -149,6 +150,8 @@ class Arrays:
 
     def _replace_storage(self, storage: Storage, capacity: int, fat: bool) -> None:
         """Let larger arrays, or others, take the place of these."""
+        if storage.process == READ_ONLY:
+            raise ValueError(IS_READ_ONLY)
         storage.heirs.append(allocate(self.ndim, capacity, fat))
         if self._settled() is storage:
             raise RuntimeError(IS_CHANGED)

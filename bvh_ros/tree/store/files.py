@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
+from numpy.typing import NDArray
 
-from ..nodes import COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN
+from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN, Tree
 from ..validation import array_forms
-from .storage import allocate
+from . import mapped
+from .storage import READ_ONLY, Storage, allocate
 
 VERSION = 1
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
@@ -47,14 +49,19 @@ def pack(tree: Any) -> dict[str, Any]:
     }
 
 
-def save(path: str | PathLike[str], packed: dict[str, Any]) -> None:
-    """Write one .npz under exactly this path."""
+def save(path: str | PathLike[str], packed: dict[str, Any], to_map: bool) -> None:
+    """Write one file under exactly this path: to be mapped, or else an .npz."""
+    if to_map:
+        mapped.save(Path(path), packed)
+        return
     with open(path, 'wb') as file:
         np.savez_compressed(file, **packed)
 
 
 def load(path: str | PathLike[str]) -> dict[str, Any]:
     """Read what `save` wrote; ValueError if the file is anything else."""
+    if mapped.is_mapped(Path(path)):
+        return mapped.load(Path(path))
     data = Path(path).read_bytes()  # an OSError is about the disk; what comes now, the content
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -156,6 +163,22 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
     return kept | {'counters': _counters(packed['counters'], counters)}
 
 
+def attach(tree: Any, path: Path) -> None:
+    """Let a new tree be what a file written by `mapped.save` holds, read-only and not copied."""
+    header, arrays = mapped.attach(path)
+    tree._begin(header['ndim'], header['margin'], header['sibling_search'], 1)
+    state = np.zeros(ALL_PLACES, np.int64)
+    _fill_state(state, header, _counters(header['counters'], tree.COUNTERS))
+    state[TURN] = 1  # of a query that never ends
+    tree._storage = Storage(Tree(**arrays, state=state), [], READ_ONLY)
+
+
+def _fill_state(state: NDArray[np.int64], kept: dict[str, Any], counters: dict[str, int]) -> None:
+    state[:STATE_PLACES], state[SERIAL] = kept['state'], kept['serial']
+    for name, count in counters.items():
+        state[COUNTERS[name]] = count
+
+
 def unpack(tree: Any, packed: Any) -> None:
     """Fill a new tree; ValueError if what was kept is not a sound one."""
     kept = _sound(packed, tree.COUNTERS)
@@ -163,10 +186,8 @@ def unpack(tree: Any, packed: Any) -> None:
     storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
     for name in ARRAYS[:-1]:
         getattr(storage.tree, name)[:] = kept[name]
-    state = storage.tree.state
-    state[:STATE_PLACES], state[SERIAL], state[TURN] = kept['state'], kept['serial'], 0
-    for name, count in kept['counters'].items():
-        state[COUNTERS[name]] = count
+    _fill_state(storage.tree.state, kept, kept['counters'])
+    storage.tree.state[TURN] = 0
     tree._storage = storage
     try:
         tree.validate()

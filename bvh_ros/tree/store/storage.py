@@ -46,6 +46,8 @@ from .turns import (
     replace_atomically,
 )
 
+READ_ONLY = -1
+
 
 class Storage(NamedTuple):
     """A tree's arrays, and what becomes of them."""
@@ -54,7 +56,9 @@ class Storage(NamedTuple):
     heirs: list['Storage']
     """Once it is outgrown: the first is the heir."""
     process: int
-    """Where it was made: a turn that is taken in a forked process may never be given back."""
+    """Where it was made: a turn that is taken in a forked process may never be given back.
+    READ_ONLY: the arrays are those of a mapped file, and a query that never ends has a turn.
+    """
 
 
 def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
