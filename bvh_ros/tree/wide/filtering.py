@@ -18,31 +18,33 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined
+from ..jit.float64x4 import aim
 from ..nodes import NONE
 from ..rays.slab import INSIDE
 
 PAD32 = 2.0**-22
 FARTHEST_ORIGIN = 2.0**10
 STEEPEST = 2.0**40
+_BOUNDS = FARTHEST_ORIGIN, 1e-290, 1e200, STEEPEST, PAD32
 NOWHERE = np.float32(-1.0)  # a limit that no box is within
 
 
 @functools.cache
 def ray_dtype(ndim: int) -> np.dtype[Any]:
     """Record of a ray on its way through the snapshot, of one cache line: its best hit so far, and
-    what `stream16` reads.
+    what `stream16` reads. `aim` writes four bytes more than each of its three fields, in turn.
     """
     three = np.float32, (ndim,)
     fields = {
         'best_t': (np.float64, 0),  # about
         'unit': (np.float64, 8),  # t times this is a distance in the snapshot's units
-        'slot': (np.int32, 16),  # of the best hit, or NONE
-        'axis': (np.int16, 20),
-        'exact': (np.bool_, 22),  # whether a decision took exact arithmetic
-        'limit': (np.float32, 24),  # surely not less than best_t
-        'slope': (three, 28),  # inverses of the direction
-        'near_shift': (three, 28 + 4 * ndim),
-        'far_shift': (three, 28 + 8 * ndim),
+        'slope': (three, 16),  # inverses of the direction
+        'near_shift': (three, 16 + 4 * ndim),
+        'far_shift': (three, 16 + 8 * ndim),
+        'limit': (np.float32, 52),  # surely not less than best_t
+        'slot': (np.int32, 56),  # of the best hit, or NONE
+        'axis': (np.int16, 60),
+        'exact': (np.bool_, 62),  # whether a decision took exact arithmetic
     }
     kinds, offsets = zip(*fields.values(), strict=True)
     return np.dtype({'names': list(fields), 'formats': kinds, 'offsets': offsets, 'itemsize': 64})
@@ -59,26 +61,10 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
     """Fill a record; return whether the ray is suited. What is not finite is not: NaN is in no
     range.
     """
-    suited, largest = True, 0.0
-    for axis in range(origin.shape[0]):
-        length = abs(direction[axis])
-        distance = abs(origin[axis] - center[axis]) * per_length
-        suited &= (distance < FARTHEST_ORIGIN) & (
-            (length == 0.0) | ((length > 1e-290) & (length < 1e200))
-        )
-        largest = max(largest, length)
+    largest, suited = aim(ray, origin, direction, center, per_length, _BOUNDS)
     unit = largest * per_length
     ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
     ray.slot, ray.axis, ray.exact = NONE, INSIDE, False
-    for axis in range(origin.shape[0]):
-        inverse = largest / direction[axis]
-        steepness = min(abs(inverse), STEEPEST)
-        start = (origin[axis] - center[axis]) * per_length
-        pad = PAD32 * steepness * (1.0 + abs(start))
-        slope = math.copysign(steepness, inverse)
-        shift = -start * slope
-        ray.slope[axis] = slope
-        ray.near_shift[axis], ray.far_shift[axis] = shift - pad, shift + pad
     return suited & (largest > 1e-200) & (unit > 1e-290) & (unit < 1e290)
 
 

@@ -134,6 +134,8 @@ def traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally):
         met = stream16(snapshot.planes, node, octant, scratch.records, here, scratch.met, nearest)
         if not all_seen:
             met = apply_masks(snapshot.masks, node, masks, rows, here, scratch.met)
+        if met == np.uint32(0):
+            continue
         first, step = start, np.int64(0)  # the list of a single ray serves all children
         ends[:WIDTH] = np.uint64(start + 1)
         if count > 1:

@@ -1,0 +1,93 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Four float64 lanes at once: the axes of a ray."""
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from .intrinsics import elements_at, index, pick, splat
+
+FOUR = 4
+
+_INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
+_VECTOR, _NARROW = ir.VectorType(_DOUBLE, FOUR), ir.VectorType(ir.FloatType(), FOUR)
+
+
+def _each(builder: Any, name: str, *operands: Any) -> Any:
+    """LLVM's function of this name, lane by lane."""
+    kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(operands))
+    function = cgutils.get_or_insert_function(builder.module, kind, f'llvm.{name}.v4f64')
+    return builder.call(function, operands)
+
+
+def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
+    """The first numbers of an array, and zeros."""
+    first = elements_at(context, builder, kind, array, index(0), index(ndim))
+    numbers = ir.Constant(_VECTOR, [0.0] * FOUR)
+    for axis in range(ndim):
+        number = builder.load(builder.gep(first, [index(axis)]))
+        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
+    return numbers
+
+
+def _all(builder: Any, truths: Any) -> Any:
+    bits = builder.bitcast(truths, ir.IntType(FOUR))
+    return builder.icmp_unsigned('==', bits, ir.Constant(bits.type, -1))
+
+
+def _largest(builder: Any, numbers: Any) -> Any:
+    """The largest lane; none is less than 0."""
+    lanes = [builder.extract_element(numbers, ir.Constant(_INT, i)) for i in range(FOUR - 1)]
+    return pick(builder, '>', pick(builder, '>', lanes[0], lanes[1]), lanes[2])
+
+
+@intrinsic
+def aim(typingctx, ray, origin, direction, center, per_length, bounds):
+    """Write how a ray meets planes, `slope`, `near_shift` and `far_shift` of a record as of
+    `filtering.ray_dtype`; what lies in the four bytes behind each of them is lost. Returns the
+    largest component of the direction, and whether the ray is within `bounds`.
+
+    `bounds`, float64: how far an origin may be, least and largest component that is not zero; how
+    large an inverse becomes, and the pad.
+    """
+    ndim = ray.typeof('slope').shape[0]
+    result = types.Tuple((types.float64, types.boolean))
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def row(argument: int) -> Any:
+            return _row(context, builder, signature.args[argument], args[argument], ndim)
+
+        def store(name: str, numbers: Any) -> None:
+            place = builder.gep(record, [index(ray.offset(name))])
+            place = builder.bitcast(place, _NARROW.as_pointer())
+            builder.store(builder.fptrunc(numbers, _NARROW), place, align=4)
+
+        record = builder.bitcast(args[0], ir.IntType(8).as_pointer())
+        bounds = [splat(builder, b, FOUR) for b in cgutils.unpack_tuple(builder, args[5])]
+        farthest, least, most, steepest, pad = bounds
+        direction, zero, one = row(2), *(ir.Constant(_VECTOR, [n] * FOUR) for n in (0.0, 1.0))
+        length = _each(builder, 'fabs', direction)
+        largest = _largest(builder, length)
+        inverse = builder.fdiv(splat(builder, largest, FOUR), direction)
+        steepness = pick(builder, '<', _each(builder, 'fabs', inverse), steepest)
+        slope = _each(builder, 'copysign', steepness, inverse)
+        start = builder.fsub(row(1), row(3))
+        start = builder.fmul(start, splat(builder, args[4], FOUR))
+        distance = _each(builder, 'fabs', start)
+        pad = builder.fmul(builder.fmul(pad, steepness), builder.fadd(one, distance))
+        shift = builder.fneg(builder.fmul(start, slope))
+        store('slope', slope)
+        store('near_shift', builder.fsub(shift, pad))
+        store('far_shift', builder.fadd(shift, pad))
+        within = builder.and_(
+            builder.fcmp_ordered('>', length, least), builder.fcmp_ordered('<', length, most)
+        )
+        within = builder.or_(within, builder.fcmp_ordered('==', length, zero))
+        within = builder.and_(within, builder.fcmp_ordered('<', distance, farthest))
+        return context.make_tuple(builder, signature.return_type, (largest, _all(builder, within)))
+
+    return result(ray, origin, direction, center, per_length, bounds), codegen
