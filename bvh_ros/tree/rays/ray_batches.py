@@ -22,6 +22,7 @@ FEW_RAYS = 1500
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
 INT64 = np.dtype(np.int64)
+_NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 
 def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
@@ -52,15 +53,13 @@ def part_of(rays: Rays, hits: RayHits, start: int, stop: int) -> tuple[Rays, Ray
 
 def room_for(count: int, ndim: int, mode: int) -> RayHits:
     """Room for the answers of so many rays."""
-    described = count if mode == CLOSEST else 0
+    if mode != CLOSEST:
+        return tuple.__new__(RayHits, (np.empty(count, INT64), *_NOT_DESCRIBED[ndim]))
     if count < LARGE:
-        ids, ts = np.empty(count, INT64), np.empty(described)
-        return tuple.__new__(RayHits, (ids, ts, np.empty((described, ndim))))
+        room = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
+        return tuple.__new__(RayHits, room)
     # One piece of memory: three make the allocator give theirs back to the system after each
     # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
-    room = np.empty(count + described * (1 + ndim))
-    return RayHits(
-        room[:count].view(np.int64),
-        room[count : count + described],
-        room[count + described :].reshape(described, ndim),
-    )
+    room = np.empty(count * (2 + ndim))
+    ids, ts, normals = room[:count].view(INT64), room[count : 2 * count], room[2 * count :]
+    return RayHits(ids, ts, normals.reshape(count, ndim))

@@ -117,6 +117,8 @@ def raycast_rows(tree, version, rays, hits):
             exact = done
             break
         exact += done
+    if rays.counted and exact >= 0:
+        count_rays(tree.state, rays.origins.shape[0], exact)
     end_query(tree.state)
     return exact
 

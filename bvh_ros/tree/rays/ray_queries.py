@@ -15,6 +15,9 @@ from ..wide.ray_streams import RAYS_AT_ONCE
 from . import ray_batches, ray_hits, raycasting
 from .raycasting import Rays
 
+# An array: numpy takes as long to make one of a number as for all else.
+_NO_BOX = np.array(NONE)
+
 
 class RayQueries(Arrays):
     """What rays meet."""
@@ -140,7 +143,7 @@ class RayQueries(Arrays):
         """Whether each of n rays meets any box, shape (n,). Arguments as `raycast_many`."""
         mode = raycasting.ANY
         hits = self._first(origins, directions, t_max, mask, skip_inside, mode, threads)
-        return np.asarray(hits.ids != NONE)
+        return np.asarray(hits.ids != _NO_BOX)
 
     def raycast_all_many(
         self,
@@ -221,10 +224,11 @@ class RayQueries(Arrays):
         t_max = checks.limits_or_one('t_max', t_max, count)
         masks = checks.masks_or_one(mask, count)
         skip_inside = checks.flag('skip_inside', skip_inside)
-        # As Rays(...), which would take one more call of a function of Python's.
-        rays = tuple.__new__(Rays, (origins, directions, t_max, masks, skip_inside, mode))
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
+        # As Rays(...), which would take one more call of a function of Python's.
+        asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
+        rays = tuple.__new__(Rays, asked)
         hits = ray_batches.room_for(count, ndim, mode)
         view = self.view()
         snapshot = self._snapshot_for(count, view)
@@ -238,11 +242,13 @@ class RayQueries(Arrays):
 
             done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
             exact = min(done) if min(done) < 0 else sum(done)
+            # Once all are answered: of what is refused none counts.
+            if exact >= 0:
+                ray_hits.count_entry(ndim)(view.tree, count, exact)
         if exact == NOT_FINITE:
             checks.finite('origins', origins)
             checks.finite('directions', directions)
-        # Rays are counted once all are answered: of what is refused none counts.
-        ray_hits.count_entry(ndim)(view.tree, count, accepted(exact))
+        accepted(exact)
         return hits
 
     def every_hit(

@@ -49,6 +49,8 @@ class Rays(NamedTuple):
     skip_inside: bool
     mode: int
     """CLOSEST, ANY or EVERY."""
+    counted: bool = False
+    """Whether the kernel counts them, too: it does of a batch that is not cut into parts."""
 
 
 class Found(NamedTuple):

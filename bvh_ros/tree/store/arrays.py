@@ -129,7 +129,7 @@ class Arrays:
         """The tree as it is now, for a query of several steps."""
         storage = self._storage
         tree = self._settled().tree if storage.heirs else storage.tree
-        return View(tree, tree.state.item(CHANGES))
+        return tuple.__new__(View, (tree, tree.state.item(CHANGES)))
 
     def check_unchanged(self, view: View) -> None:
         """RuntimeError if what was read since the view was taken may not fit together."""
@@ -221,8 +221,11 @@ class Arrays:
         Threads that ask at the same time may each build one: none waits for another.
         """
         state = view.tree.state
-        written, boxes = state.item(WRITTEN), state.item(COUNT)
+        written = state.item(WRITTEN)
         of, rays, snapshot, tree = self._wide
+        if snapshot is not None and of == written and tree is view.tree and not snapshot.loose:
+            return snapshot
+        boxes = state.item(COUNT)
         if tree is not view.tree:  # who still asks outgrown arrays patches nothing of the new ones
             of, rays, snapshot = written, 0, None
         if of != written:

@@ -16,7 +16,7 @@ from ..nodes import NONE
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS
-from ..store.turns import REFUSED, begin_query, end_query
+from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
 from .collapse_plan import DEEPEST_WIDE
 from .filtering import limit32, octant_of, start_ray
@@ -57,6 +57,8 @@ def cast_few(tree, version, snapshot, rays, hits):
         if hit[0] != NONE:
             write_hit(tree, ray, rays, row, hit, hits)
         exact += np.int64(ray[EXACT, 0])
+    if rays.counted:
+        count_rays(tree.state, rays.origins.shape[0], exact)
     end_query(tree.state)
     return exact
 

@@ -23,7 +23,7 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
+from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
 from .ray_streams import (
@@ -83,6 +83,8 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
                     exact = write_hit(tree, scratch.ray, rays, row, hit, hits)
                     tally[DECIDED_EXACTLY] += exact and not best.exact
                 begin += rows.shape[0]
+    if rays.counted and tally[BAD] == 0:
+        count_rays(tree.state, count, tally[DECIDED_EXACTLY])
     end_query(tree.state)
     return tally[DECIDED_EXACTLY] if tally[BAD] == 0 else np.int64(NOT_FINITE)
 
