@@ -56,8 +56,8 @@ def room_for(count: int, ndim: int, mode: int) -> RayHits:
     if mode != CLOSEST:
         return tuple.__new__(RayHits, (np.empty(count, INT64), *_NOT_DESCRIBED[ndim]))
     if count < LARGE:
-        room = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
-        return tuple.__new__(RayHits, room)
+        parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
+        return tuple.__new__(RayHits, parts)
     # One piece of memory: three make the allocator give theirs back to the system after each
     # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
     room = np.empty(count * (2 + ndim))
