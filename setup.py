@@ -20,6 +20,7 @@ BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
 VIEW = ['viser>=1.0,<2']
 PEERS = ['embreex>=4.4', 'coal>=3.0', 'rtree>=1.2', *FCL]
+CLUSTER = ['dask[array]>=2024.8', 'distributed>=2024.8']
 DOCS = ['sphinx>=7', 'myst-parser>=3']
 TEST = [
     'pytest>=7',
@@ -31,6 +32,7 @@ TEST = [
     *BAGS,
     *REPORT,
     *VIEW,
+    *CLUSTER,
     'selenium>=4.20',
 ]
 
@@ -61,6 +63,7 @@ setup(
         'report': REPORT,
         'peers': PEERS,
         'view': VIEW,
+        'cluster': CLUSTER,
         'docs': DOCS,
         'test': TEST,
     },

@@ -38,6 +38,12 @@ def test_without_ros(name, said):
     assert said in run(name)
 
 
+def test_many_machines():
+    pytest.importorskip('distributed', reason='extra [cluster] is not installed')
+    few = '--boxes', '2e4', '--rays', '1e4', '--part', '5e3'
+    assert 'again: ' in run('many_machines.py', *few)
+
+
 def test_a_recording(tmp_path):
     pytest.importorskip('rosbags', reason='rosbags is not installed')
     from rosbags.rosbag2 import Writer

@@ -14,7 +14,9 @@ import bvh_ros
 ROOT = Path(__file__).resolve().parent.parent
 
 
-@pytest.mark.parametrize(('page', 'least'), [('README.md', 5), ('docs/guide.md', 20)])
+@pytest.mark.parametrize(
+    ('page', 'least'), [('README.md', 5), ('docs/guide.md', 20), ('docs/machines.md', 10)]
+)
 def test_the_examples_of(page, least):
     result = doctest.testfile(str(ROOT / page), module_relative=False)
     assert result.attempted >= least
@@ -24,7 +26,7 @@ def test_the_examples_of(page, least):
 def test_the_examples_of_docstrings():
     attempted = 0
     for module in pkgutil.walk_packages(bvh_ros.__path__, 'bvh_ros.'):
-        if module.name.split('.')[1] in ('tree', 'scene'):
+        if module.name.split('.')[1] in ('tree', 'scene', 'forest'):
             result = doctest.testmod(importlib.import_module(module.name))
             assert result.failed == 0, module.name
             attempted += result.attempted

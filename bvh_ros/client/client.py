@@ -43,11 +43,22 @@ class BvhClient:
     ----------
     node : rclpy.node.Node
         Your node.
-    name : str
-        Name of the bvh node, with its namespace if that is not your own: `/robot1/bvh`.
+    name : str, or sequence of str
+        Name of the bvh node, with its namespace if that is not your own: `/robot1/bvh`. Of
+        several nodes with a region each: a client of all of them, see `RegionClient`.
     timeout : float
         Seconds that a plain call waits for its answer unless it is told otherwise.
     """
+
+    def __new__(
+        cls, node: Node, name: str | Sequence[str] = 'bvh', *, timeout: float = 5.0
+    ) -> Any:
+        """Return a client of one node, or of several."""
+        if isinstance(name, str):
+            return super().__new__(cls)
+        from bvh_ros.client.regions import RegionClient
+
+        return RegionClient(node, name, timeout)
 
     def __init__(self, node: Node, name: str = 'bvh', *, timeout: float = 5.0) -> None:
         self.node = node
@@ -310,6 +321,25 @@ class BvhClient:
             raise BvhTimeoutError(f"'{self.name}' told no names within {timeout:g} s")
         known = channel.known
         return {handle: known[handle] for handle in sorted(handles) if handle in known}
+
+    def wait_for(self, answer: Future, timeout: float) -> bool:
+        """Wait for what an `_async` call returned; whether it is there."""
+        self._waiting.check()
+        return self._waiting.until_done(answer, timeout)
+
+    def call(self, kind: Any, service: str, request: Any) -> Any:
+        """Call any other service of the node once; BvhTimeoutError without an answer."""
+        client = self.node.create_client(kind, service, callback_group=self._group)
+        self._waiting.add_client(client)
+        try:
+            found = self._waiting.until(client.service_is_ready, self.timeout)
+            reply = client.call_async(request)
+            if not found or not self._waiting.until_done(reply, self.timeout):
+                raise BvhTimeoutError(f'{service} did not answer within {self.timeout:g} s')
+            return reply.result()
+        finally:
+            self._waiting.remove_client(client)
+            self.node.destroy_client(client)
 
     def _name_channel(self, timeout: float) -> NameChannel:
         if self._names is None and not self._waiting.until(

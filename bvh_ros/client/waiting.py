@@ -40,6 +40,10 @@ class Waiting:
         """Take the replies to this one while waiting."""
         self._clients.append(client)
 
+    def remove_client(self, client: Client) -> None:
+        """Leave its replies alone; it is about to be destroyed."""
+        self._clients.remove(client)
+
     def add_subscription(self, subscription: Subscription) -> None:
         """Take the messages of this one while waiting."""
         self._subscriptions.append(subscription)

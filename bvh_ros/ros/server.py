@@ -92,6 +92,7 @@ class BvhServer:
             max_obstacles=settings.max_obstacles,
             categorise=Categoriser(settings.views) if settings.views else None,
             meshes=ShapeKind.MESH in kinds,
+            region=settings.region,
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
@@ -242,6 +243,7 @@ class BvhServer:
         return {
             '2D tree of footprints' if settings.planar else '3D tree': True,
             f'margin of {margin:g} m' if margin else 'margin': margin > 0.0,
+            'region' if settings.region else 'region of its own': settings.region is not None,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
             'virtual scan': bool(self._scan.pose_topic),

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
+from numpy.typing import ArrayLike
+
 from .delegation import method_of
 from .distance_queries import DistanceQueries
 from .geometry.shapes import Floats
@@ -12,7 +14,7 @@ from .removals import Removals
 from .slicing import SlicedUpdates
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN
-from .updates import Categorise, Updates
+from .updates import Categorise, Updates, as_region
 
 
 class Scene:
@@ -36,6 +38,9 @@ class Scene:
         bring its categories along; without it they are 1.
     meshes : bool
         Expect meshes: else the first one makes the kernels of the queries compile anew.
+    region : (lo, hi), optional
+        Corners of a box, shape (2,) or (3,) as the scene is planar or not; may be infinite. Only
+        obstacles whose bounds touch it are kept: one that leaves it is removed.
 
     Examples
     --------
@@ -59,10 +64,11 @@ class Scene:
         max_obstacles: int = 1_000_000,
         categorise: Categorise | None = None,
         meshes: bool = False,
+        region: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
         held = Obstacles(bool(planar), margin, meshes, max_obstacles)
         self._held = held
-        self._updates = Updates(held, categorise)
+        self._updates = Updates(held, categorise, as_region(region, 2 if planar else 3))
         self._slices = SlicedUpdates(held, self._updates)
         self._removals = Removals(held)
         self._rays = RayQueries(held)

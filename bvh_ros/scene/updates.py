@@ -18,9 +18,23 @@ from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
 from .store.updating import TIMES, Owner, Rows, Validated, column
 
+Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
+
+
+def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | None:
+    """Corners of a box that may be infinite; ValueError if it is none."""
+    if given is None:
+        return None
+    try:
+        lo, hi = (np.array(corner, np.float64) for corner in given)
+    except (TypeError, ValueError):
+        raise ValueError('region must be two corners') from None
+    if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
+        raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
+    return lo, hi
 
 
 class Part(NamedTuple):
@@ -77,9 +91,12 @@ class Updates:
     has its room.
     """
 
-    def __init__(self, held: Obstacles, categorise: Categorise | None) -> None:
+    def __init__(
+        self, held: Obstacles, categorise: Categorise | None, region: Region | None
+    ) -> None:
         self._held = held
         self._categorise = categorise
+        self._region = region
         self.under_way: list[Replacement] = []
 
     def update(
@@ -164,6 +181,9 @@ class Updates:
         owner = Owner(held.groups.source(source), held.columns.source, held.groups.source_name)
         valid = updating.validate_rows(names, shapes, slots, owner, part[2:], held.planar)
         added, known, reasons = valid
+        if self._region is not None:
+            added = added.take(self._here(added, self._region))
+        here = None if self._region is None else self._here(known, self._region)
         present = slots[slots != UNKNOWN] if whole or named is not None else slots
         stale = held.members(source, group, present) if whole else slots[:0]
         if len(added.row):
@@ -176,6 +196,9 @@ class Updates:
             held.remove(stale)
         if before_moves is not None:
             before_moves(known)
+        if here is not None and not here.all():
+            held.remove(known.slot[~here])
+            known = known.take(here)
         held.move(known, source, group)
         inserted = added.slot
         if len(added.row):
@@ -185,6 +208,12 @@ class Updates:
         if whole or len(known.row) + len(valid.added.row):
             held.newest = max(held.newest, _latest(part.stamp, valid, whole))
         return reasons.refusals(names.text)
+
+    @staticmethod
+    def _here(rows: Rows, region: Region) -> NDArray[np.bool_]:
+        """Whether the bounds of each obstacle touch a region."""
+        lo, hi = region
+        return np.asarray(((rows.lo <= hi) & (rows.hi >= lo)).all(axis=1))
 
     def _with_masks(self, added: Rows, names: Families) -> Rows:
         """New obstacles; where the message brings no masks, with those that the scene gives."""

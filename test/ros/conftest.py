@@ -203,8 +203,9 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         own = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
         namespace = namespace or own
         file = folder / 'parameters.yaml'
-        # JSON is YAML
-        file.write_text(json.dumps({'/**': {'ros__parameters': parameters or {}}}))
+        # JSON is YAML, but for infinity
+        given = json.dumps({'/**': {'ros__parameters': parameters or {}}})
+        file.write_text(given.replace('Infinity', '.inf'))
         program = script or ('-m', f'bvh_ros.ros.{module}')
         command = [sys.executable, *program, '--ros-args']
         command += ['-r', f'__ns:={namespace}', *(['--params-file', file] if parameters else [])]

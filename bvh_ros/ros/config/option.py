@@ -90,9 +90,12 @@ def _checked(name: str, option: Option, value: Any) -> Any:
 def _checked_list(name: str, default: Sequence[object], value: Any) -> list[Any]:
     items = [] if value is None else list(value) if _is_list(value) else None
     if isinstance(default[0], float):
-        if items is not None and all(_is_finite(item) for item in items):
+        unlimited = not all(_is_finite(item) for item in default)
+        good = _is_limit if unlimited else _is_finite
+        if items is not None and all(good(item) for item in items):
             return [float(item) for item in items]
-        raise ConfigurationError(f"parameter '{name}' must be finite numbers, not {_shown(value)}")
+        wanted = 'numbers' if unlimited else 'finite numbers'
+        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
     if items is not None and all(isinstance(item, str) for item in items):
         # YAML cannot say "an empty list of strings" other than ['']
         return [item for item in items if item]
@@ -117,6 +120,10 @@ def _is_number(value: Any, types: tuple[type, ...]) -> bool:
 
 def _is_finite(value: Any) -> bool:
     return _is_number(value, (int, float)) and math.isfinite(value)
+
+
+def _is_limit(value: Any) -> bool:
+    return _is_number(value, (int, float)) and not math.isnan(value)
 
 
 def _is_list(value: Any) -> bool:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,12 @@ NODE_OPTIONS = (
         'reply is written nobody else is answered, 10 us an obstacle.',
         minimum=1,
         maximum=2**31 - 1,
+    ),
+    Option(
+        'region',
+        [-math.inf] * 3 + [math.inf] * 3,
+        'Only obstacles whose bounds touch the box from the first three to the last three numbers '
+        '(m, in frame_id) are kept, and queries are answered about these.',
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option('batch', True, 'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits.'),
@@ -137,6 +144,7 @@ class Settings:
     margin: float  # m
     max_obstacles: int
     max_hits: int
+    region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
     batch: bool
     use_tf: bool
     sources: tuple[SourceSettings, ...]
@@ -175,8 +183,10 @@ def read_settings(
         raise ConfigurationError(
             f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
         )
+    region = _region(values.pop('region'), values['planar'])
     settings = Settings(
         **values,
+        region=region,
         sources=tuple(_read_source(node, name, types) for name in names),
         views=tuple(_read_view(node, name) for name in views),
         transforms=tuple(_read_transform(node, name, values['frame_id']) for name in transforms),
@@ -187,6 +197,22 @@ def read_settings(
     )
     _check_for_misspelt_options(node, [*names, *views, *transforms, *groups])
     return settings
+
+
+def _region(
+    corners: Sequence[float], planar: bool
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    lo, hi = corners[:3], corners[3:]
+    if len(corners) != 6 or any(
+        a > b or a == math.inf or b == -math.inf for a, b in zip(lo, hi, strict=True)
+    ):
+        raise ConfigurationError(
+            f"parameter 'region' must be [xmin, ymin, zmin, xmax, ymax, zmax], not {corners}"
+        )
+    if not any(math.isfinite(x) for x in corners):
+        return None
+    axes = 2 if planar else 3
+    return tuple(lo[:axes]), tuple(hi[:axes])
 
 
 def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -> SourceSettings:

@@ -1,0 +1,72 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows go to the parts that they meet, wherever those are asked."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, as_completed
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .parts import ask
+
+# Rows that are answered at once, and rows of one task: what bounds the memory of who asks, and of
+# a worker.
+ROWS_AT_ONCE, ROWS_A_TASK = 1 << 20, 1 << 17
+
+
+class Asking(NamedTuple):
+    """Where a forest is, and who asks its parts."""
+
+    folder: str
+    stamp: int
+    executor: Executor | None
+
+    def each(
+        self,
+        query: str,
+        rows: NDArray[np.int64],
+        parts: NDArray[np.int64],
+        columns: Any,
+        *rest: Any,
+    ) -> Iterator[tuple[NDArray[np.int64], int, Any]]:
+        """Ask row ``rows[i]`` of part ``parts[i]``, all i: (rows, part, answer) as they come.
+
+        `columns`: arrays of what is asked, one entry a row; `rest`: the same for all rows.
+        """
+        tasks = list(_tasks(rows, parts))
+        calls = (
+            (self.folder, self.stamp, part, query, *(column[some] for column in columns), *rest)
+            for some, part in tasks
+        )
+        if self.executor is None:
+            for (some, part), call in zip(tasks, calls, strict=True):
+                yield some, part, ask(*call)
+            return
+        submitted = {
+            self.executor.submit(ask, *call): task for task, call in zip(tasks, calls, strict=True)
+        }
+        try:
+            for future in as_completed(list(submitted)):
+                yield *submitted.pop(future), future.result()
+        finally:  # an error, or an interruption: what was not begun is not wanted any more
+            for future in submitted:
+                future.cancel()
+
+
+def _tasks(
+    rows: NDArray[np.int64], parts: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], int]]:
+    """Rows of one part, not too many."""
+    order = np.argsort(parts, kind='stable')
+    for group in np.split(order, np.flatnonzero(np.diff(parts[order])) + 1):
+        for first in range(0, len(group), ROWS_A_TASK):
+            some = group[first : first + ROWS_A_TASK]
+            yield rows[some], int(parts[some[0]])
+
+
+def pieces(count: int) -> Iterator[slice]:
+    """All rows, so many at once; one piece of none where there are none."""
+    for start in range(0, max(count, 1), ROWS_AT_ONCE):
+        yield slice(start, min(start + ROWS_AT_ONCE, count))

@@ -1,0 +1,206 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Boxes that may not fit into memory become parts of bounded size, near boxes in one part.
+
+All boxes are written to a pile on disk. A pile too large for a part is dealt out, in the order of
+a Hilbert curve through a grid over its own bounds, to piles of consecutive cells; so one far box
+costs a level, not the order of the others.
+"""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..tree import DynamicBVH, checks
+from . import hilbert
+
+VERSION = 1
+HEADER, TOP = 'forest.json', 'top.tree'
+ROWS_AT_ONCE = 1 << 18  # of a pile in memory
+
+
+class Pile(NamedTuple):
+    """Boxes on disk, in the order of their ids."""
+
+    file: Path
+    rows: int
+    lo: NDArray[np.float64]
+    hi: NDArray[np.float64]
+
+
+def part_file(folder: Path, number: int) -> Path:
+    """The tree of a part."""
+    return folder / f'part-{number:06}.tree'
+
+
+def ids_file(folder: Path, number: int) -> Path:
+    """The ids of a part's boxes, by slot."""
+    return folder / f'part-{number:06}.ids.npy'
+
+
+def row_dtype(ndim: int) -> np.dtype[Any]:
+    """A box in a pile."""
+    corner = ('<f8', (ndim,))
+    return np.dtype([('id', '<i8'), ('lo', *corner), ('hi', *corner), ('mask', '<u4')])
+
+
+def build(folder: Path, chunks: Iterable[Any], max_boxes: int) -> None:
+    """Write a forest; the folder appears when it is whole."""
+    if folder.exists():
+        raise FileExistsError(f'{folder} exists already')
+    work = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
+    try:
+        pile = _gather(work / 'all', chunks)
+        parts, count = _plant(work, pile, max_boxes), pile.rows
+        (work / HEADER).write_text(
+            json.dumps(
+                {
+                    'version': VERSION,
+                    'ndim': len(pile.lo),
+                    'boxes': count,
+                    'parts': parts,
+                    'max_boxes': max_boxes,
+                }
+            )
+        )
+        os.rename(work, folder)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def _gather(file: Path, chunks: Iterable[Any]) -> Pile:
+    """Write all chunks to one pile; ValueError, naming the chunk, if one is no boxes."""
+    count, ndim, lo, hi = 0, 0, np.empty(0), np.empty(0)
+    with open(file, 'wb') as pile:
+        for number, chunk in enumerate(chunks):
+            try:
+                low, high, masks = _boxes_of(chunk, ndim)
+            except ValueError as error:
+                raise ValueError(f'chunk {number}: {error}') from None
+            if not ndim:
+                ndim = low.shape[1]
+                lo, hi = np.full(ndim, np.inf), np.full(ndim, -np.inf)
+            rows = np.empty(len(low), row_dtype(ndim))
+            rows['id'] = np.arange(count, count + len(low))
+            rows['lo'], rows['hi'], rows['mask'] = low, high, masks
+            rows.tofile(pile)
+            lo, hi = (
+                np.minimum(lo, low.min(0, initial=np.inf)),
+                np.maximum(hi, high.max(0, initial=-np.inf)),
+            )
+            count += len(low)
+    if not ndim:
+        raise ValueError('chunks are none: no box says whether the forest is planar')
+    return Pile(file, count, lo, hi)
+
+
+def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
+    if not isinstance(chunk, (tuple, list)) or len(chunk) not in (2, 3):
+        raise ValueError('must be (lo, hi) or (lo, hi, mask)')
+    lo = np.asarray(chunk[0])
+    if not ndim:
+        if lo.ndim != 2 or lo.shape[1] not in (2, 3):
+            raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {lo.shape}')
+        ndim = lo.shape[1]
+    low, high = checks.boxes(chunk[0], chunk[1], ndim)
+    return low, high, checks.masks(chunk[2] if len(chunk) == 3 else 1, len(low))
+
+
+def _plant(work: Path, whole: Pile, max_boxes: int) -> int:
+    """Write the trees of all parts, in the order of the curve, and the tree over them."""
+    piles, bounds = [whole], list[tuple[Any, Any, Any]]()
+    while piles:
+        pile = piles.pop()
+        if pile.rows > max_boxes:
+            piles += reversed(_deal(pile, max_boxes))
+        elif pile.rows:
+            bounds.append(_plant_part(work, len(bounds), pile))
+        pile.file.unlink()
+    ndim = len(whole.lo)
+    top = DynamicBVH(ndim, capacity=max(len(bounds), 1))
+    if bounds:
+        lo, hi, masks = (np.array(column) for column in zip(*bounds, strict=True))
+        top.insert_many(lo, hi, masks)
+    top.save(work / TOP, mapped=True)
+    return len(bounds)
+
+
+def _plant_part(work: Path, number: int, pile: Pile) -> tuple[Any, Any, Any]:
+    """Write one part; return its bounds and all its masks."""
+    rows = np.fromfile(pile.file, row_dtype(len(pile.lo)))
+    tree = DynamicBVH.from_boxes(rows['lo'], rows['hi'], mask=rows['mask'])
+    ids = np.empty(len(rows), np.int64)
+    ids[tree.slots(tree.ids())] = rows['id']
+    np.save(ids_file(work, number), ids)
+    tree.save(part_file(work, number), mapped=True)
+    return pile.lo, pile.hi, np.bitwise_or.reduce(rows['mask'])
+
+
+def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
+    """Deal a pile out to smaller ones, in the order of the curve, so that few are much smaller
+    than a part. Boxes whose centers are all in one cell are dealt out by their ids.
+    """
+    ndim = len(pile.lo)
+    lo, hi = _bounds_of_centers(pile)
+    counts = np.zeros(1 << (hilbert.CELL_BITS * ndim), np.int64)
+    for rows in _read(pile):
+        counts += np.bincount(hilbert.cells(_centers(rows), lo, hi), minlength=len(counts))
+    by_id = counts.max() == pile.rows
+    pile_of = _runs(counts, max_boxes)
+    number = -(-pile.rows // max_boxes) if by_id else int(pile_of[-1]) + 1
+    files = [pile.file.with_name(f'{pile.file.name}.{i}') for i in range(number)]
+    corner = np.full(ndim, np.inf)
+    dealt = [Pile(file, 0, corner, -corner) for file in files]
+    seen = 0
+    for rows in _read(pile):
+        if by_id:
+            goes = (np.arange(seen, seen + len(rows))) // max_boxes
+        else:
+            goes = pile_of[hilbert.cells(_centers(rows), lo, hi)]
+        seen += len(rows)
+        for i in np.unique(goes):
+            dealt[i] = _append(dealt[i], rows[goes == i])
+    return [one for one in dealt if one.rows]
+
+
+def _runs(counts: NDArray[np.int64], max_boxes: int) -> NDArray[np.int64]:
+    """Which pile each cell goes to: consecutive cells share one as long as it is a part."""
+    pile_of, pile, filled = np.empty(len(counts), np.int64), 0, 0
+    for cell, count in enumerate(counts.tolist()):
+        if filled and filled + count > max_boxes:
+            pile, filled = pile + 1, 0
+        pile_of[cell] = pile
+        filled += count
+    return pile_of
+
+
+def _append(pile: Pile, rows: NDArray[Any]) -> Pile:
+    with open(pile.file, 'ab') as file:
+        rows.tofile(file)
+    lo, hi = np.minimum(pile.lo, rows['lo'].min(0)), np.maximum(pile.hi, rows['hi'].max(0))
+    return Pile(pile.file, pile.rows + len(rows), lo, hi)
+
+
+def _read(pile: Pile) -> Iterator[NDArray[Any]]:
+    with open(pile.file, 'rb') as file:
+        while len(rows := np.fromfile(file, row_dtype(len(pile.lo)), ROWS_AT_ONCE)):
+            yield rows
+
+
+def _centers(rows: NDArray[Any]) -> NDArray[np.float64]:
+    return np.asarray(rows['lo'] * 0.5 + rows['hi'] * 0.5)
+
+
+def _bounds_of_centers(pile: Pile) -> tuple[Any, Any]:
+    lo, hi = np.full(len(pile.lo), np.inf), np.full(len(pile.lo), -np.inf)
+    for rows in _read(pile):
+        centers = _centers(rows)
+        lo, hi = np.minimum(lo, centers.min(0)), np.maximum(hi, centers.max(0))
+    return lo, hi

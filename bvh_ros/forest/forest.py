@@ -1,0 +1,190 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The class: checks input, finds out which parts a query meets, and merges what they say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from concurrent.futures import Executor
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..tree import ALL, DynamicBVH, RayHits, checks
+from . import building, chunked, distances, overlaps, rays
+from .asking import Asking
+
+Ids = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class Forest:
+    """Boxes on disk, parted into trees of bounded size. Read-only.
+
+    Every query has the meaning of the method of `DynamicBVH` of the same name, and its answer is,
+    bit for bit, that of one tree into which the boxes were inserted in order: ids are rows of what
+    was built, counted over all chunks, and ties go to the smaller one.
+
+    Each query takes an `executor`: anything with the ``submit`` of `concurrent.futures.Executor`,
+    such as a process pool, ``dask.distributed.Client.get_executor()`` or
+    ``mpi4py.futures.MPIPoolExecutor``. Its workers open the parts that they are asked for, so they
+    must see the folder under the same path. None asks all parts in this process. An error of a
+    worker is raised; no part is left out.
+
+    Rows may be dask arrays, shape (n, ndim); the answers are then dask arrays, computed block by
+    block where the blocks are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import tempfile
+    >>> from bvh_ros.forest import Forest
+    >>> folder = tempfile.mkdtemp() + '/world'
+    >>> lo = np.arange(3000.0).reshape(1000, 3)
+    >>> forest = Forest.build(folder, [(lo[:500], lo[:500] + 1), (lo[500:], lo[500:] + 1)], 300)
+    >>> len(forest), forest.parts
+    (1000, 4)
+    >>> forest.raycast_many([[1500.5, -9.0, 1502.5]], [[0.0, 1.0, 0.0]]).ids.tolist()
+    [500]
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder.resolve()
+        file = self._folder / building.HEADER
+        self._stamp = file.stat().st_mtime_ns
+        try:
+            header = json.loads(file.read_text(encoding='utf-8'))
+            if header['version'] != building.VERSION:
+                raise ValueError(f'it has version {header["version"]}; this is for 1')
+            self._count, self._ndim = int(header['boxes']), int(header['ndim'])
+            self._top = DynamicBVH.load(self._folder / building.TOP, mmap=True)
+            if self._top.ndim != self._ndim or len(self._top) != header['parts']:
+                raise ValueError('its top tree is of another forest')
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f'{folder} is no forest: {error}') from None
+
+    @classmethod
+    def build(
+        cls,
+        folder: str | PathLike[str],
+        chunks: Iterable[tuple[ArrayLike, ...]],
+        max_boxes: int = 4_000_000,
+    ) -> Forest:
+        """Part boxes and write them to a new folder.
+
+        Parameters
+        ----------
+        chunks : iterable of (lo, hi) or (lo, hi, mask)
+            Each as for `DynamicBVH.insert_many`. One chunk at a time is in memory.
+        max_boxes : int
+            How many boxes a part may have. Building takes about 350 bytes of memory for each, and
+            twice the boxes' own 60 bytes on disk beside what is written.
+
+        Raises
+        ------
+        ValueError
+            If a chunk is bad; the message names it. Nothing is left behind.
+        FileExistsError
+            If the folder exists.
+        """
+        path = Path(checks.path('folder', folder))
+        building.build(path, chunks, checks.capacity('max_boxes', max_boxes))
+        return cls(path)
+
+    @classmethod
+    def open(cls, folder: str | PathLike[str]) -> Forest:
+        """Open what `build` wrote. ValueError if it is no forest, or of another version."""
+        return cls(Path(checks.path('folder', folder)))
+
+    def __reduce__(self) -> Any:
+        return type(self), (self._folder,)
+
+    def __len__(self) -> int:
+        """How many boxes there are."""
+        return self._count
+
+    @property
+    def ndim(self) -> int:
+        """2 or 3."""
+        return self._ndim
+
+    @property
+    def parts(self) -> int:
+        """How many trees there are."""
+        return len(self._top)
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats] | None:
+        """The box around all boxes; None if there are none."""
+        return self._top.bounds
+
+    def _asking(self, executor: Executor | None) -> Asking:
+        return Asking(str(self._folder), self._stamp, executor)
+
+    def raycast_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+        threads: int = 1,
+        executor: Executor | None = None,
+    ) -> RayHits:
+        """First hits of n rays, see `DynamicBVH.raycast_many`. `threads`: of each worker."""
+        if chunked.is_dask(origins, directions, t_max, mask):
+            return chunked.raycast(self, origins, directions, t_max, mask, skip_inside, threads)
+        asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
+        return rays.first_hits(self._top, self._asking(executor), asked)
+
+    def occluded_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+        threads: int = 1,
+        executor: Executor | None = None,
+    ) -> NDArray[np.bool_]:
+        """Whether each of n rays meets any box, see `DynamicBVH.occluded_many`."""
+        if chunked.is_dask(origins, directions, t_max, mask):
+            return chunked.occluded(self, origins, directions, t_max, mask, skip_inside, threads)
+        asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
+        return rays.any_hits(self._top, self._asking(executor), asked)
+
+    def overlap_many(
+        self,
+        lo: ArrayLike,
+        hi: ArrayLike,
+        mask: ArrayLike = ALL,
+        threads: int = 1,
+        executor: Executor | None = None,
+    ) -> tuple[Ids, Ids]:
+        """Overlaps of n query boxes, see `DynamicBVH.overlap_many`: (offsets, ids)."""
+        if chunked.is_dask(lo, hi, mask):
+            return chunked.overlap(self, lo, hi, mask, threads)
+        low, high = checks.boxes(lo, hi, self._ndim)
+        threads = checks.whole('threads', threads, 1)
+        masks = checks.masks(mask, len(low))
+        return overlaps.overlaps(self._top, self._asking(executor), low, high, masks, threads)
+
+    def nearest_many(
+        self,
+        points: ArrayLike,
+        k: int = 1,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        executor: Executor | None = None,
+    ) -> tuple[Ids, Floats]:
+        """The k boxes nearest to n points, see `DynamicBVH.nearest_many`: (ids, distances)."""
+        if chunked.is_dask(points, max_distance, mask):
+            return chunked.nearest(self, points, k, max_distance, mask)
+        where = checks.points('points', points, self._ndim)
+        reach = checks.limits('max_distance', max_distance, len(where))
+        masks, k = checks.masks(mask, len(where)), checks.capacity('k', k)
+        return distances.nearest(self._top, self._asking(executor), where, k, reach, masks)
