@@ -15,10 +15,16 @@ def method_of(
 ) -> Callable[Concatenate[Any, P], R]:
     """A part's method as one of the whole; `part` is the attribute that holds the part. Signature
     and docstring are the part's own.
+
+    While a change is unfinished it raises a RuntimeError; so every method does that needs what the
+    scene holds.
     """
 
     @wraps(method)
     def ask(whole: Any, /, *arguments: P.args, **named: P.kwargs) -> R:
+        change = whole._held.change
+        if change.unfinished:  # asked here, too: a call costs a query's hundredth
+            change.require_none()
         return method(getattr(whole, part), *arguments, **named)
 
     return ask

@@ -62,7 +62,7 @@ class Removals:
 
     def discard(self, found: Slots) -> int:
         """Remove those that `find` found, as far as they are still there; return how many."""
-        return self._held.remove(self._still_there(found))
+        return self._held.remove(self._held.still_there(np.unique(found)))
 
     def discard_in_slices(self, found: Slots, besides: Names) -> Iterator[None]:
         """`discard`, with pauses, those who have none of the names `besides`."""
@@ -74,17 +74,6 @@ class Removals:
         for begin in range(0, len(found), AT_A_TIME):
             self.discard(found[begin : begin + AT_A_TIME])
             yield
-
-    def _still_there(self, found: Slots) -> Slots:
-        here = [handle for handle in found.tolist() if handle in self._held.tree]
-        return self._held.tree.slots(np.array(here, np.int64))
-
-    def clear(self) -> int:
-        """Remove all obstacles; return how many there were."""
-        self._held.newest = 0
-        count = len(self._held)
-        self._held.remove(self._held.columns.used())
-        return count
 
     def expire(self, now: int, most: int | None = None) -> int:
         """Remove the obstacles with 0 < expires <= now (ns); return how many there were.
@@ -112,5 +101,6 @@ class Removals:
         mortal = expires > 0
         # Never 0, which is for ever, nor later than can be told.
         times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
-        expires[mortal] = np.maximum(times, 1)
-        self._held.note_next_expiry()
+        with self._held.change:
+            expires[mortal] = np.maximum(times, 1)
+            self._held.note_next_expiry()

@@ -22,7 +22,8 @@ class Scene:
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
     clock. Positions are in metres, all in one frame. Any number of threads may ask while none
-    changes the scene.
+    changes the scene; what is asked meanwhile, or after a change that was interrupted, is a
+    RuntimeError.
 
     Parameters
     ----------
@@ -87,13 +88,20 @@ class Scene:
     find = method_of('_removals', Removals.find)
     discard = method_of('_removals', Removals.discard)
     discard_in_slices = method_of('_removals', Removals.discard_in_slices)
-    clear = method_of('_removals', Removals.clear)
     expire = method_of('_removals', Removals.expire)
     has_expired = method_of('_removals', Removals.has_expired)
     shift_expiries = method_of('_removals', Removals.shift_expiries)
 
+    def clear(self) -> int:
+        """Remove all obstacles; return how many there were.
+
+        Also what a change left that was interrupted: then the scene begins anew.
+        """
+        return self._held.clear()
+
     def rebuild(self) -> None:
         """Build the tree anew."""
+        self._held.change.require_none()
         self._held.tree.rebuild()
 
     # ---- questions
@@ -128,6 +136,7 @@ class Scene:
         return len(self._held)
 
     def __contains__(self, name: object) -> bool:
+        self._held.change.require_none()
         return isinstance(name, str) and self._held.registry.slot(name) != UNKNOWN
 
     @property
@@ -164,6 +173,13 @@ class Scene:
         """Another one after each time that obstacles came or went."""
         # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
         return self._held.next_node_handle, len(self)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether a change was interrupted, by Ctrl-C or want of memory (or is under way, for who
+        asks meanwhile): until `clear` every question and change raises a RuntimeError.
+        """
+        return self._held.change.unfinished
 
     @property
     def bounds(self) -> tuple[Floats, Floats] | None:

@@ -15,8 +15,7 @@ import numpy as np
 from .refusals import Refusals
 from .store.obstacles import Obstacles
 from .store.registry import Slots
-from .store.updating import Rows
-from .updates import Part, Replacement, Updates
+from .updates import NONE, Part, Sliced, Updates
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all.
@@ -70,63 +69,42 @@ class SlicedUpdates:
             (part,) = parts(length)
             return self._updates.apply(source, group, part, whole=whole)
         refusals = Refusals()
-        running = Replacement(source, group, total)
+        self._updates.remove_orphans()
+        running = Sliced(total, self._members(source, group) if whole else None)
+        self._updates.under_way.add(running)
         row = 0
-        if whole:
-            self._updates.under_way.append(running)
         try:
             for part in parts(length):
                 running.left -= len(part.shapes.kind)
-                refused = self._updates.apply(
-                    *(source, group, part), named=running.named, before_moves=self._leave_shadows
-                )
+                refused = self._updates.apply(source, group, part, sliced=running)
                 refusals.extend(refused, first=row)
                 row += len(part.shapes.kind)
                 yield
-            yield from self._remove_in_slices(
-                self._updates.leaving(running) if whole else self._shadows(source)
-            )
+            leaving = self._updates.leaving(running)
+            yield from self._remove_in_slices(np.append(self._shadows(running), leaving))
         finally:
-            if whole:
-                self._updates.under_way.remove(running)
-            self._held.remove(self._shadows(source))
+            self._updates.under_way.discard(running)
+            if not self._held.change.unfinished:
+                self._held.remove(self._shadows(running))
         return refusals
+
+    def _members(self, source: str, group: str) -> Slots:
+        """Handles in the tree of the members of a group, but for shadows."""
+        columns, slots = self._held.columns, self._held.members(source, group)
+        return columns.tree_handle[slots[~columns.shadow[slots]]]
 
     def _is_large(self, source: str, group: str, total: int, whole: bool) -> bool:
         if total < AT_ONCE:
             return False
         # With less room it has to be known first what goes, to know what may come.
-        mine = self._held.members(source, group)
-        return not whole or total <= self._updates.room() + len(mine)
+        return not whole or total <= self._updates.room() + len(self._members(source, group))
 
     def _remove_in_slices(self, slots: Slots) -> Iterator[None]:
         handles = self._held.columns.tree_handle[slots]
         for begin in range(0, len(slots), SLICE):
-            end = begin + SLICE
             # Meanwhile some may have expired, and others may have their slots.
-            there = self._held.columns.tree_handle[slots[begin:end]] == handles[begin:end]
-            self._held.remove(slots[begin:end][there])
+            self._held.remove(self._held.still_there(handles[begin : begin + SLICE]))
             yield
 
-    def _shadows(self, source: str) -> Slots:
-        columns = self._held.columns
-        mine = columns.source == self._held.groups.source(source)
-        return np.flatnonzero(columns.shadow & mine)
-
-    def _leave_shadows(self, rows: Rows) -> None:
-        """Copies of the obstacles that are about to move, of the same names and handles, that stay
-        where they are.
-        """
-        columns, tree = self._held.columns, self._held.tree
-        lo, hi = tree.boxes(columns.tree_handle[rows.slot])
-        stays = (lo == rows.lo).all(axis=1) & (hi == rows.hi).all(axis=1)
-        moves = ~stays | rows.records['shaped'] | columns.geometry['shaped'][rows.slot]
-        slots = rows.slot[moves]
-        handles = tree.insert_many(lo[moves], hi[moves], columns.categories[slots])
-        copies = tree.slots(handles)
-        columns.grow(int(copies.max(initial=-1)) + 1)
-        columns.copy(slots, copies)
-        columns.tree_handle[copies] = handles
-        columns.shadow[copies] = True
-        columns.shadows += len(copies)
-        self._held.registry.copy(slots, copies)
+    def _shadows(self, running: Sliced) -> Slots:
+        return self._held.still_there(np.concatenate([NONE, *running.shadows]))

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,7 @@ from .store.registry import UNKNOWN, Slots
 from .store.updating import TIMES, Owner, Rows, Validated, column
 
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
+NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
@@ -74,16 +76,17 @@ def require_a_name_each(names: Families, count: int) -> None:
         raise ValueError(f'there are {len(names)} names for {count} shapes')
 
 
-@dataclass
-class Replacement:
-    """A replacement that is under way."""
+@dataclass(eq=False)
+class Sliced:
+    """An update in slices that is under way. Who is meant is known by handles of the tree."""
 
-    source: str
-    group: str
     left: int
-    """Rows that are still to come; room for them is kept free."""
-    named: list[Slots] = field(default_factory=list)
-    """What came; all else in the group is about to go."""
+    """Rows that are still to come; a replacement keeps room for them."""
+    replaced: Slots | None
+    """Who was there when a replacement began: they go unless named. Who comes meanwhile stays."""
+    told: list[tuple[Slots, bool]] = field(default_factory=list)
+    """Who was named, in order, and whether they leave the region, and so go."""
+    shadows: list[Slots] = field(default_factory=list)
 
 
 class Updates:
@@ -97,7 +100,7 @@ class Updates:
         self._held = held
         self._categorise = categorise
         self._region = region
-        self.under_way: list[Replacement] = []
+        self.under_way: WeakSet[Sliced] = WeakSet()  # who forgets one has ended it
 
     def update(
         self,
@@ -167,53 +170,68 @@ class Updates:
         part: Part,
         *,
         whole: bool = False,
-        named: list[Slots] | None = None,
-        before_moves: Callable[[Rows], None] | None = None,
+        sliced: Sliced | None = None,
     ) -> Refusals:
-        """Apply rows; all that the message has if `whole`. What they name is added to `named`."""
+        """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         held = self._held
-        shapes = as_shapes(part.shapes)
-        self.require_memory(len(shapes.kind))
-        names = as_families(part.names)
         updating.text('source', source), updating.text('group', group)
-        require_a_name_each(names, len(shapes.kind))
-        slots = held.registry.find(names)
-        owner = Owner(held.groups.source(source), held.columns.source, held.groups.source_name)
-        valid = updating.validate_rows(names, shapes, slots, owner, part[2:], held.planar)
-        added, known, reasons = valid
-        if self._region is not None:
-            added = added.take(self._here(added, self._region))
-        here = None if self._region is None else self._here(known, self._region)
-        present = slots[slots != UNKNOWN] if whole or named is not None else slots
+        names, slots, valid = self._validated(source, part)
+        added, known, outside = self._within_region(valid.added, valid.known)
+        reasons = valid.reasons
+        present = slots[slots != UNKNOWN] if whole or sliced else slots
         stale = held.members(source, group, present) if whole else slots[:0]
+        if len(outside) and not sliced:
+            stale = np.append(stale, outside)
         if len(added.row):
             room = self.room() + len(stale)
             full = f'the scene is full (max_obstacles is {held.most})'
             reasons.add(added.row[room:], full)
             added = self._with_masks(added.take(slice(room)), names)
             held.require_handles(len(added.row))
-        if len(stale):
-            held.remove(stale)
-        if before_moves is not None:
-            before_moves(known)
-        if here is not None and not here.all():
-            held.remove(known.slot[~here])
-            known = known.take(here)
-        held.move(known, source, group)
-        inserted = added.slot
-        if len(added.row):
-            inserted = held.insert(added, names.take(added.row), source, group)
-        if named is not None:
-            named += [present, inserted]
-        if whole or len(known.row) + len(valid.added.row):
-            held.newest = max(held.newest, _latest(part.stamp, valid, whole))
+        newest = held.newest
+        if whole or len(valid.known.row) + len(valid.added.row):
+            newest = max(newest, _latest(part.stamp, valid, whole))
+        with held.change:
+            if len(stale):
+                held.drop(stale)
+            if sliced:
+                handles = held.columns.tree_handle
+                sliced.told += [(handles[present], False), (handles[outside], True)]
+                sliced.shadows.append(held.leave_shadows(known))
+            held.move(known, source, group)
+            if len(added.row):
+                inserted = held.insert(added, names.take(added.row), source, group)
+                if sliced:
+                    sliced.told.append((held.columns.tree_handle[inserted], False))
+            held.newest = newest
         return reasons.refusals(names.text)
 
-    @staticmethod
-    def _here(rows: Rows, region: Region) -> NDArray[np.bool_]:
-        """Whether the bounds of each obstacle touch a region."""
-        lo, hi = region
-        return np.asarray(((rows.lo <= hi) & (rows.hi >= lo)).all(axis=1))
+    def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:
+        """Names of the rows, their slots, and what can be applied."""
+        held = self._held
+        held.change.require_none()
+        self.remove_orphans()
+        shapes = as_shapes(part.shapes)
+        self.require_memory(len(shapes.kind))
+        names = as_families(part.names)
+        require_a_name_each(names, len(shapes.kind))
+        slots = held.registry.find(names)
+        owner = Owner(held.groups.source(source), held.columns.source, held.groups.source_name)
+        return (
+            names,
+            slots,
+            updating.validate_rows(names, shapes, slots, owner, part[2:], held.planar),
+        )
+
+    def _within_region(self, added: Rows, known: Rows) -> tuple[Rows, Rows, Slots]:
+        """New and known obstacles whose bounds touch the region, and slots of those that leave."""
+        if self._region is None:
+            return added, known, NONE
+        lo, hi = self._region
+        new, old = (
+            np.asarray(((rows.lo <= hi) & (rows.hi >= lo)).all(axis=1)) for rows in (added, known)
+        )
+        return added.take(new), known.take(old), known.slot[~old]
 
     def _with_masks(self, added: Rows, names: Families) -> Rows:
         """New obstacles; where the message brings no masks, with those that the scene gives."""
@@ -228,19 +246,27 @@ class Updates:
         grown = 2 * capacity if used + rows > capacity else 0
         np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, np.uint8)  # asked for, not used
 
-    def leaving(self, running: Replacement) -> Slots:
-        """What a replacement has not named so far."""
-        besides = np.concatenate([np.empty(0, np.int64), *running.named])
-        return self._held.members(running.source, running.group, besides)
+    def leaving(self, running: Sliced) -> Slots:
+        """What goes when the update ends, as far as it is known."""
+        goes = np.zeros(len(self._held.columns.tree_handle), np.bool_)
+        if running.replaced is not None:
+            goes[self._held.still_there(running.replaced)] = True
+        for handles, leave in running.told:
+            goes[self._held.still_there(handles)] = leave
+        return np.flatnonzero(goes)
 
     def room(self) -> int:
         """How many obstacles may come, once what is under way has ended."""
         room = self._held.most - len(self._held)
         for running in self.under_way:
-            leaving = self.leaving(running)
-            there = np.count_nonzero(~self._held.columns.shadow[leaving])
-            room += int(there) - max(running.left, 0)
+            if running.replaced is not None:
+                room += len(self.leaving(running)) - max(running.left, 0)
         return max(room, 0)
+
+    def remove_orphans(self) -> None:
+        """Remove the shadows of updates in slices that were interrupted at their very end."""
+        if self._held.columns.shadows and not self.under_way:
+            self._held.remove(np.flatnonzero(self._held.columns.shadow))
 
 
 def _latest(given: ArrayLike, valid: Validated, whole: bool) -> int:

@@ -115,7 +115,7 @@ def test_what_happens_between_slices_is_not_undone():
     part = Part(names, shapes._replace(position=shapes.position + 20), 2)
     work = scene.in_slices('s', '', 60, part.cut, whole=True)
     next(work), next(work)
-    assert scene.expire(60) == 60  # those not yet renewed, and the shadows of the others
+    assert scene.expire(60) == 46  # those not yet renewed; the shadows of the others go, too
     scene.update('t', Numbered('d#', np.arange(40)), shapes.take(slice(40)), stamp=3)
     assert len(list(work)) > 5
     assert len(scene) == 100

@@ -110,7 +110,7 @@ class Diagnostics(Part):
         values = {
             'obstacles': len(scene),
             **figures,
-            **_corners(*scene.tree_levels(0, 0, 1)[:2]),
+            **({} if scene.interrupted else _corners(*scene.tree_levels(0, 0, 1)[:2])),
             'expired': scene.expired,
             'bytes of the process': resident_bytes(),
             'on': ', '.join(name for name in features if features[name]),

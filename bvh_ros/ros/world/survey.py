@@ -30,7 +30,7 @@ class SceneStatistics:
         self._work: Iterator[None] | None = None
         self._spent = 0.0  # s on the look that is being taken
         self._figures: dict[str, Any] = {}
-        self._seen: dict[str, int] = {}
+        self._seen = dict.fromkeys((view.name for view in world.views), 0)
         self._taken = -float('inf')
         self._due = -float('inf')
 
@@ -51,6 +51,8 @@ class SceneStatistics:
         return {**self._figures, 'age of these figures': f'{now - self._taken:.1f} s'}, self._seen
 
     def _take(self) -> Iterator[None]:
+        if self._world.scene.interrupted:
+            return  # nobody knows what it holds
         seen = {}
         for view in self._world.views:
             seen[view.name] = self._world.scene.count(view.mask)

@@ -69,6 +69,8 @@ class World:
         return self.compiling or self._silence(now)
 
     def _silence(self, now: int) -> str:
+        if self.scene.interrupted:
+            return 'a change of the world was interrupted: what it holds is unknown until ~/clear'
         for source in self.sources:
             problem = source.problem(now)
             if problem:

@@ -123,6 +123,11 @@ class Columns:
             return np.arange(len(slots))
         return np.sort(np.unique(self.node_handle[slots], return_index=True)[1])
 
+    def shadows_of(self, slots: Slots) -> Slots:
+        """Where else the obstacles of some slots stand, see slicing.py."""
+        shadows = np.flatnonzero(self.shadow)
+        return shadows[np.isin(self.node_handle[shadows], self.node_handle[slots])]
+
     def copy(self, slots: Slots, copies: Slots) -> None:
         """Write to some slots what others hold."""
         for array in vars(self).values():

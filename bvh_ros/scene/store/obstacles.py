@@ -7,9 +7,11 @@ slot.
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.nodes import SLOT_MASK
 from ..geometry.shapes import Floats
 from ..results import LAST_NODE_HANDLE, SceneHit
 from .columns import NEVER, Columns
@@ -17,6 +19,34 @@ from .groups import NOBODY, Groups
 from .names import Families
 from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
+
+UNFINISHED = (
+    'a change of the scene was interrupted (or is under way): what it holds is not known before '
+    'it is cleared'
+)
+
+
+class Change:
+    """Around whatever is written to tree, columns, names and groups: they agree only at its end.
+
+    Who is interrupted in between (Ctrl-C, MemoryError) leaves it `unfinished`; who asks meanwhile,
+    from a signal handler or another thread, finds it so.
+    """
+
+    def __init__(self) -> None:
+        self.unfinished = False
+
+    def require_none(self) -> None:
+        """RuntimeError if a change was interrupted, or is under way."""
+        if self.unfinished:
+            raise RuntimeError(UNFINISHED)
+
+    def __enter__(self) -> None:
+        self.require_none()
+        self.unfinished = True
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.unfinished = kind is not None
 
 
 class Obstacles:
@@ -27,6 +57,7 @@ class Obstacles:
         self.most = checks.whole('max_obstacles', most, 1)
         self.tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
         self.columns = Columns(planar, meshes)
+        self.change = Change()
         self.registry = Registry()
         self.groups = Groups()
         self.newest = 0
@@ -110,6 +141,32 @@ class Obstacles:
             self.groups.join(source, group, joined)
             self.groups.leave(before[before != columns.group[slots]])
 
+    def leave_shadows(self, rows: Rows) -> Slots:
+        """Copies of the obstacles that are about to move, of the same names and handles, that stay
+        where they are, see slicing.py; return their handles in the tree.
+        """
+        columns = self.columns
+        lo, hi = self.tree.boxes(columns.tree_handle[rows.slot])
+        stays = (lo == rows.lo).all(axis=1) & (hi == rows.hi).all(axis=1)
+        moves = ~stays | rows.records['shaped'] | columns.geometry['shaped'][rows.slot]
+        slots = rows.slot[moves]
+        handles = self.tree.insert_many(lo[moves], hi[moves], columns.categories[slots])
+        copies = self.tree.slots(handles)
+        columns.grow(int(copies.max(initial=-1)) + 1)
+        columns.copy(slots, copies)
+        columns.tree_handle[copies] = handles
+        columns.shadow[copies] = True
+        columns.shadows += len(copies)
+        self.registry.copy(slots, copies)
+        return handles
+
+    def still_there(self, handles: NDArray[np.int64]) -> Slots:
+        """Slots of those of some handles of the tree that are still there."""
+        known = self.columns.tree_handle
+        handles = handles[handles & SLOT_MASK < len(known)]
+        slots = handles & SLOT_MASK
+        return slots[known[slots] == handles]
+
     def insert(self, rows: Rows, names: Families, source: str, group: str) -> Slots:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
         masks = rows.categories
@@ -132,18 +189,42 @@ class Obstacles:
         return written.joined
 
     def remove(self, slots: Slots) -> int:
-        """Forget obstacles; return how many there were."""
+        """Forget obstacles as one change; return how many there were."""
+        if not len(slots):
+            return 0
+        with self.change:
+            return self.drop(slots)
+
+    def drop(self, slots: Slots) -> int:
+        """Forget obstacles, within a change, and where else they stand, see slicing.py; return how
+        many there were.
+        """
+        gone = slots[~self.columns.shadow[slots]]
+        if self.columns.shadows and len(gone):
+            slots = np.union1d(slots, self.columns.shadows_of(gone))
         if len(slots) == len(self.tree) > 0:
-            self.tree.clear()
-            self.registry.clear()
-            self.groups.clear()
-            self.columns.clear()
+            self._forget_all()
         elif len(slots):
             self.tree.remove_many(self.columns.tree_handle[slots])
             self.registry.discard(slots)
-            self.groups.leave(self.columns.group[slots[~self.columns.shadow[slots]]])
+            self.groups.leave(self.columns.group[gone])
             self.columns.forget(slots)
-        return len(slots)
+        return len(gone)
+
+    def clear(self) -> int:
+        """Forget everybody, whatever became of a change before; return how many there were."""
+        count = len(self)
+        self.change.unfinished = True
+        self._forget_all()
+        self.newest = 0
+        self.change.unfinished = False
+        return count
+
+    def _forget_all(self) -> None:
+        self.tree.clear()
+        self.registry.clear()
+        self.groups.clear()
+        self.columns.clear()
 
     def note_next_expiry(self) -> None:
         """Look when the next obstacle expires."""

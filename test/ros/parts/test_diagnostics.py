@@ -13,6 +13,7 @@ from bvh_ros.ros.parts.refusals import LISTED, Refused
 from bvh_ros.ros.parts.timings import MOST, Timings
 from bvh_ros.ros.world import survey
 from bvh_ros.ros.world.views import WHOLE
+from bvh_ros.ros.world.world import IncompleteWorldError, World
 from bvh_ros.scene import Refusal, Scene
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
@@ -198,3 +199,20 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
         assert 'age of these figures' in figures
         now[0] += 1.0
     assert 19 <= len(taken) <= 26
+
+
+def test_a_world_whose_change_was_interrupted():
+    """Nothing is answered before it is cleared, and diagnostics say so."""
+    scene = Scene()
+    world = World(None, scene, None, (), (WHOLE,))
+    looks = survey.SceneStatistics(world)
+    with pytest.raises(KeyboardInterrupt), scene._held.change:
+        raise KeyboardInterrupt
+    assert '~/clear' in world.problem(0)
+    with pytest.raises(IncompleteWorldError):
+        world.at(0, thin_ray=True)
+    _, seen = looks.look()
+    assert seen == {WHOLE.name: 0}
+    scene.clear()
+    assert world.problem(0) == ''
+    assert world.at(0) is scene

@@ -18,19 +18,16 @@ import textwrap
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
+from tree.interrupting import InterruptError, interrupted
 from tree.reference import effort, snapshot
 
-import bvh_ros
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.nodes import WRITTEN
 
-ROOM = str(Path(bvh_ros.__file__).parent / 'tree')
 RNG = np.random.default_rng(4)
 LO = RNG.uniform(0, 20, (40, 3))
 MORE = RNG.uniform(0, 20, (60, 3))
@@ -84,36 +81,6 @@ CHANGES: dict[str, Callable[[DynamicBVH], Any]] = {
         pickle.dumps(tree),
     ),
 }
-
-
-class InterruptError(BaseException):
-    """As a KeyboardInterrupt, which pytest would take for one."""
-
-
-def interrupted(change: Callable[[], Any], at: int) -> bool:
-    """Raise at the bytecode of this number; whether there was one."""
-    left = at
-
-    def trace(frame: FrameType, event: str, _: Any) -> Any:
-        nonlocal left
-        if not frame.f_code.co_filename.startswith(ROOM):
-            return None
-        frame.f_trace_opcodes = True
-        if event == 'opcode':
-            left -= 1
-            if left == 0:
-                raise InterruptError
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        change()
-    except InterruptError:
-        pass
-    finally:
-        sys.settrace(before)
-    return left <= 0
 
 
 def check(tree: DynamicBVH) -> None:

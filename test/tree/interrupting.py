@@ -1,0 +1,50 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Interruptions at one bytecode after the other: wherever a signal handler could raise, and
+wherever memory could be short.
+"""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import bvh_ros
+
+PACKAGE = str(Path(bvh_ros.__file__).parent)
+
+
+class InterruptError(BaseException):
+    """As a KeyboardInterrupt, which pytest would take for one."""
+
+
+def interrupted(
+    change: Callable[[], Any],
+    at: int,
+    rooms: tuple[str, ...] = ('tree',),
+    error: type[BaseException] = InterruptError,
+) -> bool:
+    """Raise at the bytecode of this number in some rooms of the package; whether there was one."""
+    left, places = at, tuple(f'{PACKAGE}/{room}/' for room in rooms)
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        nonlocal left
+        if not frame.f_code.co_filename.startswith(places):
+            return None
+        frame.f_trace_opcodes = True
+        if event == 'opcode':
+            left -= 1
+            if left == 0:
+                raise error
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        change()
+    except error:
+        pass
+    finally:
+        sys.settrace(before)
+    return left <= 0
