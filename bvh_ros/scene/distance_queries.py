@@ -3,12 +3,15 @@
 """How far obstacles are, by their true shapes."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
-from ..tree.nodes import ALL
+from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
-from .results import Clearance, SceneHit
+from .distance.query_rows import query_rows
+from .distance.touching_rows import Points
+from .geometry.shapes import Floats, Shapes
+from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
 
 
@@ -18,6 +21,7 @@ class DistanceQueries:
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._nearness = nearness.Nearness(held.tree, held.columns)
+        self._clearances = clearance.Clearances(held.tree, held.columns)
 
     def nearest(
         self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
@@ -66,21 +70,104 @@ class DistanceQueries:
         rounded touch, see `narrow_phase`. KeyError if there is no obstacle of this name.
         """
         slot = self._held.slot(name)
-        tree, columns, slots = self._held.tree, self._held.columns, [slot]
+        slots, handles = [slot], self._held.columns.node_handle
         if self._held.columns.shadows:  # it may stand at two places, see slicing.py
-            handles = self._held.columns.node_handle
             slots = np.flatnonzero(handles == handles[slot]).tolist()
-        every = [clearance.nearest_other(tree, columns, place) for place in slots]
-        found = min(
-            (one for one in every if one is not None),
-            key=lambda one: (one.distance, self._held.columns.node_handle[one.slot]),
-            default=None,
-        )
-        if found is None:
+        every = [self._clearances.nearest_other(place) for place in slots]
+        found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
+        if found.slots[0] == NONE:
             return None
         return Clearance(
-            found.distance,
-            self._held.registry.name(found.slot),
-            int(self._held.columns.node_handle[found.slot]),
-            *found.points,
+            found.distances.item(0),
+            self._held.registry.name(found.slots[0]),
+            int(handles[found.slots[0]]),
+            *found.points[0],
         )
+
+    def nearest_many(
+        self,
+        points: ArrayLike,
+        k: int = 1,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        threads: int = 1,
+    ) -> tuple[NDArray[np.uint32], Floats, Floats]:
+        """Return the obstacles nearest to each of n points; a row is what `nearest` says.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            m; z is ignored in a planar scene.
+        k : int
+            How many of each at most.
+        max_distance, mask : one for all points, or array_like of shape (n,)
+            As in `nearest`.
+        threads : int
+            The points are shared among so many threads; the answer does not depend on it.
+
+        Returns
+        -------
+        handles : (n, k) uint32
+            Node handles, nearest first, then NO_NODE (0xFFFFFFFF).
+        distances : (n, k)
+            m; then inf.
+        points : (n, k, 3)
+            The obstacles' points closest to the given ones, m; then NaN.
+
+        Raises
+        ------
+        ValueError
+            As `nearest`; the message names the first bad row.
+        """
+        where = checks.points('points', points, 3)
+        count, many = len(where), checks.whole('k', k, 1)
+        reaches = checks.limits_or_one('max_distance', max_distance, count)
+        asked = Points(where, reaches, checks.masks_or_one(mask, count))
+        near = self._nearness.find_rows(asked, many, checks.whole('threads', threads, 1))
+        return near.handles, near.distances, near.points
+
+    def clearance_many(
+        self,
+        shapes: Shapes,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = ALL,
+        threads: int = 1,
+    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+        """Return how far each of n shapes is from the nearest obstacle, ties by handle.
+
+        A row is what `clearance` says of an obstacle of this shape; the shapes themselves are no
+        obstacles.
+
+        Parameters
+        ----------
+        shapes : Shapes
+            n rows.
+        max_distance, mask : one for all shapes, or array_like of shape (n,)
+            Obstacles that are farther away (m), or are not seen, are left out.
+        threads : int
+            The shapes are shared among so many threads; the answer does not depend on it.
+
+        Returns
+        -------
+        handles : (n,) uint32
+            Node handles, NO_NODE (0xFFFFFFFF) where there is no obstacle.
+        distances : (n,)
+            m, 0 where they touch; inf where there is none.
+        points, other_points : (n, 3)
+            The shape's point that is closest to the obstacle, and the obstacle's, m; NaN where
+            there is none.
+
+        Raises
+        ------
+        ValueError
+            If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
+        """
+        rows, hulls = query_rows(shapes, 0.0, mask, self._held.planar)
+        reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
+        threads = checks.whole('threads', threads, 1)
+        found = self._clearances.find_rows(rows, hulls, reaches, NONE, threads)
+        handles = self._held.columns.node_handle
+        near = found.slots != NONE
+        named = np.full(len(near), NO_NODE, np.uint32)
+        named[near] = handles[found.slots[near]]
+        return named, found.distances, found.points[:, 0], found.points[:, 1]

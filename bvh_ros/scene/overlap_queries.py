@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What touches a box or another shape in a scene, and what touches each other."""
 
+from typing import Any
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_shape import NO_TURN, box_query, shape_query
-from .geometry.shapes import Shapes
+from .distance.query_rows import query_rows, shape_query
+from .distance.query_shape import NO_TURN, box_query
+from .distance.touching_rows import WANTED
+from .geometry.shapes import BOX, Shapes, as_shapes
 from .results import SceneHit
 from .store.obstacles import Obstacles
 
@@ -78,6 +83,104 @@ class OverlapQueries:
         query, hulls = shape_query(shape, tolerance, self._held.planar)
         found, rows = self._overlaps.find(query, hulls, checks.mask(mask), None)
         return self._held.each_once(self._held.hits(found, rows))
+
+    def overlap_many(
+        self,
+        centers: ArrayLike,
+        sizes: ArrayLike,
+        orientations: ArrayLike | None = None,
+        tolerance: ArrayLike = 0.0,
+        mask: ArrayLike = ALL,
+        want: str = 'any',
+        threads: int = 1,
+    ) -> Any:
+        """Return what touches each of n boxes; a row is what `overlap_shape` says of a box.
+
+        Parameters
+        ----------
+        centers : array_like, shape (n, 3)
+            m.
+        sizes : array_like, shape (n, 3), or (3,) for all
+            Edge lengths, m. A box without any is a point, with `tolerance` a ball.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w of the boxes' axes; zero is the identity, as is None.
+        tolerance, mask : one for all boxes, or array_like of shape (n,)
+            As in `overlap`.
+        want : {'any', 'count', 'first', 'all'}
+            What is asked of each box.
+        threads : int
+            The boxes are shared among so many threads; the answer does not depend on it.
+
+        Returns
+        -------
+        (n,) bool, with 'any'
+            Whether anything touches the box.
+        (n,) int64, with 'count'
+            How many obstacles do.
+        (n,) uint32, with 'first'
+            Node handle of the first of `overlap`; NO_NODE (0xFFFFFFFF) without any.
+        (offsets, handles), with 'all'
+            Node handles of those that touch box i are ``handles[offsets[i]:offsets[i + 1]]``, in
+            the order of `overlap`; int64 of shape (n + 1,), and uint32.
+
+        Raises
+        ------
+        ValueError
+            As `overlap`; the message names the first bad row. If `want` is none of the four.
+        """
+        places = checks.points('centers', centers, 3)
+        edges = checks.floats('sizes', sizes)
+        if edges.shape == (3,):
+            edges = np.broadcast_to(checks.point('sizes', edges, 3), places.shape)
+        edges = checks.points('sizes', edges, 3, len(places))
+        turns = np.zeros((len(places), 4))
+        if orientations is not None:
+            turns = checks.points('orientations', orientations, 4, len(places))
+        kinds = np.full(len(places), BOX, np.uint8)
+        return self._answer(Shapes(kinds, places, turns, edges), tolerance, mask, want, threads)
+
+    def overlap_shape_many(
+        self,
+        shape: Shapes,
+        positions: ArrayLike,
+        orientations: ArrayLike | None = None,
+        tolerance: ArrayLike = 0.0,
+        mask: ArrayLike = ALL,
+        want: str = 'any',
+        threads: int = 1,
+    ) -> Any:
+        """Return what touches one shape at n poses; a row is what `overlap_shape` says of it.
+
+        Parameters
+        ----------
+        shape : Shapes
+            One row. Its poses are those given here, not its own.
+        positions : array_like, shape (n, 3)
+            m.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w; zero is the identity. None: that of the shape.
+        tolerance, mask, want, threads
+            As in `overlap_many`, which see for what is returned and raised.
+        """
+        one = as_shapes(shape)
+        if len(one.kind) != 1:
+            raise ValueError(f'shape must be one row of Shapes, not {len(one.kind)}')
+        places = checks.points('positions', positions, 3)
+        rows = one.take(np.zeros(len(places), np.int64))._replace(position=places)
+        if orientations is not None:
+            turns = checks.points('orientations', orientations, 4, len(places))
+            rows = rows._replace(orientation=turns)
+        return self._answer(rows, tolerance, mask, want, threads)
+
+    def _answer(
+        self, shapes: Shapes, tolerance: ArrayLike, mask: ArrayLike, want: str, threads: int
+    ) -> Any:
+        """What `overlap_many` returns of any shapes."""
+        if not isinstance(want, str) or want not in WANTED:
+            raise ValueError(f'want must be any, count, first or all, not {want!r}')
+        rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar)
+        threads = checks.whole('threads', threads, 1)
+        return self._overlaps.answer(rows, hulls, WANTED[want], threads)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
         """Return the names of all obstacles that touch each other.

@@ -3,16 +3,19 @@
 """What rays and swept balls meet in a scene. Each method checks its input and asks a kernel."""
 
 import math
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.nodes import ALL
-from .casting import ball_casting, box_casting, casting
+from ..tree.store.workers import in_threads
+from .casting import ball_casting, box_casting, casting, sweeping
 from .casting.casting import Rays
+from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
-from .results import NO_NODE, SceneHit, require_few
+from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 
 
@@ -101,7 +104,8 @@ class RayQueries:
         t_max: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
-    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+        threads: int = 1,
+    ) -> CastHits:
         """First obstacles on n thin rays ``origin + t * direction``, ``0 <= t <= t_max``.
 
         Parameters
@@ -109,14 +113,13 @@ class RayQueries:
         origins, directions : array_like, shape (n, 3)
         t_max, mask : one for all rays, or array_like of shape (n,)
 
+        threads : int
+            The rays are shared among so many threads; the answer does not depend on it.
+
         Returns
         -------
-        handles : (n,) uint32
-            Node handles, NO_NODE (0xFFFFFFFF) where nothing is hit.
-        t : (n,)
-            In units of the directions; inf where nothing is hit.
-        points, normals : (n, 3)
-            NaN and zero where nothing is hit.
+        CastHits
+            `t` in units of the directions.
         """
         origins = checks.points('origins', origins, 3)
         directions = checks.points('directions', directions, 3, len(origins))
@@ -124,25 +127,81 @@ class RayQueries:
             checks.limits('t_max', t_max, len(origins)),
             checks.masks(mask, len(origins)),
         )
-        rays, columns = Rays(origins, directions, limits, masks), self._held.columns
-        if not columns.shaped:
-            handles = columns.node_handle
-            return box_casting.first_of_many(self._held.tree, handles, rays, bool(skip_inside))
-        return self._first_of_many(rays, bool(skip_inside))
+        rays, skip = Rays(origins, directions, limits, masks), bool(skip_inside)
+        return self._first_of_many(rays, skip, checks.whole('threads', threads, 1))
 
-    def _first_of_many(
-        self, rays: Rays, skip_inside: bool
-    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
-        """The same against the true shapes."""
-        found = self._cast(rays, skip_inside, False)
-        count, rows = len(rays.origins), np.flatnonzero(np.diff(found.offsets))
-        handles, ts = np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)
-        points, normals = np.full((count, 3), np.nan), np.zeros((count, 3))
-        handles[rows] = self._held.columns.node_handle[found.hits.slots]
-        ts[rows], points[rows], normals[rows] = found.hits.ts, found.points, found.normals
-        if self._held.planar:
-            points[rows, 2] = rays.origins[rows, 2]
-        return handles, ts, points, normals
+    def sweep_many(
+        self,
+        starts: ArrayLike,
+        goals: ArrayLike,
+        radius: ArrayLike = 0.0,
+        mask: ArrayLike = ALL,
+        skip_inside: bool = False,
+        threads: int = 1,
+    ) -> CastHits:
+        """First obstacles on the ways of n balls; a row is what `raycast` says.
+
+        Parameters
+        ----------
+        starts, goals : array_like, shape (n, 3)
+            Ends of the segments, m.
+        radius, mask : one for all balls, or array_like of shape (n,)
+            As in `raycast`.
+        skip_inside : bool
+            Ignore obstacles that a ball touches at its start.
+        threads : int
+            The balls are shared among so many threads; the answer does not depend on it.
+
+        Raises
+        ------
+        ValueError
+            As `raycast`; the message names the first bad row.
+        """
+        origins = checks.points('starts', starts, 3)
+        count, skip = len(origins), bool(skip_inside)
+        with np.errstate(over='ignore'):
+            directions = checks.points('goals', goals, 3, count) - origins
+        far = np.flatnonzero(~np.isfinite(directions).all(axis=1))
+        if len(far):
+            raise ValueError(f'the segment of row {far[0]} is longer than the largest double')
+        radii, masks = checks.limits('radius', radius, count), checks.masks(mask, count)
+        if np.isinf(radii).any():
+            raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
+        threads = checks.whole('threads', threads, 1)
+        thin, thick = np.flatnonzero(radii == 0.0), np.flatnonzero(radii > 0.0)
+        rays = Rays(origins[thin], directions[thin], np.ones(len(thin)), masks[thin])
+        balls = Balls(*(rows[thick] for rows in (origins, directions, radii, masks)))
+        if not len(thick):
+            return self._first_of_many(rays, skip, threads)
+        found = sweeping.first_of_many(self._held.tree, self._held.columns, balls, skip, threads)
+        if not len(thin):
+            return found
+        order = np.argsort(np.concatenate((thin, thick)))
+        both: Any = zip(self._first_of_many(rays, skip, threads), found, strict=True)
+        return CastHits(*(np.concatenate(columns)[order] for columns in both))
+
+    def _first_of_many(self, rays: Rays, skip_inside: bool, threads: int) -> CastHits:
+        """First hits of thin rays."""
+        held, count = self._held, len(rays.origins)
+        if not held.columns.shaped:
+            handles = held.columns.node_handle
+            return box_casting.first_of_many(held.tree, handles, rays, skip_inside, threads)
+        hits = CastHits(
+            *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
+            *(np.full((count, 3), np.nan), np.zeros((count, 3))),
+        )
+
+        def work(start: int, stop: int) -> None:
+            found = self._cast(Rays(*(rows[start:stop] for rows in rays)), skip_inside, False)
+            rows = start + np.flatnonzero(np.diff(found.offsets))
+            hits.handles[rows] = held.columns.node_handle[found.hits.slots]
+            hits.t[rows], hits.points[rows] = found.hits.ts, found.points
+            hits.normals[rows] = found.normals
+            if held.planar:
+                hits.points[rows, 2] = rays.origins[rows, 2]
+
+        in_threads(work, count, threads)
+        return hits
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float

@@ -47,6 +47,19 @@ class SceneHit(NamedTuple):
     """Last update of the obstacle, ns."""
 
 
+class CastHits(NamedTuple):
+    """The first obstacles on n ways."""
+
+    handles: NDArray[np.uint32]
+    """(n,) node handles, NO_NODE (0xFFFFFFFF) where the way is free."""
+    t: NDArray[np.float64]
+    """(n,) from 0 at the start to 1 at the goal; inf where the way is free."""
+    points: NDArray[np.float64]
+    """(n, 3), m: on the obstacles; NaN where the way is free."""
+    normals: NDArray[np.float64]
+    """(n, 3) outward; zero where the way is free, or begins in the obstacle."""
+
+
 class Clearance(NamedTuple):
     """How far an obstacle is from the nearest other one."""
 

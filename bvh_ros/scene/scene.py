@@ -109,11 +109,16 @@ class Scene:
     raycast = method_of('_rays', RayQueries.raycast)
     raycast_all = method_of('_rays', RayQueries.raycast_all)
     raycast_many = method_of('_rays', RayQueries.raycast_many)
+    sweep_many = method_of('_rays', RayQueries.sweep_many)
     overlap = method_of('_overlaps', OverlapQueries.overlap)
     overlap_shape = method_of('_overlaps', OverlapQueries.overlap_shape)
+    overlap_many = method_of('_overlaps', OverlapQueries.overlap_many)
+    overlap_shape_many = method_of('_overlaps', OverlapQueries.overlap_shape_many)
     overlap_pairs = method_of('_overlaps', OverlapQueries.overlap_pairs)
     nearest = method_of('_distances', DistanceQueries.nearest)
+    nearest_many = method_of('_distances', DistanceQueries.nearest_many)
     clearance = method_of('_distances', DistanceQueries.clearance)
+    clearance_many = method_of('_distances', DistanceQueries.clearance_many)
 
     # ---- what there is
 

@@ -72,7 +72,7 @@ def our_answers(shapes: Shapes) -> Answers:
     touching, distances, points = np.empty(count, np.bool_), np.empty(count), np.empty((2, 3))
     near_pairs(records, None, np.arange(2 * count).reshape(-1, 2), False, touching)
     for i in range(count):
-        distances[i] = distance_of(records[2 * i], records[2 * i + 1], None, False, points)
+        distances[i] = distance_of(records[2 * i], None, records[2 * i + 1], None, False, points)
     return Answers(touching, distances)
 
 

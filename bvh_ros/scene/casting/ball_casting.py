@@ -77,12 +77,16 @@ def find(world, ball, mask, skip_inside, every, scratch, hits):
 
 
 @lean_kernel
-def bracket(world, ball, scratch, slots, times, features):
-    """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
-    for i in range(slots.shape[0]):
+def bracket(world, ball, scratch, hits, times, features):
+    """Fill in the times and features, shape (3, n), of larger (known from `hits`), right and
+    smaller balls.
+    """
+    slots = hits.slots
+    for i in range(times.shape[1]):
         doubt = ball.slack if plain(world.geometry, world.footprints, slots[i]) else 0.0
-        for row in range(3):
-            radius = ball.radius + (AT - row) * doubt if row != AT else ball.radius
+        times[EARLY, i], features[EARLY, i] = hits.ts[i], hits.features[i]
+        for row in range(AT, LATE + 1):
+            radius = ball.radius - doubt if row == LATE else ball.radius
             times[row, i], features[row, i] = np.inf, ROUND
             if radius > 0.0:
                 times[row, i], features[row, i] = enter_obstacle(
@@ -99,7 +103,7 @@ def sweep_ball(world, ball, asked, scratch, hits, brackets):
     larger = Ball(ball.radius, slack)
     count = find(world, larger, mask, skip_inside, every, scratch, hits)
     if count <= hits.slots.shape[0]:
-        bracket(world, larger, scratch, hits.slots[:count], times[:, :count], features[:, :count])
+        bracket(world, larger, scratch, hits, times[:, :count], features[:, :count])
     return count
 
 

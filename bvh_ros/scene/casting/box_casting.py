@@ -23,7 +23,7 @@ from ...tree.rays.ray_hits import locate
 from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import IS_CHANGED, REFUSED
 from ..geometry.shapes import Floats, along_axes
-from ..results import NO_NODE, require_few
+from ..results import NO_NODE, CastHits, require_few
 from .casting import Rays
 
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
@@ -70,16 +70,16 @@ def every(
 
 
 def first_of_many(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, skip_inside: bool
-) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
-    """Node handles, t, points and normals of n rays."""
+    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, skip_inside: bool, threads: int
+) -> CastHits:
+    """First hits of n rays."""
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    hits = tree.raycast_many(*flat, rays.t_max, rays.masks, skip_inside)
+    hits = tree.raycast_many(*flat, rays.t_max, rays.masks, skip_inside, threads)
     told = Told(np.empty(count, np.uint32), np.empty((count, 3)), np.zeros((count, 3)))
     nodes, tight = tree.arrays()[:2]
     describe(nodes, tight, node_handles, rays, hits, told)
-    return told.handles, hits.t, told.points, told.normals
+    return CastHits(told.handles, hits.t, told.points, told.normals)
 
 
 class Told(NamedTuple):

@@ -1,57 +1,72 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far an obstacle is from the nearest other one, by their true shapes.
+"""How far shapes are from the nearest obstacle, by their true shapes.
 
-No two shapes are nearer than their boxes. So some neighbour's distance bounds the search: only
-boxes within it are looked at, nearest first, until the next box is farther than the best shape.
+No two shapes are nearer than their boxes. So the tree is asked for the nearest boxes, ever more of
+them, until the next box is farther than the nearest shape among those it has named.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...tree import checks
+from ...tree.boxes.nearest import nearest
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import NONE
+from ...tree.store.turns import begin_query, end_query
+from ...tree.store.workers import in_threads
 from ..geometry.hull import hull_of
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
-from ..store.registry import Slots
+from ..store.mesh_store import Hulls
+from .closest import fill_corners, length
 from .gjk import CORE_ROWS, FIRST, SECOND, SLACK, WAY_ROOM, dot
 from .narrow_phase import fill_core, largest_length, ordered
-from .overlaps import corners, lengths
+from .query_rows import QueryRows
 from .sure_gap import sure_bounds
+from .touching_rows import RowKernel, bodies_of, of_row
 
 ROUNDED = 1.0 + 2.0**-40  # no computed distance is off by as much
 MORE = 4
+FEW = 32  # boxes that there is room for at first
 
 
-class Neighbour(NamedTuple):
-    """The nearest other obstacle."""
+class Neighbours(NamedTuple):
+    """The obstacles nearest to n shapes."""
 
-    distance: float
-    slot: int
-    points: Floats
-    """Shape (2, 3): the obstacle's point, and the other's."""
+    slots: Any
+    """(n,) NONE where there is none."""
+    distances: Any
+    points: Any
+    """(n, 2, 3): the shape's, and the obstacle's."""
+
+
+class Room(NamedTuple):
+    """For the boxes that the tree names."""
+
+    slots: Any
+    bounds: Any
 
 
 @lean_kernel
-def gap(one, other, hulls, planar, points):
+def gap(one, hulls, other, other_hulls, planar, points):
     """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
     one. It is the same from either side.
     """
     if ordered(one, other):
-        return ordered_gap(one, other, hulls, planar, points)
-    distance = ordered_gap(other, one, hulls, planar, points)
+        return ordered_gap(one, hulls, other, other_hulls, planar, points)
+    distance = ordered_gap(other, other_hulls, one, hulls, planar, points)
     for axis in range(3):
         points[0, axis], points[1, axis] = points[1, axis], points[0, axis]
     return distance
 
 
 @lean_kernel
-def ordered_gap(one, other, hulls, planar, points):
+def ordered_gap(one, hulls, other, other_hulls, planar, points):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     way = stack_array(WAY_ROOM, np.float64)
@@ -63,7 +78,7 @@ def ordered_gap(one, other, hulls, planar, points):
     if hulls is None:
         hull = other_hull = None
     else:
-        hull, other_hull = hull_of(hulls, one), hull_of(hulls, other)
+        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = radius + other_radius + SLACK
     low, high, _ = sure_bounds(
         first, round_one, hull, second, round_other, other_hull, limit, True, way
@@ -92,66 +107,121 @@ def surfaces(radius, other_radius, length, touching):
     return radius / length, 1.0 - other_radius / length
 
 
-def nearest_other(tree: DynamicBVH, columns: Columns, slot: int) -> Neighbour | None:
-    """The obstacle nearest to that of a slot, ties by handle; None if it is alone."""
-    lo, hi = (side[0] for side in tree.boxes([int(columns.tree_handle[slot])]))
-    some = _some_other(tree, columns, slot, lo * 0.5 + hi * 0.5)
-    if some is None:
-        return None
-    best = _measured(columns, slot, some, tree.ndim)
-    reach = np.nextafter(best.distance * ROUNDED, np.inf)
-    with np.errstate(over='ignore'):
-        largest = np.finfo(np.float64).max
-        near = tree.overlap(np.maximum(lo - reach, -largest), np.minimum(hi + reach, largest))
-    slots = tree.slots(near)
-    slots = slots[columns.node_handle[slots] != columns.node_handle[slot]]
-    low, high = tree.boxes(columns.tree_handle[slots])
-    gaps = lengths(np.maximum(np.maximum(low - hi, lo - high), 0.0))
-    for i in np.lexsort((columns.node_handle[slots], gaps)).tolist():
-        if gaps[i] > best.distance * ROUNDED:
-            break
-        found = _measured(columns, slot, int(slots[i]), tree.ndim)
-        if _rank(columns, found) < _rank(columns, best):
-            best = found
-    return best
-
-
-def _rank(columns: Columns, found: Neighbour) -> tuple[float, int]:
-    return found.distance, int(columns.node_handle[found.slot])
-
-
-def _some_other(tree: DynamicBVH, columns: Columns, slot: int, point: Floats) -> int | None:
-    """A slot near a point that holds another obstacle."""
-    asked, handle = 2, columns.node_handle[slot]
-    while True:
-        slots: Slots = tree.slots(tree.nearest(point, asked)[0])
-        others = slots[columns.node_handle[slots] != handle]
-        if len(others):
-            return int(others[0])
-        if len(slots) < asked:
-            return None
-        asked *= MORE
-
-
-def _measured(columns: Columns, slot: int, other: int, ndim: int) -> Neighbour:
-    """How far two obstacles are apart."""
-    records, planar = columns.geometry[[slot, other]], ndim == 2
-    points = np.empty((2, 3))
-    if records['shaped'].any():
-        distance = gap(records[0], records[1], columns.hulls(), planar, points)
-    else:
-        distance = _box_gap(records, ndim, points)
-    if planar:
-        points[:, 2] = records['position'][0, 2]
-    return Neighbour(float(distance), other, points)
-
-
-def _box_gap(records: NDArray[np.void], ndim: int, points: Floats) -> float:
+@lean_kernel
+def box_gap(one, other, ndim, points):
     """`gap` of two axis-aligned boxes: between their faces, and in the middle where they face
     each other.
     """
-    lo, hi = corners(records)
-    low, high = lo.max(axis=0), hi.min(axis=0)  # of what they have in common, if low <= high
-    middle = low * 0.5 + high * 0.5
-    points[:] = np.where(low <= high, middle, np.where(lo >= low, lo, hi))
-    return float(lengths(np.maximum(low - high, 0.0)[None, :ndim])[0])
+    corners = stack_array(12, np.float64).reshape(4, 3)
+    gaps = stack_array(3, np.float64)
+    fill_corners(one, corners[:2])
+    fill_corners(other, corners[2:])
+    for axis in range(3):
+        # Of what they have in common, if low <= high.
+        low = max(corners[0, axis], corners[2, axis])
+        high = min(corners[1, axis], corners[3, axis])
+        gaps[axis] = max(low - high, 0.0) if axis < ndim else 0.0
+        for row in range(2):
+            if low <= high:
+                points[row, axis] = low * 0.5 + high * 0.5
+            elif corners[2 * row, axis] >= low:
+                points[row, axis] = corners[2 * row, axis]
+            else:
+                points[row, axis] = corners[2 * row + 1, axis]
+    return length(gaps)
+
+
+@lean_kernel
+def clearance_rows(tree, version, bodies, rows, asked, place, node_handles, room, told):
+    """Fill in the rows [start, stop) of `told`; asked = (reaches, how many boxes there are, the
+    node handle that is not looked at), place = (start, stop). Returns (rows done, room wanted):
+    fewer than there are where there is no room, negative if the tree is changed.
+    """
+    reaches, everybody, besides = asked
+    row, stop = place
+    if not begin_query(tree.state, version):
+        return -1, 0
+    wanted = 0
+    while row < stop:
+        told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
+        reach, wanted, looked = of_row(reaches, row), min(2, everybody + 1), 0
+        while wanted <= room.slots.shape[0]:
+            low, high = rows.bounds[row, 0], rows.bounds[row, 1]
+            limit, mask = max(reach * ROUNDED, reach), of_row(rows.masks, row)
+            count = nearest(tree, low, high, wanted, limit, mask, room.slots, room.bounds)
+            fresh = room.slots[looked:count]
+            look_at(bodies, rows, row, (reach, besides), node_handles, fresh, told)
+            if count < wanted or room.bounds[count - 1] > told.distances[row] * ROUNDED:
+                break
+            looked, wanted = count, min(wanted * MORE, everybody + 1)
+        if wanted > room.slots.shape[0]:
+            break
+        row += 1
+    end_query(tree.state)
+    return row, wanted
+
+
+@lean_kernel
+def look_at(bodies, rows, row, asked, node_handles, slots, told):
+    """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
+    reach, besides = asked
+    points, planar = stack_array(6, np.float64).reshape(2, 3), bodies.footprints is not None
+    one = rows.records[row]
+    for i in range(slots.shape[0]):
+        slot, best = slots[i], told.slots[row]
+        if node_handles[slot] == besides:
+            continue
+        other = bodies.shapes[slot]
+        if one.shaped or other.shaped:
+            distance = gap(one, bodies.query_hulls, other, bodies.hulls, planar, points)
+        else:
+            distance = box_gap(one, other, 2 if planar else 3, points)
+        if distance > reach or distance > told.distances[row]:
+            continue
+        tied = distance == told.distances[row] and best != NONE
+        if tied and node_handles[best] < node_handles[slot]:
+            continue
+        told.slots[row], told.distances[row] = slot, distance
+        for axis in range(3):
+            for side in range(2):
+                height = planar and axis == 2
+                told.points[row, side, axis] = one.position[2] if height else points[side, axis]
+
+
+class Clearances:
+    """Distances in one scene."""
+
+    def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
+        self._tree = tree
+        self._columns = columns
+        self._kernel = RowKernel(clearance_rows)
+
+    def find_rows(
+        self, rows: QueryRows, hulls: Hulls | None, reaches: Floats, besides: int, threads: int
+    ) -> Neighbours:
+        """The obstacles nearest to n shapes within distances, ties by handle; `besides` is a node
+        handle.
+        """
+        count, columns, view = len(rows.records), self._columns, self._tree.view()
+        bodies, everybody = bodies_of(columns, hulls), len(self._tree)
+        told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
+        asked = reaches, everybody, besides
+
+        def work(start: int, stop: int) -> None:
+            wanted = FEW
+            while start < stop:
+                room = Room(np.empty(wanted, np.int64), np.empty(wanted))
+                given = rows, asked, (start, stop), columns.node_handle, room, told
+                start, wanted = self._kernel(view, bodies, given)
+
+        in_threads(work, count, threads)
+        return told
+
+    def nearest_other(self, slot: int) -> Neighbours:
+        """What is nearest to the obstacle of a slot."""
+        records, handle = self._columns.geometry[slot : slot + 1], self._columns.node_handle[slot]
+        lo, hi = self._tree.boxes(self._columns.tree_handle[slot : slot + 1])
+        bounds = np.zeros((1, 2, 3))
+        bounds[0, 0, : lo.shape[1]], bounds[0, 1, : lo.shape[1]] = lo, hi
+        rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
+        return self.find_rows(rows, self._columns.hulls(), checks.FOREVER, int(handle), 1)

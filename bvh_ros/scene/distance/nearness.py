@@ -13,11 +13,12 @@ import numpy as np
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.store.turns import IS_CHANGED
+from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
-from .touching import REFUSED, Bodies, Found, Scratch, nearest_boxes, nearest_shapes
+from .touching import REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
+from .touching_rows import Near, Points, RowKernel, bodies_of, nearest_rows
 
-ROUNDED = 1.0 + 2.0**-48  # no computed distance is off by as much
 MORE = 4
 
 
@@ -29,6 +30,7 @@ class Nearness:
         self._columns = columns
         self._scratch = Scratch()
         self._entries: dict[bool | None, Any] = {}
+        self._rows = RowKernel(nearest_rows)
 
     def find(
         self, point: Floats, k: int, max_distance: float, mask: np.uint32
@@ -56,14 +58,13 @@ class Nearness:
 
     def _fill(self, point: Floats, asked: tuple[int, float, np.uint32]) -> int:
         columns = self._columns
-        bodies: Any = ()
-        kernel, variant, hulls = nearest_boxes, None, None
-        if columns.shaped:
-            hulls = columns.hulls()
-            kernel, variant = nearest_shapes, hulls is not None
-            bodies = (Bodies(columns.geometry, columns.footprint, hulls, hulls),)
+        bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
+        shapes: Any = ()
+        kernel, variant = nearest_boxes, None
+        if bodies is not None:
+            kernel, variant, shapes = nearest_shapes, bodies.hulls is not None, (bodies,)
         found = self._scratch.found
-        given = self._tree.view().tree, *bodies, point, asked, columns.node_handle, found
+        given = self._tree.view().tree, *shapes, point, asked, columns.node_handle, found
         entry = self._entries.get(variant)
         if entry is None:
             entry = self._entries[variant] = entry_point(kernel, *given)
@@ -71,6 +72,28 @@ class Nearness:
         if count == REFUSED:
             raise RuntimeError(IS_CHANGED)
         return count
+
+    def find_rows(self, points: Points, k: int, threads: int) -> Near:
+        """The k obstacles nearest to each of n points, as `find` has them."""
+        count, columns, view = len(points.points), self._columns, self._tree.view()
+        bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
+        near = Near(
+            *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
+            np.empty((count, k, 3)),
+        )
+        asked = k, len(self._tree), columns.shadows > 0
+
+        def work(start: int, stop: int) -> None:
+            wanted = min(k, len(self._tree)) + 1
+            while start < stop:
+                if wanted > len(self._scratch.found.slots):
+                    self._scratch.make_room(wanted)
+                found = self._scratch.found
+                given = points, asked, (start, stop), columns.node_handle, found, near
+                start, wanted = self._rows(view, bodies, given)
+
+        in_threads(work, count, threads)
+        return near
 
     def _different(self, found: Found, rows: list[int]) -> list[int]:
         """The first row of each obstacle: one may stand at two places, see slicing.py."""

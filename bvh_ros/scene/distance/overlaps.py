@@ -11,14 +11,20 @@ from numpy.typing import NDArray
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.store.turns import IS_CHANGED
+from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
-from ..results import require_few
+from ..results import NO_NODE, require_few
 from ..store.columns import Columns
-from ..store.mesh_store import NO_HULLS, Hulls
+from ..store.mesh_store import Hulls
 from ..store.registry import Slots
 from . import narrow_phase
+from .query_rows import QueryRows
 from .query_shape import QueryShape
-from .touching import REFUSED, Bodies, Found, Scratch, touching_boxes, touching_shapes
+from .touching import REFUSED, Found, Scratch, touching_boxes, touching_shapes
+from .touching_rows import ALL, ANY, COUNT, FIRST, Answers, RowKernel, bodies_of, overlap_rows
+
+FEW = 64  # handles that there is room for at first
+NOBODY = np.empty(0, np.uint32)
 
 
 class Overlaps:
@@ -29,6 +35,7 @@ class Overlaps:
         self._columns = columns
         self._scratch = Scratch()
         self._entries: dict[bool | None, Any] = {}
+        self._rows = RowKernel(overlap_rows)
 
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, most: int | None
@@ -48,17 +55,75 @@ class Overlaps:
         require_few(len(order), most)
         return found, order
 
+    def answer(self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int) -> Any:
+        """`find` of n shapes: what is `wanted` (see `touching_rows`) of each, as
+        `Scene.overlap_many` returns it.
+        """
+        columns = self._columns
+        twice = columns.shadows > 0 and wanted == COUNT  # who stands at two places counts once
+        numbers, left, handles = self._find_rows(rows, hulls, ALL if twice else wanted, threads)
+        open_rows = np.flatnonzero(left)
+        each = [self._find_one(rows, hulls, row) for row in open_rows.tolist()]
+        if wanted != ALL and not twice:
+            for row, found in zip(open_rows.tolist(), each, strict=True):
+                first = found[0] if len(found) else NO_NODE
+                numbers[row] = first if wanted == FIRST else len(found)
+            return numbers.astype({ANY: np.bool_, COUNT: np.int64, FIRST: np.uint32}[wanted])
+        of = np.repeat(np.arange(len(numbers)), numbers)
+        sure = ~left[of]
+        counts = [len(found) for found in each]
+        of = np.concatenate((of[sure], np.repeat(open_rows, counts)))
+        handles = np.concatenate((handles[sure], *each))
+        if columns.shadows:
+            first = np.unique(np.stack((of, handles)), axis=1, return_index=True)[1]
+            of, handles = of[np.sort(first)], handles[np.sort(first)]
+        sizes = np.bincount(of, minlength=len(numbers))
+        if wanted == COUNT:
+            return sizes
+        offsets = np.zeros(len(numbers) + 1, np.int64)
+        np.cumsum(sizes, out=offsets[1:])
+        return offsets, handles[np.argsort(of, kind='stable')]
+
+    def _find_one(self, rows: QueryRows, hulls: Hulls | None, row: int) -> NDArray[np.uint32]:
+        """Node handles of what touches the shape of a row."""
+        found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+        return self._columns.node_handle[found.slots[order]].astype(np.uint32)
+
+    def _find_rows(
+        self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.uint32]]:
+        """A number a row, whether the row is left to `find`, and the handles of all that are met,
+        row after row, if those are wanted.
+        """
+        count, columns, view = len(rows.records), self._columns, self._tree.view()
+        shaped = columns.shaped > 0 or bool(rows.records['shaped'].any())
+        bodies = bodies_of(columns, hulls) if shaped else None
+        numbers, left = np.empty(count, np.int64), np.empty(count, np.bool_)
+
+        def work(start: int, stop: int) -> tuple[NDArray[np.uint32], int, int]:
+            parts, compared, more, room = [NOBODY], 0, 0, FEW
+            while start < stop:
+                handles = np.empty(room if wanted == ALL else 0, np.uint32)
+                found, answers = self._scratch.found, Answers(numbers, left, handles)
+                given = rows, wanted, (start, stop), columns.node_handle, found, answers
+                start, needed, written, pairs, digits = self._rows(view, bodies, given)
+                parts.append(handles[:written])
+                compared, more, room = compared + pairs, more + digits, max(2 * room, needed)
+                if needed > len(found.slots):
+                    self._scratch.make_room(needed)
+            return np.concatenate(parts), compared, more
+
+        done = in_threads(work, count, threads)
+        columns.pairs_compared += sum(part[1] for part in done)
+        columns.pairs_in_more_digits += sum(part[2] for part in done)
+        return numbers, left, np.concatenate([part[0] for part in done])
+
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32
     ) -> tuple[int, int]:
-        columns = self._columns
-        ours = columns.hulls()
-        meshes = ours is not None or hulls is not None
-        if meshes:
-            ours, hulls = ours or NO_HULLS, hulls or NO_HULLS
-        bodies = Bodies(columns.geometry, columns.footprint, ours, hulls)
+        columns, bodies = self._columns, bodies_of(self._columns, hulls)
         count, doubtful, compared, more = self._fill(
-            meshes, touching_shapes, (bodies,), query, mask
+            bodies.hulls is not None, touching_shapes, (bodies,), query, mask
         )
         columns.pairs_compared += compared
         columns.pairs_in_more_digits += more

@@ -11,20 +11,10 @@ from numpy.typing import ArrayLike
 from ...tree import checks
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ..geometry.canonical import (
-    FINE,
-    REASONS,
-    canonical_row,
-    canonicalise,
-    fill_unit,
-    is_finite,
-    maps_axes_to_axes,
-)
-from ..geometry.polygon import outlined
+from ..geometry.canonical import canonical_row, fill_unit, is_finite, maps_axes_to_axes
 from ..geometry.records import GEOMETRY, UNTURNED, Records
 from ..geometry.rotation import fill_rotation
-from ..geometry.shapes import BOX, MESH, Floats, Shapes, as_shapes
-from ..store.mesh_store import Hulls, MeshStore
+from ..geometry.shapes import BOX, Floats
 
 NO_TURN = (0.0, 0.0, 0.0, 0.0)
 LARGEST = 1.7976931348623157e308
@@ -132,24 +122,6 @@ def _coordinates(name: str, value: ArrayLike, count: int) -> Floats:
     if type(value) is np.ndarray and value.shape == (count,):
         return checks.floats(name, value)
     return checks.point(name, value, count)
-
-
-def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QueryShape, Hulls | None]:
-    """Check the arguments of `Scene.overlap_shape`: the shape, and if it is a mesh its arrays."""
-    given = as_shapes(shape)
-    if len(given.kind) != 1:
-        raise ValueError(f'shape must be one row of Shapes, not {len(given.kind)}')
-    form = canonicalise(given)
-    if form.faults[0] != FINE:
-        raise ValueError(f'shape cannot be used: {REASONS[form.faults[0]]}')
-    meshes = outlined(given.mesh, form) if planar else given.mesh
-    store = MeshStore()
-    if form.records['kind'][0] == MESH and meshes is not None:
-        form.records['mesh'] = store.take(meshes[0])
-    aligned = not form.records['shaped'][0]
-    bounds, height = np.concatenate((form.lo, form.hi)), form.records['position'].item(2)
-    query = QueryShape(form.records, bounds, aligned, _tolerance(tolerance), height)
-    return query, store.hulls if len(store) else None
 
 
 def _tolerance(value: float) -> float:

@@ -22,6 +22,7 @@ from .narrow_phase import near
 from .query_shape import grow
 
 REFUSED = -1  # the tree is being changed
+ROUNDED = 1.0 + 2.0**-48  # no computed distance is off by as much
 CLOSE = 2.0**-49  # of a tolerance: how far a computed distance from it says nothing
 
 
@@ -152,7 +153,7 @@ def nearest_boxes(tree, point, asked, node_handles, found):
     count, max_distance, mask = asked
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(tree, point, count, max_distance, mask, found.slots, found.bounds)
+    count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)
     for i in range(count):
         lo, hi = leaf_box(tree.nodes, tree.tight, 2 * found.slots[i])
         found.points[i, 2] = point[2]
@@ -169,7 +170,7 @@ def nearest_shapes(tree, bodies, point, asked, node_handles, found):
     count, max_distance, mask = asked
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(tree, point, count, max_distance, mask, found.slots, found.bounds)
+    count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)
     for i in range(count):
         shape = bodies.shapes[found.slots[i]]
         found.points[i, 2] = point[2]

@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The k boxes nearest to a point, depth first with the nearer child first (Roussopoulos et al.
-1995).
+"""The k boxes nearest to a point or box, depth first with the nearer child first (Roussopoulos et
+al. 1995).
 
 A distance is computed with a relative error below 4 u (u = 2**-53: one rounding of a difference,
 one each of square, sum and root), or to within 1e-322 where it is subnormal; it is infinite only
@@ -34,12 +34,14 @@ class Points(NamedTuple):
 
 
 @inlined
-def distance(lo, hi, point):
-    """Distance of a point from a closed box, 0 inside."""
+def distance(lo, hi, low, high):
+    """Distance of a closed box, from low to high, from another, 0 where they touch; a point is a
+    box.
+    """
     longest = 0.0
     total = 0.0
     for axis in range(lo.shape[0]):
-        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        gap = max(lo[axis] - high[axis], 0.0, low[axis] - hi[axis])
         longest = max(longest, gap)
         total += gap * gap
     if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
@@ -48,7 +50,7 @@ def distance(lo, hi, point):
     exponent = math.frexp(longest)[1]
     total = 0.0
     for axis in range(lo.shape[0]):
-        gap = math.ldexp(max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]), -exponent)
+        gap = math.ldexp(max(lo[axis] - high[axis], 0.0, low[axis] - hi[axis]), -exponent)
         total += gap * gap
     return math.ldexp(math.sqrt(total), exponent)
 
@@ -80,18 +82,20 @@ def insert_candidate(slots, distances, handles, count, k, slot, gap):
 
 
 @inlined
-def _square(lo, hi, point):
+def _square(lo, hi, low, high):
     """Squared distance, only to prune by: where it overflows or vanishes, so does its limit."""
     total = 0.0
     for axis in range(lo.shape[0]):
-        gap = max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis])
+        gap = max(lo[axis] - high[axis], 0.0, low[axis] - hi[axis])
         total += gap * gap
     return total
 
 
 @lean_kernel
-def nearest(tree, point, k, max_distance, mask, slots, distances):
-    """Write the k nearest within `max_distance`, nearest first; return how many there are."""
+def nearest(tree, low, high, k, max_distance, mask, slots, distances):
+    """Write the k nearest to a box, or point, within `max_distance`, nearest first; return how
+    many there are.
+    """
     nodes, tight, handles, root = tree.nodes, tree.tight, tree.handles, tree.state[ROOT]
     if root == NONE or k == 0:
         return 0
@@ -106,8 +110,8 @@ def nearest(tree, point, k, max_distance, mask, slots, distances):
             continue
         while not is_leaf(node):
             near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
-            near_square = _square(nodes[near].lo, nodes[near].hi, point)
-            far_square = _square(nodes[far].lo, nodes[far].hi, point)
+            near_square = _square(nodes[near].lo, nodes[near].hi, low, high)
+            far_square = _square(nodes[far].lo, nodes[far].hi, low, high)
             if far_square < near_square:
                 near, far, near_square, far_square = far, near, far_square, near_square
             if far_square <= limit:
@@ -119,7 +123,7 @@ def nearest(tree, point, k, max_distance, mask, slots, distances):
         if not is_leaf(node) or nodes[node].mask & mask == 0:
             continue
         lo, hi = leaf_box(nodes, tight, node)
-        gap = distance(lo, hi, point)
+        gap = distance(lo, hi, low, high)
         if gap <= max_distance:
             count = insert_candidate(slots, distances, handles, count, k, node >> 1, gap)
             if count == k:
@@ -147,7 +151,7 @@ def nearest_one(tree, point, k, max_distance, mask, found, distances):
             return np.int64(NOT_FINITE)
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(tree, point, k, max_distance, mask, found, distances)
+    count = nearest(tree, point, point, k, max_distance, mask, found, distances)
     for j in range(count):
         found[j] = tree.handles[found[j]]
     end_query(tree.state)
@@ -164,6 +168,7 @@ def nearest_many(tree, version, asked, found, distances):
     for i in range(asked.points.shape[0]):
         count = nearest(
             tree,
+            asked.points[i],
             asked.points[i],
             asked.k,
             asked.reaches[i],

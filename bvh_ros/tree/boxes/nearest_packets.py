@@ -93,7 +93,7 @@ def update_nearest(tree, leaf, bits, asked, rows, packet, slots, gaps):
         row = rows[lane]
         if tree.nodes[leaf].mask & asked.masks[row] == 0:
             continue
-        gap = distance(lo, hi, asked.points[row])
+        gap = distance(lo, hi, asked.points[row], asked.points[row])
         if gap <= asked.reaches[row]:
             counts[lane] = insert_candidate(
                 slots[row], gaps[row], tree.handles, counts[lane], k, leaf >> 1, gap

@@ -1,0 +1,175 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What n swept balls meet first: one kernel, which leaves to `ball_casting.cast_ball` the balls
+whose first obstacle only exact arithmetic tells.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.nodes import NONE
+from ...tree.rays.slab import INSIDE, set_ray
+from ...tree.store.turns import accepted, begin_query, end_query
+from ...tree.store.workers import in_threads
+from ...tree.wide.snapshot import no_snapshot
+from ..geometry.shapes import along_axes
+from ..results import NO_NODE, CastHits
+from ..store.columns import Columns
+from .ball_casting import AT, EARLY, LATE, Sweep, bracket, cast_ball, find, slack_of
+from .casting import Ball, Hits, call, new_scratch, plain, touch, world_of
+from .wide_sweeps import UNSUITED, find_wide
+
+FEW = 64  # obstacles that a ball may touch before more room is made
+
+
+class Balls(NamedTuple):
+    """n balls, each swept along a segment."""
+
+    origins: Any
+    """(n, 3), or (n, ndim) for the kernel."""
+    directions: Any
+    radii: Any
+    masks: Any
+
+
+class Told(NamedTuple):
+    """What is told of each row."""
+
+    handles: Any
+    ts: Any
+    points: Any
+    normals: Any
+    open: Any
+    """Whether only exact arithmetic tells."""
+
+
+@inlined
+def comes_before(times, node_handles, slots, one, other):
+    if times[one] != times[other]:
+        return times[one] < times[other]
+    return node_handles[slots[one]] < node_handles[slots[other]]
+
+
+@lean_kernel
+def first_of(world, node_handles, hits, brackets, count, skip_inside):
+    """(which of `count` possible hits is first, NONE without any; whether that is sure)."""
+    times, features = brackets
+    first = np.int64(NONE)
+    for j in range(count):
+        inside = features[LATE, j] == INSIDE
+        if features[EARLY, j] == INSIDE and not inside:
+            return np.int64(NONE), False
+        if skip_inside and inside:
+            continue
+        if first == NONE or comes_before(times[AT], node_handles, hits.slots, j, first):
+            first = np.int64(j)
+    if first == NONE:
+        return first, True
+    slot, latest = hits.slots[first], times[LATE, first]
+    for j in range(count):
+        other = hits.slots[j]
+        if j == first:
+            if np.isinf(latest):
+                return first, False
+        elif features[LATE, j] == INSIDE and (skip_inside or features[LATE, first] == INSIDE):
+            # Tied at zero; but an obstacle may stand at two places, see slicing.py.
+            if not skip_inside and node_handles[other] == node_handles[slot]:
+                return first, False
+        elif times[EARLY, j] <= latest and (
+            plain(world.geometry, world.footprints, slot)
+            or plain(world.geometry, world.footprints, other)
+            or node_handles[other] == node_handles[slot]
+        ):
+            return first, False
+    return first, True
+
+
+@lean_kernel
+def sweep_balls(world, through, node_handles, balls, skip_inside, place, room, told):
+    """Fill in what the balls of the rows [start, stop) meet; through = (the tree's state, version,
+    snapshot), place = (start, stop). Returns (rows done, room wanted): fewer than there are where
+    there is no room for what the next one may touch, negative if the tree is changed.
+    """
+    (state, version, snapshot), (start, stop) = through, place
+    scratch, hits, times, features = room
+    if not begin_query(state, version):
+        return -1, 0
+    count, row = 0, start
+    while row < stop:
+        way, ball = (balls.origins[row], balls.directions[row]), Ball(balls.radii[row], 0.0)
+        set_ray(scratch.ray, way[0], way[1])
+        count = may_touch(world, snapshot, way, ball, (balls.masks[row], skip_inside), room)
+        if count > hits.slots.shape[0]:
+            break
+        first, sure = first_of(world, node_handles, hits, (times, features), count, skip_inside)
+        told.open[row] = not sure
+        if sure and first != NONE:
+            hits.ts[first], hits.features[first] = times[AT, first], features[AT, first]
+            for axis in range(3):
+                told.points[row, axis] = 0.0
+            touch(world, scratch, ball.radius, hits, first, told.points[row], told.normals[row])
+            told.handles[row] = node_handles[hits.slots[first]]
+            told.ts[row] = times[AT, first]
+        row += 1
+    end_query(state)
+    return row, count
+
+
+@lean_kernel
+def may_touch(world, snapshot, way, ball, asked, room):
+    """`ball_casting.sweep_ball` for the first hit, through the snapshot if there is one."""
+    mask, skip_inside = asked
+    scratch, hits, times, features = room
+    if world.root == NONE:
+        return 0
+    larger = Ball(ball.radius, slack_of(world, scratch.ray, ball.radius))
+    count = np.int64(UNSUITED)
+    if snapshot.size > 0:
+        count = find_wide(world, snapshot, way, larger, asked, scratch, hits)
+    if count == UNSUITED:
+        count = find(world, larger, mask, skip_inside, False, scratch, hits)
+    if count <= hits.slots.shape[0]:
+        bracket(world, larger, scratch, hits, times[:, :count], features[:, :count])
+    return count
+
+
+def first_of_many(
+    tree: DynamicBVH, columns: Columns, balls: Balls, skip_inside: bool, threads: int
+) -> CastHits:
+    """First hits of n balls."""
+    world, count, ndim, view = world_of(tree, columns), len(balls.radii), tree.ndim, tree.view()
+    origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
+    flat = balls._replace(origins=origins, directions=directions)
+    snapshot = tree._snapshot_for(count, view) or no_snapshot(ndim)
+    through = view.tree.state, view.version, snapshot
+    told = Told(
+        *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
+        *(np.full((count, 3), np.nan), np.zeros((count, 3)), np.zeros(count, np.bool_)),
+    )
+
+    def work(start: int, stop: int) -> None:
+        scratch, wanted = new_scratch(ndim), FEW
+        while start < stop:
+            hits = Hits(np.empty(wanted, np.int64), np.empty(wanted), np.empty(wanted, np.int64))
+            room = scratch, hits, np.empty((3, wanted)), np.empty((3, wanted), np.int64)
+            given = through, columns.node_handle, flat, skip_inside, (start, stop), room, told
+            start, wanted = call(sweep_balls, world, *given)
+            accepted(start)
+
+    in_threads(work, count, threads)
+    for row in np.flatnonzero(told.open).tolist():
+        one = Sweep(
+            *(flat.origins[row], flat.directions[row], flat.radii[row], flat.masks[row]),
+            *(skip_inside, False),
+        )
+        hits, points, normals = cast_ball(tree, columns, one)
+        if len(points):
+            told.handles[row] = columns.node_handle[hits.slots[0]]
+            told.ts[row], told.points[row], told.normals[row] = hits.ts[0], points[0], normals[0]
+    if ndim == 2:
+        met = told.handles != NO_NODE
+        told.points[met, 2] = balls.origins[met, 2]
+    return CastHits(*told[:4])

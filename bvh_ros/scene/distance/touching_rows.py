@@ -1,0 +1,204 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of overlap queries and of questions for what is nearest: row by row the kernels that
+answer one.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.jit.compiling import entry_point, inlined, lean_kernel
+from ...tree.nodes import View
+from ...tree.store.turns import accepted, begin_query, end_query
+from ..results import NO_NODE
+from ..store.columns import Columns
+from ..store.mesh_store import NO_HULLS, Hulls
+from .query_shape import QueryShape
+from .touching import (
+    ROUNDED,
+    Bodies,
+    nearest_boxes,
+    nearest_shapes,
+    touching_boxes,
+    touching_shapes,
+)
+
+ANY, COUNT, FIRST, ALL = range(4)  # what is wanted of each row
+WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL}
+
+
+class Answers(NamedTuple):
+    """What overlap queries find."""
+
+    numbers: Any
+    """(n,) whether there is any, how many there are, or the first."""
+    open: Any
+    """(n,) whether exact arithmetic must say."""
+    handles: Any
+    """Of all that are met, row after row."""
+
+
+class Points(NamedTuple):
+    """n points."""
+
+    points: Any
+    """(n, 3)"""
+    reaches: Any
+    """The largest distance, one for all or (n,)."""
+    masks: Any
+    """One for all, or (n,)."""
+
+
+class Near(NamedTuple):
+    """What is nearest to n points, k a row."""
+
+    handles: Any
+    distances: Any
+    points: Any
+    normals: Any
+
+
+@inlined
+def of_row(values, row):
+    """The value of a row, or that of all."""
+    return values[row if values.shape[0] > 1 else 0]
+
+
+@lean_kernel
+def overlap_rows(tree, version, bodies, rows, wanted, place, node_handles, found, answers):
+    """Answer the rows [start, stop); place = (start, stop). Returns (rows done, room wanted in
+    `found`, handles written, pairs compared, those of them that took more digits): fewer rows
+    than there are where there is no room for the next one, negative if the tree is changed.
+    """
+    row, stop = place
+    written, compared, more, needed = 0, 0, 0, 0
+    if not begin_query(tree.state, version):
+        return -1, 0, 0, 0, 0
+    while row < stop:
+        record = rows.records[row : row + 1]
+        aligned, height = not record[0].shaped, record[0].position[2]
+        tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
+        query = QueryShape(record, rows.bounds[row], aligned, tolerance, height)
+        if bodies is None:
+            count, doubtful = touching_boxes(tree, query, mask, node_handles, found)
+        else:
+            count, doubtful, pairs, digits = touching_shapes(
+                tree, bodies, query, mask, node_handles, found
+            )
+            compared += pairs
+            more += digits
+        needed = count
+        if count > found.slots.shape[0]:
+            break
+        if wanted == ALL and written + count > answers.handles.shape[0]:
+            break
+        answers.open[row] = doubtful > 0 and (wanted != ANY or count == doubtful)
+        answers.numbers[row] = count
+        if wanted == ANY:
+            answers.numbers[row] = count > 0
+        elif wanted == FIRST:
+            first = node_handles[found.slots[found.order[0]]] if count > 0 else NO_NODE
+            answers.numbers[row] = first
+        elif wanted == ALL:
+            for i in range(count):
+                answers.handles[written + i] = node_handles[found.slots[found.order[i]]]
+            written += count
+        row += 1
+    end_query(tree.state)
+    return row, needed, written, compared, more
+
+
+@lean_kernel
+def nearest_rows(tree, version, bodies, points, asked, place, node_handles, found, near):
+    """Fill in the rows [start, stop) of `near`; asked = (k, how many boxes there are, whether an
+    obstacle may stand at two places, see slicing.py), place = (start, stop). Returns (rows done,
+    room wanted in `found`) as `overlap_rows`.
+    """
+    k, everybody, twice = asked
+    row, stop = place
+    if not begin_query(tree.state, version):
+        return -1, 0
+    wanted = 0
+    while row < stop:
+        reach, mask = of_row(points.reaches, row), of_row(points.masks, row)
+        point, limit = points.points[row], max(reach * ROUNDED, reach)
+        wanted, kept = min(k + 1, everybody + 1), 0
+        while wanted <= found.slots.shape[0]:
+            question = (wanted, limit, mask)
+            if bodies is None:
+                count = nearest_boxes(tree, point, question, node_handles, found)
+            else:
+                count = nearest_shapes(tree, bodies, point, question, node_handles, found)
+            kept = keep(found, count, (k, reach, twice), node_handles, near, row)
+            if count < wanted or (
+                kept == k and found.bounds[count - 1] > near.distances[row, k - 1] * ROUNDED
+            ):
+                break
+            wanted = min(wanted * 4, everybody + 1)
+        if wanted > found.slots.shape[0]:
+            break
+        pad(near, row, kept)
+        row += 1
+    end_query(tree.state)
+    return row, wanted
+
+
+@lean_kernel
+def keep(found, count, asked, node_handles, near, row):
+    """Write the first k that are within reach to a row of `near`; return how many there are."""
+    k, reach, twice = asked
+    kept = 0
+    for i in range(count):
+        place = found.order[i]
+        handle, known = node_handles[found.slots[place]], False
+        if kept == k or not found.distances[place] <= reach:
+            break
+        if twice:
+            for j in range(kept):
+                known = known or near.handles[row, j] == handle
+        if known:
+            continue
+        near.handles[row, kept], near.distances[row, kept] = handle, found.distances[place]
+        for axis in range(3):
+            near.points[row, kept, axis] = found.points[place, axis]
+            near.normals[row, kept, axis] = found.normals[place, axis]
+        kept += 1
+    return kept
+
+
+@inlined
+def pad(near, row, kept):
+    """Write that there is nothing more."""
+    for j in range(kept, near.handles.shape[1]):
+        near.handles[row, j], near.distances[row, j] = NO_NODE, np.inf
+        near.points[row, j], near.normals[row, j] = np.nan, 0.0
+
+
+def bodies_of(columns: Columns, hulls: Hulls | None) -> Bodies:
+    """What the narrow phase reads of a scene, and of the meshes of queries."""
+    ours = columns.hulls()
+    if ours is not None or hulls is not None:
+        ours, hulls = ours or NO_HULLS, hulls or NO_HULLS
+    return Bodies(columns.geometry, columns.footprint, ours, hulls)
+
+
+class RowKernel:
+    """A kernel of this module as machine code, one for boxes alone, one for all shapes, one for
+    meshes too.
+    """
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
+        self._entries: dict[bool | None, Any] = {}
+
+    def __call__(self, view: View, bodies: Bodies | None, given: tuple[Any, ...]) -> Any:
+        """Call it; RuntimeError if the tree is changed meanwhile."""
+        variant = None if bodies is None else bodies.hulls is not None
+        entry = self._entries.get(variant)
+        if entry is None:
+            code = entry_point(self._kernel, *view, bodies, *given)
+            entry = self._entries[variant] = code
+        counted = entry(*view, bodies, *given)
+        accepted(counted[0])
+        return counted

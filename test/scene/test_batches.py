@@ -1,0 +1,311 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Each row of a batch of questions is what the single question says, bit for bit."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scene.reference import bulging, random_shapes
+
+from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes, slicing
+
+NOBODY = np.full(3, np.nan)
+
+
+def same(one, other):
+    np.testing.assert_array_equal(np.asarray(one), np.asarray(other), strict=True)
+
+
+def scene_with(shapes, planar, masks, meshes=0):
+    rng = np.random.default_rng(2)
+    scene = Scene(planar=planar, margin=0.1)
+    names = [str(i) for i in range(len(shapes.kind))]
+    scene.update('test', names, shapes, stamp=1, categories=masks)
+    if meshes:
+        held = [Mesh(bulging(rng)) for _ in range(meshes)]
+        rows = Shapes.of_meshes(
+            held, rng.uniform(-4, 4, (meshes, 3)), rng.normal(size=(meshes, 4))
+        )
+        scene.update('test', [f'mesh{i}' for i in range(meshes)], rows, stamp=1)
+    return scene
+
+
+def lattice_shapes(rng, count):
+    """Boxes whose faces and edges meet: ties, and distances that are a tolerance exactly."""
+    size = rng.integers(0, 4, (count, 3)) * 0.5
+    return Shapes.boxes(rng.integers(-8, 9, (count, 3)) * 0.5, size)
+
+
+SCENES = [(False, 'boxes'), (False, 'mixed'), (True, 'mesh')]
+
+
+@pytest.fixture(scope='module', params=SCENES, ids=str)
+def world(request):
+    planar, kind = request.param
+    rng = np.random.default_rng([7, planar])
+    count = 60
+    shapes = lattice_shapes(rng, count) if kind == 'boxes' else random_shapes(rng, count)
+    masks = rng.integers(1, 4, count)
+    return scene_with(shapes, planar, masks, 4 if kind == 'mesh' else 0), rng
+
+
+def points_of(rng, count):
+    """Half of them on the lattice of the boxes."""
+    points = rng.uniform(-6, 6, (count, 3))
+    points[::2] = np.round(points[::2] * 2) / 2
+    return points
+
+
+def as_row(hit):
+    if hit is None:
+        return NO_NODE, math.inf, NOBODY, np.zeros(3)
+    return hit.handle, hit.t, hit.point, hit.normal
+
+
+@pytest.mark.parametrize('skip_inside', [False, True])
+def test_sweeps(world, skip_inside):
+    scene, rng = world
+    starts, goals = points_of(rng, 300), points_of(rng, 300)
+    goals[::7] = starts[::7]
+    radii = rng.choice([0.0, 0.25, 0.5, 1.7], 300)
+    masks = rng.integers(0, 4, 300)
+    ones = [
+        as_row(scene.raycast(*row, skip_inside))
+        for row in zip(starts, goals, radii.tolist(), masks.tolist(), strict=True)
+    ]
+    for threads in (1, 3):
+        hits = scene.sweep_many(starts, goals, radii, masks, skip_inside, threads)
+        for column, expected in zip(hits, zip(*ones, strict=True), strict=True):
+            same(column, np.array(expected, column.dtype))
+    assert 20 < (hits.handles != NO_NODE).sum() < 290
+    for radius in (0.0, 0.5):
+        hits = scene.sweep_many(starts, goals, radius)
+        expected = [
+            as_row(scene.raycast(*row, radius))[0] for row in zip(starts, goals, strict=True)
+        ]
+        same(hits.handles, np.array(expected, np.uint32))
+
+
+def assert_wants(scene, ask, lists):
+    """All forms of an answer say what these lists of hits say."""
+    handles = [[hit.handle for hit in hits] for hits in lists]
+    for threads in (1, 3):
+        same(ask(want='any', threads=threads), np.array([bool(row) for row in handles], bool))
+        same(ask(want='count', threads=threads), np.array([*map(len, handles)], np.int64))
+        firsts = [row[0] if row else NO_NODE for row in handles]
+        same(ask(want='first', threads=threads), np.array(firsts, np.uint32))
+        offsets, found = ask(want='all', threads=threads)
+        same(offsets, np.cumsum([0, *map(len, handles)]))
+        same(found, np.array([h for row in handles for h in row], np.uint32))
+    assert any(handles)
+
+
+def test_overlaps_of_boxes(world):
+    scene, rng = world
+    centers, sizes = points_of(rng, 200), rng.integers(0, 5, (200, 3)) * 0.25
+    turns = rng.normal(size=(200, 4))
+    turns[:100] = 0.0
+    tolerances, masks = rng.choice([0.0, 0.5, 0.25], 200), rng.integers(0, 4, 200)
+    lists = [
+        scene.overlap_shape(Shapes.boxes([c], s, [q]), float(t), int(m))
+        for c, s, q, t, m in zip(centers, sizes, turns, tolerances, masks, strict=True)
+    ]
+    assert_wants(
+        scene,
+        lambda **more: scene.overlap_many(centers, sizes, turns, tolerances, masks, **more),
+        lists,
+    )
+    one = [scene.overlap_shape(Shapes.boxes([c], [0.5, 1, 0.5]), 0.5) for c in centers[:80]]
+    assert_wants(
+        scene,
+        lambda **more: scene.overlap_many(centers[:80], [0.5, 1, 0.5], tolerance=0.5, **more),
+        one,
+    )
+
+
+def test_overlaps_of_one_shape(world):
+    scene, rng = world
+    every = random_shapes(rng, 40)
+    mesh = Shapes.of_meshes([Mesh(bulging(rng))], [[0, 0, 0]])
+    forms = [every.take(np.flatnonzero(every.kind == kind)[:1]) for kind in range(4)]
+    for shape in [*forms, mesh]:
+        places, turns = points_of(rng, 40), rng.normal(size=(40, 4))
+        for orientations in (turns, None):
+            rows = np.tile(shape.orientation, (40, 1)) if orientations is None else orientations
+            lists = [
+                scene.overlap_shape(shape._replace(position=p[None], orientation=q[None]), 0.1, 3)
+                for p, q in zip(places, rows, strict=True)
+            ]
+            assert_wants(
+                scene,
+                lambda *, s=shape, p=places, q=orientations, **more: scene.overlap_shape_many(
+                    s, p, q, 0.1, 3, **more
+                ),
+                lists,
+            )
+
+
+@pytest.mark.parametrize('k', [1, 3, 100])
+def test_nearest(world, k):
+    scene, rng = world
+    points, masks = points_of(rng, 150), rng.integers(0, 4, 150)
+    reaches = rng.choice([0.5, 2.0, math.inf], 150)
+    ones = [
+        scene.nearest(p, k, float(r), int(m))
+        for p, r, m in zip(points, reaches, masks, strict=True)
+    ]
+    for threads in (1, 3):
+        handles, distances, where = scene.nearest_many(points, k, reaches, masks, threads)
+        assert handles.shape == distances.shape == where.shape[:2] == (150, k)
+        for i, hits in enumerate(ones):
+            rest = k - len(hits)
+            same(handles[i], np.array([hit.handle for hit in hits] + [NO_NODE] * rest, np.uint32))
+            same(distances[i], np.array([hit.t for hit in hits] + [math.inf] * rest))
+            same(where[i], np.array([hit.point for hit in hits] + [NOBODY] * rest))
+
+
+def test_clearances(world):
+    """As an obstacle of the same shape has it in the same scene."""
+    scene, rng = world
+    shapes, masks = random_shapes(rng, 40), rng.integers(1, 4, 40)
+    names, kept = scene.names(), scene.handles()
+    for threads in (1, 3):
+        handles, distances, points, others = scene.clearance_many(shapes, threads=threads)
+        for i in range(40):
+            scene.update('other', ['asked'], shapes.take([i]), stamp=2)
+            found = scene.clearance('asked')
+            scene.remove('other', ['asked'])
+            same([handles[i], distances[i]], [found.handle, found.distance])
+            same(np.stack((points[i], others[i])), np.stack((found.point, found.other_point)))
+    assert 0 < (distances == 0.0).sum() < 40
+    assert len(names) == len(kept) == len(scene)
+    reach = float(np.median(distances))
+    near = scene.clearance_many(shapes, reach)
+    same(near[0], np.where(distances <= reach, handles, NO_NODE).astype(np.uint32))
+    same(near[1], np.where(distances <= reach, distances, math.inf))
+    seen = scene.clearance_many(shapes, mask=masks)
+    same(seen[1] >= distances, np.ones(40, bool))
+
+
+boxes = st.tuples(*[st.integers(-3, 3)] * 3, *[st.integers(0, 3)] * 3)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(boxes, max_size=6), st.sampled_from([2.0**-1060, 2.0**-40, 0.1, 2.0**900]))
+def test_touching_at_any_scale(rows, scale):
+    """Ties, contacts to the last digit, and no obstacle at all."""
+    table = np.array(rows, float).reshape(-1, 6) * scale
+    scene = Scene()
+    scene.update(
+        'test', [*map(str, range(len(rows)))], Shapes.boxes(table[:, :3], table[:, 3:]), stamp=1
+    )
+    rng = np.random.default_rng(len(rows))
+    points = rng.integers(-4, 5, (8, 2, 3)) * scale
+    radius = float(rng.integers(0, 3) * scale)
+    hits = scene.sweep_many(points[:, 0], points[:, 1], radius)
+    lists = scene.overlap_many(points[:, 0], [scale] * 3, tolerance=radius, want='all')
+    near = scene.nearest_many(points[:, 0], 2)
+    for i, (start, goal) in enumerate(points):
+        row = as_row(scene.raycast(start, goal, radius))
+        for column, expected in zip(hits, row, strict=True):
+            same(column[i], np.asarray(expected, column.dtype))
+        touched = scene.overlap_shape(Shapes.boxes([start], [scale] * 3), radius)
+        found = lists[1][lists[0][i] : lists[0][i + 1]]
+        assert found.tolist() == [hit.handle for hit in touched]
+        ones = scene.nearest(start, 2)
+        assert near[0][i].tolist()[: len(ones)] == [hit.handle for hit in ones]
+        assert near[1][i].tolist()[: len(ones)] == [hit.t for hit in ones]
+
+
+def test_an_obstacle_at_two_places_is_one(monkeypatch):
+    """Halfway through an update in slices, see slicing.py."""
+    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
+    monkeypatch.setattr(slicing, 'SLICE', 30)
+    rng = np.random.default_rng(5)
+    scene, before = Scene(), random_shapes(rng, 60)
+    scene.update('test', Numbered('c#', np.arange(60)), before, stamp=1)
+    after = before._replace(position=before.position + 0.4)
+    parts = (
+        Part(Numbered('c#', rows), after.take(rows), 2) for rows in np.arange(60).reshape(2, 30)
+    )
+    update = scene.in_slices('test', '', 60, lambda length: parts, whole=True)
+    next(update)
+    assert len(scene._held.tree) > len(scene) == 60
+    points = rng.uniform(-6, 6, (60, 3))
+    lists = [scene.overlap_shape(Shapes.boxes([p], [1, 1, 1]), 0.3) for p in points]
+    assert_wants(
+        scene, lambda **more: scene.overlap_many(points, [1, 1, 1], None, 0.3, **more), lists
+    )
+    handles = scene.nearest_many(points, 5)[0]
+    same(handles, np.array([[h.handle for h in scene.nearest(p, 5)] for p in points], np.uint32))
+    ways = points[::-1]
+    hits = scene.sweep_many(points, ways, 0.3)
+    expected = [as_row(scene.raycast(*row, 0.3))[1] for row in zip(points, ways, strict=True)]
+    same(hits.t, np.array(expected))
+
+
+def test_nothing_is_asked(world):
+    scene, _ = world
+    none = np.empty((0, 3))
+    assert [len(column) for column in scene.sweep_many(none, none, 0.5)] == [0] * 4
+    same(scene.overlap_many(none, none), np.empty(0, bool))
+    offsets, handles = scene.overlap_shape_many(
+        Shapes.boxes([[0, 0, 0]], [1, 1, 1]), none, want='all'
+    )
+    assert offsets.tolist() == [0]
+    assert handles.dtype == np.uint32
+    assert [column.shape for column in scene.nearest_many(none, 2)] == [(0, 2), (0, 2), (0, 2, 3)]
+    assert [len(column) for column in scene.clearance_many(Shapes.boxes(none, [1, 1, 1]))] == [
+        0
+    ] * 4
+    empty = Scene(planar=scene.planar)
+    assert empty.overlap_many([[0, 0, 0]], [1, 1, 1], want='first').tolist() == [NO_NODE]
+    assert empty.nearest_many([[0, 0, 0]])[1].tolist() == [[math.inf]]
+    assert empty.clearance_many(SHAPE)[0].tolist() == [NO_NODE]
+    assert empty.sweep_many([[0, 0, 0]], [[1, 0, 0]], 0.5).handles.tolist() == [NO_NODE]
+
+
+POINT, NAN, ONE = [[0.0, 0, 0]] * 2, [[0.0, 0, 0], [0, math.nan, 0]], [1, 1, 1]
+SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
+
+
+@pytest.mark.parametrize(
+    ('query', 'arguments', 'said'),
+    [
+        ('sweep_many', (NAN, POINT), 'starts.* row 1'),
+        ('sweep_many', (POINT, POINT[:1]), 'goals'),
+        ('sweep_many', (POINT, NAN), 'goals.* row 1'),
+        ('sweep_many', ([[-1e308, 0, 0]], [[1e308, 0, 0]]), 'row 0'),
+        ('sweep_many', (POINT, POINT, [1.0, -1.0]), 'radius.* row 1'),
+        ('sweep_many', (POINT, POINT, [1.0, math.inf]), 'radius.* row 1'),
+        ('sweep_many', (POINT, POINT, [1.0]), 'radius'),
+        ('sweep_many', (POINT, POINT, 0.0, [1, -1]), 'mask.* row 1'),
+        ('sweep_many', (POINT, POINT, 0.0, 1, False, 0), 'threads'),
+        ('overlap_many', (NAN, ONE), 'centers.* row 1'),
+        ('overlap_many', (POINT, NAN), 'sizes.* row 1'),
+        ('overlap_many', (POINT, [ONE, [1, -1, 1]]), 'row 1 .*negative'),
+        ('overlap_many', (POINT, [1, 1]), 'sizes'),
+        ('overlap_many', (POINT, ONE, [[0, 0, 0, math.inf]] * 2), 'orientations.* row 0'),
+        ('overlap_many', (POINT, ONE, None, [0.0, math.nan]), 'tolerance.* row 1'),
+        ('overlap_many', (POINT, ONE, None, math.inf), 'tolerance'),
+        ('overlap_many', (POINT, ONE, None, 0.0, 1, 'some'), 'want'),
+        ('overlap_many', (POINT, ONE, None, 0.0, 1, ['any']), 'want'),
+        ('overlap_many', ([[1e308] * 3], [1.7e308] * 3, [[1, 2, 3, 4]]), 'row 0'),
+        ('overlap_shape_many', (Shapes.boxes(POINT, ONE), POINT), 'one row'),
+        ('overlap_shape_many', (SHAPE._replace(kind=np.array([9])), POINT), 'row 0'),
+        ('overlap_shape_many', (SHAPE, NAN), 'positions.* row 1'),
+        ('overlap_shape_many', ('box', POINT), 'Shapes'),
+        ('nearest_many', (NAN,), 'points.* row 1'),
+        ('nearest_many', (POINT, 0), r'\bk\b'),
+        ('nearest_many', (POINT, 1, [1.0, -1.0]), 'max_distance.* row 1'),
+        ('clearance_many', (Shapes.boxes(NAN, ONE),), 'row 1'),
+        ('clearance_many', (Shapes.boxes(POINT, ONE), math.nan), 'max_distance'),
+        ('clearance_many', (Shapes.boxes(POINT, ONE), 1.0, 1, 1.5), 'threads'),
+    ],
+)
+def test_bad_input_is_refused(query, arguments, said):
+    with pytest.raises(ValueError, match=said):
+        getattr(Scene(), query)(*arguments)
