@@ -94,7 +94,7 @@ def rounded_decisions() -> Any:
 class BinaryTree(DynamicBVH):
     """A tree whose batches go through the binary tree, too: no wide snapshot."""
 
-    def _snapshot_for(self, count: int, view: View) -> None:
+    def snapshot_for(self, count: int, view: View) -> None:
         return None
 
 

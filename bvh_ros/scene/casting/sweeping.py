@@ -143,7 +143,7 @@ def first_of_many(
     world, count, ndim, view = world_of(tree, columns), len(balls.radii), tree.ndim, tree.view()
     origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
     flat = balls._replace(origins=origins, directions=directions)
-    snapshot = tree._snapshot_for(count, view) or no_snapshot(ndim)
+    snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
     through = view.tree.state, view.version, snapshot
     told = Told(
         *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),

@@ -14,10 +14,11 @@ from ...tree.jit.float32x16 import seen16, stream16
 from ...tree.jit.intrinsics import WIDTH, stack_array
 from ...tree.nodes import NONE
 from ...tree.rays.slab import INSIDE
+from ...tree.wide.collapse_plan import DEEPEST_WIDE
 from ...tree.wide.few_rays import push_children
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ...tree.wide.raycasting import ALL32
-from ...tree.wide.snapshot import DEEPEST_WIDE, LOOSE_NODES
+from ...tree.wide.snapshot import LOOSE_NODES
 from .ball_casting import SLACK, SMALL
 from .casting import doubt_of, enter_obstacle, plain
 
@@ -77,7 +78,10 @@ def widen(record, reach):
     than that.
     """
     for axis in range(record.slope.shape[0]):
-        slope, shift = abs(np.float64(record.slope[axis])), abs(np.float64(record.near_shift[axis]))
+        slope, shift = (
+            abs(np.float64(record.slope[axis])),
+            abs(np.float64(record.near_shift[axis])),
+        )
         more = slope * (reach * (1.0 + PAD) + PAD) + shift * PAD
         record.near_shift[axis] = np.float32(record.near_shift[axis] - more)
         record.far_shift[axis] = np.float32(record.far_shift[axis] + more)

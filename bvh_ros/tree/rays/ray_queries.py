@@ -231,7 +231,7 @@ class RayQueries(Arrays):
         rays = tuple.__new__(Rays, asked)
         hits = ray_batches.room_for(count, ndim, mode)
         view = self.view()
-        snapshot = self._snapshot_for(count, view)
+        snapshot = self.snapshot_for(count, view)
         if threads == 1:
             exact = ray_batches.cast(view, snapshot, rays, hits)
         else:

@@ -213,7 +213,7 @@ class Arrays:
 
     # ---- the snapshot
 
-    def _snapshot_for(self, count: int, view: View) -> wide.Snapshot | None:
+    def snapshot_for(self, count: int, view: View) -> wide.Snapshot | None:
         """The wide snapshot of the tree as it is, if the rays since it was last outdated, `count`
         more now, are worth building it. Few changes are patched, as long as what that costs the
         rays is not worth building it again.

@@ -154,7 +154,7 @@ def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
     with pytest.raises(RuntimeError, match='changed'):
         tree.check_unchanged(view)
     with pytest.raises(RuntimeError, match='changed'):
-        tree._snapshot_for(10**6, view)
+        tree.snapshot_for(10**6, view)
     tree.validate()
 
 
@@ -167,7 +167,7 @@ def test_a_growth_within_a_query() -> None:
     view = tree.view()
     new = tree.insert([-9, 0, 0], [-8, 1, 1])
     tree.check_unchanged(view)
-    before = tree._snapshot_for(10**6, view)
+    before = tree.snapshot_for(10**6, view)
     starts, ways = np.tile([-10.0, 0.5, 0.5], (70, 1)), np.tile([1.0, 0, 0], (70, 1))
     assert before is not None
     assert new not in view.tree.handles
