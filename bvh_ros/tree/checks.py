@@ -205,6 +205,29 @@ def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
     return low, high
 
 
+def is_pair(value: Any) -> bool:
+    """Whether it may be a box, as (lo, hi), rather than a point."""
+    if type(value) is np.ndarray:
+        return value.ndim == 2
+    return (
+        type(value) in (list, tuple)
+        and len(value) == 2
+        and (type(value[0]) in (list, tuple) or getattr(value[0], 'ndim', 0) == 1)
+    )
+
+
+def pair(name: str, value: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
+    """A box as (lo, hi), finite, lo <= hi."""
+    array = _unless_refused(name, value, (2, ndim))
+    if array.shape != (2, ndim):
+        raise ValueError(f'{name} must have shape ({ndim},) or (2, {ndim}), not {array.shape}')
+    finite(name, array)
+    low, high = array
+    if not (low <= high).all():
+        raise ValueError(f'{name} must not have lo {low.tolist()} beyond hi {high.tolist()}')
+    return low, high
+
+
 def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:
     """What is raised where a kernel says that these are no box."""
     box(lo, hi, ndim)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import changing, checks
-from .boxes.box_queries import BoxQueries
-from .introspection import Introspection
+from .boxes.predicates import Predicates
 from .rays.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
@@ -36,7 +35,7 @@ REBUILD_SHARE = 0.3
 Settings = tuple[int, float, str]  # ndim, margin, sibling_search
 
 
-class DynamicBVH(RayQueries, BoxQueries, Introspection):
+class DynamicBVH(RayQueries, Predicates):
     """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at
     any time.
 

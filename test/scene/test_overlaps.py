@@ -15,7 +15,7 @@ from scene.reference import geometry_arrays, random_shapes, widest_gap
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.scene.distance import overlaps
+from bvh_ros.tree.boxes import within
 
 lattice = st.integers(-6, 6).map(lambda i: i * 0.1)
 points = st.tuples(lattice, lattice, lattice)
@@ -75,13 +75,13 @@ def unit(orientation):
 def test_a_wall_exactly_as_far_away_as_the_tolerance(monkeypatch):
     """Right to the last digit, and few rational numbers however many voxels it has."""
     made = []
-    monkeypatch.setattr(overlaps, 'Fraction', lambda x: made.append(x) or Fraction(x))
+    monkeypatch.setattr(within, 'Fraction', lambda x: made.append(x) or Fraction(x))
     rng = np.random.default_rng(4)
     for gaps, tolerance in (([5.0, 0, 0], 5.0), ([0.3, 0.4, 0], 0.5), ([0, 0, 0.1], 0.1)):
         lo = np.tile(gaps, (20_000, 1)) - np.where(np.equal(gaps, 0.0), rng.random((20_000, 3)), 0)
         lo = np.nextafter(lo, lo + rng.integers(-1, 2, lo.shape))
         query = np.array([-1.0, -1.0, -1.0]), np.zeros(3)
-        found = overlaps.boxes_within(lo, lo + 1.0, *query, tolerance)
+        found = within.boxes_within(lo, lo + 1.0, *query, tolerance)
         squares = [
             sum(max(Fraction(x), Fraction(0)) ** 2 for x in row) for row in lo[:400].tolist()
         ]

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which obstacles touch a query shape, and which touch each other."""
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.boxes.within import boxes_within
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.store.turns import IS_CHANGED
@@ -187,56 +187,3 @@ def each_once(columns: Columns, pairs: Slots) -> Slots:
 def corners(records: NDArray[np.void]) -> tuple[Floats, Floats]:
     """Lowest and highest corners of axis-aligned boxes, the same doubles that the tree holds."""
     return records['position'] - records['half'], records['position'] + records['half']
-
-
-def lengths(vectors: Floats) -> Floats:
-    """Euclidean lengths of rows.
-
-    Scaled by a power of two, so that squares neither overflow nor vanish.
-    """
-    exponent = np.frexp(np.abs(vectors).max(axis=1, initial=0.0))[1]
-    scaled = np.ldexp(vectors, -exponent[:, None])
-    result: Floats = np.ldexp(np.sqrt((scaled * scaled).sum(axis=1)), exponent)
-    return result
-
-
-def boxes_within(
-    lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats, tolerance: float
-) -> NDArray[np.bool_]:
-    """Whether axis-aligned boxes are within the tolerance of another, as real arithmetic
-    decides.
-    """
-    distances = lengths(np.maximum(np.maximum(lo - query_hi, query_lo - hi), 0.0))
-    near: NDArray[np.bool_] = distances <= tolerance
-    # A gap is rounded once, the length a few times: only next to the tolerance may that decide.
-    close = np.flatnonzero(np.abs(distances - tolerance) <= 2.0**-49 * tolerance)
-    gaps = _exact_gaps(lo[close], hi[close], query_lo, query_hi)
-    axes = (gaps[:, 0] > 0.0).sum(axis=1)
-    # Along one axis: a sum that rounds to the tolerance is larger if its second part is positive.
-    first, rest = gaps.sum(axis=2).T
-    near[close] = (first < tolerance) | ((first == tolerance) & (rest <= 0.0))
-    slanted = close[axes > 1]
-    if len(slanted):  # voxels that far away are many, but their gaps few
-        known, of = np.unique(
-            gaps[axes > 1].reshape(len(slanted), -1), axis=0, return_inverse=True
-        )
-        limit = Fraction(tolerance) ** 2
-        squares = (
-            sum((Fraction(a) + Fraction(b)) ** 2 for a, b in row)
-            for row in known.reshape(len(known), 2, -1).transpose(0, 2, 1).tolist()
-        )
-        near[slanted] = np.array([square <= limit for square in squares])[of.ravel()]
-    return near
-
-
-def _exact_gaps(lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats) -> Floats:
-    """The gaps (n, 2, ndim) between boxes and another along each axis, unrounded: each is the sum
-    of two doubles, the second below the last digit of the first (Knuth's TwoSum).
-    """
-    above, below = lo - query_hi, query_lo - hi
-    a = np.where(above > 0.0, lo, query_lo)
-    b = np.where(above > 0.0, query_hi, hi)
-    gap = np.maximum(np.maximum(above, below), 0.0)
-    part = gap - a
-    lost = (a - (gap - part)) + (-b - part)
-    return np.stack((gap, np.where(gap > 0.0, lost, 0.0)), axis=1)

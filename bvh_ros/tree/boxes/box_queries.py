@@ -150,17 +150,22 @@ class BoxQueries(Arrays):
         """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances),
         nearest first, ties by handle.
 
-        The distance is 0 inside a box, and within 4 roundings of the exact one (see
-        `tree.proximity`).
+        `point` has shape (ndim,), or is the box (lo, hi) of shape (2, ndim). The distance is 0
+        inside a box, and within 4 roundings of the exact one (see `tree.proximity`).
         """
         ndim = self._ndim
-        where, k = checks.vector('point', point, ndim), checks.capacity('k', k)
+        if checks.is_pair(point):
+            low, high = checks.pair('point', point, ndim)
+        else:
+            low = high = checks.vector('point', point, ndim)
+        k = checks.capacity('k', k)
         if k > FEW_NEAREST:  # not more room than for all
             k = min(k, max(len(self), 1))
         ids, distances = np.empty(k, np.int64), np.empty(k)
         count = nearest.one_entry(ndim)(
             self._settled().tree,
-            where,
+            low,
+            high,
             k,
             checks.limit('max_distance', max_distance),
             checks.mask(mask),
@@ -170,7 +175,7 @@ class BoxQueries(Arrays):
         if count == k:
             return ids, distances
         if count == NOT_FINITE:
-            checks.point('point', where, ndim)
+            checks.point('point', low, ndim)
         if count < 0:
             raise RuntimeError(IS_CHANGED)
         return ids[:count], distances[:count]

@@ -142,16 +142,16 @@ def name_row(handles, slots, distances, count):
 
 
 @lean_kernel
-def nearest_one(tree, point, k, max_distance, mask, found, distances):
-    """Handles and distances of the k nearest, nearest first: how many there are; NOT_FINITE if the
-    point is not, REFUSED if the tree is being changed.
+def nearest_one(tree, low, high, k, max_distance, mask, found, distances):
+    """Handles and distances of the k nearest to a box or point, nearest first: how many there are;
+    NOT_FINITE if it is no box, REFUSED if the tree is being changed.
     """
-    for axis in range(point.shape[0]):
-        if not np.isfinite(point[axis]):
+    for axis in range(low.shape[0]):
+        if not (np.isfinite(low[axis]) and np.isfinite(high[axis]) and low[axis] <= high[axis]):
             return np.int64(NOT_FINITE)
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
-    count = nearest(tree, point, point, k, max_distance, mask, found, distances)
+    count = nearest(tree, low, high, k, max_distance, mask, found, distances)
     for j in range(count):
         found[j] = tree.handles[found[j]]
     end_query(tree.state)
@@ -184,6 +184,7 @@ def nearest_many(tree, version, asked, found, distances):
 _ROWS, _NAMES = np.empty((0, 3)), np.empty((0, 1), np.int64)
 NO_POINTS = Points(_ROWS, 1, np.empty(0), np.empty(0, np.uint32))
 one_entry = entry_points(
-    nearest_one, np.empty(0), 1, 0.0, np.uint32(0), np.empty(0, np.int64), np.empty(0)
+    *(nearest_one, np.empty(0), np.empty(0), 1, 0.0, np.uint32(0)),
+    *(np.empty(0, np.int64), np.empty(0)),
 )
 many_entry = entry_points(nearest_many, 0, NO_POINTS, _NAMES, _ROWS)
