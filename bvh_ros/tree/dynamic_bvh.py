@@ -119,7 +119,8 @@ class DynamicBVH(RayQueries, Predicates):
             checks.capacity('the number of rows of lo', max(len(low), 1)),
         )
         try:
-            inspect.signature(cls).bind(ndim, margin=margin, capacity=capacity)
+            if cls is not DynamicBVH:  # of which it is known, and 25 us are a box in ten of 1,000
+                inspect.signature(cls).bind(ndim, margin=margin, capacity=capacity)
         except TypeError:
             tree = cls.__new__(cls)
             tree._begin(ndim, margin, SEARCHES[1], capacity)
