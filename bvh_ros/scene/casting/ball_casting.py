@@ -16,6 +16,7 @@ Two boxes whose brackets do not meet are in order. What the brackets leave open,
 decides. Other shapes are met at their t, as computed.
 """
 
+from collections.abc import Iterable
 from functools import cmp_to_key
 from typing import NamedTuple
 
@@ -24,8 +25,9 @@ from numpy.typing import NDArray
 
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
-from ...tree.nodes import NONE
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, set_ray
+from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import DEEPEST, NONE
+from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, RAY_FLOATS, RAY_ROWS, set_ray
 from ..distance import overlaps
 from ..geometry.rim import ROUND
 from ..geometry.shapes import Floats
@@ -37,6 +39,7 @@ from .casting import (
     Asked,
     Ball,
     Hits,
+    Scratch,
     call,
     cast,
     enter_obstacle,
@@ -95,21 +98,45 @@ def bracket(world, ball, scratch, hits, times, features):
 
 
 @lean_kernel
-def sweep_ball(world, ball, asked, scratch, hits, brackets):
-    """`find` and `bracket`; asked = (mask, skip_inside, every), brackets = (times, features)."""
+def sweep_ball(world, radius, way, asked, hits, brackets, place):
+    """`find` and `bracket`; way = (origin, direction), asked = (mask, skip_inside, every),
+    brackets = (times, features). Returns how many may be hit, and whether that is but one and
+    surely is: its point and normal are the rows of `place` then.
+    """
     mask, skip_inside, every = asked
     times, features = brackets
-    slack = slack_of(world, scratch.ray, ball.radius) if world.root != NONE else 0.0
-    larger = Ball(ball.radius, slack)
+    ray = stack_array(RAY_FLOATS, np.float64)[: RAY_ROWS * way[0].shape[0]]
+    scratch = Scratch(
+        ray.reshape(RAY_ROWS, way[0].shape[0]),
+        stack_array(6, np.float64)[: 2 * way[0].shape[0]].reshape(2, way[0].shape[0]),
+        stack_array(15, np.float64).reshape(5, 3),
+        stack_array(DEEPEST, np.int64),
+        stack_array(DEEPEST, np.float64),
+    )
+    set_ray(scratch.ray, way[0], way[1])
+    slack = slack_of(world, scratch.ray, radius) if world.root != NONE else 0.0
+    larger = Ball(radius, slack)
     count = find(world, larger, mask, skip_inside, every, scratch, hits)
     if count <= hits.slots.shape[0]:
         bracket(world, larger, scratch, hits, times[:, :count], features[:, :count])
-    return count
+    sure = count == 1 and is_sure(times, features)
+    if sure:
+        one = Hits(hits.slots, times[AT], features[AT])
+        touch(world, scratch, radius, one, 0, place[0], place[1])
+    return count, sure
 
 
 @lean_kernel
-def touch_all(world, radius, scratch, hits, points, normals):
-    """Fill in points and normals of hits."""
+def is_sure(times, features):
+    """Whether the first is surely met, and surely inside at the start, or not."""
+    doubtful = features[EARLY, 0] == INSIDE and features[LATE, 0] != INSIDE
+    return times[LATE, 0] < np.inf and not doubtful
+
+
+@lean_kernel
+def touch_all(world, radius, way, scratch, hits, points, normals):
+    """Fill in points and normals of hits; way = (origin, direction)."""
+    set_ray(scratch.ray, way[0], way[1])
     for j in range(points.shape[0]):
         touch(world, scratch, radius, hits, j, points[j], normals[j])
 
@@ -127,27 +154,33 @@ class Sweep(NamedTuple):
 
 def cast_ball(
     tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
-) -> tuple[Hits, Floats, Floats]:
+) -> Iterable[tuple[int, float, Floats, Floats]]:
     """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
-    ties by handle: hits, points and normals. TooManyHitsError if it may touch more than `most`.
+    ties by handle: slot, t, point and normal of each. TooManyHitsError if it may touch more than
+    `most`.
     """
     ndim = tree.ndim
-    world, scratch = world_of(tree, columns), new_scratch(ndim)
-    sweep = sweep._replace(origin=sweep.origin[:ndim], direction=sweep.direction[:ndim])
-    set_ray(scratch.ray, sweep.origin, sweep.direction)
-    asked, ball = (sweep.mask, sweep.skip_inside, sweep.every), Ball(sweep.radius, 0.0)
+    world, place = world_of(tree, columns), np.zeros((2, 3))
+    if ndim == 2:
+        sweep = sweep._replace(origin=sweep.origin[:2], direction=sweep.direction[:2])
+    way, asked = (sweep.origin, sweep.direction), (sweep.mask, sweep.skip_inside, sweep.every)
     count, room = 16, 0
     while count > room:
         room = count
         hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
         brackets = np.empty((3, room)), np.empty((3, room), np.int64)
-        count = call(sweep_ball, world, ball, asked, scratch, hits, brackets)
+        count, sure = call(sweep_ball, world, sweep.radius, way, asked, hits, brackets, place)
     if sweep.every:
         require_few(count, most)
+    if count == 0:
+        return ()
+    if sure:
+        if sweep.skip_inside and brackets[1].item(AT, 0) == INSIDE:
+            return ()
+        return ((hits.slots.item(0), brackets[0].item(AT, 0), place[0], place[1]),)
     slots, times, features = hits.slots[:count], brackets[0][:, :count], brackets[1][:, :count]
     ts, met = times[AT], features[AT]
-    if count > 1 or (count == 1 and _undecided(times, features)[0]):
-        slots, ts, met = _in_order(columns, slots, times, features, sweep)
+    slots, ts, met = _in_order(columns, slots, times, features, sweep)
     if sweep.skip_inside:
         slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
     if not sweep.every:
@@ -155,8 +188,8 @@ def cast_ball(
     points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
     # Of one type, however many there are: rows of one column are contiguous, others are not.
     hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(met))
-    call(touch_all, world, sweep.radius, scratch, hits, points, normals)
-    return hits, points, normals
+    call(touch_all, world, sweep.radius, way, new_scratch(ndim), hits, points, normals)
+    return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
 
 
 def _in_order(

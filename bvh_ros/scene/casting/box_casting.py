@@ -7,6 +7,7 @@ at as many as the tree has axes and leave the others as they are: a planar ray c
 more than a solid one.
 """
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -15,13 +16,14 @@ from numpy.typing import NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.entries import entry_points
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import slot_of
 from ...tree.rays import ray_hits, raycasting
 from ...tree.rays.ray_hits import locate
 from ...tree.rays.slab import INSIDE
-from ...tree.store.turns import IS_CHANGED, REFUSED
+from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
 from .casting import Rays
@@ -30,18 +32,41 @@ BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
 
 def first(
-    tree: DynamicBVH, origin: Floats, direction: Floats, mask: np.uint32, skip_inside: bool
+    tree: DynamicBVH, start: Floats, goal: Floats, mask: np.uint32, skip_inside: bool
 ) -> BoxHit | None:
-    """The first box from `origin` to `origin + direction`, shape (3,) each and finite."""
-    place = np.zeros((2, 3))
-    place[0, 2] = origin[2]
-    start, way = checks.vector('origin', origin, 3), checks.vector('direction', direction, 3)
-    handle, t = ray_hits.one_entry(tree.ndim)(
-        tree.view().tree, *(start, way, 1.0, mask, skip_inside, raycasting.CLOSEST, place)
-    )
-    if handle == REFUSED:
+    """The first box from `start` to `goal`, shape (3,) each."""
+    place = np.empty((2, 3))
+    asked = start, goal, mask, skip_inside, place
+    slot, t = _first_entry(tree.ndim)(tree.view().tree, *asked)
+    if slot == NOT_FINITE:
+        raise too_long(start, goal)
+    if slot == REFUSED:
         raise RuntimeError(IS_CHANGED)
-    return None if handle < 0 else (tree.slot(handle), t, place[0], place[1])
+    return None if slot < 0 else (slot, t, place[0], place[1])
+
+
+def too_long(start: Floats, goal: Floats) -> ValueError:
+    """What is raised where the way between two points is not finite."""
+    checks.point('start', start, 3)
+    checks.point('goal', goal, 3)
+    return ValueError('the segment from start to goal is longer than the largest double')
+
+
+@lean_kernel
+def first_between(tree, start, goal, mask, skip_inside, place):
+    """The first box from `start` to `goal`: (slot, t), and its point and normal as the rows of
+    `place`; instead of a slot NONE, NOT_FINITE or REFUSED.
+    """
+    way, finite = stack_array(3, np.float64), True
+    for axis in range(3):
+        way[axis] = goal[axis] - start[axis]
+        finite &= math.isfinite(way[axis])  # so both ends are
+        place[0, axis], place[1, axis] = start[axis], 0.0
+    if not finite:
+        return np.int64(NOT_FINITE), np.inf
+    asked = 1.0, mask, skip_inside, raycasting.CLOSEST
+    handle, t = ray_hits.raycast_one(tree, start, way, *asked, place)
+    return (slot_of(handle) if handle >= 0 else handle), t
 
 
 def every(
@@ -109,3 +134,7 @@ def describe(nodes, tight, node_handles, rays, hits, told):
         told.handles[i] = node_handles[slot]
         for k in range(3):
             told.points[i, k] = place[0, k]
+
+
+_POINT = np.empty(3)
+_first_entry = entry_points(first_between, _POINT, _POINT, np.uint32(0), False, np.empty((2, 3)))

@@ -106,7 +106,8 @@ class Scratch(NamedTuple):
 
 def world_of(tree: DynamicBVH, columns: Columns) -> World:
     """The arrays of a scene."""
-    return World._make((*tree.arrays(), columns.geometry_arrays(), columns.footprint_arrays()))
+    shapes = columns.geometry_arrays(), columns.footprint_arrays()
+    return tuple.__new__(World, (*tree.arrays(), *shapes))
 
 
 _entries: dict[tuple[Any, bool, bool], Any] = {}

@@ -165,10 +165,9 @@ def first_of_many(
             *(flat.origins[row], flat.directions[row], flat.radii[row], flat.masks[row]),
             *(skip_inside, False),
         )
-        hits, points, normals = cast_ball(tree, columns, one)
-        if len(points):
-            told.handles[row] = columns.node_handle[hits.slots[0]]
-            told.ts[row], told.points[row], told.normals[row] = hits.ts[0], points[0], normals[0]
+        for slot, t, point, normal in cast_ball(tree, columns, one):
+            told.handles[row] = columns.node_handle[slot]
+            told.ts[row], told.points[row], told.normals[row] = t, point, normal
     if ndim == 2:
         met = told.handles != NO_NODE
         told.points[met, 2] = balls.origins[met, 2]

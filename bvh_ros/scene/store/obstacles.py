@@ -73,7 +73,8 @@ class Obstacles:
         """What a query tells of an obstacle."""
         columns = self.columns
         handle, stamp = columns.node_handle.item(slot), columns.stamp.item(slot)
-        return SceneHit(self.registry.name(slot), handle, t, point, normal, stamp)
+        told = self.registry.name(slot), handle, t, point, normal, stamp
+        return tuple.__new__(SceneHit, told)  # half the time of SceneHit(...)
 
     def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:
         """What a query tells of rows of a `touching.Found`."""
