@@ -134,3 +134,26 @@ def test_slots() -> None:
             tree.slots([handles[4], stale])
         with pytest.raises(KeyError):
             tree.slot(int(stale))
+
+
+def test_a_scan_goes_in_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays from one place do, already where others would not; the answer is the same."""
+    tree, _, ways = world(3)
+    tree.raycast_many(ways, ways)  # from then on there is a snapshot
+    count, lists = ray_batches.FEW_OF_A_SCAN, []
+    make = ray_batches.make_scratch
+    monkeypatch.setattr(
+        ray_batches, 'make_scratch', lambda *sizes: lists.append(sizes) or make(*sizes)
+    )
+    ways = np.tile(ways, (3, 1))[:count]
+    origins = np.full((count, 3), 0.5)
+    masks = np.full(count, 0xFFFFFFFF)
+    scan = tree.raycast_many(origins, ways)
+    assert len(lists) == 1
+    check_one_by_one(tree, scan, origins, ways, np.full(count, np.inf), masks)
+    tree.raycast_many(origins[1:], ways[1:])
+    for other in (0, count // 2, -1):
+        moved = origins.copy()
+        moved[other, 1] = 3.0
+        tree.raycast_many(moved, ways)
+    assert len(lists) == 1
