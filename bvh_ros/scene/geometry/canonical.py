@@ -194,8 +194,8 @@ def canonical_row(kind, position, orientation, size, record, bounds):
 
 @lean_kernel
 def canonical_rows(kinds, positions, orientations, sizes, form):
-    """Fill in a `Canonical`; return whether all rows are fine."""
-    bounds, fine = stack_array(6, np.float64).reshape(2, 3), True
+    """Fill in a `Canonical`; return whether there is a row of kind MESH."""
+    bounds, meshes = stack_array(6, np.float64).reshape(2, 3), False
     for i in range(kinds.shape[0]):
         fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
         if fault == FINE:
@@ -207,8 +207,8 @@ def canonical_rows(kinds, positions, orientations, sizes, form):
             for axis in range(form.lo.shape[1]):
                 form.lo[i, axis], form.hi[i, axis] = bounds[0, axis], bounds[1, axis]
         form.faults[i] = fault
-        fine = fine and fault == FINE
-    return fine
+        meshes = meshes or kinds[i] == MESH
+    return meshes
 
 
 def _empty_form(count: int, ndim: int) -> Canonical:
@@ -228,8 +228,7 @@ def _canonical_rows(ndim: int) -> Callable[..., Any]:
 def canonicalise(shapes: Shapes, ndim: int = 3) -> Canonical:
     """Look at shapes alone, which must be from `as_shapes`: nothing here depends on the world."""
     form = _empty_form(len(shapes.kind), ndim)
-    _canonical_rows(ndim)(*shapes[:4], form)
-    if shapes.mesh is not None or (shapes.kind == MESH).any():
+    if _canonical_rows(ndim)(*shapes[:4], form) or shapes.mesh is not None:
         _place_meshes(shapes, form)
     return form
 

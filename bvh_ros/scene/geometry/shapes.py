@@ -69,10 +69,10 @@ class Shapes(NamedTuple):
             turns = _rows('orientation', orientation, 4)
         if len(turns) != len(centres):
             raise ValueError(f'there are {len(turns)} orientations for {len(centres)} positions')
-        kind = np.full(len(centres), ShapeKind.BOX, np.uint8)
-        return cls(
-            kind, centres, turns, np.broadcast_to(checks.floats('size', size), centres.shape)
-        )
+        kind, sizes = np.full(len(centres), ShapeKind.BOX, np.uint8), checks.floats('size', size)
+        if sizes.shape != centres.shape:
+            sizes = np.broadcast_to(sizes, centres.shape)
+        return cls(kind, centres, turns, sizes)
 
     @classmethod
     def of_meshes(
@@ -100,17 +100,18 @@ def as_shapes(shapes: Shapes) -> Shapes:
     kind, position, orientation, size, mesh = shapes
     kind = _kinds(kind)
     count = len(kind)
-    wanted = (('position', position, 3), ('orientation', orientation, 4), ('size', size, 3))
-    position, orientation, size = (_array(*one, count) for one in wanted)
+    position = _array('shapes.position', position, 3, count)
+    orientation = _array('shapes.orientation', orientation, 4, count)
+    size = _array('shapes.size', size, 3, count)
     if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
         raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
     return Shapes(kind, position, orientation, size, mesh)
 
 
 def _array(name: str, value: ArrayLike, width: int, count: int) -> Floats:
-    array = checks.floats_to_read(f'shapes.{name}', value)
+    array = checks.floats_to_read(name, value)
     if array.shape != (count, width):
-        raise ValueError(f'shapes.{name} has shape {array.shape}, not {(count, width)}')
+        raise ValueError(f'{name} has shape {array.shape}, not {(count, width)}')
     return array
 
 

@@ -16,7 +16,7 @@ from ...tree.jit.compiling import entry_point, lean_kernel
 from ...tree.nodes import ALL
 from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
 from ..geometry.polygon import outlined
-from ..geometry.records import Records
+from ..geometry.records import GEOMETRY, Records
 from ..geometry.shapes import Floats, Shapes
 from ..refusals import Reasons
 from .names import BARE, Families, last_of_each
@@ -42,6 +42,13 @@ class Rows(NamedTuple):
         """Some of the rows."""
         columns: Any = (None if column is None else column[which] for column in self)
         return Rows(*columns)
+
+
+_NO_NUMBERS, _NO_BOXES = np.empty(0, np.int64), np.empty((0, 3))
+_NO_ROWS = Rows(
+    *(_NO_NUMBERS, _NO_NUMBERS, np.empty(0, GEOMETRY), None, _NO_BOXES, _NO_BOXES, None),
+    *(_NO_NUMBERS, _NO_NUMBERS),
+)
 
 
 class Owner(NamedTuple):
@@ -159,9 +166,9 @@ def validate_rows(
     good, known = _all_good()(form.faults, called, slots, owner.of_slot, owner.number)
     if good and not _refuse_names(names, reasons):
         if known == count:
-            return Validated(rows.take(slice(0)), rows, reasons)
+            return Validated(_NO_ROWS, rows, reasons)
         if known == 0:
-            return Validated(rows, rows.take(slice(0)), reasons)
+            return Validated(rows, _NO_ROWS, reasons)
     else:
         rows = rows.take(_taken(names, slots, form, owner, reasons))
     new = rows.slot == UNKNOWN
