@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bvh_ros.ros.warm_up import Job
+    from bvh_ros.ros.compile_jobs import Job
 
 LEVELS = 'x86-64-v2', 'x86-64-v3', 'x86-64-v4'
 AGAIN = 0.5  # seconds of what other jobs have compiled nearly all of
@@ -75,7 +75,7 @@ def _compile(parameters: Path | None) -> None:
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.warm_up import Job, Needs, jobs, use_tree
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, use_tree
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH

@@ -19,7 +19,7 @@ import numpy as np
 from bvh_ros import warm_up
 
 def one():
-    from bvh_ros.ros.warm_up import Job
+    from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.tree import checks
     rows = np.array([[0.0, 1.0], [2.0, np.nan]])
     yield Job('one', 'one', 1.0, partial(checks._first_not_finite, rows))

@@ -5,9 +5,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
-from threading import Lock
-from typing import Any, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from nav_msgs.srv import GetPlan
@@ -18,18 +17,15 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import plans
-from bvh_ros.client.batch import NameChannel, RayChannel, as_rays, handles_of, topic_of_names
+from bvh_ros.client.batch import as_rays, handles_of
+from bvh_ros.client.channels import Channels
 from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.client.plans import Hit
+from bvh_ros.client.services import Services
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
-from bvh_ros.ros.qos import REQUESTS
 
-NO_RAYS = np.empty((0, 3))
-PATIENCE = 0.2  # seconds for an answer to no rays
 LOOK = 0.2  # seconds between two looks whether the node still compiles
-
-Answer = TypeVar('Answer')
 
 
 class BvhClient:
@@ -65,14 +61,10 @@ class BvhClient:
         self.name = name
         self.timeout = timeout
         # A group of their own: a callback that awaits an answer keeps the group it is in busy.
-        self._group = ReentrantCallbackGroup()
+        group = ReentrantCallbackGroup()
         self._waiting = Waiting(node)
-        self._raycast = self._client('raycast')
-        self._raycast_all = self._client('raycast_all')
-        self._overlap = self._client('overlap')
-        self._batches: RayChannel | None = None
-        self._names: NameChannel | None = None
-        self._opening = Lock()  # of the topics: threads that come at once share them
+        self._services = Services(node, name, group, self._waiting)
+        self._channels = Channels(node, name, group, self._waiting)
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node offers its services, and has compiled what they need.
@@ -83,11 +75,7 @@ class BvhClient:
             If it does not in time; the first start on a machine compiles for half a minute.
         """
         deadline = time.monotonic() + timeout
-        clients = (self._raycast, self._raycast_all, self._overlap)
-        found = self._waiting.until(
-            lambda: all(client.service_is_ready() for client in clients), timeout
-        )
-        if not found:
+        if not self._waiting.until(self._services.are_offered, timeout):
             raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
         while compiling := self._compiling(deadline - time.monotonic()):
             if time.monotonic() > deadline:
@@ -132,7 +120,7 @@ class BvhClient:
             If the node cannot answer, with its reason; BvhTimeoutError if it does not.
         """
         request = plans.request(start, end, radius, frame_id)
-        return plans.first_hit(self._call(self._raycast, request, timeout))
+        return plans.first_hit(self._call(self._services.raycast, request, timeout))
 
     def raycast_all(
         self,
@@ -145,7 +133,7 @@ class BvhClient:
     ) -> list[Hit]:
         """Return every obstacle on the way, nearest first; otherwise like `raycast`."""
         request = plans.request(start, end, radius, frame_id)
-        return plans.all_hits(self._call(self._raycast_all, request, timeout))
+        return plans.all_hits(self._call(self._services.raycast_all, request, timeout))
 
     def overlap(
         self,
@@ -176,7 +164,7 @@ class BvhClient:
             If the node cannot answer, with its reason; BvhTimeoutError if it does not.
         """
         request = plans.request(corner, opposite, tolerance, frame_id, orientation)
-        return plans.all_hits(self._call(self._overlap, request, timeout))
+        return plans.all_hits(self._call(self._services.overlap, request, timeout))
 
     def raycast_async(
         self,
@@ -187,9 +175,8 @@ class BvhClient:
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast` does; return a future of its result, for use inside callbacks."""
-        return self._ask(
-            self._raycast, plans.request(start, end, radius, frame_id), plans.first_hit
-        )
+        request = plans.request(start, end, radius, frame_id)
+        return self._services.ask(self._services.raycast, request, plans.first_hit)
 
     def raycast_all_async(
         self,
@@ -200,9 +187,8 @@ class BvhClient:
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast_all` does; return a future of its result."""
-        return self._ask(
-            self._raycast_all, plans.request(start, end, radius, frame_id), plans.all_hits
-        )
+        request = plans.request(start, end, radius, frame_id)
+        return self._services.ask(self._services.raycast_all, request, plans.all_hits)
 
     def overlap_async(
         self,
@@ -215,7 +201,7 @@ class BvhClient:
     ) -> Future:
         """Ask as `overlap` does; return a future of its result."""
         request = plans.request(corner, opposite, tolerance, frame_id, orientation)
-        return self._ask(self._overlap, request, plans.all_hits)
+        return self._services.ask(self._services.overlap, request, plans.all_hits)
 
     def raycast_many(
         self,
@@ -262,13 +248,7 @@ class BvhClient:
         """
         rays = as_rays(origins, directions, t_max, mask)
         timeout = self.timeout if timeout is None else timeout
-        self.wait_until_batches_are_ready(timeout)
-        channel = self._ray_channel()
-        answer = channel.ask(rays, frame_id, stamp)
-        if not self._waiting.until_done(answer, timeout):
-            channel.forget(answer)
-            raise BvhTimeoutError(f"'{self.name}/rays' did not answer within {timeout:g} s")
-        return answer.result()
+        return self._channels.cast(rays, frame_id, stamp, timeout)
 
     def raycast_many_async(
         self,
@@ -285,20 +265,11 @@ class BvhClient:
         `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
         """
         rays = as_rays(origins, directions, t_max, mask)
-        return self._ray_channel().ask(rays, frame_id, stamp, self.node.executor)
+        return self._channels.rays().ask(rays, frame_id, stamp, self.node.executor)
 
     def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""
-        channel, deadline = self._ray_channel(), time.monotonic() + timeout
-        if not self._waiting.until(channel.is_found, timeout):
-            raise BvhTimeoutError(f"no batches at '{self.name}' after {timeout:g} s")
-        # That both are found here does not say that the node has found us.
-        while not channel.has_answered:
-            if time.monotonic() > deadline:
-                raise BvhTimeoutError(f"'{self.name}/rays' did not answer within {timeout:g} s")
-            nothing = channel.ask(as_rays(NO_RAYS, NO_RAYS, np.inf, EVERYTHING), '', None)
-            self._waiting.until_done(nothing, PATIENCE)
-            channel.forget(nothing)
+        self._channels.answered_rays(timeout)
 
     def names(self, obstacles: Iterable[int], *, timeout: float | None = None) -> dict[int, str]:
         """Return the names of node handles, as `raycast_many` returns them.
@@ -311,16 +282,8 @@ class BvhClient:
         BvhTimeoutError
             If no names are told at all.
         """
-        handles = handles_of(obstacles)
         timeout = self.timeout if timeout is None else timeout
-        channel = self._name_channel(timeout)
-        answer = channel.ask(handles)
-        self._waiting.until_done(answer, timeout)
-        channel.forget(answer)
-        if not (channel.has_told or answer.done()):
-            raise BvhTimeoutError(f"'{self.name}' told no names within {timeout:g} s")
-        known = channel.known
-        return {handle: known[handle] for handle in sorted(handles) if handle in known}
+        return self._channels.find_names(handles_of(obstacles), timeout)
 
     def wait_for(self, answer: Future, timeout: float) -> bool:
         """Wait for what an `_async` call returned; whether it is there."""
@@ -329,65 +292,9 @@ class BvhClient:
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call any other service of the node once; BvhTimeoutError without an answer."""
-        client = self.node.create_client(kind, service, callback_group=self._group)
-        self._waiting.add_client(client)
-        try:
-            found = self._waiting.until(client.service_is_ready, self.timeout)
-            reply = client.call_async(request)
-            if not found or not self._waiting.until_done(reply, self.timeout):
-                raise BvhTimeoutError(f'{service} did not answer within {self.timeout:g} s')
-            return reply.result()
-        finally:
-            self._waiting.remove_client(client)
-            self.node.destroy_client(client)
-
-    def _name_channel(self, timeout: float) -> NameChannel:
-        if self._names is None and not self._waiting.until(
-            lambda: topic_of_names(self.node, self.name) != '', timeout
-        ):
-            raise BvhTimeoutError(f"nobody tells the names of '{self.name}'")
-        with self._opening:
-            if self._names is None:
-                topic = topic_of_names(self.node, self.name)
-                self._names = NameChannel(self.node, topic, self._group)
-                self._waiting.add_subscription(self._names.subscription)
-            return self._names
-
-    def _ray_channel(self) -> RayChannel:
-        with self._opening:
-            if self._batches is None:  # who asks for single rays only opens no topics
-                self._batches = RayChannel(self.node, self.name, self._group)
-                self._waiting.add_subscription(self._batches.subscription)
-            return self._batches
-
-    def _client(self, service: str) -> Client:
-        client = self.node.create_client(
-            GetPlan, f'{self.name}/{service}', qos_profile=REQUESTS, callback_group=self._group
-        )
-        self._waiting.add_client(client)
-        return client
-
-    def _ask(
-        self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]
-    ) -> Future:
-        answer = Future(executor=self.node.executor)
-
-        def finish(reply: Future) -> None:
-            try:
-                answer.set_result(read(reply.result()))
-            except Exception as error:
-                answer.set_exception(error)
-
-        client.call_async(request).add_done_callback(finish)
-        return answer
+        return self._services.once(kind, service, request, self.timeout)
 
     def _call(
         self, client: Client, request: GetPlan.Request, timeout: float | None
     ) -> GetPlan.Response:
-        timeout = self.timeout if timeout is None else timeout
-        self._waiting.check()
-        reply = client.call_async(request)
-        if not self._waiting.until_done(reply, timeout):
-            client.remove_pending_request(reply)
-            raise BvhTimeoutError(f'{client.srv_name} did not answer within {timeout:g} s')
-        return reply.result()
+        return self._services.call(client, request, self.timeout if timeout is None else timeout)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree import DynamicBVH, checks
+from ..tree import DynamicBVH, box_checks, checks
 from . import hilbert
 
 VERSION = 1
@@ -109,7 +109,7 @@ def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
         if lo.ndim != 2 or lo.shape[1] not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {lo.shape}')
         ndim = lo.shape[1]
-    low, high = checks.boxes(chunk[0], chunk[1], ndim)
+    low, high = box_checks.boxes(chunk[0], chunk[1], ndim)
     return low, high, checks.masks(chunk[2] if len(chunk) == 3 else 1, len(low))
 
 

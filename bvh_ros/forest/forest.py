@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import ALL, DynamicBVH, RayHits, checks
+from ..tree import ALL, DynamicBVH, RayHits, box_checks, checks
 from . import building, chunked, distances, overlaps, rays
 from .asking import Asking
 
@@ -168,7 +168,7 @@ class Forest:
         """Overlaps of n query boxes, see `DynamicBVH.overlap_many`: (offsets, ids)."""
         if chunked.is_dask(lo, hi, mask):
             return chunked.overlap(self, lo, hi, mask, threads)
-        low, high = checks.boxes(lo, hi, self._ndim)
+        low, high = box_checks.boxes(lo, hi, self._ndim)
         threads = checks.whole('threads', threads, 1)
         masks = checks.masks(mask, len(low))
         return overlaps.overlaps(self._top, self._asking(executor), low, high, masks, threads)

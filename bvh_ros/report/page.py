@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .tables import Table
 
-LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'rtree', 'scipy')
+LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'scipy')
 
 
 class Page:
@@ -84,12 +84,13 @@ def machine() -> str:
 
 def vectors() -> str:
     """How wide the processor's vectors are, or for which other one kernels are compiled."""
-    import llvmlite.binding
     from numba import config
+
+    from ..tree.jit.shipped import host_features
 
     if config.CPU_NAME:
         return f'kernels compiled for {config.CPU_NAME}'
-    features = llvmlite.binding.get_host_cpu_features()
+    features = host_features()
     width = 512 if features.get('avx512f') else 256 if features.get('avx2') else 128
     return f'vectors of {width} bits'
 

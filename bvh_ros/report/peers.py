@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from . import batches, plots, timing
+from . import batches, timing
+from .calls import calls
 from .libraries import LIBRARIES, Library
 from .libraries.base import Work, make_work
 from .page import Page
-from .scene_calls import scene_calls
 from .tables import Cell, Table
 from .timing import Timing, interleaved
 
@@ -54,38 +54,11 @@ def all_tasks(page: Page, brief: bool) -> None:
     """Measure every task that two or more installed libraries can do."""
     libraries = [library for library in LIBRARIES if library.installed()]
     page.add(_introduction(libraries))
-    slower: dict[str, dict[str, float]] = {}
-    summary: list[list[Cell]] = []
-    names = [library.name for library in libraries if library.name != 'bvh_ros']
     with one_processor():
         for task in TASKS:
             found = measure(quick(task) if brief else task, libraries, brief)
             page.add(f'### {task.title}')
             page.table(table(task, found))
-            summary += [_summary(task, *entry, names) for entry in found.items()]
-            slower[task.title] = _over_ours(found)
-    page.add('### All tasks')
-    page.add('The time that bvh_ros takes, and that over the time of each library.')
-    page.table(Table('peers_all', ['task', 'boxes', 'bvh_ros', 'unit', *names], summary))
-    plots.ratios(
-        page.plot('peers', 'Time of every library over that of bvh_ros'),
-        slower,
-        'time over that of bvh_ros (above 1: bvh_ros is faster)',
-        'The same work by each library',
-    )
-
-
-def _summary(task: Task, size: int, timings: dict[str, Timing], names: list[str]) -> list[Cell]:
-    ours = timings['bvh_ros'].nanoseconds
-    ratios = [ours / timings[name].nanoseconds if name in timings else None for name in names]
-    return [task.title, size, ours, task.unit, *ratios]
-
-
-def _over_ours(found: dict[int, dict[str, Timing]]) -> dict[str, float]:
-    """Time over ours, by library, at the largest number of boxes."""
-    last = found[max(found)]
-    ours = last['bvh_ros'].nanoseconds
-    return {name: timing.nanoseconds / ours for name, timing in last.items() if name != 'bvh_ros'}
 
 
 def _introduction(libraries: list[Library]) -> str:
@@ -164,4 +137,4 @@ def rays_in_batches(page: Page, brief: bool) -> None:
 
 
 INTRODUCTION = '## Peers'
-SECTIONS = {'all tasks': all_tasks, 'batches of rays': rays_in_batches, 'scene calls': scene_calls}
+SECTIONS = {'all tasks': all_tasks, 'batches of rays': rays_in_batches, 'calls': calls}

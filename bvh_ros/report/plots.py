@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .tables import show
-
 
 class Line(NamedTuple):
     """One curve."""
@@ -29,51 +27,12 @@ def lines(path: Path, curves: Mapping[str, Line], x_label: str, y_label: str, ti
     figure.savefig(path, dpi=160)
 
 
-def course(path: Path, curve: Line, x_label: str, y_label: str, title: str) -> None:
-    """Write a PNG of one quantity over plain axes, y from zero."""
-    figure, axes = _figure(title)
-    axes.plot(curve.x, curve.y)
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
-    figure.savefig(path, dpi=160)
-
-
-def ratios(
-    path: Path, groups: Mapping[str, Mapping[str, float]], x_label: str, title: str
-) -> None:
-    """Write a PNG of bars that begin at 1 on a logarithmic axis, in named groups."""
-    figure, axes = _figure(title, height=1.2 + 0.2 * sum(len(g) + 1 for g in groups.values()))
-    names = dict.fromkeys(name for group in groups.values() for name in group)
-    colours = {name: f'C{k}' for k, name in enumerate(names)}
-    place, ticks = 0, []
-    for group in groups.values():
-        ticks.append(place + (len(group) - 1) / 2)
-        for name, ratio in group.items():
-            axes.barh(place, ratio - 1, left=1.0, color=colours[name])
-            text, side = (
-                (f' {show(ratio)}', 'left') if ratio >= 1 else (f'{show(ratio)} ', 'right')
-            )
-            axes.annotate(text, (ratio, place), va='center', fontsize=7, ha=side)
-            place += 1
-        place += 1
-    axes.set_yticks(ticks, list(groups))
-    axes.invert_yaxis()
-    _logarithmic(axes, 'x')
-    axes.axvline(1.0, color='black', linewidth=1)
-    axes.margins(x=0.12)
-    axes.set_xlabel(x_label)
-    keys = [axes.barh([0], [0], left=1.0, color=c, label=name) for name, c in colours.items()]
-    figure.legend(handles=keys, frameon=False, fontsize=8, loc='outside lower center', ncols=3)
-    figure.savefig(path, dpi=160)
-
-
-def _figure(title: str, height: float = 4.5) -> tuple[Any, Any]:
+def _figure(title: str) -> tuple[Any, Any]:
     # Imported here, so that --help works without it. The Agg canvas needs no display.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.5, height), layout='constrained')
+    figure = Figure(figsize=(7.5, 4.5), layout='constrained')
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_title(title, loc='left', fontsize=10)

@@ -5,6 +5,7 @@
 import statistics
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 WARM_SECONDS = 0.01
@@ -63,3 +64,9 @@ def interleaved(jobs: Mapping[str, Job], repeats: int, warm: bool = False) -> di
     return {
         name: Timing(statistics.median(times) * 1e9, counts[name]) for name, times in took.items()
     }
+
+
+def memory(process: int | str = 'self') -> float:
+    """Resident memory of a process, MB; FileNotFoundError if it has ended."""
+    status = Path(f'/proc/{process}/status').read_text(encoding='utf-8')
+    return int(status.partition('VmRSS:')[2].split()[0]) / 1024

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from bvh_ros.ros.warm_up import Job
+from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.tree.jit import kernel_cache
 from bvh_ros.tree.jit.workers import Workers
 

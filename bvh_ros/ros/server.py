@@ -12,6 +12,7 @@ from rclpy.exceptions import InvalidTopicNameException, NameValidationException,
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.compilation import Compilation
+from bvh_ros.ros.compile_jobs import Job, Needs, jobs
 from bvh_ros.ros.config import qos_overrides
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.parameters import read_settings
@@ -25,7 +26,6 @@ from bvh_ros.ros.parts.readiness import Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
-from bvh_ros.ros.warm_up import Job, Needs, jobs
 from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
 from bvh_ros.ros.world.views import Categoriser, View, create_views
@@ -124,8 +124,7 @@ class BvhServer:
 
     def jobs(self) -> list[Job]:
         """Return what compiles the kernels that this configuration needs."""
-        steps = [step for source in self.world.sources for step in source.to_compile()]
-        of_sources = [Job(name, name, 2.0, call, early=True) for name, call in steps]
+        of_sources = [job for source in self.world.sources for job in source.to_compile()]
         needs = Needs(
             planar=self.settings.planar,
             margin=self.settings.margin,

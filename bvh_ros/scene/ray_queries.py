@@ -12,7 +12,7 @@ from ..tree import checks
 from ..tree.nodes import ALL
 from ..tree.store.workers import in_threads
 from .casting import ball_casting, box_casting, casting, sweeping
-from .casting.casting import Rays
+from .casting.arguments import Found, Rays
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .results import NO_NODE, CastHits, SceneHit, require_few
@@ -217,7 +217,7 @@ class RayQueries:
             raise box_casting.too_long(origin, end)
         return origin, np.array(way), radius
 
-    def _cast(self, rays: Rays, skip_inside: bool, every: bool) -> casting.Found:
+    def _cast(self, rays: Rays, skip_inside: bool, every: bool) -> Found:
         """Thin rays against the true shapes."""
         held = self._held
         origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
@@ -242,19 +242,13 @@ class RayQueries:
             masks = np.full(1, checks.mask(mask))
             rays = Rays(origin[None], direction[None], np.ones(1), masks)
             found = self._cast(rays, skip, every)
-            slots, ts, points, normals = (
-                found.hits.slots,
-                found.hits.ts,
-                found.points,
-                found.normals,
-            )
-            require_few(len(slots), most)
-            if len(slots) > 1:
-                order = np.lexsort((held.columns.node_handle[slots], ts))
-                slots, ts, points, normals = (x[order] for x in (slots, ts, points, normals))
-            rows = zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
-        hits = [held.hit(*row) for row in rows]
+            hits, points, normals = found.hits, found.points, found.normals
+            require_few(len(points), most)
+            order = np.lexsort((held.columns.node_handle[hits.slots], hits.ts)).tolist()
+            slots, ts = hits.slots.tolist(), hits.ts.tolist()
+            rows = ((slots[i], ts[i], points[i], normals[i]) for i in order)
+        hits_in_order = [held.hit(*row) for row in rows]
         if held.planar:
-            for hit in hits:
+            for hit in hits_in_order:
                 hit.point[2] = origin[2]
-        return hits
+        return hits_in_order

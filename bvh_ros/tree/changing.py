@@ -11,8 +11,8 @@ change of one box is refused until `change_many` has seen to it.
 import numpy as np
 
 from .area import tree_cost
-from .build import building
-from .build.building import build_anew, is_too_high
+from .build.building import room_to_build
+from .build.rebuilding import build_anew, is_too_high, optimize, rebalance
 from .entries import entry_points
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
@@ -234,7 +234,7 @@ def change_many(tree, version, how, change, policy, room):
         build_anew(nodes, heights, handles, state, room)
         note_all_written(state)  # none is, but a snapshot of the better tree is better, too
     elif how == OPTIMIZE:
-        building.optimize(nodes, heights, state, room)
+        optimize(nodes, heights, state, room)
         note_all_written(state)
     if how != MOVE or count > 0 or state[OWES] != 0:
         _settle(nodes, heights, handles, state, room)
@@ -245,7 +245,7 @@ def change_many(tree, version, how, change, policy, room):
 @inlined
 def _settle(nodes, heights, handles, state, room):
     """See to all that is owed."""
-    building.rebalance(nodes, heights, state, room)
+    rebalance(nodes, heights, state, room)
     count, built = state[COUNT], state[BUILT_COUNT]
     if state[REFITS] >= REFITS_BEFORE_A_LOOK * count > 0:
         state[REFITS] = 0
@@ -263,4 +263,4 @@ insert_entry = entry_points(insert_one, _POINT, _POINT, np.uint32(0), 0.0, False
 remove_entry = entry_points(remove_one, 0)
 move_entry = entry_points(move_one, 0, _POINT, _POINT, 0.0, _POINT, False)
 masks_entry = entry_points(set_masks, 0, _IDS, np.empty(0, np.uint32))
-many_entry = entry_points(change_many, 0, 0, _CHANGE, _POLICY, building.room_to_build(0))
+many_entry = entry_points(change_many, 0, 0, _CHANGE, _POLICY, room_to_build(0))

@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
 FLOAT64 = np.dtype(np.float64)
-LAST_INT64 = (1 << 63) - 1
 # One for all rows, where nothing else is asked for.
 FOREVER, EVERYTHING = np.array([np.inf]), np.array([EVERY])
 
@@ -39,31 +38,6 @@ def _first_not_finite(values):
     return -1
 
 
-@kernel
-def _first_reversed(lo, hi):
-    for i in range(lo.shape[0]):
-        for j in range(lo.shape[1]):
-            if lo[i, j] > hi[i, j]:
-                return i
-    return -1
-
-
-@kernel
-def _first_bad_handle(handles, given, seen, once):
-    """(row, why): why 0 is none, 1 an unknown handle, 2 one given before although each must be
-    given once.
-    """
-    for i in range(given.shape[0]):
-        slot = given[i] & SLOT_MASK
-        if given[i] < 0 or slot >= handles.shape[0] or handles[slot] != given[i]:
-            return i, 1
-        if once:
-            if seen[slot]:
-                return i, 2
-            seen[slot] = True
-    return -1, 0
-
-
 def floats(name: str, value: ArrayLike) -> Floats:
     """An own, writable, C-ordered float64 copy: kernels then meet one array type only, and never
     the caller's memory.
@@ -72,7 +46,7 @@ def floats(name: str, value: ArrayLike) -> Floats:
         array = np.array(value, order='C')
         kind = type(value)
         if kind is not np.ndarray and (array.ndim > 1 or kind not in (list, tuple)):
-            _refuse_masked(value, array)
+            refuse_masked(value, array)
         if array.dtype is FLOAT64:  # much the most common: not worth two more calls
             return array
         if array.dtype.kind not in 'biufO':
@@ -85,7 +59,7 @@ def floats(name: str, value: ArrayLike) -> Floats:
         raise ValueError(f'{name} must be real numbers: {error}') from None
 
 
-def _refuse_masked(value: Any, array: NDArray[Any]) -> None:
+def refuse_masked(value: Any, array: NDArray[Any]) -> None:
     """numpy takes the numbers under a mask for numbers. (A masked one among plain ones becomes
     NaN.)
     """
@@ -95,7 +69,7 @@ def _refuse_masked(value: Any, array: NDArray[Any]) -> None:
             raise ValueError('some are masked')
 
 
-def _unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
+def unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """As `floats`, but an array of another shape as it is: it will be refused, and a view can
     claim far more rows than there is memory for.
     """
@@ -124,7 +98,7 @@ def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
         and value.flags.carray
     ):
         return value
-    array = _unless_refused(name, value, (ndim,))
+    array = unless_refused(name, value, (ndim,))
     if array.shape != (ndim,):
         raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
     return array
@@ -132,7 +106,7 @@ def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
 
 def point(name: str, value: ArrayLike, ndim: int) -> Floats:
     """A finite point or vector of shape (ndim,)."""
-    array = _unless_refused(name, value, (ndim,))
+    array = unless_refused(name, value, (ndim,))
     if array.shape != (ndim,):
         raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
     for coordinate in array.tolist():
@@ -182,58 +156,6 @@ def finite(name: str, array: Floats) -> None:
         raise ValueError(f'{name} must be finite: row {row} is {array[row].tolist()}')
 
 
-def boxes(
-    lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None
-) -> tuple[Floats, Floats]:
-    """Rows of boxes: finite, lo <= hi on every axis."""
-    low = points('lo', lo, ndim, count)
-    high = points('hi', hi, ndim, len(low))
-    row = _first_reversed(low, high)
-    if row >= 0:
-        raise ValueError(
-            f'lo must not exceed hi: row {row} has lo {low[row].tolist()} '
-            f'and hi {high[row].tolist()}'
-        )
-    return low, high
-
-
-def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
-    """One box: finite, lo <= hi on every axis."""
-    low, high = point('lo', lo, ndim), point('hi', hi, ndim)
-    if not (low <= high).all():
-        raise ValueError(f'lo must not exceed hi: lo is {low.tolist()} and hi is {high.tolist()}')
-    return low, high
-
-
-def is_pair(value: Any) -> bool:
-    """Whether it may be a box, as (lo, hi), rather than a point."""
-    if type(value) is np.ndarray:
-        return value.ndim == 2
-    return (
-        type(value) in (list, tuple)
-        and len(value) == 2
-        and (type(value[0]) in (list, tuple) or getattr(value[0], 'ndim', 0) == 1)
-    )
-
-
-def pair(name: str, value: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
-    """A box as (lo, hi), finite, lo <= hi."""
-    array = _unless_refused(name, value, (2, ndim))
-    if array.shape != (2, ndim):
-        raise ValueError(f'{name} must have shape ({ndim},) or (2, {ndim}), not {array.shape}')
-    finite(name, array)
-    low, high = array
-    if not (low <= high).all():
-        raise ValueError(f'{name} must not have lo {low.tolist()} beyond hi {high.tolist()}')
-    return low, high
-
-
-def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:
-    """What is raised where a kernel says that these are no box."""
-    box(lo, hi, ndim)
-    return ValueError('lo and hi were changed while they were read')
-
-
 def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
     if value is ALL:  # the default, and much the most common: not worth a microsecond
@@ -253,7 +175,7 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
     """A mask a row, from one for all or an array of shape (count,)."""
     try:
         array = np.asarray(value)
-        _refuse_masked(value, array)
+        refuse_masked(value, array)
     except FOREIGN as error:
         raise ValueError(f'mask must be integers: {error}') from None
     if array.ndim == 0:
@@ -276,7 +198,7 @@ def masks_or_one(value: Any, count: int) -> NDArray[np.uint32]:
 
 def _one(name: str, value: Any) -> float:
     """One number, from whatever `floats` takes."""
-    array = _unless_refused(name, value, ())
+    array = unless_refused(name, value, ())
     if array.shape != ():
         raise ValueError(f'{name} must be one number, not of shape {array.shape}')
     return float(array)
@@ -326,7 +248,7 @@ def limit(name: str, value: Any) -> float:
 
 def limits(name: str, value: ArrayLike, count: int) -> Floats:
     """A distance >= 0 a row, from one for all or an array of shape (count,); inf is allowed."""
-    array = _unless_refused(name, value, (count,))
+    array = unless_refused(name, value, (count,))
     if array.ndim == 0:
         return np.full(count, limit(name, array[()]))
     if array.shape != (count,):
@@ -346,18 +268,6 @@ def limits_or_one(name: str, value: Any, count: int) -> Floats:
         one[0] = limit(name, value)
         return one
     return limits(name, value, 1 if np.isscalar(value) else count)
-
-
-def unknown(handle: Any) -> KeyError:
-    """What is raised where a handle names no box."""
-    return KeyError(f'handle {shown_short(handle)} names no box of this tree')
-
-
-def handle(value: Any) -> int:
-    """What may be a handle, else KeyError; what is no integer is none."""
-    if is_integer(value) and not isinstance(value, bool) and 0 <= value <= LAST_INT64:
-        return int(value)
-    raise unknown(value)
 
 
 def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
@@ -380,29 +290,3 @@ def few_enough(lo: ArrayLike) -> None:
 def capacity(name: str, value: Any) -> int:
     """A number of boxes that a tree can hold, and not none."""
     return whole(name, value, 1, SLOT_MASK + 1)
-
-
-def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) -> NDArray[np.int64]:
-    """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
-    (with `once`).
-    """
-    try:
-        array = np.asarray(given)
-        _refuse_masked(given, array)
-    except FOREIGN as error:
-        raise ValueError(f'handles must be integers of shape (n,): {error}') from None
-    if array.shape == (0,):
-        return np.empty(0, np.int64)
-    if array.ndim != 1 or array.dtype.kind not in 'iu':
-        raise ValueError(
-            f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
-        )
-    numbers = array.astype(np.int64)
-    row, why = _first_bad_handle(
-        handles, numbers, np.zeros(len(handles) if once else 0, np.bool_), once
-    )
-    if why == 1:
-        raise KeyError(f'handle {array[row]} in row {row} names no box of this tree')
-    if why == 2:
-        raise ValueError(f'handles must be given once each: row {row} repeats {array[row]}')
-    return numbers & SLOT_MASK

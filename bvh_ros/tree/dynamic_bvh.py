@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
-import contextlib
 import inspect
 from os import PathLike
 from pathlib import Path
@@ -11,16 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import changing, checks
+from . import box_checks, changing, checks, handle_checks
 from .boxes.predicates import Predicates
 from .rays.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
 from .store.storage import clear_entry, new_storage
-from .store.turns import CHANGED, QUERIED
-
-# Why a change of one box is refused, where that is no fault of the arguments.
-MENDED = QUERIED, CHANGED, changing.FULL, changing.OWING, changing.NO_NUMBERS
 
 STILL = np.zeros(3)  # a displacement
 SEARCHES = ('greedy', 'branch_and_bound')
@@ -31,8 +26,6 @@ REFIT_SHARE = 0.05
 # ... from this share that move far away on, so is building the tree anew, ...
 REBUILD_SHARE = 0.3
 # (Which is also done when refits have made it too costly, see `changing`.)
-
-Settings = tuple[int, float, str]  # ndim, margin, sibling_search
 
 
 class DynamicBVH(RayQueries, Predicates):
@@ -131,29 +124,6 @@ class DynamicBVH(RayQueries, Predicates):
 
     # ---- changes: each is one kernel of `changing`
 
-    def _change(self, kernel: Any, *arguments: Any) -> int:
-        """Call a kernel until nothing that can be mended is in its way; what it returned then."""
-        while True:
-            storage = self._settled()
-            done: int = kernel(storage.tree, *arguments)
-            if done >= 0 or done not in MENDED:
-                return done
-            self._make_way(done, storage, 1)
-
-    def _settle_soon(self) -> None:
-        """The change is done. What it owes now is done at once, or by the next one."""
-        with contextlib.suppress(RuntimeError, MemoryError):
-            self._settle()
-
-    def _keep_exact_boxes(self) -> None:
-        """From the first predicted displacement on, fat and exact boxes differ even where the
-        margin is zero.
-        """
-        storage = self._settled()
-        while not len(storage.tree.tight):
-            self._replace_storage(storage, len(storage.tree.handles), True)
-            storage = self._settled()
-
     def insert(self, lo: ArrayLike, hi: ArrayLike, mask: int = 1) -> int:
         """Insert the box from `lo` to `hi`, shape (ndim,) each; return its handle. Handles ascend
         with every insertion.
@@ -166,7 +136,7 @@ class DynamicBVH(RayQueries, Predicates):
         if handle >= 0:
             return handle
         if handle == changing.NO_BOX:
-            raise checks.no_box(low, high, ndim)
+            raise box_checks.no_box(low, high, ndim)
         self._settle_soon()
         return -handle
 
@@ -177,7 +147,7 @@ class DynamicBVH(RayQueries, Predicates):
         already, or more, and it is built anew.
         """
         checks.few_enough(lo)
-        low, high = checks.boxes(lo, hi, self.ndim)
+        low, high = box_checks.boxes(lo, hi, self.ndim)
         masks = checks.masks(1 if mask is None else mask, len(low))
         new = np.empty(len(low), np.int64)
         self._change_many(changing.INSERT, new, (low, high, low), masks)
@@ -185,10 +155,10 @@ class DynamicBVH(RayQueries, Predicates):
 
     def remove(self, handle: int) -> None:
         """Remove a box. KeyError if the handle names none."""
-        number = checks.handle(handle)
+        number = handle_checks.handle(handle)
         done = self._change(changing.remove_entry(self._ndim), number)
         if done == changing.UNKNOWN:
-            raise checks.unknown(handle)
+            raise handle_checks.unknown(handle)
         if done > 1:
             self._settle_soon()
 
@@ -197,7 +167,8 @@ class DynamicBVH(RayQueries, Predicates):
         none.
         """
         tree, version = self.view()
-        self._change_many(changing.REMOVE, checks.slots_of(tree.handles, handles), version=version)
+        slots = handle_checks.slots_of(tree.handles, handles)
+        self._change_many(changing.REMOVE, slots, version=version)
 
     def clear(self) -> None:
         """Remove all boxes. Their handles stay stale for ever."""
@@ -212,7 +183,7 @@ class DynamicBVH(RayQueries, Predicates):
         `displacement`, shape (ndim,), is where the box is expected to be next, relative to now:
         its fat box then reaches there. KeyError if the handle names no box.
         """
-        number, ndim, ahead = checks.handle(handle), self._ndim, STILL
+        number, ndim, ahead = handle_checks.handle(handle), self._ndim, STILL
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         if displacement is not None:
             there = checks.point('displacement', displacement, ndim)
@@ -220,9 +191,9 @@ class DynamicBVH(RayQueries, Predicates):
         asked = number, low, high, self._margin, ahead, self._thorough
         changed = self._change(changing.move_entry(ndim), *asked)
         if changed == changing.UNKNOWN:
-            raise checks.unknown(handle)
+            raise handle_checks.unknown(handle)
         if changed == changing.NO_BOX:
-            raise checks.no_box(low, high, ndim)
+            raise box_checks.no_box(low, high, ndim)
         if changed > 1:
             self._settle_soon()
         return changed > 0
@@ -242,8 +213,8 @@ class DynamicBVH(RayQueries, Predicates):
         given twice (ValueError), none.
         """
         tree, version = self.view()
-        slots = checks.slots_of(tree.handles, handles)
-        low, high = checks.boxes(lo, hi, self.ndim, len(slots))
+        slots = handle_checks.slots_of(tree.handles, handles)
+        low, high = box_checks.boxes(lo, hi, self.ndim, len(slots))
         ahead = self._ahead(displacement, len(slots))
         shares = REFIT_SHARE, REBUILD_SHARE
         boxes = low, high, ahead
@@ -260,7 +231,7 @@ class DynamicBVH(RayQueries, Predicates):
     def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
         tree, version = self.view()
-        slots = checks.slots_of(tree.handles, handles)
+        slots = handle_checks.slots_of(tree.handles, handles)
         masks = checks.masks(mask, len(slots))
         self._change(changing.masks_entry(self._ndim), version, slots, masks)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, plotting, validation
+from . import checks, handle_checks, plotting, validation
 from .area import cost_now
 from .entries import entry_points
 from .jit.kernel_cache import cache_folder
@@ -57,7 +57,7 @@ class Introspection(Arrays):
         """
         view = self.view()
         nodes, tight = view.tree.nodes, view.tree.tight
-        slots = checks.slots_of(view.tree.handles, handles, once=False)
+        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         records = tight[slots] if len(tight) else nodes[2 * slots]
         self.check_unchanged(view)
         return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
@@ -67,7 +67,7 @@ class Introspection(Arrays):
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
         view = self.view()
-        slots = checks.slots_of(view.tree.handles, handles, once=False)
+        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         masks = np.array(view.tree.nodes['mask'][2 * slots], np.uint32)
         self.check_unchanged(view)
         return masks

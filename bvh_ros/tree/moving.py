@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.building import build_anew, rebalance, refit_all
+from .build.building import refit_all
+from .build.rebuilding import build_anew, rebalance
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
 from .jit.intrinsics import stack_array

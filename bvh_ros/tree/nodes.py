@@ -28,7 +28,7 @@ SLOT_BITS = 26  # 67 million boxes at once, and 2**37 insertions over a tree's l
 SLOT_MASK = (1 << SLOT_BITS) - 1
 LAST_SERIAL = (1 << (63 - SLOT_BITS)) - 1
 
-# No tree is higher once a change is done, see `building.height_limit`. During one, a new leaf may
+# No tree is higher once a change is done, see `height_limit`. During one, a new leaf may
 # add a level, and rotations none beyond this: a stack of nodes fits an array of DEEPEST.
 HIGHEST = 4 * SLOT_BITS + 4
 DEEPEST = 128

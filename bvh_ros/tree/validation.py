@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.building import height_limit
+from .build.rebuilding import height_limit
 from .jit.compiling import kernel
 from .nodes import (
     COUNT,

@@ -21,13 +21,13 @@ from bvh_ros.ros.config.part_settings import scan_settings
 from bvh_ros.ros.parts.maintenance import Maintenance
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.view.topics import Topics
-from bvh_ros.view.worlds import Answer, Floats, Frame, Group, Integers, Overlay, Wanted, World
+from bvh_ros.view.worlds import Answer, Floats, Frame, Group, Integers, Overlay, ShownWorld, Wanted
 
 PATIENCE = 30.0  # seconds for parameters and diagnostics
 NO_HANDLES = np.empty(0, np.int64)
 
 
-class Live(World):
+class Live(ShownWorld):
     """A bvh node, as any client sees it.
 
     The messages of its sources are decoded here, as fast as they come, into a scene of our own.

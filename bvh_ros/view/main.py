@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bvh_ros.view.worlds import World
+    from bvh_ros.view.worlds import ShownWorld
 
 HOST, PORT = '127.0.0.1', 8080
 GET_IT = "the view needs viser: pip install 'bvh_ros[view]'"
@@ -48,7 +48,7 @@ def _is_local(host: str) -> bool:
         return host == 'localhost'
 
 
-def _open(what: str, topic: str, ended: threading.Event) -> World:
+def _open(what: str, topic: str, ended: threading.Event) -> ShownWorld:
     """Open what is to be shown; what is not needed for that is not imported."""
     path = Path(what)
     if path.suffix == '.npz':

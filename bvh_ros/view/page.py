@@ -21,7 +21,7 @@ from bvh_ros.view.drawing import Lines, Obstacles, Overlays, edges, edges_of
 from bvh_ros.view.grouping import Namespaces
 from bvh_ros.view.panel import BY_NAMESPACE, Panel
 from bvh_ros.view.probe import Probe, in_words
-from bvh_ros.view.worlds import Floats, Group, Wanted, World
+from bvh_ros.view.worlds import Floats, Group, ShownWorld, Wanted
 
 RATE = 20.0  # pictures a second
 FIGURES_EVERY = 0.5  # seconds
@@ -53,10 +53,10 @@ class Page:
     Parameters
     ----------
     server : LocalServer
-    world : World
+    world : ShownWorld
     """
 
-    def __init__(self, server: LocalServer, world: World) -> None:
+    def __init__(self, server: LocalServer, world: ShownWorld) -> None:
         self.server, self.world = server, world
         self.sent = 0  # pictures in which obstacles had changed
         self._todo: SimpleQueue[Callable[[], object]] = SimpleQueue()

@@ -13,7 +13,7 @@ import viser
 from bvh_ros.view.drawing import COLOURS
 from bvh_ros.view.playing import Recording
 from bvh_ros.view.probe import CHOICES
-from bvh_ros.view.worlds import World
+from bvh_ros.view.worlds import ShownWorld
 
 BY_SOURCE, BY_NAMESPACE = 'source', 'namespace'
 MOST_IN_LEGEND = 12
@@ -28,7 +28,7 @@ class Panel:
     does by itself: nothing happens twice at a time.
     """
 
-    def __init__(self, server: viser.ViserServer, world: World, do: Do) -> None:
+    def __init__(self, server: viser.ViserServer, world: ShownWorld, do: Do) -> None:
         self._gui, self._do = server.gui, do
         self._recording: Recording | None = None
         self.figures = self._gui.add_markdown(f'**{world.title}**')

@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterator
 
 from bvh_ros.scene import Scene
-from bvh_ros.view.worlds import World
+from bvh_ros.view.worlds import ShownWorld
 
 SECOND = 1_000_000_000  # ns
 MOST_PASSED = 0.5  # seconds: what takes longer to show is not caught up with
@@ -17,7 +17,7 @@ MOST_PASSED = 0.5  # seconds: what takes longer to show is not caught up with
 Moment = tuple[float, Callable[[int], object]]  # s, and what happens then; takes that time in ns
 
 
-class Recording(World):
+class Recording(ShownWorld):
     """A world that goes on as it was recorded, by its own clock.
 
     Attributes

@@ -11,7 +11,7 @@ import viser
 
 from bvh_ros.tree.plotting import BLOCKED_WAY, FREE_WAY
 from bvh_ros.view.drawing import Dots, Lines, edges
-from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, World
+from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, ShownWorld
 
 NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
 CHOICES = (NOTHING, SEGMENT, BOX)
@@ -53,7 +53,7 @@ class Probe:
         for handle, place in zip(self._handles, (one, other), strict=True):
             handle.position = place
 
-    def update(self, world: World, version: Hashable, size: float) -> None:
+    def update(self, world: ShownWorld, version: Hashable, size: float) -> None:
         """Ask, if anything has moved."""
         if self.kind == NOTHING:
             return

@@ -81,7 +81,7 @@ class Wanted(NamedTuple):
     scan: bool = False
 
 
-class World:
+class ShownWorld:
     """A scene that does not change, and answers itself.
 
     Parameters
@@ -177,7 +177,7 @@ def _answer(hits: Sequence[Named], began: float) -> Answer:
     return Answer(hits, 1e6 * (time.perf_counter() - began))
 
 
-class SavedTree(World):
+class SavedTree(ShownWorld):
     """The file of a tree. Questions go to the tree itself, to its last bit.
 
     Parameters

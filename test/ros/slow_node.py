@@ -10,7 +10,7 @@ import sys
 from functools import partial
 
 from bvh_ros.ros import node, server
-from bvh_ros.ros.warm_up import Job, jobs
+from bvh_ros.ros.compile_jobs import Job, jobs
 
 FOLDER = sys.argv.pop(1)
 SLOW = f"""

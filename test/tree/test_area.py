@@ -18,13 +18,13 @@ from bvh_ros.tree.nodes import ROOT, is_leaf
 
 def inner_boxes(tree: DynamicBVH) -> tuple[Floats, Floats]:
     """The boxes of the inner nodes, the root's first."""
-    inner, stack = [], [int(tree._state[ROOT])]
+    nodes, inner, stack = tree.view().tree.nodes, [], [int(tree.state[ROOT])]
     while stack:
         node = stack.pop()
         if not is_leaf(node):
             inner.append(node)
-            stack += [int(tree._nodes[node]['left']), int(tree._nodes[node]['right'])]
-    return tree._nodes['lo'][inner].copy(), tree._nodes['hi'][inner].copy()
+            stack += [int(nodes[node]['left']), int(nodes[node]['right'])]
+    return nodes['lo'][inner].copy(), nodes['hi'][inner].copy()
 
 
 def areas(lo: Floats, hi: Floats) -> list[Fraction]:
@@ -130,6 +130,6 @@ def test_areas_of_nodes() -> None:
         tree = DynamicBVH(ndim)
         a = 2 * (tree.insert([0, 0, 0][:ndim], [1, 2, 3][:ndim]) & 0xFFFF)
         b = 2 * (tree.insert([4, 1, 3][:ndim], [5, 3, 4][:ndim]) & 0xFFFF)
-        assert node_area(tree._nodes, a, 1.0) == one  # half of it
-        assert union_area(tree._nodes, a, b, 1.0) == both
-        assert area_scale(tree._nodes, a, b) == 1.0
+        assert node_area(tree.view().tree.nodes, a, 1.0) == one  # half of it
+        assert union_area(tree.view().tree.nodes, a, b, 1.0) == both
+        assert area_scale(tree.view().tree.nodes, a, b) == 1.0

@@ -32,14 +32,14 @@ def exact_half_area(lo: Floats, hi: Floats) -> Fraction:
 
 def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fraction]:
     """For each node as sibling: the area of the new parent and the growth of all ancestors."""
-    nodes = tree._nodes
+    nodes = tree.view().tree.nodes
 
     def grown(node: int) -> Fraction:
         return exact_half_area(
             np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi)
         )
 
-    costs, stack = {}, [(int(tree._state[ROOT]), Fraction(0))]
+    costs, stack = {}, [(int(tree.state[ROOT]), Fraction(0))]
     while stack:
         node, inherited = stack.pop()
         costs[node] = inherited + grown(node)
@@ -51,7 +51,7 @@ def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fract
 
 def greedy_cost(tree: DynamicBVH, costs: dict[int, Fraction], leaf_area: Fraction) -> Fraction:
     """The least cost seen on one descent towards the child below which the bound is lower."""
-    nodes, node = tree._nodes, int(tree._state[ROOT])
+    nodes, node = tree.view().tree.nodes, int(tree.state[ROOT])
     best = costs[node]
     while not is_leaf(node):
         children = [int(nodes[node][side]) for side in ('left', 'right')]
@@ -60,7 +60,7 @@ def greedy_cost(tree: DynamicBVH, costs: dict[int, Fraction], leaf_area: Fractio
         for place, child in enumerate(children):
             if not is_leaf(child):
                 area = exact_half_area(nodes[child]['lo'], nodes[child]['hi'])
-                height = int(tree._heights[child])
+                height = int(tree.view().tree.heights[child])
                 bounds.append((costs[child] - area + leaf_area, height, place, child))
         if not bounds or min(bounds)[0] > best:
             break
@@ -82,9 +82,10 @@ def search_costs(
         lo = rng.integers(0, 64, ndim) / 4.0
         hi = lo + rng.integers(0, rng.choice([2, 12, 80]), ndim) / 4.0  # some in others
         if len(tree):
-            leaf = int(tree._state[FREE_LEAF])  # the place that the next box takes
-            tree._nodes[leaf]['lo'], tree._nodes[leaf]['hi'] = lo, hi
-            found = search(tree._nodes, tree._heights, int(tree._state[ROOT]), leaf)
+            leaf = int(tree.state[FREE_LEAF])  # the place that the next box takes
+            nodes, heights = tree.view().tree[:2]
+            nodes[leaf]['lo'], nodes[leaf]['hi'] = lo, hi
+            found = search(nodes, heights, int(tree.state[ROOT]), leaf)
             costs = insertion_costs(tree, lo, hi)
             greedy = greedy_cost(tree, costs, exact_half_area(lo, hi))
             results.append((costs[int(found)], greedy, min(costs.values())))
@@ -271,7 +272,7 @@ def check_height(count: int, boxes: Callable[..., tuple[Floats, Floats]], bulk: 
     for handle in tree.ids().tolist():
         tree.remove(handle)
         assert not len(tree) or tree.height <= 4 * math.log2(len(tree)) + 4
-    assert (tree.height, tree.cost(), tree.bounds, int(tree._state[ROOT])) == (0, 0.0, None, NONE)
+    assert (tree.height, tree.cost(), tree.bounds, int(tree.state[ROOT])) == (0, 0.0, None, NONE)
     tree.validate()
 
 

@@ -9,7 +9,7 @@ import pytest
 from tree.reference import Floats, effort, overlapping_rows
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import SLOT_MASK
+from bvh_ros.tree.nodes import SLOT_MASK, STATE_PLACES
 
 
 def crate(margin: float) -> tuple[DynamicBVH, int]:
@@ -21,7 +21,8 @@ def crate(margin: float) -> tuple[DynamicBVH, int]:
 
 
 def bytes_of(tree: DynamicBVH) -> tuple[bytes, ...]:
-    return tree._nodes.tobytes(), tree._heights.tobytes(), tree._state.tobytes()
+    nodes, heights = tree.view().tree[:2]
+    return nodes.tobytes(), heights.tobytes(), tree.state[:STATE_PLACES].tobytes()
 
 
 STEPS = {
@@ -67,7 +68,7 @@ def test_what_changes_the_tree(
 
 
 def fat_size(tree: DynamicBVH, handle: int) -> Floats:
-    node = tree._nodes[2 * (handle & SLOT_MASK)]
+    node = tree.view().tree.nodes[2 * (handle & SLOT_MASK)]
     return np.array(node['hi'] - node['lo'])
 
 
@@ -221,7 +222,7 @@ def test_margins_do_not_leave_the_doubles() -> None:
     tree.validate()
     assert tree.move(handle, [-largest, 0], [largest, 1], [largest, -largest]) in (False, True)
     tree.validate()
-    assert np.isfinite(tree._nodes['lo'][0]).all()
+    assert np.isfinite(tree.view().tree.nodes['lo'][0]).all()
     assert tree.raycast([0, -5], [0, 1]).t == 5.0
 
 

@@ -27,7 +27,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
     """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return
     its root.
     """
-    nodes, heights, state = tree._nodes, tree._heights, tree._state
+    nodes, heights, state = tree.view().tree.nodes, tree.view().tree.heights, tree.state
     if isinstance(shape, int):
         leaf = int(take_leaf(nodes, state))
         nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (
@@ -36,7 +36,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
             1,
         )
         heights[leaf] = 0
-        tree._handles[leaf >> 1] = tree.state[SERIAL] << SLOT_BITS | leaf >> 1
+        tree.view().tree.handles[leaf >> 1] = tree.state[SERIAL] << SLOT_BITS | leaf >> 1
         tree.state[SERIAL] += 1
         return leaf
     node = int(take_inner(nodes, state))
@@ -50,7 +50,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
 
 
 def shape_of(tree: DynamicBVH, node: int, at: list[float]) -> Shape:
-    record = tree._nodes[node]
+    record = tree.view().tree.nodes[node]
     if is_leaf(node):
         return at.index(record['lo'][0])
     return shape_of(tree, int(record['left']), at), shape_of(tree, int(record['right']), at)
@@ -83,10 +83,10 @@ ROTATIONS = {
 def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, less: float) -> None:
     at = [float(x) for x in at]
     tree = DynamicBVH(2, capacity=len(at))
-    tree._state[ROOT] = root = hang(tree, before, at)
+    tree.state[ROOT] = root = hang(tree, before, at)
     tree.validate()
     assert tree.cost() == pytest.approx(cost)
-    assert rotate(tree._nodes, tree._heights, root) == (before != after)
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root) == (before != after)
     tree.validate()
     assert tree.cost() == pytest.approx(less)
     assert unordered(shape_of(tree, root, at)) == unordered(after)
@@ -100,12 +100,12 @@ def test_at_equal_cost_the_lower_tree() -> None:
     """A list of four coincident boxes becomes a balanced tree; a balanced one stays."""
     at = [0.0, 0.0, 0.0, 0.0]
     tree = DynamicBVH(2, capacity=4)
-    tree._state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
+    tree.state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
     assert tree.height == 3
-    assert rotate(tree._nodes, tree._heights, root)
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root)
     assert tree.height == 2
     tree.validate()
-    assert not rotate(tree._nodes, tree._heights, root)
+    assert not rotate(tree.view().tree.nodes, tree.view().tree.heights, root)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -118,7 +118,7 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
         shuffle_leaves(tree, rng)
         for node in np.repeat(inner_nodes(tree), 2).tolist():
             cost, height = tree.cost(), tree.height
-            rotated = rotate(tree._nodes, tree._heights, node)
+            rotated = rotate(tree.view().tree.nodes, tree.view().tree.heights, node)
             repair_heights(tree)
             tree.validate()
             assert tree.cost() <= cost * (1 + 1e-12)
@@ -129,18 +129,18 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
 
 def inner_nodes(tree: DynamicBVH) -> list[int]:
     """Children before parents."""
-    found, stack = [], [int(tree._state[ROOT])]
+    nodes, found, stack = tree.view().tree.nodes, [], [int(tree.state[ROOT])]
     while stack:
         node = stack.pop()
         if not is_leaf(node):
             found.append(node)
-            stack += [int(tree._nodes[node]['left']), int(tree._nodes[node]['right'])]
+            stack += [int(nodes[node]['left']), int(nodes[node]['right'])]
     return found[::-1]
 
 
 def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
     """Deal the boxes out anew over the leaves, so that the tree is bad."""
-    nodes, leaves = tree._nodes, 2 * (tree.ids() & 0xFFFF)
+    nodes, leaves = tree.view().tree.nodes, 2 * (tree.ids() & 0xFFFF)
     order = rng.permutation(leaves)
     for side in ('lo', 'hi'):
         nodes[side][leaves] = nodes[side][order].copy()
@@ -149,4 +149,4 @@ def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
 
 def repair_heights(tree: DynamicBVH) -> None:
     for node in inner_nodes(tree):
-        refit_node(tree._nodes, tree._heights, node)
+        refit_node(tree.view().tree.nodes, tree.view().tree.heights, node)

@@ -198,5 +198,5 @@ def test_large_for_one_tick(what: str, batch: bool, margin: float) -> None:
 
 def extent(tree: DynamicBVH) -> float:
     """Longest edge of the root's fat box."""
-    root = tree._nodes[tree._state[0]]
+    root = tree.view().tree.nodes[tree.state[0]]
     return float((root['hi'] - root['lo']).max())

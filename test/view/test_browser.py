@@ -18,7 +18,7 @@ from bvh_ros.scene.geometry.shapes import rotations
 from bvh_ros.tree.plotting import PALETTE
 from bvh_ros.view.page import LocalServer, Page
 from bvh_ros.view.probe import SEGMENT
-from bvh_ros.view.worlds import World
+from bvh_ros.view.worlds import ShownWorld
 
 TIMEOUT = 90.0  # seconds: WebGL without a graphics card is slow
 PLACES = {'crates/1': (0.0, 0.0, 0.5), 'posts/1': (3.0, 3.0, 0.5), 'balls/1': (-2.0, 3.0, 0.5)}
@@ -41,7 +41,7 @@ def page():
         shape = Shapes.boxes([place], 1.0)._replace(kind=np.array([kind], np.uint8))
         scene.update(name.partition('/')[0], [name], shape, stamp=0)
     server = LocalServer('127.0.0.1', 8200)
-    shown = Page(server, World('three', scene))
+    shown = Page(server, ShownWorld('three', scene))
     shown.panel.shadows.value = shown.panel.grid.value = False
     shown._set_theme()
     ended = threading.Event()

@@ -12,7 +12,7 @@ from bvh_ros import DynamicBVH
 from bvh_ros.scene import Scene, Shapes
 from bvh_ros.view.grouping import Namespaces, namespace_of
 from bvh_ros.view.main import _is_local
-from bvh_ros.view.worlds import SavedTree, World
+from bvh_ros.view.worlds import SavedTree, ShownWorld
 
 RNG = np.random.default_rng(4)
 
@@ -58,7 +58,7 @@ def test_questions_are_answered_by_the_saved_tree(saved):
 def test_a_click_on_a_planar_world_asks_for_what_stands_there():
     scene = Scene(planar=True)
     scene.update('us', ['post'], Shapes.boxes([(2, 3, 0)], 1.0), stamp=0)
-    world = World('flat', scene)
+    world = ShownWorld('flat', scene)
     eye = np.array((0.0, 0.0, 10.0))
     assert [hit.name for hit in world.pick(eye, np.array((2, 3, -10.0)), 1.0).hits] == ['post']
     assert world.pick(eye, np.array((2, 5, -10.0)), 1.0).hits == []
@@ -83,7 +83,7 @@ def test_namespaces_of_those_who_come_and_go():
     for names in (['a/1', 'b/1', 'a/2'], ['b/2', 'a/2', 'c/1'], ['c/1']):
         places = [(k, 0, 0) for k in range(len(names))]
         scene.replace('us', '', names, Shapes.boxes(places, 0.5), stamp=0)
-        found = dict(split.split(scene, World('', scene).groups()))
+        found = dict(split.split(scene, ShownWorld('', scene).groups()))
         wanted = {name[0] for name in names}
         assert {name for name, shapes in found.items()} == wanted
         for letter in wanted:

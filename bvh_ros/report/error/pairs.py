@@ -24,7 +24,6 @@ HEADER = (
     'gap, m', 'pairs', 'touching: bvh_ros wrong', 'python-fcl wrong',
     'distance: bvh_ros, largest error, m', 'python-fcl, largest error, m',
 )  # fmt: skip
-LISTED = ('gap, m', 'pair', 'one', 'other', 'bvh_ros', 'python-fcl')
 
 
 class Answers(NamedTuple):
@@ -44,12 +43,10 @@ def against_fcl(page: Page, brief: bool) -> None:
     page.add(
         'Turned boxes, spheres, cylinders and capsules of 0.05 to 2 m, also 1 cm thin ones, put '
         'so that the gap is known; a negative gap is a depth. Touching is asked of both by their '
-        '`collide`. `error_pairs_listed.csv` has every wrong answer about touching, one a row. '
-        'python-fcl iterates for all but a few kinds of pairs and ends at about 1e-6 m.'
+        '`collide`. python-fcl iterates for all but a few kinds of pairs and ends at about 1e-6 m.'
     )
     rng = np.random.default_rng(31)
     rows: list[list[Cell]] = []
-    listed: list[list[Cell]] = []
     for gap in GAPS:
         shapes = contacts((PAIRS_QUICK if brief else PAIRS) // len(GAPS), gap, rng)
         both = our_answers(shapes), fcl_answers(shapes)
@@ -57,12 +54,7 @@ def against_fcl(page: Page, brief: bool) -> None:
         errors = [np.abs(answers.distances - max(gap, 0.0)).max() for answers in both]
         counts = [int(np.count_nonzero(one)) for one in wrong]
         rows.append([f'{gap:g}', len(wrong[0]), *counts, *map(float, errors)])
-        kinds = [ShapeKind(kind).name.lower() for kind in shapes.kind]
-        for i in np.flatnonzero(wrong[0] | wrong[1]).tolist():
-            said = ['touching' if answers.touching[i] else 'apart' for answers in both]
-            listed.append([gap, i, kinds[2 * i], kinds[2 * i + 1], *said])
     page.table(Table('error_pairs', HEADER, rows))
-    Table('error_pairs_listed', LISTED, listed or [[None] * len(LISTED)]).write_csv(page.folder)
 
 
 def our_answers(shapes: Shapes) -> Answers:

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Error against run time: a point a way, and the front of those that nothing beats in both."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from .scoring import Score
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; with the markers, one look a way.
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#000000')
@@ -16,8 +18,11 @@ class Panel(NamedTuple):
     """One kind of error."""
 
     label: str
+    error: Callable[[Score], float]
     floor: float
-    """Where zero, and what is below this, is drawn on the logarithmic axis."""
+    """Where zero, and what is below this, is drawn on the logarithmic axis; 0: at a tenth of one
+    ray in all.
+    """
     top: float
     """Upper end of the axis, if nothing is above."""
 

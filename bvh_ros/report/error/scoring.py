@@ -53,17 +53,10 @@ class Score(NamedTuple):
 
 
 HEADER = (
-    'wrong hits',
-    'wrong misses',
-    'wrong first',
-    'by at most, m',
-    'wrong, % of rays',
-    'distance: mean error, m',
-    '95 %, m',
-    'largest, m',
-    'right object: largest, relative',
+    'wrong hits', 'wrong misses', 'wrong first', 'by at most, m', 'wrong, % of rays',
+    'distance: mean error, m', '95 %, m', 'largest, m', 'right object: largest, relative',
     'largest, ulp',
-)
+)  # fmt: skip
 
 
 def cells(score: Score) -> list[Cell]:

@@ -18,7 +18,7 @@ from .scoring import Answer
 from .truth import NOTHING, Truth, shapes_truth
 from .ways import MEAN, WRONG, Way, compare, repeats, show, tree_answer
 
-World = tuple[Shapes, Rays]
+ShapesAndRays = tuple[Shapes, Rays]
 
 
 def random_shapes(page: Page, brief: bool) -> None:
@@ -101,14 +101,14 @@ def scene_answer(scene: Scene, rays: Rays) -> Answer:
     return Answer(np.where(handles == NO_NODE, NOTHING, handles.astype(np.int64) - 1), ts)
 
 
-def _scene_way(worlds: Sequence[World], kind: ShapeKind | None = None) -> Way:
+def _scene_way(worlds: Sequence[ShapesAndRays], kind: ShapeKind | None = None) -> Way:
     changed = [(as_boxes(shapes, kind) if kind else shapes, rays) for shapes, rays in worlds]
     scenes = [(scene_of(shapes), rays) for shapes, rays in changed]
     counts = [len(shapes.kind) for shapes, _ in worlds]
     return lambda: _joined([scene_answer(*pair) for pair in scenes], counts)
 
 
-def _tree_way(worlds: Sequence[World]) -> Way:
+def _tree_way(worlds: Sequence[ShapesAndRays]) -> Way:
     trees = [(DynamicBVH.from_boxes(*bounds_of(shapes)), rays) for shapes, rays in worlds]
     counts = [len(shapes.kind) for shapes, _ in worlds]
     return lambda: _joined([tree_answer(*pair) for pair in trees], counts)
@@ -136,7 +136,9 @@ def joined_truth(truths: Sequence[Truth], counts: Sequence[int]) -> Truth:
     return Truth(merged.rows, [t for truth in truths for t in truth.ts], entry, merged.ts)
 
 
-def _measure(page: Page, brief: bool, name: str, title: str, worlds: Sequence[World]) -> None:
+def _measure(
+    page: Page, brief: bool, name: str, title: str, worlds: Sequence[ShapesAndRays]
+) -> None:
     ways = {'bvh_ros, true shapes': _scene_way(worlds), 'AABB of each shape': _tree_way(worlds)}
     kinds = {kind for shapes, _ in worlds for kind in shapes.kind.tolist()}
     if ShapeKind.SPHERE in kinds:

@@ -12,13 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
-from .. import plots
+from ...scene import NO_NODE, Numbered, Scene, Shapes
 from ..page import Page
 from ..scenes import Floats, Rays
-from ..tables import Table
 from .recordings import Track, tracks
-from .scoring import Answer, Score
+from .scoring import Answer
 from .shape_scenes import joined_truth
 from .truth import NOTHING, Rows, Truth, shapes_truth
 from .ways import MEAN, WRONG, Way, compare, repeats, show
@@ -29,8 +27,8 @@ HEIGHT = 0.75  # m, of rays: half that of the vehicles
 PREFIX = 'vehicle'
 
 
-class World(NamedTuple):
-    """The vehicles of one moment."""
+class Vehicles(NamedTuple):
+    """Those of one moment."""
 
     ids: Rows
     shapes: Shapes
@@ -43,7 +41,7 @@ class Moment(NamedTuple):
     rays: Rays
 
 
-def world_at(traffic: dict[int, Track], time: float) -> World:
+def world_at(traffic: dict[int, Track], time: float) -> Vehicles:
     """Vehicles on straight lines between their frames."""
     ids, sizes = [], []
     places: list[list[float]] = []
@@ -55,8 +53,8 @@ def world_at(traffic: dict[int, Track], time: float) -> World:
         sizes.append(track.size)
         for values, into in ((track.positions, places), (track.turns, turns)):
             into.append([np.interp(time, track.times, column) for column in values.T])
-    kind = np.full(len(ids), ShapeKind.BOX, np.uint8)
-    return World(np.array(ids), Shapes(kind, np.array(places), np.array(turns), np.array(sizes)))
+    shapes = Shapes.boxes(np.array(places), np.array(sizes), np.array(turns))
+    return Vehicles(np.array(ids), shapes)
 
 
 class Observer:
@@ -122,7 +120,7 @@ class Observer:
         return Answer(rows, np.concatenate([answer.ts for answer in answers]))
 
 
-def _velocities(before: World, now: World, interval: float) -> Floats:
+def _velocities(before: Vehicles, now: Vehicles, interval: float) -> Floats:
     """(n, 3) m/s; zero for vehicles that were not seen before."""
     velocity = np.zeros_like(now.shapes.position)
     _, here, there = np.intersect1d(now.ids, before.ids, return_indices=True)
@@ -190,27 +188,3 @@ def stale_traffic(page: Page, brief: bool) -> None:
     found = compare(ways, traffic_truth(traffic, moments), repeats(brief), dict(watchers))
     title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'
     show(page, 'traffic', title, ways, found, (WRONG, MEAN))
-    _rates(page, found[0])
-
-
-def _rates(page: Page, scores: dict[str, Score]) -> None:
-    """What a refresh rate costs, as a table and a picture."""
-    header = ['refreshes a second', 'mean error, m', 'extrapolated: mean error, m']
-    header += ['wrong, % of rays', 'extrapolated: wrong, % of rays']
-    pairs = [(scores[f'{rate} Hz'], scores[f'{rate} Hz, extrapolated']) for rate in RATES]
-    rows = [
-        [rate, a.mean, b.mean, 100 * a.wrong, 100 * b.wrong]
-        for rate, (a, b) in zip(RATES, pairs, strict=True)
-    ]
-    page.add('What a refresh rate costs:')
-    page.table(Table('error_traffic_rates', header, rows))
-    plots.lines(
-        page.plot('error_traffic_rates', 'Mean error of the hit distance against refresh rate'),
-        {
-            'as it is': plots.Line(RATES, [a.mean for a, _ in pairs]),
-            'extrapolated at constant velocity': plots.Line(RATES, [b.mean for _, b in pairs]),
-        },
-        'refreshes a second',
-        'mean error of the hit distance, m',
-        'US-101: what a refresh rate costs',
-    )

@@ -3,7 +3,7 @@
 """Ways of answering: what each does, and a run of all of them that measures error and time."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,24 +20,14 @@ from .truth import NOTHING, Truth, brute_force
 Way = Callable[[], Answer]  # one way to answer the rays of a scene
 
 
-class Shown(NamedTuple):
-    """One kind of error, as a panel of the picture."""
-
-    label: str
-    error: Callable[[Score], float]
-    floor: float | None
-    """Where zero is drawn; None: at a tenth of one ray in all."""
-    top: float
-
-
-WRONG = Shown('wrong answers, share of the rays', lambda s: s.wrong, None, 1.0)
-RELATIVE = Shown(
+WRONG = Panel('wrong answers, share of the rays', lambda s: s.wrong, 0.0, 1.0)
+RELATIVE = Panel(
     'largest relative error of the distance\n(where the object is right)',
     lambda s: s.relative,
     1e-18,
     1e-2,
 )
-MEAN = Shown('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
+MEAN = Panel('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
 SLOW_RAYS = 200  # the first ones, for a way that takes milliseconds each
 
 
@@ -117,7 +107,7 @@ def show(
     title: str,
     ways: Mapping[str, Way],
     found: tuple[dict[str, Score], dict[str, Timing]],
-    shown: Sequence[Shown] = (WRONG, RELATIVE),
+    shown: Sequence[Panel] = (WRONG, RELATIVE),
 ) -> None:
     """Table and picture of one scene."""
     scores, times = found
@@ -136,5 +126,5 @@ def show(
         for way in ways
     ]
     path = page.plot(f'error_{name}', f'Error against run time: {title}')
-    panels = [Panel(kind.label, kind.floor or 0.1 / asked, kind.top) for kind in shown]
+    panels = [kind._replace(floor=kind.floor or 0.1 / asked) for kind in shown]
     tradeoff(path, points, panels, title)

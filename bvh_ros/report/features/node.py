@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the parts of the node cost: how soon it serves, and its memory, with each configuration."""
 
-import os
 import statistics
 import time
 from importlib.util import find_spec
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from ..page import Page
 from ..tables import Cell, Table
+from ..timing import memory
 
 LEAN = 'no batch, no tf, no source'
 NODES: dict[str, dict[str, object]] = {
@@ -64,14 +64,8 @@ def _start_all(
                         running.wait_until_ready(BvhClient(node), process)
                         ready = time.perf_counter() - began
                         if turn:
-                            took[name].append((ready, _memory(process.pid)))
+                            took[name].append((ready, memory(process.pid)))
                         node.destroy_node()
     finally:
         rclpy.try_shutdown()
     return took
-
-
-def _memory(process: int) -> float:
-    """Resident, MB."""
-    pages = int(Path(f'/proc/{process}/statm').read_text(encoding='utf-8').split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / 2**20

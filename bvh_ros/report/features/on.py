@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ...scene import ShapeKind, Shapes
-from .. import plots
 from ..page import Page
 from ..tables import Cell, Table
 from .running import Job, ObstacleField, run_in_turns
@@ -86,11 +85,3 @@ def _table(page: Page, took: dict[str, dict[str, Any]], count: int) -> None:
     header = ['part', 'us an obstacle, update', 'us, raycast', 'us, overlap']
     header += ['us a ray in a batch', 's, start', 'MB, memory']
     page.table(Table('features_on', header, rows))
-    groups = {
-        name: {key: one[key] / took[BASE][key] for key in ('update', 'raycast', 'overlap')}
-        for name, one in took.items()
-        if name != BASE
-    }
-    path = page.plot('features_on', 'Cost of each part when it is on')
-    label = 'time over that of 3D axis-aligned boxes'
-    plots.ratios(path, groups, label, 'Cost of each part when it is on')

@@ -10,26 +10,17 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from bvh_ros.report.timing import memory
 from bvh_ros.scene import Mesh, Numbered, Scene, Shapes
 
 OVERLAPS = 100
 STEP = 0.05  # m that obstacles go from frame to frame
 
 Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
-
-
-def memory() -> float:
-    """Resident memory of this process, MB; 0 where the system does not tell."""
-    try:
-        status = Path('/proc/self/status').read_text(encoding='utf-8')
-    except OSError:
-        return 0.0
-    return int(status.partition('VmRSS:')[2].split()[0]) / 1024
 
 
 def kernels() -> list[str]:

@@ -1,19 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report intake`: how soon what is published can be asked about, and who waits for it.
-
-The node, this process, and under load a publisher, talk over real ROS 2.
-"""
+"""`bvh_report intake`: how soon what is published can be asked about, over real ROS 2."""
 
 import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from ..page import Page
 from ..tables import Cell, Table
@@ -23,15 +15,8 @@ if TYPE_CHECKING:
     from bvh_ros.client import BvhClient
 
 REPEATS = 7
-MARKERS, BOXES, MANY = 10_000, 100_000, 1_000_000
+MARKERS, BOXES = 10_000, 100_000
 BRIEF = 50  # times fewer in brief
-LOADED = 10.0  # seconds of questions under load
-LOADS = (
-    ('nothing', '', 0, 0.0),
-    ('30 Hz x 10,000 markers', 'markers', 10_000, 30.0),
-    ('30 Hz x 10,000 boxes, PointCloud2', 'cloud', 10_000, 30.0),
-    ('0.2 Hz x 1,000,000 boxes, PointCloud2', 'cloud', MANY, 0.2),
-)
 CASES = (
     ('MarkerArray', MARKERS, 'obstacles', False),
     ('PointCloud2', BOXES, 'boxes', False),
@@ -56,7 +41,7 @@ def over_ros(page: Page, brief: bool) -> None:
         'sources': ['markers', 'boxes', 'by_id'],
         'boxes': {'type': 'PointCloud2', 'topic': '~/boxes'},
         'by_id': {'type': 'PointCloud2', 'topic': '~/boxes_by_id'},
-        'max_obstacles': 2 * MANY,
+        'max_obstacles': 10 * BOXES,
     }
     try:
         with (
@@ -67,7 +52,6 @@ def over_ros(page: Page, brief: bool) -> None:
             client = BvhClient(node, timeout=60.0)
             running.wait_until_ready(client, process)
             page.table(_usable(client, brief))
-            page.table(_loaded(client, f'{namespace}/bvh', brief))
     finally:
         rclpy.try_shutdown()
 
@@ -143,49 +127,3 @@ def _clear(client: 'BvhClient') -> None:
     trigger.wait_for_service()
     rclpy.spin_until_future_complete(node, trigger.call_async(Trigger.Request()))
     node.destroy_node()
-
-
-def _loaded(client: 'BvhClient', name: str, brief: bool) -> Table:
-    rows: list[list[Cell]] = []
-    for what, kind, count, rate in LOADS[: 1 if brief else None]:
-        topic = f'{name}/{"obstacles" if kind == "markers" else "boxes"}'
-        with _publishing(topic, kind, count, rate):
-            times = np.array(_ask(client, kind, 1.0 if brief else LOADED)) * 1e3
-        rows.append([what, len(times), *np.percentile(times, (50, 99, 100)).tolist()])
-        _clear(client)
-    return Table(
-        'intake_latency',
-        ('beside', 'questions', 'ms, raycast p50', 'ms, p99', 'ms, slowest'),
-        rows,
-    )
-
-
-def _ask(client: 'BvhClient', kind: str, duration: float) -> list[float]:
-    """Times of raycasts, 200 a second, once the first message is in."""
-    from . import messages
-
-    x = messages.BEACON_X
-    while kind and client.raycast((x, -9.0, 0.0), (x, 9.0, 0.0)) is None:
-        time.sleep(0.05)
-    times = []
-    began = time.perf_counter()
-    while (now := time.perf_counter()) < began + duration:
-        client.raycast((0.0, 50.0, 50.0), (100.0, 50.0, 50.0))
-        times.append(time.perf_counter() - now)
-        time.sleep(max(0.0, now + 0.005 - time.perf_counter()))
-    return times
-
-
-@contextmanager
-def _publishing(topic: str, kind: str, count: int, rate: float) -> Iterator[None]:
-    """Publish in a process of its own."""
-    if not kind:
-        yield
-        return
-    command = [sys.executable, '-m', f'{__name__}.publisher', topic, kind, str(count), str(rate)]
-    process = subprocess.Popen(command, start_new_session=True)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait()

@@ -4,19 +4,10 @@
 
 from .base import Library, Work
 from .embree import Embree
-from .fcl import Coal, Fcl, FclWithNarrowPhase
+from .fcl import Coal, Fcl
 from .kd_tree import KdTree
 from .ours import Ours
-from .rtree import Rtree
 
-LIBRARIES: tuple[Library, ...] = (
-    Ours(),
-    Embree(),
-    Coal(),
-    Fcl(),
-    FclWithNarrowPhase(),
-    Rtree(),
-    KdTree(),
-)
+LIBRARIES: list[Library] = [Ours(), Embree(), Coal(), Fcl(), KdTree()]
 
 __all__ = ['LIBRARIES', 'Library', 'Work']

@@ -106,27 +106,6 @@ class Fcl(Library):
         return Job(lambda: self._collide(manager, None, 50 * len(objects)), len(objects), int)
 
 
-class FclWithNarrowPhase(Library):
-    """The same with the callback that python-fcl brings, which also decides every pair."""
-
-    name = 'python-fcl, its callback'
-    module = 'fcl'
-    note = 'the same with defaultCollisionCallback, which runs the narrow phase on every pair'
-
-    def pairs(self, work: Work) -> Job:
-        """All pairs of boxes that meet."""
-        import fcl
-
-        broad = Fcl()
-        manager = broad._manager(broad._objects(work.boxes))
-        request = fcl.CollisionRequest(num_max_contacts=1 << 30)
-
-        def run():
-            manager.collide(fcl.CollisionData(request), fcl.defaultCollisionCallback)
-
-        return Job(run, len(work.boxes.lo))
-
-
 class Coal(Fcl):
     """The broad phase alone, with callbacks in C++."""
 

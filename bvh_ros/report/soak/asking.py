@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from ..scenes import Floats
-from .scene import SIDE, SLACK, Scene, scene_at
+from .scene import SIDE, UNDECIDED, Scene, scene_at
 
 TIMEOUT = 10.0  # seconds
 SERVICES = ('raycast', 'raycast_all', 'overlap')
@@ -118,8 +118,8 @@ class Asker:
 def ray_fault(scene: Scene, found: Found, start: Floats, goal: Floats, first: bool) -> str:
     """Say what is wrong with the answer of a raycast, first hit or all."""
     way = goal - start
-    may = scene.entries(start, way, SLACK)
-    must = scene.entries(start, way, -SLACK)
+    may = scene.entries(start, way, UNDECIDED)
+    must = scene.entries(start, way, -UNDECIDED)
     length = float(np.linalg.norm(way))
     reached = (found.points - start) @ way / length  # m along the way
     off = np.linalg.norm(found.points - start - reached[:, None] * way / length, axis=1)
@@ -138,7 +138,7 @@ def ray_fault(scene: Scene, found: Found, start: Floats, goal: Floats, first: bo
 def ball_fault(scene: Scene, found: Found, centre: Floats, radius: float) -> str:
     """Say what is wrong with the answer of an overlap with a ball."""
     distance = scene.distances(centre)
-    fault = _set_fault(found, distance <= radius + SLACK, distance <= radius - SLACK)
+    fault = _set_fault(found, distance <= radius + UNDECIDED, distance <= radius - UNDECIDED)
     return fault or _nearest_fault(scene, found, centre)
 
 
@@ -146,7 +146,9 @@ def box_fault(scene: Scene, found: Found, low: Floats, high: Floats) -> str:
     """Say what is wrong with the answer of an overlap with an aligned box."""
     centre = 0.5 * (low + high)
     gap = scene.gaps(centre, 0.5 * (high - low))
-    return _set_fault(found, gap <= SLACK, gap <= -SLACK) or _nearest_fault(scene, found, centre)
+    return _set_fault(found, gap <= UNDECIDED, gap <= -UNDECIDED) or _nearest_fault(
+        scene, found, centre
+    )
 
 
 def _nearest_fault(scene: Scene, found: Found, centre: Floats) -> str:

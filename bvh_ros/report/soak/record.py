@@ -3,14 +3,13 @@
 """What a soak has seen, and its verdict."""
 
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import plots
 from ..page import Page
 from ..tables import Cell, Table
+from ..timing import memory
 
 if TYPE_CHECKING:
     from .asking import Answer
@@ -30,7 +29,7 @@ class Record:
     """
 
     def __init__(self, pid: int) -> None:
-        self._status = Path(f'/proc/{pid}/status')
+        self._pid = pid
         self._looks: list[tuple[float, float]] = []  # minutes, MB
         self._began = time.monotonic()
         self.faults: list[str] = []
@@ -52,9 +51,7 @@ class Record:
 
     def look(self) -> None:
         """Sample the node's resident memory; FileNotFoundError if it has ended."""
-        status = self._status.read_text(encoding='ascii')
-        megabytes = int(status.partition('VmRSS:')[2].split()[0]) / 1024
-        self._looks.append(((time.monotonic() - self._began) / 60.0, megabytes))
+        self._looks.append(((time.monotonic() - self._began) / 60.0, memory(self._pid)))
 
     def growth(self) -> float:
         """MB an hour: slope of a straight line through all after the warm-up (least squares)."""
@@ -100,13 +97,6 @@ class Record:
             ('growth [MB an hour]', growth),
         ]
         page.table(Table('soak', ('', 'measured'), rows))
-        plots.course(
-            page.plot('soak_memory', 'Memory of the node over time'),
-            plots.Line(minutes, megabytes),
-            'minutes',
-            'MB',
-            'Resident memory of the node',
-        )
         for fault in self.faults[:SHOWN]:
             page.add(f'Wrong: {fault}')
         leak = growth * minutes[-1] / 60.0 > FLAT * settled

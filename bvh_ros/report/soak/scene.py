@@ -14,7 +14,7 @@ from ..scenes import Floats
 BOXES = 1000
 SIDE = 40.0  # m, of the cube that holds the centres
 ABSENT, CYCLE = 20, 200  # frames: each box is away for 20 of 200
-SLACK = 1e-7  # m: closer to touching than this, rounding may decide either way
+UNDECIDED = 1e-7  # m: closer to touching than this, rounding may decide either way
 
 _RNG = np.random.default_rng(5)
 _BASE = _RNG.uniform(0.0, SIDE, (BOXES, 3))

@@ -16,8 +16,8 @@ from functools import partial
 from typing import NamedTuple
 
 from ...ros.cdr import marker_array
+from ...ros.compile_jobs import Job, Needs, jobs
 from ...ros.sources import SOURCE_TYPES
-from ...ros.warm_up import Job, Needs, jobs
 from ...tree.jit.kernel_parts import Kernel
 
 

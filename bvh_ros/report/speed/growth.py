@@ -17,15 +17,9 @@ SIZES = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 SIZES_QUICK = (100, 1_000)
 RAYS, REPEATS = 20_000, 5
 HEADER = (
-    'boxes',
-    'ns a ray',
-    'ns a ray, 2 threads',
-    'ns a box, built',
-    'bytes a box',
-    'height',
-    '4 log2 n + 4',
-    'tree cost',
-)
+    'boxes', 'ns a ray', 'ns a ray, 2 threads', 'ns a box, built', 'bytes a box', 'height',
+    '4 log2 n + 4', 'tree cost',
+)  # fmt: skip
 
 
 def growth(page: Page, brief: bool) -> None:

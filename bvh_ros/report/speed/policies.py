@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ... import DynamicBVH
 from ...tree import dynamic_bvh
-from .. import plots
 from ..page import Page
 from ..scenes import Boxes, moved, spread, uniform_boxes
 from ..tables import Table
@@ -27,7 +26,7 @@ KINDS = ('nearby', 'anywhere')
 
 
 def policies(page: Page, brief: bool) -> None:
-    """Measure both kinds of movement, and draw the nearby one."""
+    """Measure both kinds of movement."""
     size = 300 if brief else BOXES
     page.add('### Policies of move_many')
     page.add(
@@ -38,25 +37,10 @@ def policies(page: Page, brief: bool) -> None:
     )
     for kind in KINDS:
         rows = [_row(size, share, kind) for share in (SHARES_QUICK if brief else SHARES)]
-        names = [*POLICIES, CHOSEN]
-        header = [
-            'share',
-            *(f'us, {name}' for name in names),
-            *(f'cost, {name}' for name in names),
-        ]
+        names = *POLICIES, CHOSEN
+        header = ['share', *(f'{what}, {name}' for what in ('us', 'cost') for name in names)]
         page.add(f'Moved {kind}:')
         page.table(Table(f'speed_policies_{kind}', header, rows))
-        shares = [row[0] for row in rows]
-        plots.lines(
-            page.plot(f'speed_policies_{kind}', f'Time of each policy, moved {kind}'),
-            {
-                name: plots.Line(shares, [row[1 + k] for row in rows])
-                for k, name in enumerate(names)
-            },
-            'share of the boxes that moved',
-            'us a call',
-            f'move_many of {size:,} boxes, moved {kind}',
-        )
 
 
 @contextmanager

@@ -20,17 +20,9 @@ SIZES, SIZES_QUICK = (1_000, 10_000, 100_000), (200,)
 RAYS, ROUNDS, REPEATS = 20_000, 3, 3
 FEW = 0.04  # of the boxes at once: move_many inserts those again one by one
 HEADER = (
-    'boxes',
-    'built by',
-    'ns a box, inserted',
-    'cost / SAH',
-    'height',
-    'ns a ray',
-    'ns a move',
-    'cost / SAH, moved',
-    'height, moved',
-    'ns a ray, moved',
-)
+    'boxes', 'built by', 'ns a box, inserted', 'cost / SAH', 'height', 'ns a ray', 'ns a move',
+    'cost / SAH, moved', 'height, moved', 'ns a ray, moved',
+)  # fmt: skip
 
 
 class Plan(NamedTuple):

@@ -94,7 +94,8 @@ def exact_entry(lo: Vector, hi: Vector, origin: Vector, direction: Vector) -> Fr
 
 
 def _ask(question: Question) -> Case:
-    name, lo, hi, origin, direction, t_max = question
+    lo, hi, t_max = question.lo, question.hi, question.t_max
+    origin, direction = question.origin, question.direction
     exact = exact_entry(lo, hi, origin, direction)
     if exact is not None and not math.isinf(t_max) and exact > Fraction(t_max):
         exact = None
@@ -113,7 +114,7 @@ def _ask(question: Question) -> Case:
     if not math.isinf(t_max):
         asked += f', t <= {t_max!r}'
     return Case(
-        name,
+        question.name,
         asked,
         _met(None if exact is None else rounded(exact)),
         ' or '.join(sorted(map(_met, answers))),
@@ -138,9 +139,8 @@ def _text(vector: Vector) -> str:
 
 def _slab(question: Question, exact: Fraction | None) -> str:
     """What the usual test says, and whether that is right."""
-    _, lo, hi, origin, direction, t_max = question
-    boxes = Boxes(np.array([lo], float), np.array([hi], float))
-    rays = Rays(np.array([origin], float), np.array([direction], float))
+    boxes = Boxes(np.array([question.lo], float), np.array([question.hi], float))
+    rays = Rays(np.array([question.origin], float), np.array([question.direction], float))
     rows, ts = brute_force(boxes, rays)
-    t = float(ts[0]) if rows[0] >= 0 and ts[0] <= t_max else None
+    t = float(ts[0]) if rows[0] >= 0 and ts[0] <= question.t_max else None
     return _met(t) if _agrees(t, exact) else f'{_met(t)} (wrong)'

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.marker_names import MarkerNames
 from bvh_ros.ros.conversions.marker_order import (
     ADD_OR_MODIFY,
     LISTED,
@@ -93,13 +94,13 @@ def change(
     counts = reader.counts(rows)
     of = np.repeat(rows, counts)
     shapes = yield from reader.shapes(rows, of)
-    names, singles, lists = reader.names(rows, counts)
+    names, singles, lists = reader.names.with_elements(rows, counts, reader.listed(rows))
     stamp = np.where(table.stamp == 0, now, table.stamp)[of]
     lifetime = table.lifetime[of]
     return Change(
         order.clears,
         [f'{prefix}{table.namespaces[space]}' for space in order.swept.tolist()],
-        reader.single_names(order.removed),
+        reader.names.singles(order.removed),
         names,
         shapes,
         stamp,
@@ -116,7 +117,7 @@ class _Reader:
     def __init__(self, table: MarkerTable, into_node: IntoNode, prefix: str, planar: bool) -> None:
         self.table = table
         self.into_node = into_node
-        self.prefix = prefix
+        self.names = MarkerNames(table, prefix)
         self.planar = planar
         self.faulty = np.zeros(len(table.id), np.bool_)
         self.reasons: dict[int, str] = {}  # of the rows where it is not the type or action
@@ -131,7 +132,7 @@ class _Reader:
         self.reasons[row] = reason
 
     def refusals(self) -> Refusals:
-        return Refusals(Block(np.flatnonzero(self.faulty), self._name, self._reason))
+        return Refusals(Block(np.flatnonzero(self.faulty), self.names.of, self._reason))
 
     def find_frames(self, good: Mask) -> Generator[None, None, None]:
         """Look up how markers get into the node's frame; refuse those that cannot."""
@@ -206,6 +207,12 @@ class _Reader:
         )
         return bad
 
+    def listed(self, rows: Integers) -> Mask:
+        """Which of these are lists."""
+        if not self.points:
+            return np.zeros(len(rows), np.bool_)
+        return np.array([row in self.points for row in rows.tolist()], np.bool_)
+
     def counts(self, rows: Integers) -> Integers:
         """How many obstacles each marker is."""
         if not self.points:
@@ -248,42 +255,6 @@ class _Reader:
             move = Transform(self.shift[marker], self.turn[marker])
             shapes.position[place] = move.points(shapes.position[place])
             shapes.orientation[place] = move.orientations(shapes.orientation[place])
-
-    def names(self, rows: Integers, counts: Integers) -> tuple[Families, Families, dict[str, int]]:
-        """Names of all obstacles, of those that are no elements of lists, and list markers."""
-        single = self.single_names(rows)
-        if not self.points:
-            return single, single, {}
-        listed = np.array([row in self.points for row in rows.tolist()], np.bool_)
-        lists = [f'{self._name(row)}' for row in rows[listed].tolist()]
-        prefixes = [*single.prefixes, *(f'{name}#' for name in lists)]
-        family, numbers = single.family.copy(), np.repeat(single.numbers, counts)
-        family[listed] = len(single.prefixes) + np.arange(len(lists))
-        places = np.arange(len(numbers)) - np.repeat(np.cumsum(counts) - counts, counts)
-        element = np.repeat(listed, counts)
-        numbers[element] = places[element]
-        sizes = dict(zip(lists, counts[listed].tolist(), strict=True))
-        return (
-            Families(prefixes, np.repeat(family, counts), numbers),
-            single.take(np.flatnonzero(~listed)),
-            sizes,
-        )
-
-    def single_names(self, rows: Integers) -> Families:
-        """Two families a namespace: `ns/` and, for negative ids, `ns/-`."""
-        table, number = self.table, self.table.id[rows]
-        if not len(rows):
-            return Families([], rows, number)
-        used, place = np.array([0]), np.zeros(len(rows), np.int64)
-        if len(table.namespaces) > 1:
-            used, place = np.unique(table.namespace[rows], return_inverse=True)
-        spaces = [f'{self.prefix}{table.namespaces[space]}/' for space in used.tolist()]
-        prefixes = [spaces[i // 2] + '-' * (i % 2) for i in range(2 * len(spaces))]
-        return Families(prefixes, 2 * place + (number < 0), np.abs(number))
-
-    def _name(self, row: int) -> str:
-        namespace = self.table.namespaces[self.table.namespace[row]]
-        return f'{self.prefix}{namespace}/{self.table.id[row]}'
 
     def _reason(self, row: int) -> str:
         if row in self.reasons:

@@ -17,7 +17,7 @@ from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import Hits, RayCloud, Rays
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import DEPTH
@@ -38,7 +38,7 @@ TURN = 0.01  # seconds after which others get a turn
 DONE = object()
 
 
-class RayBatch(Part):
+class RayBatch(NodePart):
     """Answers each cloud of rays by a cloud of hits, in the request's frame and of its shape.
 
     A row that cannot be answered (NaN, infinite, negative t_max), and each row of a cloud that

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.world.survey import SceneStatistics, resident_bytes
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class Answerer(Protocol):
     timings: Timings
 
 
-class Diagnostics(Part):
+class Diagnostics(NodePart):
     """Publishes a status for the world, for the queries of each view and for each source.
 
     Parameters

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.world.world import EXPIRED_AT_ONCE
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees wha
 QOS_PERIOD = 1.0  # seconds
 
 
-class Maintenance(Part):
+class Maintenance(NodePart):
     """Removes obstacles whose time is over, and follows what publishers offer."""
 
     def __init__(self, node: Node, world: World) -> None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-class Part:
+class NodePart:
     """Opens services, topics and timers on a node, and closes them again.
 
     Parameters

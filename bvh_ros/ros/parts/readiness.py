@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from bvh_ros.ros.compilation import Compilation
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.progress import Progress
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LOOK = 0.2  # seconds between two looks at the progress
 
 
-class Readiness(Part):
+class Readiness(NodePart):
     """Sees to it that kernels are there; until all are, the world says how far they have come.
 
     Parameters

@@ -13,7 +13,7 @@ from nav_msgs.srv import GetPlan
 from std_srvs.srv import Trigger
 
 from bvh_ros.ros.conversions import plans
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.scene import TooManyHitsError
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
 
 
-class QueryServices(Part):
+class QueryServices(NodePart):
     """Answers `raycast`, `raycast_all` and `overlap` of a view, or says why it cannot.
 
     A request that cannot be answered never looks free: the reply holds one pose whose frame_id
@@ -111,7 +111,7 @@ class QueryServices(Part):
         plans.fill_error(plan, request, reason, frames.frame_id, now)
 
 
-class TriggerServices(Part):
+class TriggerServices(NodePart):
     """`~/clear`, `~/rebuild` and `~/validate`."""
 
     def __init__(self, node: Node, world: World) -> None:

@@ -16,7 +16,7 @@ from bvh_ros.ros.config.part_settings import LASER_SCAN
 from bvh_ros.ros.conversions import ray_clouds, rotations, scans
 from bvh_ros.ros.conversions.ray_clouds import Hits
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
@@ -34,7 +34,7 @@ DEPTH = 5
 QOS_PERIOD = 1.0  # seconds
 
 
-class VirtualScan(Part):
+class VirtualScan(NodePart):
     """Publishes a LaserScan or a PointCloud2 for each pose, or at a rate from the newest pose.
 
     The pose is a PoseStamped: it says in which frame it is, needs no velocity or covariance as

@@ -12,7 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from bvh_ros.ros.parts.part import Part
+from bvh_ros.ros.parts.part import NodePart
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -21,7 +21,7 @@ PERIOD = 1.0  # seconds
 TELL = 2  # times that a newcomer is told: it may find us a moment after we found it
 
 
-class OnDemandPublisher(Part):
+class OnDemandPublisher(NodePart):
     """Publishes at most once a second, latched, and only while there are subscribers.
 
     What is latched reaches only who asks for it. Others would wait until something changes: when

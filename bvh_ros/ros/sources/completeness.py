@@ -21,7 +21,6 @@ class Completeness:
     """Keeps account of what was told but not heard."""
 
     def __init__(self) -> None:
-        self.has_lost = False
         self._unheard = ''
         self._forgotten = ''
         self._settles = 0.0  # on the monotonic clock; 0: not waited for
@@ -36,7 +35,6 @@ class Completeness:
             Whether its publisher keeps messages for late joiners.
         """
         if heard.lost:
-            self.has_lost = True
             self._unheard = f'{heard.lost} of its messages were lost'
         elif kept and (heard.is_new or self._settles):
             self._settles = time.monotonic() + SETTLED
@@ -45,7 +43,6 @@ class Completeness:
 
     def note_all_told(self) -> None:
         """A message said everything."""
-        self.has_lost = False
         self._unheard = self._forgotten = ''
         self._settles = 0.0
 

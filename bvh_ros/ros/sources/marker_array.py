@@ -13,10 +13,10 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
+from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.sources.source import Applying, Source
-from bvh_ros.ros.warm_up import Step
 from bvh_ros.scene import Families, Part
 from bvh_ros.scene.slicing import AT_ONCE
 from bvh_ros.scene.store.names import as_families
@@ -38,9 +38,10 @@ class MarkerArraySource(Source):
                 'messages are read by rclpy, which takes several times as long'
             )
 
-    def to_compile(self) -> Iterable[Step]:
+    def to_compile(self) -> Iterable[Job]:
         """Return the decoder, where it is used."""
-        return [('decode markers', partial(decoder.read, decoder.EMPTY))] if self.raw else []
+        decode = partial(decoder.read, decoder.EMPTY)
+        return [Job('decode markers', 'decode markers', 2.0, decode, early=True)] * self.raw
 
     def apply(self, message: Any, now: int) -> Applying:
         """Remove what the markers remove, then add and modify."""

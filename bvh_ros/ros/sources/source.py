@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
     from rclpy.node import Node
 
+    from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.ros.config.parameters import SourceSettings
-    from bvh_ros.ros.warm_up import Step
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Part, Scene
 
@@ -80,7 +80,7 @@ class Source(ABC):
         self._hurried = False  # whether messages like this one come faster than slices can be
         self._turn: GuardCondition | None = None
 
-    def to_compile(self) -> Iterable[Step]:
+    def to_compile(self) -> Iterable[Job]:
         """Return what compiles the kernels that only this source uses."""
         return ()
 

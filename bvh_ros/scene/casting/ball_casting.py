@@ -35,22 +35,11 @@ from ..results import require_few
 from ..store.columns import Columns
 from ..store.registry import Slots
 from . import exact_balls
-from .casting import (
-    Asked,
-    Ball,
-    Hits,
-    Scratch,
-    call,
-    cast,
-    enter_obstacle,
-    new_scratch,
-    plain,
-    touch,
-    world_of,
-)
+from .arguments import Asked, Ball, Hits, Scratch, call, new_scratch, world_of
+from .casting import cast, enter_obstacle, plain, touch
 from .exact_balls import START, Root
 
-SLACK = 2.0**-46
+SWEEP_SLACK = 2.0**-46
 LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
 EARLY, AT, LATE = range(3)
 
@@ -63,7 +52,7 @@ def slack_of(world, ray, radius):
         above = abs(here.hi[axis] - ray[ORIGIN, axis])
         below = abs(here.lo[axis] - ray[ORIGIN, axis])
         total += abs(ray[DIRECTION, axis]) + max(above, below)
-    return SLACK * total if radius > SMALL and total < LARGE else np.inf
+    return SWEEP_SLACK * total if radius > SMALL and total < LARGE else np.inf
 
 
 @lean_kernel
@@ -75,7 +64,7 @@ def find(world, ball, mask, skip_inside, every, scratch, hits):
     if not every and not skip_inside and ball.slack < ball.radius:
         smaller = Ball(ball.radius, -ball.slack)
         if cast(world, smaller, Asked(1.0, 1.0, mask, False, False), scratch, hits, 0) > 0:
-            latest = min(hits.ts[0] * (1.0 + SLACK) + SMALL, 1.0)
+            latest = min(hits.ts[0] * (1.0 + SWEEP_SLACK) + SMALL, 1.0)
     return cast(world, ball, Asked(1.0, latest, mask, False, True), scratch, hits, 0)
 
 
@@ -248,7 +237,7 @@ def _exact(
         root = exact_balls.first_touch(lo, hi, origin, direction, sweep.radius)
         roots[row] = root
         if root is not None and not sweep.every and not (sweep.skip_inside and root is START):
-            latest = min(latest, float(root) * (1.0 + SLACK))
+            latest = min(latest, float(root) * (1.0 + SWEEP_SLACK))
     return roots
 
 

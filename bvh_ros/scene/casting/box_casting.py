@@ -26,7 +26,7 @@ from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
-from .casting import Rays
+from .arguments import Rays
 
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 

@@ -5,25 +5,17 @@
 Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_casting`), come here:
 thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
-
-Of `geometry` (a pair: records of `records.GEOMETRY`, one a slot, and the `mesh_store.Hulls`, or
-None) and `footprints` (the same with records of `footprint.FOOTPRINT`) one is None: numba drops a
-branch that asks for an argument that is None, so that a planar scene compiles none of the solid
-shapes, and a scene without meshes nothing of theirs.
 """
-
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point, lean_kernel
-from ...tree.nodes import DEEPEST, NONE, is_leaf, leaf_box
+from ...tree.jit.compiling import lean_kernel
+from ...tree.nodes import NONE, is_leaf, leaf_box
 from ...tree.rays.slab import (
     INSIDE,
     ORIGIN,
     PAD,
-    RAY_ROWS,
     TINY,
     compare_hits,
     intersect_node,
@@ -32,108 +24,10 @@ from ...tree.rays.slab import (
     traversal_distance,
 )
 from ..store.columns import Columns
+from .arguments import Asked, Ball, Found, Hits, Rays, call, new_scratch, world_of
 from .contact import contact, enter_shape
-from .frame import COORDINATES, SLACK, Met
+from .frame import COORDINATES, FRAME_SLACK, Met
 from .ray_footprint import enter_footprint, touch_footprint
-
-
-class World(NamedTuple):
-    """What rays go through."""
-
-    nodes: Any
-    tight: Any
-    handles: Any
-    root: Any
-    geometry: Any
-    footprints: Any
-
-
-class Ball(NamedTuple):
-    """What goes along a ray: a point has radius 0."""
-
-    radius: Any
-    slack: Any
-    """By which it is larger for axis-aligned boxes."""
-
-
-class Asked(NamedTuple):
-    """Which hits are asked for."""
-
-    t_max: Any
-    latest: Any
-    """No hit is left out that is not after this t."""
-    mask: Any
-    skip_inside: Any
-    every: Any
-    """Not only the first."""
-
-
-class Rays(NamedTuple):
-    """n rays."""
-
-    origins: Any
-    directions: Any
-    t_max: Any
-    masks: Any
-
-
-class Hits(NamedTuple):
-    """Hits, one a row."""
-
-    slots: Any
-    ts: Any
-    features: Any
-
-
-class Found(NamedTuple):
-    """What n rays hit: ray i the rows [offsets[i], offsets[i + 1]) of the others."""
-
-    offsets: Any
-    hits: Hits
-    points: Any
-    normals: Any
-
-
-class Scratch(NamedTuple):
-    """Room for one ray; see `slab` for its rows."""
-
-    ray: Any
-    box: Any
-    work: Any
-    stack: Any
-    entries: Any
-
-
-def world_of(tree: DynamicBVH, columns: Columns) -> World:
-    """The arrays of a scene."""
-    shapes = columns.geometry_arrays(), columns.footprint_arrays()
-    return tuple.__new__(World, (*tree.arrays(), *shapes))
-
-
-_entries: dict[tuple[Any, bool, bool], Any] = {}
-
-
-def call(kernel: Any, world: World, *arguments: Any) -> Any:
-    """Call a kernel that takes a world, and always the same types besides, as machine code: numba
-    would look at every array of it.
-    """
-    _, hulls = world.geometry or world.footprints
-    variant = kernel, world.footprints is None, hulls is None
-    code = _entries.get(variant)
-    if code is None:
-        code = _entries[variant] = entry_point(kernel, world, *arguments)
-    return code(world, *arguments)
-
-
-def new_scratch(ndim: int) -> Scratch:
-    """Room for one ray."""
-    return Scratch(
-        np.empty((RAY_ROWS, ndim)),
-        np.empty((2, ndim)),
-        np.empty((5, 3)),
-        np.empty(DEEPEST, np.int64),
-        np.empty(DEEPEST),
-    )
 
 
 @lean_kernel
@@ -156,7 +50,7 @@ def doubt_of(ray, radius):
     largest = 0.0
     for axis in range(ray.shape[1]):
         largest = max(largest, abs(ray[ORIGIN, axis]))
-    return SLACK * radius + (SLACK + COORDINATES) * largest
+    return FRAME_SLACK * radius + (FRAME_SLACK + COORDINATES) * largest
 
 
 @lean_kernel

@@ -18,7 +18,7 @@ from ..geometry.lengths import length, scale_of
 from ..geometry.rim import FACE, ROUND
 from ..geometry.rotation import rotate
 from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
-from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, time_of
+from .frame import COORDINATES, FRAME_SLACK, Frame, point_along, reach_of, time_of
 from .ray_hulls import enter_mesh
 from .ray_shapes import (
     enter_box,
@@ -51,7 +51,7 @@ def to_frame(shape, lo, hi, ray, radius, local):
     if shape.shaped and shape.kind != SPHERE:
         rotate(shape.orientation, local[0], -1.0)
         rotate(shape.orientation, local[1], -1.0)
-    return Frame(pace, scale, SLACK * size + COORDINATES * (largest * scale))
+    return Frame(pace, scale, FRAME_SLACK * size + COORDINATES * (largest * scale))
 
 
 @lean_kernel
@@ -155,7 +155,7 @@ def contact(shape, hulls, met, hit, radius, work, point, normal):
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
-    noise = frame.slack + SLACK * s
+    noise = frame.slack + FRAME_SLACK * s
     for axis in range(3):
         centre[axis] += s * direction[axis]
         outward[axis] = 0.0

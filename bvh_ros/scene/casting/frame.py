@@ -16,7 +16,7 @@ from ..geometry.lengths import length, scale_of
 
 # What nobody can tell apart touches: shares of the largest length in play, as seen from the
 # shape, and of the largest coordinate, which was rounded before.
-SLACK = 2.0**-46
+FRAME_SLACK = 2.0**-46
 COORDINATES = 2.0**-51
 
 

@@ -48,6 +48,17 @@ class Surface(NamedTuple):
     radius: Any
 
 
+class Shear(NamedTuple):
+    """How a direction is sheared onto one of its axes."""
+
+    x: Any
+    y: Any
+    z: Any
+    """Number of that axis; x and y are those of the others."""
+    by_x: Any
+    by_y: Any
+
+
 @lean_kernel
 def enter_surface(surface, scale, origin, direction, reach):
     """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
@@ -102,7 +113,7 @@ def first_crossing(surface, ray):
             continue
         face = np.int64(node >> 1)
         depth = cross_triangle(surface.vertices, surface.corners[face], ray[ORIGIN], frame)
-        s = depth / ray[DIRECTION, frame[2]]
+        s = depth / ray[DIRECTION, frame.z]
         if s < best:
             best, met = s, face
             limit = traversal_distance(s, scale)
@@ -111,21 +122,22 @@ def first_crossing(surface, ray):
 
 @inlined
 def shear(direction):
-    """How to shear a direction onto an axis: (the other two axes, that axis, by how much)."""
+    """How to shear a direction onto an axis."""
     z = 0
     for axis in range(1, 3):
         if abs(direction[axis]) > abs(direction[z]):
             z = axis
     x, y = (z + 1) % 3, (z + 2) % 3
-    return x, y, z, direction[x] / direction[z], direction[y] / direction[z]
+    return Shear(x, y, z, direction[x] / direction[z], direction[y] / direction[z])
 
 
 @inlined
 def sheared(vertex, origin, frame):
     """A corner as seen from the ray, which runs along the third axis."""
-    x, y, z, by_x, by_y = frame
-    depth = vertex[z] - origin[z]
-    return vertex[x] - origin[x] - by_x * depth, vertex[y] - origin[y] - by_y * depth, depth
+    depth = vertex[frame.z] - origin[frame.z]
+    x = vertex[frame.x] - origin[frame.x] - frame.by_x * depth
+    y = vertex[frame.y] - origin[frame.y] - frame.by_y * depth
+    return x, y, depth
 
 
 @inlined

@@ -26,7 +26,7 @@ from ..geometry.rim import (
     rim_of,
 )
 from .approach import approach_by
-from .frame import COORDINATES, SLACK, Frame, point_along, reach_of, time_of
+from .frame import COORDINATES, FRAME_SLACK, Frame, point_along, reach_of, time_of
 from .ray_polygon import enter_rounded_rim
 from .ray_shapes import enter_rounded_box
 
@@ -48,7 +48,7 @@ def to_centre(footprint, lo, hi, ray, radius, local):
             local[0, axis] -= footprint.centre[axis] * scale
         size = max(size, abs(local[0, axis]))
     pace = point_along(ray, scale, local[1, :2])
-    return Frame(pace, scale, SLACK * size + COORDINATES * (largest * scale))
+    return Frame(pace, scale, FRAME_SLACK * size + COORDINATES * (largest * scale))
 
 
 @lean_kernel
@@ -155,7 +155,7 @@ def touch_footprint(footprint, hulls, met, hit, radius, work, point, normal):
     frame = to_centre(footprint, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, scale = work[0, :2], work[1, :2], work[2, :2], frame.scale
-    noise = frame.slack + SLACK * s
+    noise = frame.slack + FRAME_SLACK * s
     for axis in range(2):
         centre[axis] += s * direction[axis]
         if not footprint.shaped:  # in metres: what lies on an edge lies there exactly

@@ -11,8 +11,8 @@ import numpy as np
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.rays.slab import INSIDE
-from ..distance.gjk import dot
 from ..distance.hull_gap import hull_gap
+from ..distance.simplex import dot
 from ..geometry.farthest import farthest_vertex
 from ..geometry.hull import hull_of
 from ..geometry.rim import ROUND

@@ -18,8 +18,9 @@ from ...tree.wide.snapshot import no_snapshot
 from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
+from .arguments import Ball, Hits, call, new_scratch, world_of
 from .ball_casting import AT, EARLY, LATE, Sweep, bracket, cast_ball, find, slack_of
-from .casting import Ball, Hits, call, new_scratch, plain, touch, world_of
+from .casting import plain, touch
 from .wide_sweeps import UNSUITED, find_wide
 
 FEW = 64  # obstacles that a ball may touch before more room is made

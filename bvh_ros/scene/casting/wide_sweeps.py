@@ -19,7 +19,7 @@ from ...tree.wide.few_rays import push_children
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ...tree.wide.raycasting import ALL32
 from ...tree.wide.snapshot import LOOSE_NODES
-from .ball_casting import SLACK, SMALL
+from .ball_casting import SMALL, SWEEP_SLACK
 from .casting import doubt_of, enter_obstacle, plain
 
 UNSUITED = -1
@@ -66,7 +66,7 @@ def find_wide(world, snapshot, way, ball, asked, scratch, hits):
             late, _ = enter_obstacle(
                 world, slot, scratch.ray, ball.radius - doubt, 1.0, scratch.work
             )
-            latest = min(late * (1.0 + SLACK) + SMALL, latest)
+            latest = min(late * (1.0 + SWEEP_SLACK) + SMALL, latest)
             record.limit = limits[0] = limit32(latest, record.unit)
     return count if count > hits.slots.shape[0] else keep_until(hits, count, latest)
 

@@ -24,9 +24,10 @@ from ..geometry.shapes import Floats
 from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from .closest import fill_corners, length
-from .gjk import CORE_ROWS, FIRST, SECOND, SLACK, WAY_ROOM, dot
+from .gjk import CORE_ROWS, Core
 from .narrow_phase import fill_core, largest_length, ordered
 from .query_rows import QueryRows
+from .simplex import FIRST, SECOND, SLACK, WAY_ROOM, dot
 from .sure_gap import sure_bounds
 from .touching_rows import RowKernel, bodies_of, of_row
 
@@ -80,9 +81,8 @@ def ordered_gap(one, hulls, other, other_hulls, planar, points):
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = radius + other_radius + SLACK
-    low, high, _ = sure_bounds(
-        first, round_one, hull, second, round_other, other_hull, limit, True, way
-    )
+    cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
+    low, high, _ = sure_bounds(cores[0], cores[1], limit, True, way)
     apart = high if high - low <= SLACK else low
     touching = apart <= limit
     for axis in range(3):

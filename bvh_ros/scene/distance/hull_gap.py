@@ -9,8 +9,9 @@ import numpy as np
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ..geometry.hull import Hull, hull_of
-from .gjk import AXES, CENTRE, CORE_ROWS, FIRST, HALF, SECOND, SLACK, WAY_ROOM
-from .sure_gap import set_ray, sure_bounds
+from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
+from .simplex import FIRST, SECOND, SLACK, WAY_ROOM
+from .sure_gap import set_normal, sure_bounds
 
 
 @lean_kernel
@@ -31,10 +32,11 @@ def hull_gap(hull, point, apart, normal):
         ball[CENTRE, axis] = math.ldexp(point[axis], -exponent)
     mesh[HALF, 0] = math.ldexp(1.0, -exponent)
     nothing = Hull(hull.places[:0], hull.discs[:0], 1.0)
-    high = sure_bounds(ball, False, nothing, mesh, False, hull, SLACK, True, way)[1]
+    point_core, mesh_core = Core(ball, False, nothing), Core(mesh, False, hull)
+    high = sure_bounds(point_core, mesh_core, SLACK, True, way)[1]
     for axis in range(3):
         apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)
-    set_ray(way, normal)
+    set_normal(way, normal)
     if high <= SLACK:
         return 0.0
     return math.ldexp(high, exponent)

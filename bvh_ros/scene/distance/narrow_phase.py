@@ -27,8 +27,9 @@ from ...tree.jit.intrinsics import stack_array
 from ..geometry.hull import hull_of
 from ..geometry.rotation import rotate
 from ..geometry.shapes import CAPSULE, CYLINDER, MESH, SPHERE
-from .gjk import AXES, CENTRE, CORE_ROWS, HALF, SLACK, WAY_ROOM
+from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
 from .separation import separation
+from .simplex import SLACK, WAY_ROOM
 from .sure_gap import sure_bounds
 
 
@@ -125,9 +126,8 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     else:
         hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
-    low, _, more_digits = sure_bounds(
-        first, round_one, hull, second, round_other, other_hull, limit, False, way
-    )
+    cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
+    low, _, more_digits = sure_bounds(cores[0], cores[1], limit, False, way)
     return low <= limit, more_digits
 
 

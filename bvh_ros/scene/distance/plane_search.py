@@ -21,7 +21,8 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .gjk import CENTRE, corner_of, dot
+from .gjk import CENTRE, corner_of
+from .simplex import dot
 
 WIDEST = 32.0  # x and y at first: up to 88 degrees to the side
 MOST_TRIALS = 120
@@ -39,7 +40,7 @@ def fill_frame(one, other, way, frame):
     the way between the centres, which does so where the cores are thin.
     """
     for axis in range(3):
-        frame[0, axis] = one[CENTRE, axis] - other[CENTRE, axis]
+        frame[0, axis] = one.rows[CENTRE, axis] - other.rows[CENTRE, axis]
     length, size = math.sqrt(dot(way, way)), math.sqrt(dot(frame[0], frame[0]))
     for axis in range(3):
         frame[2, axis] = way[axis] / length + (frame[0, axis] / size if size > 0.0 else 0.0)
@@ -87,7 +88,7 @@ def clip(polygon, count, a, b, c, clipped):
 
 
 @lean_kernel
-def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least, enough, pool):
+def widest_gap(one, other, way, least, enough, pool):
     """The widest gap between two cores (see `gjk`), or the first found above `enough`; `least`
     (not negative) if there is none above that. Then how many corners it wrote to `pool`, rows as
     those of a simplex in `gjk`: where no plane keeps the cores apart, these are why.
@@ -110,7 +111,7 @@ def widest_gap(one, round_one, hull, other, round_other, other_hull, way, least,
         length = math.sqrt(1.0 + x * x + y * y)
         for axis in range(3):
             normal[axis] = (frame[2, axis] + x * frame[0, axis] + y * frame[1, axis]) / length
-        corner_of(one, round_one, hull, other, round_other, other_hull, normal, pool[pooled])
+        corner_of(one, other, normal, pool[pooled])
         for axis in range(3):
             corner[axis] = pool[pooled, axis]
         pooled += 1

@@ -18,8 +18,9 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .gjk import FIRST, SECOND, SLACK, corner_of, dot, gap_bounds
+from .gjk import corner_of, gap_bounds
 from .plane_search import MOST_TRIALS, widest_gap
+from .simplex import FIRST, SECOND, SLACK, dot
 from .sure_simplex import closest
 
 SURE_STEPS = 300  # a hundred are many
@@ -29,7 +30,7 @@ POOL_NUMBERS = 6 * POOL
 
 
 @lean_kernel
-def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, measured, way):
+def sure_bounds(one, other, limit, measured, way):
     """(low, high) around the distance of two cores, and whether that took more digits; `way` as
     in `gjk.gap_bounds`.
 
@@ -37,27 +38,24 @@ def sure_bounds(one, round_one, hull, other, round_other, other_hull, limit, mea
     to be `measured`, they agree wherever low is above the limit.
     """
     asked = np.nan if measured else limit
-    low, high = gap_bounds(one, round_one, hull, other, round_other, other_hull, asked, way)
+    low, high = gap_bounds(one, other, asked, way)
     if certain(low, high, limit, measured):
         return low, high, False
     enough = np.inf if measured else limit
     pool, pooled = stack_array(POOL_NUMBERS, np.float64).reshape(POOL, 6), 0
-    if round_one or round_other:
+    if one.is_round or other.is_round:
         start = stack_array(3, np.float64)
         for axis in range(3):
             start[axis] = way[axis]
         least = max(limit, 0.0)
-        gap, pooled = widest_gap(
-            one, round_one, hull, other, round_other, other_hull, start, least, enough, pool
-        )
+        gap, pooled = widest_gap(one, other, start, least, enough, pool)
         if gap > least:
             low = max(low, gap)
             for axis in range(3):
                 way[axis] = start[axis]
         if low > enough:
             return low, high, True
-    cores = one, round_one, hull, other, round_other, other_hull
-    below, above = walk(cores, limit, enough, low, high, way, pool, pooled)
+    below, above = walk((one, other), limit, enough, low, high, way, pool, pooled)
     return below, min(high, above), True
 
 
@@ -79,7 +77,7 @@ def walk(cores, limit, enough, low, best, way, pool, pooled):
     simplex, normal = stack_array(24, np.float64).reshape(4, 6), stack_array(3, np.float64)
     weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
     point = point.reshape(3, 2)
-    set_ray(way, normal)
+    set_normal(way, normal)
     high, count, idle = np.inf, 0, 0
     for _ in range(SURE_STEPS):
         corner = pool[pooled]
@@ -93,12 +91,12 @@ def walk(cores, limit, enough, low, best, way, pool, pooled):
             break
         count += 1
         distance = math.sqrt(closest(simplex, count, weights, point))
-        count = keep(simplex, count, weights, point, way, distance < min(high, best))
+        count = keep_corners(simplex, count, weights, point, way, distance < min(high, best))
         if distance < high:
             high, idle = distance, 0
         if high <= limit or high == 0.0:
             break
-        set_ray(way, normal)
+        set_normal(way, normal)
     return min(low, high), high
 
 
@@ -115,7 +113,7 @@ def take_lowest(pool, pooled, normal, corner):
 
 
 @lean_kernel
-def set_ray(way, normal):
+def set_normal(way, normal):
     """Fill in the unit vector along `way`; any if it is zero."""
     largest = max(abs(way[0]), abs(way[1]), abs(way[2]))
     exponent = math.frexp(largest)[1]
@@ -139,7 +137,7 @@ def known(simplex, count):
 
 
 @lean_kernel
-def keep(simplex, count, weights, point, way, closer):
+def keep_corners(simplex, count, weights, point, way, closer):
     """Write down the closest point, and if it is `closer` the cores' points in it; keep the
     corners that make it, and return how many.
     """

@@ -32,31 +32,32 @@ TIED = 2.0**-50  # of a mesh's radius: what rounds its vertices' heights
 @lean_kernel
 def farthest_vertex(hull, x, y, z):
     """Row of the vertex of a `hull.Hull` that is farthest along (x, y, z), up to rounding."""
-    best, height = np.int64(0), -np.inf
+    best, height, way = np.int64(0), -np.inf, (x, y, z)
     blocks, count = hull.discs.shape[0], hull.places.shape[0]
     if blocks == 0:
-        return highest(hull.places, 0, count, x, y, z, best, height)[0]
+        return highest(hull.places, 0, count, way, best, height)[0]
     nodes, tops = stack_array(ROOM, np.int64), stack_array(ROOM, np.float64)
     leaves = (LANES - 1) * blocks + 1
     tied = TIED * hull.radius * max(abs(x), abs(y), abs(z))
-    waiting = push_lanes(hull.discs, 0, x, y, z, -np.inf, nodes, tops, 0)
+    waiting = push_lanes(hull.discs, 0, way, -np.inf, nodes, tops, 0)
     while waiting > 0:
         waiting -= 1
         if tops[waiting] <= height + tied:
             continue
         block = nodes[waiting]
         if block < blocks:
-            waiting = push_lanes(hull.discs, block, x, y, z, height + tied, nodes, tops, waiting)
+            waiting = push_lanes(hull.discs, block, way, height + tied, nodes, tops, waiting)
             continue
         leaf = block - blocks
         first, stop = count * leaf // leaves, count * (leaf + 1) // leaves
-        best, height = highest(hull.places, first, stop, x, y, z, best, height)
+        best, height = highest(hull.places, first, stop, way, best, height)
     return best
 
 
 @lean_kernel
-def highest(places, first, stop, x, y, z, best, height):
+def highest(places, first, stop, way, best, height):
     """The same among some rows, if that is higher than `height`; and its height."""
+    x, y, z = way
     for vertex in range(first, stop):
         here = x * places[vertex, 0] + y * places[vertex, 1] + z * places[vertex, 2]
         if here > height:
@@ -65,8 +66,11 @@ def highest(places, first, stop, x, y, z, best, height):
 
 
 @lean_kernel
-def push_lanes(discs, block, x, y, z, least, nodes, tops, waiting):
-    """Put the groups of a block that reach above `least` on the stack, the farthest last."""
+def push_lanes(discs, block, way, least, nodes, tops, waiting):
+    """Put the groups of a block that reach above `least` along a way on the stack, the farthest
+    last.
+    """
+    x, y, z = way
     disc, reach = discs[block], stack_array(LANES, np.float64)
     for k in range(LANES):
         a, b, c = disc[AXIS, k], disc[AXIS + 1, k], disc[AXIS + 2, k]

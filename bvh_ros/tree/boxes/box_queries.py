@@ -7,7 +7,7 @@ are nearest to a point.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import checks
+from .. import box_checks, checks
 from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty
 from ..rays import boxcasting
 from ..results import RayHit
@@ -52,7 +52,7 @@ class BoxQueries(Arrays):
 
         Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts.
         """
-        low, high = checks.boxes(lo, hi, self._ndim)
+        low, high = box_checks.boxes(lo, hi, self._ndim)
         count = len(low)
         queries = overlapping.Queries(low, high, checks.masks_or_one(mask, count))
         sizes = np.empty(count, np.int64)
@@ -154,8 +154,8 @@ class BoxQueries(Arrays):
         inside a box, and within 4 roundings of the exact one (see `tree.proximity`).
         """
         ndim = self._ndim
-        if checks.is_pair(point):
-            low, high = checks.pair('point', point, ndim)
+        if box_checks.is_pair(point):
+            low, high = box_checks.pair('point', point, ndim)
         else:
             low = high = checks.vector('point', point, ndim)
         k = checks.capacity('k', k)
@@ -212,6 +212,6 @@ class BoxQueries(Arrays):
 def _refuse(reason: int, low: Floats, high: Floats, ndim: int) -> None:
     """Raise what a query of one box was refused for, if it was."""
     if reason == NOT_FINITE:
-        checks.box(low, high, ndim)
+        box_checks.box(low, high, ndim)
     if reason < 0:
         raise RuntimeError(IS_CHANGED)

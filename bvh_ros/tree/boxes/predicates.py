@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import checks
+from .. import box_checks, checks
 from ..introspection import Introspection
 from ..nodes import ALL, NONE
 from ..store.arrays import Floats, Ids
@@ -22,7 +22,7 @@ class Predicates(BoxQueries, Introspection):
         """Handles of the boxes that lie in the closed box from `lo` to `hi`, shape (ndim,) each,
         with all of their corners; ascending.
         """
-        low, high = checks.box(lo, hi, self.ndim)
+        low, high = box_checks.box(lo, hi, self.ndim)
         view = self.view()
         handles = self.overlap(low, high, mask)
         lower, upper = self.boxes(handles)

@@ -2,54 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The decorators for compiled functions."""
 
-import os
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any
 
 import numba
-from numba.core import config
-from numba.core.compiler_lock import global_compiler_lock
 
-from .kernel_cache import KernelCache, cache_folder
-
-# Versions of numba whose insides are known to be what `kernel_parts` and `kernel_cache` build on.
-# With another one kernels are compiled in numba's own way: as right and as fast, but a cold start
-# takes twice as long, and each installation has its own.
-KNOWN = (0, 62), (0, 68)
-
-if hasattr(os, 'register_at_fork'):
-    # Who forks waits until no thread compiles: its child would have the lock for ever, and nobody
-    # in it who gives it back.
-    os.register_at_fork(
-        before=global_compiler_lock.acquire,
-        after_in_parent=global_compiler_lock.release,
-        after_in_child=global_compiler_lock.release,
-    )
+from . import inside
 
 
-def _compiled(function: Callable[..., Any], **options: Any) -> Any:
-    options = {'error_model': 'numpy', 'nogil': True, **options}
-    if not KNOWN[0] <= numba.version_info.short <= KNOWN[1]:
-        return _compiled_by_numba(function, options)
-    from .kernel_parts import Kernel
-
-    # C does not call us.
-    compiled = Kernel(function, {'nopython': True, 'no_cfunc_wrapper': True, **options})
-    compiled._cache = KernelCache(function)
-    return compiled
-
-
-def _compiled_by_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    folder = cache_folder()
-    # numba reads its cache folder when a function is decorated; other users of numba in this
-    # process keep their own.
-    theirs = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        return numba.njit(function, cache=folder is not None, **options)
-    finally:
-        config.CACHE_DIR = theirs
+def _compiled(function: Callable[..., Any], **private: Any) -> Any:
+    """A kernel; `private` are options that numba does not document."""
+    options = {'error_model': 'numpy', 'nogil': True}
+    parts = inside.parts()
+    if parts is None:
+        return numba.njit(function, **options)
+    return parts.Kernel(function, {**options, **private})
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -95,5 +63,7 @@ def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
     numba's dispatcher looks at the types of all arguments at every call. For twelve arrays that
     takes 0.4 us, as long as a ray; for twelve in a NamedTuple, 1.3 us.
     """
-    code: Callable[..., Any] = compiled.compile(tuple(map(numba.typeof, arguments)))
+    code: Callable[..., Any] = compiled
+    if inside.parts() is not None:
+        code = compiled.compile(tuple(map(numba.typeof, arguments)))
     return code

@@ -6,10 +6,19 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .intrinsics import WIDTH, elements_at, index, pick, record_at, splat
+from .intrinsics import (
+    WIDTH,
+    each,
+    elements_at,
+    index,
+    operation,
+    pick,
+    record_at,
+    splat,
+    variable,
+)
 
 _FLOAT, _BIT, _INT, _LONG = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
 _WIDE = ir.VectorType(_FLOAT, WIDTH)
@@ -32,8 +41,7 @@ def _slabs(builder: Any, boxes: list[Any], field: Any) -> tuple[Any, Any]:
     limit; field(name, axis) is a number of the ray. The distance of a plane is fma(plane, slope,
     shift).
     """
-    kind = ir.FunctionType(_WIDE, [_WIDE] * 3)
-    fma = cgutils.get_or_insert_function(builder.module, kind, 'llvm.fma.v16f32')
+    fma = operation(builder, 'llvm.fma.v16f32', _WIDE, [_WIDE] * 3)
     entry, leave = ir.Constant(_WIDE, [0.0] * WIDTH), field('limit')
     for axis, (near, far) in enumerate(boxes):
         slope = field('slope', axis)
@@ -67,10 +75,10 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
         boxes = _near_and_far(builder, part(0, builder.mul(node, floats), floats), octant, ndim)
         places, hits = part(4, index(0), count), part(5, index(0), count)
         nearest = part(6, index(0), index(WIDTH))
-        least = cgutils.alloca_once_value(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
-        any_hits = cgutils.alloca_once_value(builder, ir.Constant(_INT, 0))
-        with cgutils.for_range(builder, count) as loop:
-            place = builder.load(builder.gep(places, [loop.index]))
+        least = variable(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
+        any_hits = variable(builder, ir.Constant(_INT, 0))
+        with each(builder, count) as number:
+            place = builder.load(builder.gep(places, [number]))
             ray = record_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
 
             def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
@@ -84,7 +92,7 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
             nearer = pick(builder, '<', entry, so_far)
             builder.store(builder.select(met, nearer, so_far), least)
             bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
-            builder.store(bits, builder.gep(hits, [loop.index]))
+            builder.store(bits, builder.gep(hits, [number]))
             builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
         builder.store(builder.load(least), builder.bitcast(nearest, _WIDE.as_pointer()), align=4)
         return builder.load(any_hits)

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .intrinsics import LANES, WIDTH, elements_at, index, pick, splat
+from .intrinsics import LANES, WIDTH, each, elements_at, index, operation, pick, splat, variable
 
 NO_COST = np.uint32(0x7F800000)  # the bits of inf; those of NaN are above
 NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number
@@ -55,8 +54,8 @@ def _larger(builder: Any, a: Any, b: Any) -> Any:
 
     Of a comparison and a choice LLVM would make a masked store, which the next load waits for.
     """
-    kind, name = ir.FunctionType(a.type, [a.type] * 2), f'llvm.maxnum.v{a.type.count}f32'
-    largest = cgutils.get_or_insert_function(builder.module, kind, name)
+    name = f'llvm.maxnum.v{a.type.count}f32'
+    largest = operation(builder, name, a.type, [a.type] * 2)
     return builder.call(largest, [a, b], fastmath=('nnan',))
 
 
@@ -78,8 +77,8 @@ def _least_rank(builder: Any, costs: Any, first: Any) -> Any:
     bits = builder.bitcast(costs, ir.VectorType(_INT, lanes))
     numbers = builder.add(_ints(range(lanes)), splat(builder, first, lanes))
     ranks = builder.or_(builder.and_(bits, _ints([~int(NUMBER)] * lanes)), numbers)
-    kind, name = ir.FunctionType(_INT, [ranks.type]), f'llvm.vector.reduce.umin.v{lanes}i32'
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [ranks])
+    least = operation(builder, f'llvm.vector.reduce.umin.v{lanes}i32', _INT, [ranks.type])
+    return builder.call(least, [ranks])
 
 
 # ---- bins
@@ -193,19 +192,19 @@ def _division_costs(
     the left.
     """
     lowest, none, one = (_floats(number, lanes) for number in (float('-inf'), 0.0, 1.0))
-    left, right = ([cgutils.alloca_once_value(builder, lowest) for _ in _BOUNDS] for _ in '12')
-    number = cgutils.alloca_once_value(builder, none)
-    with cgutils.for_range(builder, count) as loop:
-        box = builder.bitcast(builder.gep(boxes, [loop.index]), _FLOAT.as_pointer())
-        chosen = on_left(loop.index)
+    left, right = ([variable(builder, lowest) for _ in _BOUNDS] for _ in '12')
+    so_far = variable(builder, none)
+    with each(builder, count) as number:
+        box = builder.bitcast(builder.gep(boxes, [number]), _FLOAT.as_pointer())
+        chosen = on_left(number)
         for i, a, b in zip(_BOUNDS, left, right, strict=True):
             bound = splat(builder, builder.load(builder.gep(box, [index(i)])), lanes)
             for side, here in ((a, chosen), (b, builder.not_(chosen))):
                 old = builder.load(side)
                 builder.store(builder.select(here, _larger(builder, old, bound), old), side)
         more = builder.select(chosen, one, none)
-        builder.store(builder.fadd(builder.load(number), more), number)
-    lefts = builder.load(number)
+        builder.store(builder.fadd(builder.load(so_far), more), so_far)
+    lefts = builder.load(so_far)
     rights = builder.fsub(splat(builder, builder.sitofp(count, _FLOAT), lanes), lefts)
     costs = []
     for side, boxes_there in ((left, lefts), (right, rights)):

@@ -6,10 +6,9 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, pick, splat
+from .intrinsics import elements_at, index, operation, pick, splat
 
 FOUR = 4
 
@@ -19,8 +18,7 @@ _VECTOR, _NARROW = ir.VectorType(_DOUBLE, FOUR), ir.VectorType(ir.FloatType(), F
 
 def _each(builder: Any, name: str, *operands: Any) -> Any:
     """LLVM's function of this name, lane by lane."""
-    kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(operands))
-    function = cgutils.get_or_insert_function(builder.module, kind, f'llvm.{name}.v4f64')
+    function = operation(builder, f'llvm.{name}.v4f64', _VECTOR, [_VECTOR] * len(operands))
     return builder.call(function, operands)
 
 
@@ -46,7 +44,7 @@ def _largest(builder: Any, numbers: Any) -> Any:
 
 
 @intrinsic
-def aim(typingctx, ray, origin, direction, center, per_length, bounds):
+def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
     """Write how a ray meets planes, `slope`, `near_shift` and `far_shift` of a record as of
     `filtering.ray_dtype`; what lies in the four bytes behind each of them is lost. Returns the
     largest component of the direction, and whether the ray is within `bounds`.
@@ -67,8 +65,8 @@ def aim(typingctx, ray, origin, direction, center, per_length, bounds):
             builder.store(builder.fptrunc(numbers, _NARROW), place, align=4)
 
         record = builder.bitcast(args[0], ir.IntType(8).as_pointer())
-        bounds = [splat(builder, b, FOUR) for b in cgutils.unpack_tuple(builder, args[5])]
-        farthest, least, most, steepest, pad = bounds
+        given = (builder.extract_value(args[5], place) for place in range(5))
+        farthest, least, most, steepest, pad = (splat(builder, one, FOUR) for one in given)
         direction, zero, one = row(2), *(ir.Constant(_VECTOR, [n] * FOUR) for n in (0.0, 1.0))
         length = _each(builder, 'fabs', direction)
         largest = _largest(builder, length)

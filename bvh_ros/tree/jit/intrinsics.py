@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What numba's own language lacks: small arrays on the stack, and LLVM's vector operations."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
 
 LANES = 8  # floats of a box: lower and upper bounds, padded
 WIDTH = 16  # children of a wide node
@@ -29,14 +29,14 @@ def stack_array(typingctx, size, dtype):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         item = context.get_data_type(kind.dtype)
-        room = cgutils.alloca_once(builder, ir.ArrayType(item, length))
+        room = _on_stack(builder, ir.ArrayType(item, length))
         if isinstance(kind.dtype, types.Record):
             room.align = CACHE_LINE
-        array = make_array(kind)(context, builder)
+        array = context.make_array(kind)(context, builder)
         extent = context.get_constant(types.intp, length)
         step = context.get_constant(types.intp, context.get_abi_sizeof(item))
         data = builder.bitcast(room, item.as_pointer())
-        populate_array(
+        context.populate_array(
             array, data=data, shape=[extent], strides=[step], itemsize=step, meminfo=None
         )
         return array._getvalue()
@@ -47,6 +47,42 @@ def stack_array(typingctx, size, dtype):
 def index(value: int) -> Any:
     """An int64 constant."""
     return ir.Constant(_LONG, value)
+
+
+def _on_stack(builder: Any, kind: Any) -> Any:
+    """Room that is made once a call, wherever it is asked for."""
+    with builder.goto_entry_block():
+        return builder.alloca(kind)
+
+
+def variable(builder: Any, value: Any) -> Any:
+    """Pointer to a value on the stack."""
+    place = _on_stack(builder, value.type)
+    builder.store(value, place)
+    return place
+
+
+@contextlib.contextmanager
+def each(builder: Any, count: Any) -> Iterator[Any]:
+    """What is built within is done for every number from 0 to below `count`."""
+    before = builder.block
+    head, body, after = (builder.append_basic_block(f'each.{part}') for part in ('', 'do', 'end'))
+    builder.branch(head)
+    builder.position_at_end(head)
+    number = builder.phi(_LONG)
+    number.add_incoming(index(0), before)
+    builder.cbranch(builder.icmp_signed('<', number, count), body, after)
+    builder.position_at_end(body)
+    yield number
+    number.add_incoming(builder.add(number, index(1)), builder.block)
+    builder.branch(head)
+    builder.position_at_end(after)
+
+
+def operation(builder: Any, name: str, result: Any, arguments: list[Any]) -> Any:
+    """One of LLVM's own functions, of these types."""
+    known = builder.module.globals.get(name)
+    return known or ir.Function(builder.module, ir.FunctionType(result, arguments), name)
 
 
 def splat(builder: Any, scalar: Any, lanes: int) -> Any:
@@ -68,6 +104,8 @@ def elements_at(context: Any, builder: Any, kind: Any, array: Any, first: Any, c
     """
     view = context.make_array(kind)(context, builder, array)
     if context.enable_boundscheck:
+        from numba.core import cgutils
+
         last = builder.sub(builder.add(first, count), index(1))
         for place in (first, last):
             cgutils.do_boundscheck(context, builder, place, view.nitems)
@@ -95,11 +133,8 @@ def prefetch(typingctx, array, place, lines):
     count = lines.literal_value
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        ask = cgutils.get_or_insert_function(
-            builder.module,
-            ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT]),
-            'llvm.prefetch.p0i8',
-        )
+        kinds = [_BYTE.as_pointer(), _INT, _INT, _INT]
+        ask = operation(builder, 'llvm.prefetch.p0i8', ir.VoidType(), kinds)
         first = _bytes_at(context, builder, signature.args[0], args[0], args[1])
         for line in range(count):
             how = [ir.Constant(_INT, flag) for flag in (0, 3, 1)]  # to be read, near, data

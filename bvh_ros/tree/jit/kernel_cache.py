@@ -1,57 +1,32 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the machine code of the kernels is kept.
+"""The folder in which the machine code of the kernels is kept, and what else is noted there.
 
-numba's own disk cache looks only at the file of the function that is called: after an edit in a
-callee's file it would still run the old code. So a kernel's code is named by a hash of every
-source that it depends on (`kernel_sources`), and the cache folder by a hash of every setting of
-numba that changes code. Kernels go by their place in the package, not on the disk: equal sources
-share machine code wherever they are installed.
-
-A crash, a full disk or a stray copy may leave anything there. So each file begins with a hash of
-its name and content, and is looked into only if that hash is right. Else the kernel is compiled
-again.
+It is named by a hash of every setting of numba that changes code; `kernel_files` says what is in
+it.
 """
 
 import contextlib
 import functools
 import hashlib
 import os
-import pickle
 import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import llvmlite
 import numba
-from numba.core import caching, config
-from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
-from numba.core.types import Record
+from numba import config
 
-from . import kernel_sources, shipped
-from .entry_lock import EntryLock
-from .private_folder import UnsafeError, is_ours_alone, open_private, write_whole
+from . import inside, kernel_sources, shipped
+from .private_folder import UnsafeError, open_private, write_whole
 
 # Settings of numba that leave machine code as it is, by a word in their names.
 _BESIDE_THE_CODE = 'CACHE', 'CUDA', 'THREAD'
-_SEAL = hashlib.sha256().digest_size
 
 
-def _named_by_its_fields(record: Record) -> tuple[str, tuple[int]]:
-    return 'Record', (int(hashlib.sha256(record.name.encode()).hexdigest()[:15], 16),)
-
-
-# numba puts a number into the name of machine code that takes a record type, and counts record
-# types anew in every process. So code for 2D nodes from one process and code for 3D nodes from
-# another could have one name, and a process that loaded both ran one in place of the other. Named
-# by a hash of their fields, types are told apart across processes.
-Record.mangling_args = property(_named_by_its_fields)  # type: ignore[assignment, method-assign]
-
-
-def _settings() -> tuple[str, ...]:
+def settings() -> tuple[str, ...]:
     """What else decides the machine code: the compiler's version, and its settings now.
 
     numba takes settings from `NUMBA_...` in the environment and from `.numba_config.yaml`, and
@@ -84,16 +59,19 @@ def _places() -> Iterator[Path]:
 
 def cache_folder() -> Path | None:
     """Folder of the kernels that are compiled with exactly these settings of numba; None where no
-    folder can be written, or only one that others can write, too.
+    folder can be written, or only one that others can write, too, and with a numba that is not
+    known inside.
 
     In `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME`, else `~/.cache`, else the machine's temporary
     folder.
     """
-    return _find_folder(_settings())
+    return _find_folder(settings())
 
 
 @functools.cache
 def _find_folder(settings: tuple[str, ...]) -> Path | None:
+    if inside.parts() is None:
+        return None
     name = hashlib.sha256('\n'.join(settings).encode()).hexdigest()[:16]
     refused: list[OSError] = []
     found = None
@@ -105,11 +83,11 @@ def _find_folder(settings: tuple[str, ...]) -> Path | None:
             refused.append(error)
     if found is None or any(isinstance(error, UnsafeError) for error in refused):
         why = '; '.join(map(str, refused)) or 'there is no home and no temporary folder'
-        _warn(f'kept in {found}: {why}' if found else f'not kept: {why}')
+        warn(f'kept in {found}: {why}' if found else f'not kept: {why}')
     return found
 
 
-def _warn(state: str) -> None:
+def warn(state: str) -> None:
     warnings.warn(f'the machine code of bvh_ros is {state}', RuntimeWarning, stacklevel=2)
 
 
@@ -123,7 +101,9 @@ def note(what: str) -> None:
 
 def is_noted(what: str) -> bool:
     """Whether all of what this names was kept before, or shipped."""
-    ready_made = shipped.find(_settings())
+    if inside.parts() is None:
+        return False
+    ready_made = shipped.find(settings())
     if ready_made is not None and (ready_made.folder / _note(what)).exists():
         return True
     folder = cache_folder()
@@ -140,155 +120,5 @@ def ship() -> Path:
     folder = cache_folder()
     if folder is None:
         raise OSError('there is no folder to write kernels to')
-    shipped.finish(folder, _settings())
+    shipped.finish(folder, settings(), inside.parts().code_generator())
     return folder
-
-
-class _Place(caching._CacheLocator):
-    """A kernel's place in the package."""
-
-    def __init__(self, function: Any, source: str) -> None:
-        self._function = function
-        self._py_file = source
-
-    @classmethod
-    def from_function(cls, function: Any, source: str) -> '_Place':
-        return cls(function, source)
-
-    def get_cache_path(self) -> str:
-        return ''  # `_SealedFiles` looks for the folder when there is something to keep
-
-    def ensure_cache_path(self) -> None:
-        pass
-
-    def get_source_stamp(self) -> str:
-        return ''  # `_SealedFiles` asks for it when there is something to look for
-
-    def depends_on(self) -> str:
-        """Hash of the sources that this function's code depends on."""
-        source = Path(self._py_file).resolve()
-        if self._function.__closure__ is None and source.is_relative_to(kernel_sources.PACKAGE):
-            return kernel_sources.digest(source)
-        # What a closure holds, or a file elsewhere imports, may be anything.
-        beside = hashlib.sha256(source.read_bytes()).hexdigest()
-        return f'{beside} {kernel_sources.digest_of_all()}'
-
-    def get_disambiguator(self) -> str:
-        room = Path(self._py_file).resolve().parent.relative_to(kernel_sources.PACKAGE)
-        return '-'.join((*room.parts, str(self._function.__code__.co_firstlineno)))
-
-
-class _Kept(caching.CompileResultCacheImpl):
-    _locator_classes = (_Place,)
-
-
-class _SealedFiles:
-    """A kernel's machine code on disk: for each signature a file, which needs no other one.
-
-    So processes that compile the same kernel at once just write equal files, one after the other.
-    """
-
-    _said = False
-
-    def __init__(self, name: str, locator: _Place) -> None:
-        self._name = name
-        self._locator = locator
-
-    @functools.cached_property
-    def _stamp(self) -> str:
-        """Of the sources; most kernels are only called by others, and never asked for it."""
-        return self._locator.depends_on()
-
-    def load(self, key: Any) -> Any:
-        """Return what is kept or shipped under this key; None if that is nothing, or no longer
-        whole.
-        """
-        ready_made = shipped.find(_settings())
-        if ready_made is not None:
-            signature, _, hashes = key
-            name = self.name_of((signature, ready_made.codegen, hashes))
-            content = self._read(ready_made.folder / name, or_of_root=True)
-            if content is not None:
-                return pickle.loads(content)
-        path = self._path(key)
-        content = None if path is None else self._read(path)
-        return None if content is None else pickle.loads(content)
-
-    def _read(self, path: Path, *, or_of_root: bool = False) -> bytes | None:
-        try:
-            with path.open('rb') as file:
-                if not is_ours_alone(os.fstat(file.fileno()), or_of_root=or_of_root):
-                    return None
-                seal, content = file.read(_SEAL), file.read()
-        except OSError:
-            return None
-        if seal != self._seal(path, content):
-            return None
-        caching._cache_log('[cache] data loaded from %r', str(path))
-        return content
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep data under this key. Where that fails, it is this process's only: said once."""
-        path = self._path(key)
-        if path is None:
-            return
-        content = dumps(data)
-        try:
-            write_whole(path, self._seal(path, content) + content)
-        except OSError as error:
-            if not _SealedFiles._said:
-                _SealedFiles._said = True
-                _warn(f'not kept: {error}')
-            return
-        caching._cache_log('[cache] data saved to %r', str(path))
-
-    def _path(self, key: Any) -> Path | None:
-        folder = cache_folder()
-        return None if folder is None else folder / self.name_of(key)
-
-    def name_of(self, key: Any) -> str:
-        signature = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
-        return f'{self._name}.{signature[:32]}.nbc'
-
-    @staticmethod
-    def _seal(path: Path, content: bytes) -> bytes:
-        """Hash of what the content is, and of the content: a renamed file is not whole, either."""
-        digest = hashlib.sha256(f'{path.parent.name}/{path.name}\n'.encode())
-        digest.update(content)
-        return digest.digest()
-
-
-class KernelCache(caching.FunctionCache):
-    """A kernel's machine code on disk, which one process compiles while others wait for it."""
-
-    _impl_class = _Kept
-
-    def __init__(self, function: Any) -> None:
-        super().__init__(function)
-        self._cache_file = _SealedFiles(self._impl.filename_base, self._impl.locator)
-        self._lock = EntryLock()
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is kept. Else who calls has to compile it, to save it and to call `release`;
-        until then other processes that want it wait.
-        """
-        found = self._load(sig, target_context)
-        if found is not None or (folder := cache_folder()) is None:
-            return found
-        key = self._index_key(sig, target_context.codegen())
-        if self._lock.acquire(folder, self._cache_file.name_of(key)):
-            found = self._load(sig, target_context)  # compiled while we waited
-        return found
-
-    def release(self) -> None:
-        """Let others compile what was not there."""
-        self._lock.release()
-
-    def _load(self, sig: Any, target_context: Any) -> Any:
-        # numba would also import all that it compiles with. What is compiled needs but this.
-        rtsys.initialize(target_context)
-        try:
-            return self._load_overload(sig, target_context)
-        except Exception:
-            # Whole, but not for this Python, numpy or llvmlite. That may raise anything.
-            return None

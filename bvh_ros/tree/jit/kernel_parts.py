@@ -9,29 +9,54 @@ by another one is handed over simplified, and optimised there, in its place. Tha
 of a cold start, and leaves the machine code as fast as it was.
 """
 
+import contextlib
+import hashlib
+import os
+from collections.abc import Iterator
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, DefaultPassBuilder, Flags
+from numba.core.compiler import Compiler, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
-from numba.core.registry import CPUDispatcher
+from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import NativeLowering
+from numba.core.types import Record
+
+from .kernel_files import KernelCache
+
+if hasattr(os, 'register_at_fork'):
+    # Who forks waits until no thread compiles: its child would have the lock for ever, and nobody
+    # in it who gives it back.
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
 
 
-def _same_hash(_flags: Flags) -> int:
-    return _ANY_FLAGS
+def _name_by_fields(record: Record) -> tuple[str, tuple[int]]:
+    return 'Record', (int(hashlib.sha256(record.name.encode()).hexdigest()[:15], 16),)
 
 
-def _are_equal(some: Flags, other: object) -> bool:
-    return some is other or (isinstance(other, Flags) and some._values == other._values)
+_BY_FIELDS = property(_name_by_fields)
 
 
-# For every operator in a kernel numba looks up dozens of implementations by the flags it compiles
-# with, and for each compares all flags by name. What is set is enough: flags that differ only in
-# that one says what is so anyway count as different, and such an implementation is made twice.
-_ANY_FLAGS = hash(Flags())  # by the names of flags, so that of all
-Flags.__hash__ = _same_hash
-Flags.__eq__ = _are_equal
+@contextlib.contextmanager
+def _records_named_by_fields() -> Iterator[None]:
+    """While this thread compiles, and no other one, name record types by a hash of their fields.
+
+    numba puts a number into the name of machine code that takes a record type, and counts record
+    types anew in every process. So code for 2D nodes from one process and code for 3D nodes from
+    another could have one name, and a process that loaded both ran one in place of the other.
+    """
+    with global_compiler_lock:
+        theirs = Record.mangling_args
+        Record.mangling_args = _BY_FIELDS  # type: ignore[assignment, method-assign]
+        try:
+            yield
+        finally:
+            Record.mangling_args = theirs  # type: ignore[method-assign]
 
 
 class _Code(JITCodeLibrary):
@@ -85,6 +110,10 @@ class _PartCompiler(Compiler):
 class _Part(CPUDispatcher):
     """A function as other kernels call it."""
 
+    def compile(self, sig: Any) -> Any:
+        with _records_named_by_fields():
+            return super().compile(sig)
+
     def add_overload(self, result: Any) -> None:
         self.overloads[tuple(result.signature.args)] = result
 
@@ -93,17 +122,27 @@ class Kernel(CPUDispatcher):
     """A function that Python calls, or that kernels call: these get its part."""
 
     def __init__(self, function: Any, options: dict[str, Any]) -> None:
+        options = {'nopython': True, 'no_cfunc_wrapper': True, **options}  # C does not call us
         super().__init__(function, targetoptions=options)
         self._part = _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
+        self._cache = KernelCache(function)
 
     def compile(self, sig: Any) -> Any:
-        try:
-            return super().compile(sig)
-        finally:
-            self._cache.release()
+        """Return the machine code for these types."""
+        with _records_named_by_fields():
+            try:
+                return super().compile(sig)
+            finally:
+                self._cache.release()
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return self._part.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
         return self._part.get_overload(sig)
+
+
+def code_generator() -> tuple[str, str, str]:
+    """Return the triple, processor and features that numba names machine code by."""
+    found: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    return found

@@ -13,12 +13,9 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-
-import llvmlite.binding as llvm
-from numba.core.registry import cpu_target
 
 from . import kernel_sources
 from .private_folder import UnsafeError, check
@@ -43,17 +40,24 @@ class Shipped(NamedTuple):
     codegen: Codegen
 
 
+def host_features() -> Mapping[str, bool]:
+    """What this processor has, by LLVM's names."""
+    import llvmlite.binding as llvm
+
+    found: Mapping[str, bool] = llvm.get_host_cpu_features()
+    return found
+
+
 def missing_features(wanted: Sequence[str]) -> list[str]:
     """Return what this processor has not got."""
-    here = llvm.get_host_cpu_features()
+    here = host_features()
     return [feature for feature in wanted if not here.get(feature, False)]
 
 
-def finish(folder: Path, settings: Sequence[str]) -> None:
+def finish(folder: Path, settings: Sequence[str], codegen: Codegen) -> None:
     """Write the manifest of a folder that was compiled with these settings, and let all read it,
     as who made it can alone write there.
     """
-    codegen = cpu_target.target_context.codegen().magic_tuple()
     named = LEVELS.get(codegen[1])
     features = [word[1:] for word in codegen[2].split(',') if word.startswith('+')]
     content = {

@@ -50,11 +50,6 @@ class Workers:
         """The numbers of the calls that run now."""
         return tuple(self._busy.values())
 
-    @property
-    def are_done(self) -> bool:
-        """Whether every call has ended, and has been told of."""
-        return not (self._busy or self._todo or self._lost)
-
     def ended(self, timeout: float) -> Iterator[tuple[int, str]]:
         """Tell which calls have ended, and why those failed that did; wait for the first one, at
         most so many seconds.

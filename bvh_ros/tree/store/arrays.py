@@ -4,14 +4,15 @@
 rays share.
 """
 
+import contextlib
 import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import changing, checks
-from ..build import building
+from .. import changing, handle_checks
+from ..build.building import room_to_build
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
@@ -21,7 +22,6 @@ from ..nodes import (
     RECENT_PLACES,
     ROOT,
     SLOT_MASK,
-    STATE_PLACES,
     TURN,
     WRITTEN,
     Tree,
@@ -29,11 +29,13 @@ from ..nodes import (
 )
 from ..wide import snapshot as wide
 from .storage import READ_ONLY, Storage, allocate, inherit_entry
-from .turns import ANY_VERSION, IS_CHANGED, IS_QUERIED, QUERIED
+from .turns import ANY_VERSION, CHANGED, IS_CHANGED, IS_QUERIED, QUERIED
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 IS_READ_ONLY = 'the tree is mapped from a file and read-only: load it without mmap to change it'
+# Why a change of one box is refused, where that is no fault of the arguments.
+MENDED = QUERIED, CHANGED, changing.FULL, changing.OWING, changing.NO_NUMBERS
 NO_ROWS, NO_MASKS = np.empty(0, np.int64), np.empty(0, np.uint32)
 
 
@@ -86,42 +88,21 @@ class Arrays:
         its box is removed. KeyError if a handle names no box.
         """
         given = np.asarray(handles)
-        flat = checks.slots_of(self.view().tree.handles, given.reshape(-1), once=False)
+        flat = handle_checks.slots_of(self.view().tree.handles, given.reshape(-1), once=False)
         return flat.reshape(given.shape)
 
     def slot(self, handle: int) -> int:
         """`slots` of one handle."""
-        number, handles = checks.handle(handle), self._settled().tree.handles
+        number, handles = handle_checks.handle(handle), self._settled().tree.handles
         slot = number & SLOT_MASK
         if slot < len(handles) and handles.item(slot) == number:
             return slot
-        raise checks.unknown(handle)
+        raise handle_checks.unknown(handle)
 
     @property
     def state(self) -> NDArray[np.int64]:
         """Its root and what it counts, see `nodes`: kernels that count rays write there."""
         return self._settled().tree.state
-
-    @property
-    def _nodes(self) -> NDArray[Any]:
-        return self._settled().tree.nodes
-
-    @property
-    def _heights(self) -> NDArray[np.int16]:
-        return self._settled().tree.heights
-
-    @property
-    def _tight(self) -> NDArray[Any]:
-        return self._settled().tree.tight
-
-    @property
-    def _handles(self) -> Ids:
-        return self._settled().tree.handles
-
-    @property
-    def _state(self) -> NDArray[np.int64]:
-        """What of the state a file holds."""
-        return self._settled().tree.state[:STATE_PLACES]
 
     # ---- turns
 
@@ -179,6 +160,29 @@ class Arrays:
         else:
             raise RuntimeError(IS_QUERIED if reason == QUERIED else IS_CHANGED)
 
+    def _change(self, kernel: Any, *arguments: Any) -> int:
+        """Call a kernel until nothing that can be mended is in its way; what it returned then."""
+        while True:
+            storage = self._settled()
+            done: int = kernel(storage.tree, *arguments)
+            if done >= 0 or done not in MENDED:
+                return done
+            self._make_way(done, storage, 1)
+
+    def _settle_soon(self) -> None:
+        """The change is done. What it owes now is done at once, or by the next one."""
+        with contextlib.suppress(RuntimeError, MemoryError):
+            self._settle()
+
+    def _keep_exact_boxes(self) -> None:
+        """From the first predicted displacement on, fat and exact boxes differ even where the
+        margin is zero.
+        """
+        storage = self._settled()
+        while not len(storage.tree.tight):
+            self._replace_storage(storage, len(storage.tree.handles), True)
+            storage = self._settled()
+
     def _change_many(
         self,
         how: int,
@@ -200,7 +204,7 @@ class Arrays:
             storage = self._settled()
             state = storage.tree.state
             now = state.item(CHANGES) if version == ANY_VERSION else version
-            room = building.room_to_build(state.item(COUNT) + more)
+            room = room_to_build(state.item(COUNT) + more)
             done: int = kernel(storage.tree, now, how, change, policy, room)
             if done >= 0:
                 return done

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined
-from ..jit.float64x4 import aim
+from ..jit.float64x4 import set_slopes
 from ..nodes import NONE
 from ..rays.slab import INSIDE
 
@@ -32,7 +32,8 @@ NOWHERE = np.float32(-1.0)  # a limit that no box is within
 @functools.cache
 def ray_dtype(ndim: int) -> np.dtype[Any]:
     """Record of a ray on its way through the snapshot, of one cache line: its best hit so far, and
-    what `stream16` reads. `aim` writes four bytes more than each of its three fields, in turn.
+    what `stream16` reads. `set_slopes` writes four bytes more than each of its three fields, one
+    after the other.
     """
     three = np.float32, (ndim,)
     fields = {
@@ -61,7 +62,7 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
     """Fill a record; return whether the ray is suited. What is not finite is not: NaN is in no
     range.
     """
-    largest, suited = aim(ray, origin, direction, center, per_length, _BOUNDS)
+    largest, suited = set_slopes(ray, origin, direction, center, per_length, _BOUNDS)
     unit = largest * per_length
     ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
     ray.slot, ray.axis, ray.exact = NONE, INSIDE, False

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros.conversions.generators import ended
 
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
@@ -53,15 +54,6 @@ def into_map(frame_id, stamp):
     if frame_id == 'turned':
         return Transform(np.array((10.0, 0.0, 0.0)), np.array((0.0, 0.0, 1.0, 0.0)))
     raise FrameError(f"no transform from '{frame_id}'")
-
-
-def ended(work):
-    """What a generator returns in the end."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
 
 
 def change(*array, prefix=''):

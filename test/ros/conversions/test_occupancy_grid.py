@@ -8,19 +8,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros.conversions.generators import ended
 
 from bvh_ros.ros.conversions import occupancy_grid
 
 OPTIONS = {'occupied_at': 65, 'unknown_occupied': False, 'z_min': 0.0, 'z_max': 2.0, 'most': 1000}
-
-
-def ended(work):
-    """What a generator returns in the end."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
 
 
 def rectangles(mask, most=100_000):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.scene.distance.gjk import gap_bounds
+from bvh_ros.scene.distance.gjk import Core, gap_bounds
 
 BOX, SPHERE, CYLINDER = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER
 
@@ -21,7 +21,7 @@ def core(half, turn=None, centre=(0, 0, 0)):
 
 
 def bounds_of(box, cylinder):
-    return gap_bounds(box, False, None, cylinder, True, None, math.nan, np.empty(9))
+    return gap_bounds(Core(box, False, None), Core(cylinder, True, None), math.nan, np.empty(9))
 
 
 @pytest.mark.parametrize(

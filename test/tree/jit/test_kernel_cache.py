@@ -3,11 +3,10 @@
 """Machine code is made once: for one signature a kernel, for all who have the same sources."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
+
+from tree.jit.alone import run_alone
 
 import bvh_ros
 
@@ -36,15 +35,7 @@ def start(package: Path) -> dict[str, tuple[int, int]]:
     """What a new process calls of this copy: each kernel's signatures, and how many it had to
     compile.
     """
-    ended = subprocess.run(
-        [sys.executable, '-c', START, str(package)],
-        capture_output=True,
-        text=True,
-        timeout=240,  # seconds: the very first start compiles
-        cwd=package.parent,
-        env={**os.environ, 'PYTHONPATH': str(package.parent)},
-        check=False,
-    )
+    ended = run_alone(START, str(package), cwd=package.parent, PYTHONPATH=str(package.parent))
     assert ended.returncode == 0, ended.stderr
     return {name: (signatures, misses) for name, signatures, misses in json.loads(ended.stdout)}
 
@@ -99,31 +90,6 @@ def test_code_from_two_processes_does_not_mix(tmp_path):
     shutil.copytree(Path(bvh_ros.__file__).parent, tmp_path / 'bvh_ros')
     (tmp_path / 'bvh_ros' / 'tree' / 'probe.py').write_text(PROBE)
     for dimensions in ('2', '3', '23', '32'):
-        ended = subprocess.run(
-            [sys.executable, '-c', REFIT, dimensions],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, 'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path)},
-            check=False,
-        )
+        places = {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path)}
+        ended = run_alone(REFIT, dimensions, cwd=tmp_path, **places)
         assert ended.returncode == 0, (dimensions, ended.stderr)
-
-
-OTHER_NUMBA = """
-import numba
-
-numba.version_info = numba.version_info._replace(short=(0, 999))
-import numpy as np
-from bvh_ros.tree import checks
-
-assert type(checks._first_not_finite).__name__ == 'CPUDispatcher'
-assert checks._first_not_finite(np.array([[0.0, 1.0], [2.0, np.nan]])) == 1
-"""
-
-
-def test_with_an_unknown_numba_kernels_are_compiled_in_its_own_way():
-    ended = subprocess.run(
-        [sys.executable, '-c', OTHER_NUMBA], capture_output=True, text=True, check=False
-    )
-    assert ended.returncode == 0, ended.stderr

@@ -14,9 +14,10 @@ import sys
 import numpy as np
 import pytest
 from numba.core import config
+from tree.jit.alone import run_alone
 
-from bvh_ros.tree import checks
-from bvh_ros.tree.jit import compiling, kernel_cache, private_folder
+from bvh_ros.tree import box_checks, checks
+from bvh_ros.tree.jit import compiling, kernel_cache, kernel_files, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
 
@@ -26,7 +27,7 @@ def cache(tmp_path, monkeypatch):
     """An empty cache folder for this process."""
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
     kernel_cache._find_folder.cache_clear()
-    monkeypatch.setattr(kernel_cache._SealedFiles, '_said', False)
+    monkeypatch.setattr(kernel_files._SealedFiles, '_said', False)
     yield tmp_path / 'bvh_ros'
     kernel_cache._find_folder.cache_clear()
 
@@ -76,7 +77,7 @@ def test_settings_that_leave_code_as_it_is_share_it(cache, monkeypatch):
 def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
     """The second box's upper corner lies behind its array's end, in memory that is there."""
     lower, upper = np.zeros((2, 1)), np.ones((2, 1))[:1]
-    function = checks._first_reversed.py_func
+    function = box_checks._first_reversed.py_func
     assert compiling.kernel(function)(lower, upper) == -1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
     with pytest.raises(IndexError):
@@ -109,14 +110,14 @@ def test_a_damaged_file_is_compiled_again(cache):
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
     """Another kernel's, another version's, a folder, a link to nothing, one that is not ours."""
-    compiling.lean_kernel(checks._first_reversed.py_func)(ROWS, ROWS)
+    compiling.lean_kernel(box_checks._first_reversed.py_func)(ROWS, ROWS)
     (other,) = kept_files(cache)
     misses()
     (file,) = {*kept_files(cache)} - {other}
     shutil.copy(other, file)
     assert (misses(), misses()) == (1, 0)
     (cache / 'old').mkdir()
-    old = kernel_cache._SealedFiles._seal(cache / 'old' / file.name, file.read_bytes()[32:])
+    old = kernel_files._SealedFiles._seal(cache / 'old' / file.name, file.read_bytes()[32:])
     file.write_bytes(old + file.read_bytes()[32:])
     assert (misses(), misses()) == (1, 0)
     file.unlink()
@@ -151,19 +152,19 @@ def test_what_no_longer_unpickles_is_compiled_again(cache, error):
     misses()
     (file,) = kept_files(cache)
     content = pickle.dumps(Raising(error))
-    file.write_bytes(kernel_cache._SealedFiles._seal(file, content) + content)
+    file.write_bytes(kernel_files._SealedFiles._seal(file, content) + content)
     assert (misses(), misses()) == (1, 0)
 
 
 NO_SPACE = """
 import resource, sys
 import numpy as np
-from bvh_ros.tree import checks
+from bvh_ros.tree import box_checks, checks
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), -1))
 rows = np.array([[0.0, 1.0], [2.0, np.nan]])
 assert checks._first_not_finite(rows) == 1
-assert checks._first_reversed(rows, rows - [0.0, 1.0]) == 0
+assert box_checks._first_reversed(rows, rows - [0.0, 1.0]) == 0
 """
 
 
@@ -195,17 +196,6 @@ def test_a_disk_without_room_for_a_name(cache, monkeypatch):
     assert len(said) == 1
 
 
-def run_alone(code, *arguments, **environment):
-    return subprocess.run(
-        [sys.executable, '-c', code, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, **environment},
-        check=False,
-    )
-
-
 def test_two_processes_compile_the_same_at_once(tmp_path):
     """Neither fails, and what they leave behind is whole."""
     command = [sys.executable, '-W', 'error', '-c', NO_SPACE, '-1']
@@ -218,7 +208,7 @@ def test_two_processes_compile_the_same_at_once(tmp_path):
         assert (process.communicate(timeout=240)[1], process.returncode) == ('', 0)
     for file in kept_files(tmp_path):
         content = file.read_bytes()
-        assert content[:32] == kernel_cache._SealedFiles._seal(file, content[32:])
+        assert content[:32] == kernel_files._SealedFiles._seal(file, content[32:])
 
 
 def test_the_folder_is_ours_alone(cache):

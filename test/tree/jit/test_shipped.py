@@ -5,12 +5,12 @@
 import json
 import os
 import subprocess
-import sys
 import warnings
 
 import numpy as np
 import pytest
 from numba.core import config
+from tree.jit.alone import run_alone
 
 from bvh_ros.tree import checks
 from bvh_ros.tree.jit import compiling, kernel_cache, shipped
@@ -42,14 +42,7 @@ pytestmark = pytest.mark.skipif(bool(NOT_HERE), reason=f'no {LEVEL} processor: {
 
 
 def run(*arguments, **environment):
-    ended = subprocess.run(
-        [sys.executable, '-c', CALL, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, **environment},
-        check=False,
-    )
+    ended = run_alone(CALL, *arguments, **environment)
     assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout)
 
@@ -202,12 +195,12 @@ def test_of_what_fits_the_most_demanding_is_used(made, tmp_path, start_from):
     content['features'] = content['features'][:3]
     (less / shipped.MANIFEST).write_text(json.dumps(content))
     assert start_from(place) == (0, [])
-    assert shipped.find(kernel_cache._settings()).folder == best
+    assert shipped.find(kernel_cache.settings()).folder == best
 
 
 def test_the_folder_inside_the_package_is_found_without_a_name(made, monkeypatch):
     monkeypatch.delenv(shipped.VARIABLE, raising=False)
     monkeypatch.setattr(shipped, 'IN_PACKAGE', made)
     shipped.find.cache_clear()
-    assert shipped.find(kernel_cache._settings()).folder == folder_of(made)
+    assert shipped.find(kernel_cache.settings()).folder == folder_of(made)
     shipped.find.cache_clear()

@@ -20,9 +20,9 @@ from bvh_ros.tree.jit.workers import Workers
 PATIENCE = 60.0  # seconds
 
 
-def results(workers):
+def results(workers, count):
     found, deadline = {}, time.monotonic() + PATIENCE
-    while not workers.are_done:
+    while len(found) < count:
         found.update(workers.ended(1.0))
         assert time.monotonic() < deadline
     return found
@@ -47,7 +47,7 @@ def test_every_call_is_run_or_told_why_not(tmp_path, count):
     paths = [tmp_path / str(number) for number in range(5)]
     calls = [partial(os.mkdir, path) for path in paths]
     calls += [partial(os.mkdir, tmp_path), lambda: None, partial(os._exit, 3)]
-    found = results(Workers(calls, count))
+    found = results(Workers(calls, count), len(calls))
     assert sorted(found) == [*range(8)]
     assert [found[number] for number in range(5)] == [''] * 5
     assert all(path.is_dir() for path in paths)
@@ -57,7 +57,7 @@ def test_every_call_is_run_or_told_why_not(tmp_path, count):
 
 
 def test_where_every_worker_ends_the_rest_is_told():
-    found = results(Workers([partial(os._exit, 1), partial(os.getpid)], 1))
+    found = results(Workers([partial(os._exit, 1), partial(os.getpid)], 1), 2)
     assert found == {0: 'its worker ended', 1: 'no worker is left'}
 
 
@@ -84,7 +84,7 @@ def test_ending_ends_all_at_once(tmp_path):
     began = time.monotonic()
     workers.end()
     assert time.monotonic() - began < 1.0
-    assert workers.are_done
+    assert not workers.running
     assert not any(map(is_running, pids_in(tmp_path)))
 
 

@@ -27,8 +27,6 @@ RADIUS = 0.5
 NUMBERS = np.arange(BOXES)
 MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
-Step = tuple[str, Callable[[], object]]  # what is compiled, for people, and by which call
-
 
 class Needs(NamedTuple):
     """What decides which kernels are called.

@@ -1,0 +1,83 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The client's end of the services: single questions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+
+from bvh_ros.client.errors import BvhTimeoutError
+from bvh_ros.client.waiting import Waiting
+from bvh_ros.ros.qos import REQUESTS
+
+Answer = TypeVar('Answer')
+
+
+class Services:
+    """The services `raycast`, `raycast_all` and `overlap` of one bvh node."""
+
+    def __init__(self, node: Node, name: str, group: CallbackGroup, waiting: Waiting) -> None:
+        self._node = node
+        self._group = group
+        self._waiting = waiting
+
+        def client(service: str) -> Client:
+            made = node.create_client(
+                GetPlan, f'{name}/{service}', qos_profile=REQUESTS, callback_group=group
+            )
+            waiting.add_client(made)
+            return made
+
+        self.raycast, self.raycast_all, self.overlap = map(
+            client, ('raycast', 'raycast_all', 'overlap')
+        )
+
+    def are_offered(self) -> bool:
+        """Whether the node offers all of them."""
+        clients = self.raycast, self.raycast_all, self.overlap
+        return all(client.service_is_ready() for client in clients)
+
+    def ask(
+        self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]
+    ) -> Future:
+        """Return a future of what `read` makes of the reply."""
+        answer = Future(executor=self._node.executor)
+
+        def finish(reply: Future) -> None:
+            try:
+                answer.set_result(read(reply.result()))
+            except Exception as error:
+                answer.set_exception(error)
+
+        client.call_async(request).add_done_callback(finish)
+        return answer
+
+    def call(self, client: Client, request: GetPlan.Request, timeout: float) -> GetPlan.Response:
+        """Wait for the reply; BvhTimeoutError if it does not come in time."""
+        self._waiting.check()
+        reply = client.call_async(request)
+        if not self._waiting.until_done(reply, timeout):
+            client.remove_pending_request(reply)
+            raise BvhTimeoutError(f'{client.srv_name} did not answer within {timeout:g} s')
+        return reply.result()
+
+    def once(self, kind: Any, service: str, request: Any, timeout: float) -> Any:
+        """Call another service, which is not kept open."""
+        client = self._node.create_client(kind, service, callback_group=self._group)
+        self._waiting.add_client(client)
+        try:
+            found = self._waiting.until(client.service_is_ready, timeout)
+            reply = client.call_async(request)
+            if not found or not self._waiting.until_done(reply, timeout):
+                raise BvhTimeoutError(f'{service} did not answer within {timeout:g} s')
+            return reply.result()
+        finally:
+            self._waiting.remove_client(client)
+            self._node.destroy_client(client)

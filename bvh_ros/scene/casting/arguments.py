@@ -1,0 +1,118 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the kernels of this room are given.
+
+Of `geometry` (a pair: records of `records.GEOMETRY`, one a slot, and the `mesh_store.Hulls`, or
+None) and `footprints` (the same with records of `footprint.FOOTPRINT`) one is None: numba drops a
+branch that asks for an argument that is None, so that a planar scene compiles none of the solid
+shapes, and a scene without meshes nothing of theirs.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.jit.compiling import entry_point
+from ...tree.nodes import DEEPEST
+from ...tree.rays.slab import RAY_ROWS
+from ..store.columns import Columns
+
+
+class CastWorld(NamedTuple):
+    """What rays go through."""
+
+    nodes: Any
+    tight: Any
+    handles: Any
+    root: Any
+    geometry: Any
+    footprints: Any
+
+
+class Ball(NamedTuple):
+    """What goes along a ray: a point has radius 0."""
+
+    radius: Any
+    slack: Any
+    """By which it is larger for axis-aligned boxes."""
+
+
+class Asked(NamedTuple):
+    """Which hits are asked for."""
+
+    t_max: Any
+    latest: Any
+    """No hit is left out that is not after this t."""
+    mask: Any
+    skip_inside: Any
+    every: Any
+    """Not only the first."""
+
+
+class Rays(NamedTuple):
+    """n rays."""
+
+    origins: Any
+    directions: Any
+    t_max: Any
+    masks: Any
+
+
+class Hits(NamedTuple):
+    """Hits, one a row."""
+
+    slots: Any
+    ts: Any
+    features: Any
+
+
+class Found(NamedTuple):
+    """What n rays hit: ray i the rows [offsets[i], offsets[i + 1]) of the others."""
+
+    offsets: Any
+    hits: Hits
+    points: Any
+    normals: Any
+
+
+class Scratch(NamedTuple):
+    """Room for one ray; see `slab` for its rows."""
+
+    ray: Any
+    box: Any
+    work: Any
+    stack: Any
+    entries: Any
+
+
+def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
+    """The arrays of a scene."""
+    shapes = columns.geometry_arrays(), columns.footprint_arrays()
+    return tuple.__new__(CastWorld, (*tree.arrays(), *shapes))
+
+
+_entries: dict[tuple[Any, bool, bool], Any] = {}
+
+
+def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
+    """Call a kernel that takes a world, and always the same types besides, as machine code: numba
+    would look at every array of it.
+    """
+    _, hulls = world.geometry or world.footprints
+    variant = kernel, world.footprints is None, hulls is None
+    code = _entries.get(variant)
+    if code is None:
+        code = _entries[variant] = entry_point(kernel, world, *arguments)
+    return code(world, *arguments)
+
+
+def new_scratch(ndim: int) -> Scratch:
+    """Room for one ray."""
+    return Scratch(
+        np.empty((RAY_ROWS, ndim)),
+        np.empty((2, ndim)),
+        np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64),
+        np.empty(DEEPEST),
+    )

@@ -1,0 +1,22 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Programs in processes of their own: a new start to numba."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+Ended = subprocess.CompletedProcess[str]
+
+
+def run_alone(code: str, *arguments: str, cwd: Path | None = None, **environment: str) -> Ended:
+    return subprocess.run(
+        [sys.executable, '-c', code, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=240,  # seconds: it may compile
+        env={**os.environ, **environment},
+        cwd=cwd,
+        check=False,
+    )

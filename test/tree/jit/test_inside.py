@@ -1,0 +1,137 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What numba does not document is used in one place, is not needed, and is left as it is."""
+
+import ast
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from tree.jit.alone import run_alone
+
+import bvh_ros
+
+PACKAGE = Path(bvh_ros.__file__).parent
+PUBLIC = ('numba', 'numba.extending', 'llvmlite', 'llvmlite.ir')
+OPTIONS = ('_nrt', 'forceinline', 'no_cfunc_wrapper')
+BEHIND_THE_GATE = ('kernel_files.py', 'kernel_parts.py')
+
+ANSWERS = """
+import json
+import numpy as np
+from bvh_ros import DynamicBVH
+from bvh_ros.tree import checks
+
+random = np.random.default_rng(0)
+tree = DynamicBVH(2)
+for corner in random.uniform(0, 100, (60, 2)):
+    tree.insert(corner, corner + 5)
+origins, directions = random.uniform(0, 100, (200, 2)), random.normal(size=(200, 2))
+hits = tree.raycast_many(origins, directions)
+assert tree.stats()['wide_snapshot']
+print(json.dumps([
+    type(checks._first_not_finite).__name__,
+    [array.tolist() for array in hits],
+    tree.overlap([10, 10], [40, 40]).tolist(),
+    tree.cost(),
+]))
+"""
+HIDING = """
+import builtins, sys
+
+found = builtins.__import__
+
+def hide(name, globals=None, locals=None, names=(), level=0):
+    asks = (globals or {}).get('__name__', '')
+    if asks.startswith('bvh_ros') and level == 0 and name.startswith(('numba', 'llvmlite')):
+        if name not in sys.argv[1:]:
+            raise ImportError(f'there is no {name}')
+    return found(name, globals, locals, names, level)
+
+builtins.__import__ = hide
+"""
+WATCHING = """
+import sys
+import numba, numba.core.registry
+
+def state():
+    return {
+        (cls, name): id(value)
+        for module in [*sys.modules.values()]
+        if getattr(module, '__name__', '').startswith(('numba', 'llvmlite'))
+        for cls in vars(module).values()
+        if isinstance(cls, type) and cls.__module__.startswith(('numba', 'llvmlite'))
+        for name, value in vars(cls).items()
+        if callable(value) or isinstance(value, property)
+    }
+
+before = state()
+"""
+UNTOUCHED = """
+after = state()
+changed = [place for place, value in before.items() if after.get(place) != value]
+assert len(before) > 500 and not changed, changed
+"""
+
+
+def run(code: str, *arguments: str, **environment: str) -> tuple[list, str]:
+    ended = run_alone(code, *arguments, **environment)
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout), ended.stderr
+
+
+def test_without_what_is_not_documented_answers_are_the_same():
+    (name, *expected), said = run(ANSWERS)
+    assert (name, said) == ('Kernel', '')
+    (name, *answers), said = run(HIDING + ANSWERS, *PUBLIC, NUMBA_OPT='0')  # is compiled anew
+    assert name == 'CPUDispatcher'
+    assert answers == expected
+    assert said.count('RuntimeWarning') == 1
+    assert 'every process compiles them' in said
+
+
+OTHER_VERSION = """
+import json, numba
+
+numba.version_info = numba.version_info._replace(short=(0, 999))
+from bvh_ros.tree import checks
+from bvh_ros.tree.jit import kernel_cache
+
+folder = kernel_cache.cache_folder()
+print(json.dumps([type(checks._first_not_finite).__name__, folder, kernel_cache.is_noted('')]))
+"""
+
+
+def test_with_another_version_nothing_of_it_is_used():
+    found, said = run(OTHER_VERSION)
+    assert found == ['CPUDispatcher', None, False]
+    assert said.count('is not one that bvh_ros was tested with') == 1
+
+
+def test_classes_of_numba_are_as_they_were():
+    """Also after compiling: other users of numba in this process get what they know."""
+    run(WATCHING + ANSWERS + UNTOUCHED)
+
+
+def imported(source: Path) -> Iterator[tuple[str, bool]]:
+    """Names that a file imports, and whether it does so when it is imported itself."""
+    tree = ast.parse(source.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node in tree.body) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module, node in tree.body
+
+
+def test_private_names_are_imported_in_one_place():
+    behind = 0
+    for source in sorted(PACKAGE.rglob('*.py')):
+        inside = source.parent == PACKAGE / 'tree' / 'jit'
+        for name, at_once in imported(source):
+            if name.split('.')[0] not in ('numba', 'llvmlite') or name in PUBLIC:
+                continue
+            assert inside, (source, name)
+            assert not at_once or source.name in BEHIND_THE_GATE, (source, name)
+            behind += source.name in BEHIND_THE_GATE
+        assert inside or not any(option in source.read_text() for option in OPTIONS), source
+    assert behind > 5
