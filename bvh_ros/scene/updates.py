@@ -177,7 +177,6 @@ class Updates:
         updating.text('source', source), updating.text('group', group)
         names, slots, valid = self._validated(source, part)
         added, known, outside = self._within_region(valid.added, valid.known)
-        reasons = valid.reasons
         present = slots[slots != UNKNOWN] if whole or sliced else slots
         stale = held.members(source, group, present) if whole else slots[:0]
         if len(outside) and not sliced:
@@ -185,7 +184,7 @@ class Updates:
         if len(added.row):
             room = self.room() + len(stale)
             full = f'the scene is full (max_obstacles is {held.most})'
-            reasons.add(added.row[room:], full)
+            valid.reasons.add(added.row[room:], full)
             added = self._with_masks(added.take(slice(room)), names)
             held.require_handles(len(added.row))
         newest = held.newest
@@ -204,7 +203,7 @@ class Updates:
                 if sliced:
                     sliced.told.append((held.columns.tree_handle[inserted], False))
             held.newest = newest
-        return reasons.refusals(names.text)
+        return valid.reasons.refusals(names.text)
 
     def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:
         """Names of the rows, their slots, and what can be applied."""

@@ -147,8 +147,7 @@ def check_structure(nodes, handles, state):
         if handles[slot] != NONE and not seen[2 * slot]:
             return 14, 2 * slot
     free = 0
-    for inner_ones, head in enumerate((state[FREE_LEAF], state[FREE_INNER])):
-        node = head
+    for inner_ones, node in enumerate((state[FREE_LEAF], state[FREE_INNER])):
         while node != NONE:
             if node < 0 or node >= nodes.shape[0] or seen[node] or node & 1 != inner_ones:
                 return 6, node

@@ -132,14 +132,14 @@ def box_gap(one, other, ndim, points):
 
 
 @lean_kernel
-def clearance_rows(tree, version, bodies, rows, asked, place, node_handles, room, told):
+def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
     """Fill in the rows [start, stop) of `told`; asked = (reaches, how many boxes there are, the
     node handle that is not looked at), place = (start, stop). Returns (rows done, room wanted):
     fewer than there are where there is no room, negative if the tree is changed.
     """
     reaches, everybody, besides = asked
-    row, stop = place
-    if not begin_query(tree.state, version):
+    tree, (row, stop) = view.tree, place
+    if not begin_query(tree.state, view.version):
         return -1, 0
     wanted = 0
     while row < stop:

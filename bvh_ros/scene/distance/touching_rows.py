@@ -66,14 +66,14 @@ def of_row(values, row):
 
 
 @lean_kernel
-def overlap_rows(tree, version, bodies, rows, wanted, place, node_handles, found, answers):
+def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers):
     """Answer the rows [start, stop); place = (start, stop). Returns (rows done, room wanted in
     `found`, handles written, pairs compared, those of them that took more digits): fewer rows
     than there are where there is no room for the next one, negative if the tree is changed.
     """
-    row, stop = place
+    tree, (row, stop) = view.tree, place
     written, compared, more, needed = 0, 0, 0, 0
-    if not begin_query(tree.state, version):
+    if not begin_query(tree.state, view.version):
         return -1, 0, 0, 0, 0
     while row < stop:
         record = rows.records[row : row + 1]
@@ -110,14 +110,14 @@ def overlap_rows(tree, version, bodies, rows, wanted, place, node_handles, found
 
 
 @lean_kernel
-def nearest_rows(tree, version, bodies, points, asked, place, node_handles, found, near):
+def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
     """Fill in the rows [start, stop) of `near`; asked = (k, how many boxes there are, whether an
     obstacle may stand at two places, see slicing.py), place = (start, stop). Returns (rows done,
     room wanted in `found`) as `overlap_rows`.
     """
     k, everybody, twice = asked
-    row, stop = place
-    if not begin_query(tree.state, version):
+    tree, (row, stop) = view.tree, place
+    if not begin_query(tree.state, view.version):
         return -1, 0
     wanted = 0
     while row < stop:
@@ -197,8 +197,8 @@ class RowKernel:
         variant = None if bodies is None else bodies.hulls is not None
         entry = self._entries.get(variant)
         if entry is None:
-            code = entry_point(self._kernel, *view, bodies, *given)
+            code = entry_point(self._kernel, view, bodies, *given)
             entry = self._entries[variant] = code
-        counted = entry(*view, bodies, *given)
+        counted = entry(view, bodies, *given)
         accepted(counted[0])
         return counted

@@ -12,6 +12,7 @@ from ..store.arrays import Arrays, Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
 from ..wide.ray_streams import RAYS_AT_ONCE
+from ..wide.snapshot import Snapshot
 from . import ray_batches, ray_hits, raycasting
 from .raycasting import Rays
 
@@ -235,21 +236,29 @@ class RayQueries(Arrays):
         if threads == 1:
             exact = ray_batches.cast(view, snapshot, rays, hits)
         else:
-
-            def work(start: int, stop: int) -> int:
-                part = ray_batches.part_of(rays, hits, start, stop)
-                return ray_batches.cast(view, snapshot, *part)
-
-            done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
-            exact = min(done) if min(done) < 0 else sum(done)
-            # Once all are answered: of what is refused none counts.
-            if exact >= 0:
-                ray_hits.count_entry(ndim)(view.tree, count, exact)
+            exact = self._cast_in_threads(view, snapshot, rays, hits, threads)
         if exact == NOT_FINITE:
             checks.finite('origins', origins)
             checks.finite('directions', directions)
         accepted(exact)
         return hits
+
+    def _cast_in_threads(
+        self, view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits, threads: int
+    ) -> int:
+        """How many took exact arithmetic, or why none is counted."""
+        count = len(rays.origins)
+
+        def work(start: int, stop: int) -> int:
+            part = ray_batches.part_of(rays, hits, start, stop)
+            return ray_batches.cast(view, snapshot, *part)
+
+        done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
+        exact: int = min(done) if min(done) < 0 else sum(done)
+        # Once all are answered: of what is refused none counts.
+        if exact >= 0:
+            ray_hits.count_entry(self._ndim)(view.tree, count, exact)
+        return exact
 
     def every_hit(
         self,
