@@ -17,7 +17,7 @@ from .store import updating
 from .store.names import Families, Names, as_families
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
-from .store.updating import TIMES, Owner, Rows, Validated, column
+from .store.updating import FIRST_TIME, LAST_TIME, Owner, Rows, Validated, column
 
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 NONE = np.empty(0, np.int64)
@@ -57,8 +57,8 @@ class Part(NamedTuple):
         total = len(given.kind)
         require_a_name_each(names, total)
         columns: list[Any] = [
-            column('stamp', self.stamp, total, TIMES.max, TIMES.min),
-            column('expires', self.expires, total, TIMES.max),
+            column('stamp', self.stamp, total, LAST_TIME, FIRST_TIME),
+            column('expires', self.expires, total, LAST_TIME),
             None,
         ]
         if self.categories is not None:
@@ -274,5 +274,5 @@ def _latest(given: ArrayLike, valid: Validated, whole: bool) -> int:
     if type(stamp) is int:
         return stamp
     if whole:
-        return int(np.max(stamp, initial=TIMES.min))
-    return max(int(np.max(some.stamp, initial=TIMES.min)) for some in valid[:2])
+        return int(np.max(stamp, initial=FIRST_TIME))
+    return max(int(some.stamp.max()) for some in valid[:2] if len(some.stamp))

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from functools import partial
 
 import numpy as np
@@ -210,6 +211,7 @@ def _table(
     )
 
 
+@functools.cache
 def _fixed_type(order: str) -> np.dtype[np.void]:
     time = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
     numbers = [(name, f'{order}i4') for name in ('id', 'type', 'action')]

@@ -140,8 +140,11 @@ class _Reader:
         frame, stamp = table.frame[rows], table.stamp[rows]
         own = np.zeros(len(table.frame_ids), np.bool_)  # whatever the time
         order = np.lexsort((stamp, frame))
-        moves = np.diff(frame[order], prepend=-1) | np.diff(stamp[order], prepend=0)
-        ends = [*np.flatnonzero(moves).tolist(), len(rows)]
+        moves = np.ones(len(rows), np.bool_)
+        for given in (frame[order], stamp[order]):
+            moves[1:] &= given[1:] == given[:-1]
+        moves[1:] = ~moves[1:]
+        ends = [*moves.nonzero()[0].tolist(), len(rows)]
         for place, (begin, end) in enumerate(pairwise(ends)):
             if place % AT_A_TIME == AT_A_TIME - 1:
                 yield
@@ -187,6 +190,8 @@ class _Reader:
 
     def read_lists(self, rows: Integers) -> Generator[None, None, None]:
         """Find the points of list markers."""
+        if not len(rows):
+            return
         table = self.table
         given = np.hstack((table.position[rows], table.orientation[rows], table.scale[rows]))
         finite = np.isfinite(given).all(axis=1)
@@ -231,7 +236,9 @@ class _Reader:
                 held[at] = mesh = self.meshes[int(of[at])]
                 kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
             shapes = shapes._replace(mesh=held)
-        listed = np.flatnonzero(np.isin(table.type[of], list(LISTED_SHAPES)))
+        listed = of[:0]
+        if self.points:
+            listed = np.flatnonzero(np.isin(table.type[of], list(LISTED_SHAPES)))
         points = [self.points[row] for row in rows.tolist() if row in self.points]
         local = np.concatenate(points) if points else np.empty((0, 3))
         for begin in range(0, len(listed), ELEMENTS):

@@ -129,7 +129,7 @@ def _integers(numbers: Integers, what: str = 'numbers') -> Integers:
         raise ValueError(
             f'names.{what} has shape {array.shape} and type {array.dtype}, not (n,) integers'
         )
-    if array.size and array.max() > np.iinfo(np.int64).max:
+    if array.dtype.kind == 'u' and array.size and array.max() > np.iinfo(np.int64).max:
         raise ValueError(f'names.{what} must be integers of 64 bits')
     return array if array.dtype == np.int64 and array.flags.carray else array.astype(np.int64)
 

@@ -59,7 +59,7 @@ class Owner(NamedTuple):
     name_of: Callable[[int], str]
 
 
-TIMES = np.iinfo(np.int64)  # what a time in ns can be
+FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
 
 
 def column(
@@ -81,15 +81,26 @@ def column(
             f'{name} must be an integer of 64 bits or {count} of them, '
             f'not {array.dtype} of shape {array.shape}'
         )
-    if array.size and not least <= int(array.min()) <= int(array.max()) <= largest:
+    if array.size and not _spans(array, least, largest):
         wrong = int(array.min() if array.min() < least else array.max())
         raise ValueError(f'{name} must be from {least} to {largest}, not {wrong}')
-    return np.broadcast_to(array, (count,)).astype(np.int64)
+    numbers = np.empty(count, np.int64)
+    numbers[:] = array
+    return numbers
+
+
+def _spans(array: NDArray[Any], least: int, largest: int) -> bool:
+    """Whether all numbers are from `least` to `largest`. What the type can't hold is not looked
+    for: a look at one number takes numpy as long as all else of a column.
+    """
+    of_64_bits = array.dtype == np.int64
+    above = (of_64_bits and least == FIRST_TIME) or least <= int(array.min())
+    return above and ((of_64_bits and largest == LAST_TIME) or int(array.max()) <= largest)
 
 
 def whole_time(name: str, value: Any) -> int:
     """A time in ns."""
-    return column(name, value, 1, TIMES.max, TIMES.min).item(0)
+    return column(name, value, 1, LAST_TIME, FIRST_TIME).item(0)
 
 
 def text(name: str, value: Any) -> str:
@@ -152,8 +163,8 @@ def validate_rows(
     row modifies an earlier one's obstacle.
     """
     count = len(slots)
-    stamps = column('stamp', columns[0], count, TIMES.max, TIMES.min)
-    lives = column('expires', columns[1], count, TIMES.max)
+    stamps = column('stamp', columns[0], count, LAST_TIME, FIRST_TIME)
+    lives = column('expires', columns[1], count, LAST_TIME)
     masks = None
     if columns[2] is not None:
         masks = column('categories', columns[2], count, ALL).astype(np.uint32)
