@@ -83,12 +83,14 @@ def machine() -> str:
 
 
 def vectors() -> str:
-    """How wide the processor's vectors are, or for which other one kernels are compiled."""
+    """How wide the kernels' vectors are, or for which other processor they are compiled. A name
+    alone leaves them this processor's vectors: numba takes those from NUMBA_CPU_FEATURES.
+    """
     from numba import config
 
     from ..tree.jit.shipped import host_features
 
-    if config.CPU_NAME:
+    if config.CPU_NAME and config.CPU_FEATURES is not None:
         return f'kernels compiled for {config.CPU_NAME}'
     features = host_features()
     width = 512 if features.get('avx512f') else 256 if features.get('avx2') else 128
