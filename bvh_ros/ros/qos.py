@@ -2,9 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """How much may wait on the way, so that a burst is late and not lost."""
 
+from typing import NamedTuple
+
 from rclpy.qos import QoSProfile
 
 # Messages, requests or replies. DDS takes memory only for those that do wait. Every client of a
 # service hears all replies, so what one client keeps has to hold those to the others, too.
 DEPTH = 5000
 REQUESTS = QoSProfile(depth=DEPTH)  # reliable and volatile, as services are
+
+
+class Delivery(NamedTuple):
+    """How messages of a topic are to come."""
+
+    depth: int = DEPTH
+    """How many may wait."""
+    latched: bool = False
+    """Whether to ask for what was published earlier."""
+    follow: bool = True
+    """False keeps to one kind of publishers."""
+    ordered: bool = True
+    """Whether their order matters."""
+    raw: bool = False
+    """Whether they are handed over as serialised bytes."""

@@ -20,7 +20,7 @@ from bvh_ros.ros.conversions.ray_clouds import Hits, RayCloud, Rays
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
-from bvh_ros.ros.qos import DEPTH
+from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 
 if TYPE_CHECKING:
@@ -72,8 +72,9 @@ class RayBatch(NodePart):
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
         self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
+        delivery = Delivery(ordered=False, raw=True)
         subscription = FollowingSubscription(
-            node, PointCloud2, view.topic('rays'), self.receive, ordered=False, raw=True
+            node, PointCloud2, view.topic('rays'), self.receive, delivery
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)

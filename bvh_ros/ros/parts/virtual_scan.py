@@ -19,6 +19,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.world.frames import Transform
 
@@ -65,7 +66,7 @@ class VirtualScan(NodePart):
         kind = LaserScan if settings.type == LASER_SCAN else PointCloud2
         self._publisher = self.publisher(kind, '~/virtual_scan', DEPTH)
         subscription = FollowingSubscription(
-            node, PoseStamped, settings.pose_topic, self.receive, depth=DEPTH
+            node, PoseStamped, settings.pose_topic, self.receive, Delivery(DEPTH)
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
-from bvh_ros.ros.qos import DEPTH
+from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.completeness import Completeness
 from bvh_ros.ros.sources.numbering import Heard
 from bvh_ros.ros.sources.pace import Pace
@@ -92,13 +92,11 @@ class Source(ABC):
             self.message_type,
             self.settings.topic,
             self.receive,
+            # raw: rclpy would drop what it cannot deserialise without telling us
+            Delivery(self.depth, latched=True, follow=self.follows_publisher, raw=True),
             on_irregular=self._note,
-            depth=self.depth,
-            latched=True,
-            follow=self.follows_publisher,
             says_everything=self.says_everything,
             is_full=self._is_full,
-            raw=True,  # rclpy would drop what it cannot deserialise without telling us
         )
 
     def destroy(self) -> None:

@@ -21,7 +21,7 @@ from rclpy.qos import (
 )
 
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
-from bvh_ros.ros.qos import DEPTH
+from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.backlog import Backlog
 from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
@@ -66,24 +66,15 @@ class FollowingSubscription:
     topic : str
     callback : callable
         Takes a message, or its bytes.
+    delivery : Delivery
     on_irregular : callable, optional
         Takes what a message's number says about those before, where it does not just follow, and
         whether its publisher keeps messages for late joiners; called before `callback`.
-    depth : int
-        How many messages may wait.
-    latched : bool
-        Whether to ask for what was published earlier.
-    follow : bool
-        False keeps to one kind.
-    ordered : bool
-        Whether the order of messages matters.
     says_everything : callable, optional
         Whether a message needs none of those before it: of such, few may wait. None: no message
         does.
     is_full : callable, optional
         Whether messages have to wait here; `resume` says when no longer.
-    raw : bool
-        True hands over the serialised bytes.
 
     Raises
     ------
@@ -97,27 +88,23 @@ class FollowingSubscription:
         message_type: type,
         topic: str,
         callback: Callable[[Any], None],
+        delivery: Delivery,
         *,
         on_irregular: Callable[[Heard, bool], None] = lambda _heard, _kept: None,
-        depth: int = DEPTH,
-        latched: bool = False,
-        follow: bool = True,
-        ordered: bool = True,
         says_everything: Callable[[Any], bool] | None = None,
         is_full: Callable[[], bool] = lambda: False,
-        raw: bool = False,
     ) -> None:
         self._node = node
         self._message_type = message_type
         self._callback = callback
         self._on_irregular = on_irregular
         self._is_full = is_full
-        self._raw = raw
+        self._raw = delivery.raw
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # why a publisher is not heard, and the remedy
         self.losses = Losses(node.get_logger(), self.topic)
         self._numbering = Numbering()
-        self._merger = Merger(self._deliver, HOLD if ordered else 0.0)
+        self._merger = Merger(self._deliver, HOLD if delivery.ordered else 0.0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._holding = node.create_timer(HOLD / 2, self._release, clock=steady, autostart=False)
         # Subscriptions come and go outside of their own events' callbacks.
@@ -126,11 +113,11 @@ class FollowingSubscription:
         self._backlog = Backlog(says_everything or (lambda _message: False))
         self._more = node.create_guard_condition(self._hand_over_some)
         given = overrides(node, self.topic)
-        asked = _asked(LATCHED if latched else RELIABLE, given)
-        self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth)
+        asked = _asked(LATCHED if delivery.latched else RELIABLE, given)
+        self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=delivery.depth)
         self._subscriptions: dict[Kind, Subscription] = {}
         self._create(asked, OVERRIDABLE)  # rclpy writes the user's depth into the profile
-        self._follows = follow and asked.reliability == ReliabilityPolicy.RELIABLE
+        self._follows = delivery.follow and asked.reliability == ReliabilityPolicy.RELIABLE
         if asked == LATCHED and self._follows and 'durability' not in given:
             self._create(RELIABLE)
 

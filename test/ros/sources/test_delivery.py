@@ -18,7 +18,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.qos import DEPTH, REQUESTS
+from bvh_ros.ros.qos import DEPTH, REQUESTS, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 
 DEEP = QoSProfile(depth=DEPTH)
@@ -67,7 +67,7 @@ def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
     node, executor = ros
     heard, topic = [], f'gone_{os.getpid()}'
     subscription = FollowingSubscription(
-        node, MarkerArray, topic, heard.append, latched=True, raw=True
+        node, MarkerArray, topic, heard.append, Delivery(latched=True, raw=True)
     )
     sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
     for first in (0, 100, 200):
@@ -98,7 +98,9 @@ def test_a_burst_costs_few_rounds_of_the_executor(ros):
     node, executor = ros
     heard, rounds = [], 0
     topic = f'burst_{os.getpid()}'
-    subscription = FollowingSubscription(node, MarkerArray, topic, heard.append, raw=True)
+    subscription = FollowingSubscription(
+        node, MarkerArray, topic, heard.append, Delivery(raw=True)
+    )
     publisher = node.create_publisher(MarkerArray, topic, DEEP)
     while not publisher.get_subscription_count():
         executor.spin_once(0.01)
