@@ -36,8 +36,10 @@ class BvhLifecycleNode(LifecycleNode):
         super().__init__('bvh')
         self._server: BvhServer | None = None
         # In Jazzy a transition that the state does not have ends the node (ros2/rclpy#1209).
-        self._change_state = self._service_change_state.callback
-        self._service_change_state.callback = self._change_state_or_refuse
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                self._change_state = service.callback
+                service.callback = self._change_state_or_refuse
 
     def _change_state_or_refuse(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -4,9 +4,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl import implementation_singleton
 
 
@@ -28,3 +30,12 @@ WaitSet = _private(_compiled, 'WaitSet')
 """Waits for some entities of a node, whoever spins the rest."""
 spin_once = _private(SingleThreadedExecutor, '_spin_once_impl')
 """Takes an executor, a timeout and a condition that ends the wait whenever it is woken."""
+_TAKING = '_take_subscription', '_take_service', '_take_waitable'
+for _name in _TAKING:
+    _private(SingleThreadedExecutor, _name)
+
+
+def guard_taking(executor: Executor, attempt: Callable[..., Any]) -> None:
+    """Let an executor take messages, requests and events by `attempt(call, entity)`."""
+    for name in _TAKING:
+        setattr(executor, name, partial(attempt, getattr(executor, name)))

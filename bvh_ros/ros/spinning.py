@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -12,14 +11,13 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from bvh_ros.ros.parts.refusals import explain
-from bvh_ros.ros.private_rclpy import spin_once
+from bvh_ros.ros.private_rclpy import guard_taking, spin_once
+from bvh_ros.ros.seldom import Seldom
 
 if TYPE_CHECKING:
     from threading import Event
 
     from rclpy.node import Node
-
-LOG_EVERY = 2.0  # seconds
 
 
 class SturdyExecutor(SingleThreadedExecutor):
@@ -32,6 +30,8 @@ class SturdyExecutor(SingleThreadedExecutor):
     def __init__(self) -> None:
         super().__init__()
         self._logger = rclpy.logging.get_logger('bvh')
+        self._errors = Seldom(lambda text: self._logger.error(text))
+        guard_taking(self, self._attempt)
 
     def spin_until(self, ended: Event, node: Node) -> None:
         """Spin until the event is set and this is woken; what a callback raises is logged."""
@@ -40,17 +40,9 @@ class SturdyExecutor(SingleThreadedExecutor):
         try:
             while not ended.is_set() and self.context.ok():
                 self._attempt(spin_once, self, None, ended.is_set)
+                self._errors.log()
         finally:
             self.remove_node(node)
-
-    def _take_subscription(self, sub: Any) -> Any:
-        return self._attempt(super()._take_subscription, sub)
-
-    def _take_service(self, srv: Any) -> Any:
-        return self._attempt(super()._take_service, srv)
-
-    def _take_waitable(self, waitable: Any) -> Any:
-        return self._attempt(super()._take_waitable, waitable)
 
     def _attempt(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
@@ -60,6 +52,5 @@ class SturdyExecutor(SingleThreadedExecutor):
         except Exception as error:
             reason = explain(error)
         # The error is gone by now, and with it what it held in memory.
-        with contextlib.suppress(Exception):  # there may be no memory for that either
-            self._logger.error(reason, throttle_duration_sec=LOG_EVERY)
+        self._errors.add(reason)
         return None

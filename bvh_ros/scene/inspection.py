@@ -15,6 +15,7 @@ from . import plotting
 from .geometry.polygon import Polygon
 from .geometry.shapes import Floats, ShapeKind, Shapes, shapes_of
 from .results import LAST_NODE_HANDLE, Obstacle
+from .store.beside import beside
 from .store.obstacles import Obstacles
 
 
@@ -167,6 +168,18 @@ class Inspection:
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless tree, names and columns agree."""
         self._held.tree.validate()
+        self._validate_names()
+
+    def validate_in_turns(self) -> Iterator[None]:
+        """`validate` with pauses; the tree is looked at in another thread, as it was at first."""
+        tree = self._held.tree
+        room = yield from beside(tree.room_for_copy)
+        copy = tree.copied(room)
+        yield
+        yield from beside(tree.validate_copy, copy)
+        self._validate_names()
+
+    def _validate_names(self) -> None:
         slots = self._held.columns.used()
         handles = self._held.columns.tree_handle
         if not np.array_equal(np.sort(handles[slots]), self._held.tree.ids()):

@@ -71,6 +71,9 @@ class Removals:
         slots = self._held.registry.find(as_families(besides))
         kept = self._held.columns.tree_handle[slots[slots != UNKNOWN]]
         found = found[~np.isin(found, kept)]
+        if len(found) <= AT_A_TIME:
+            self.discard(found)
+            return
         for begin in range(0, len(found), AT_A_TIME):
             self.discard(found[begin : begin + AT_A_TIME])
             yield

@@ -82,6 +82,7 @@ class Scene:
     update = method_of('_updates', Updates.update)
     replace = method_of('_updates', Updates.replace)
     in_slices = method_of('_slices', SlicedUpdates.in_slices)
+    is_long = method_of('_slices', SlicedUpdates.is_long)
     remove = method_of('_removals', Removals.remove)
     remove_group = method_of('_removals', Removals.remove_group)
     remove_namespace = method_of('_removals', Removals.remove_namespace)
@@ -136,6 +137,7 @@ class Scene:
     stats = method_of('_inspection', Inspection.stats)
     count = method_of('_inspection', Inspection.count)
     validate = method_of('_inspection', Inspection.validate)
+    validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)
 
     def __len__(self) -> int:
         return len(self._held)

@@ -6,21 +6,29 @@ A half applied update must not open a gap: the third point of one cloud may stan
 seventh stands in the next. So what moves leaves a shadow where it was, and all shadows go, with
 whatever the update does not name, only when the whole update is in. Until then the world holds
 what either message says, never less.
+
+Nothing between two pauses grows with the scene, but for a look at columns of numbers.
 """
 
 from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
+from ..tree.nodes import SLOT_MASK
 from .refusals import Refusals
+from .store import updating
+from .store.names import as_families
 from .store.obstacles import Obstacles
-from .store.registry import Slots
+from .store.registry import UNKNOWN, Slots
 from .updates import NONE, Part, Sliced, Updates
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all.
 AT_ONCE = 120_000
-SLICE = 1024  # rows, 2 to 5 ms
+SLICE = 256  # rows, 1 to 5 ms
+# Of rows with meshes of their own, 35 us each: in slices they take no longer.
+COSTLY_AT_ONCE, COSTLY_SLICE = 256, 64
+Parts = Callable[[int], Iterator[Part]]
 
 
 class SlicedUpdates:
@@ -35,9 +43,10 @@ class SlicedUpdates:
         source: str,
         group: str,
         total: int,
-        parts: Callable[[int], Iterator[Part]],
+        parts: Parts,
         *,
         whole: bool,
+        costly: bool = False,
         at_once: bool = False,
     ) -> Generator[None, None, Refusals]:
         """Apply `total` rows and pause now and then; return the refusals at the end.
@@ -50,10 +59,12 @@ class SlicedUpdates:
             Number of rows.
         parts : callable
             Makes the parts, of at most so many rows each; the next is made when the one before
-            is applied.
+            is applied. Called twice if there may be too many: first to see who is named.
         whole : bool
             `replace`, and not only `update`. Until the last slice the scene holds old and new
             obstacles, so up to twice `max_obstacles`; at the end `max_obstacles` holds.
+        costly : bool
+            Rows take as long as meshes do.
         at_once : bool
             Do not pause: ten times faster in all.
 
@@ -63,19 +74,21 @@ class SlicedUpdates:
             As `update`; what is applied by then stays.
         """
         self._updates.require_memory(total)
-        sliced = not at_once and self._is_large(source, group, total, whole)
-        length = SLICE if sliced else max(total, 1)
-        if length >= total:
-            (part,) = parts(length)
+        if at_once or not self.is_long(source, total, whole=whole, costly=costly, group=group):
+            (part,) = parts(max(total, 1))
             return self._updates.apply(source, group, part, whole=whole)
-        refusals = Refusals()
+        length = COSTLY_SLICE if costly else SLICE
         self._updates.remove_orphans()
-        running = Sliced(total, self._members(source, group) if whole else None)
+        replaced = self._members(source, group) if whole else None
+        running = Sliced(source, group, self._held.next_node_handle, total, replaced)
         self._updates.under_way.add(running)
-        row = 0
+        refusals, row = Refusals(), 0
         try:
+            yield from self._held.make_room(total)
+            if replaced is not None and total > self._updates.room_beside(running) + len(replaced):
+                yield from self._survey(running, parts(length))
             for part in parts(length):
-                running.left -= len(part.shapes.kind)
+                running.left -= running.new.pop() if running.surveyed else len(part.shapes.kind)
                 refused = self._updates.apply(source, group, part, sliced=running)
                 refusals.extend(refused, first=row)
                 row += len(part.shapes.kind)
@@ -93,11 +106,28 @@ class SlicedUpdates:
         columns, slots = self._held.columns, self._held.members(source, group)
         return columns.tree_handle[slots[~columns.shadow[slots]]]
 
-    def _is_large(self, source: str, group: str, total: int, whole: bool) -> bool:
-        if total < AT_ONCE:
-            return False
-        # With less room it has to be known first what goes, to know what may come.
-        return not whole or total <= self._updates.room() + len(self._members(source, group))
+    def is_long(
+        self, source: str, total: int, *, whole: bool, costly: bool = False, group: str = ''
+    ) -> bool:
+        """Whether `in_slices` pauses."""
+        updating.text('source', source), updating.text('group', group)
+        going = self._held.groups.members(source, group) if whole else 0
+        return max(total, going) >= AT_ONCE or (costly and total >= COSTLY_AT_ONCE)
+
+    def _survey(self, running: Sliced, parts: Iterator[Part]) -> Iterator[None]:
+        """See who is going to stay, go and come, where not all may come."""
+        handles, new = self._members(running.source, running.group), running.new
+        named = np.zeros(len(self._held.columns.tree_handle), np.bool_)
+        for part in parts:
+            slots = self._held.registry.find(as_families(part.names))
+            known = slots != UNKNOWN
+            named[slots[known & (slots < len(named))]] = True  # others may have come meanwhile
+            new.append(len(slots) - int(np.count_nonzero(known)))
+            yield
+        new.reverse()
+        running.replaced = handles[~named[handles & SLOT_MASK]]
+        running.stays = len(handles) - len(running.replaced)
+        running.left, running.surveyed = sum(new), True
 
     def _remove_in_slices(self, slots: Slots) -> Iterator[None]:
         handles = self._held.columns.tree_handle[slots]

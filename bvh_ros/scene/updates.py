@@ -80,10 +80,20 @@ def require_a_name_each(names: Families, count: int) -> None:
 class Sliced:
     """An update in slices that is under way. Who is meant is known by handles of the tree."""
 
+    source: str
+    group: str
+    begun: int
+    """The next node handle when it began."""
     left: int
     """Rows that are still to come; a replacement keeps room for them."""
     replaced: Slots | None
     """Who was there when a replacement began: they go unless named. Who comes meanwhile stays."""
+    stays: int = 0
+    """At most so many of these were named so far."""
+    surveyed: bool = False
+    """All that is named is known, `replaced` are the others, and `left` are new names."""
+    new: list[int] = field(default_factory=list)
+    """How many new names each part brings then, the first part last."""
     told: list[tuple[Slots, bool]] = field(default_factory=list)
     """Who was named, in order, and whether they leave the region, and so go."""
     shadows: list[Slots] = field(default_factory=list)
@@ -182,26 +192,24 @@ class Updates:
         if len(outside) and not sliced:
             stale = np.append(stale, outside)
         if len(added.row):
-            room = self.room() + len(stale)
+            room = self._room(len(added.row), sliced) + len(stale)
             full = f'the scene is full (max_obstacles is {held.most})'
             valid.reasons.add(added.row[room:], full)
             added = self._with_masks(added.take(slice(room)), names)
             held.require_handles(len(added.row))
         newest = held.newest
+        whole = whole or (sliced is not None and sliced.replaced is not None)
         if whole or len(valid.known.row) + len(valid.added.row):
             newest = max(newest, _latest(part.stamp, valid, whole))
         with held.change:
             if len(stale):
                 held.drop(stale)
             if sliced:
-                handles = held.columns.tree_handle
-                sliced.told += [(handles[present], False), (handles[outside], True)]
+                self._note_told(sliced, present, outside)
                 sliced.shadows.append(held.leave_shadows(known))
             held.move(known, source, group)
             if len(added.row):
-                inserted = held.insert(added, names.take(added.row), source, group)
-                if sliced:
-                    sliced.told.append((held.columns.tree_handle[inserted], False))
+                held.insert(added, names.take(added.row), source, group)
             held.newest = newest
         return valid.reasons.refusals(names.text)
 
@@ -254,13 +262,37 @@ class Updates:
             goes[self._held.still_there(handles)] = leave
         return np.flatnonzero(goes)
 
-    def room(self) -> int:
-        """How many obstacles may come, once what is under way has ended."""
+    def _room(self, wanted: int, own: Sliced | None) -> int:
+        """How many obstacles may come, once what is under way has ended; that `wanted` may is
+        known without looking at all that is there.
+        """
+        replacing = [one for one in self.under_way if one.replaced is not None]
         room = self._held.most - len(self._held)
-        for running in self.under_way:
-            if running.replaced is not None:
-                room += len(self.leaving(running)) - max(running.left, 0)
-        return max(room, 0)
+        room -= sum(max(one.left, 0) for one in replacing if not (one is own and one.surveyed))
+        if room + sum(map(self._surely_leaving, replacing)) >= wanted:
+            return wanted
+        return max(room + sum(len(self.leaving(one)) for one in replacing), 0)
+
+    def room_beside(self, running: Sliced) -> int:
+        """How many obstacles may come besides what others bring, if nobody goes."""
+        others = [one for one in self.under_way if one.replaced is not None and one is not running]
+        room = self._held.most - len(self._held)
+        return max(room + sum(len(self.leaving(one)) - max(one.left, 0) for one in others), 0)
+
+    def _note_told(self, sliced: Sliced, present: Slots, outside: Slots) -> None:
+        if sliced.surveyed and self._region is None:
+            return
+        handles = self._held.columns.tree_handle
+        sliced.told += [(handles[present], False), (handles[outside], True)]
+        sliced.stays += len(present)
+
+    def _surely_leaving(self, running: Sliced) -> int:
+        """At least so many go."""
+        if running.group:  # members of other groups may have joined it
+            return 0
+        held = self._held
+        come = held.next_node_handle - running.begun  # of whatever source
+        return max(held.groups.members(running.source, '') - come - running.stays, 0)
 
     def remove_orphans(self) -> None:
         """Remove the shadows of updates in slices that were interrupted at their very end."""

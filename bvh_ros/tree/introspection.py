@@ -24,7 +24,9 @@ from .nodes import (
     WRITTEN,
     Tree,
 )
-from .store.arrays import Arrays, Floats, Ids
+from .store.arrays import Arrays, Floats, Ids, touched
+from .store.memory import copy_bytes
+from .store.storage import Storage
 from .store.turns import IS_CHANGED
 
 cost_entry = entry_points(cost_now, 0)
@@ -173,7 +175,10 @@ class Introspection(Arrays):
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
-        tree = self._copied()
+        self.validate_copy(self.copied())
+
+    def validate_copy(self, tree: Tree) -> None:
+        """`validate` what `copied` returned, while others change the tree."""
         serial, state = tree.state.item(SERIAL), tree.state[:STATE_PLACES]
         complaint = validation.complaint_about(
             self.ndim, self.margin, serial, tree._replace(state=state)
@@ -208,10 +213,20 @@ class Introspection(Arrays):
         self.check_unchanged(view)
         return stats
 
-    def _copied(self) -> Tree:
-        """The tree's arrays, all as they were at one time."""
+    def copied(self, room: Storage | None = None) -> Tree:
+        """The tree's arrays, all as they were at one time; in `room_for_copy`, if that fits."""
         self._settle()
         view = self.view()
-        copies = Tree._make(array.copy() for array in view.tree)
+        copies = Tree._make(np.empty_like(array) for array in view.tree)
+        if room is not None and [a.nbytes for a in room.tree] == [a.nbytes for a in view.tree]:
+            copies = room.tree
+        both: list[tuple[Any, Any]] = [*zip(copies, view.tree, strict=True)]
+        for copy, array in both:
+            copy_bytes(array, copy)
         self.check_unchanged(view)
         return copies
+
+    def room_for_copy(self) -> Storage:
+        """Memory for `copied`; another thread may ask for it."""
+        tree = self._storage.tree
+        return touched(self.ndim, len(tree.handles), len(tree.tight) > 0)

@@ -29,6 +29,9 @@ import {module}
         ('compiled', 'UnknownROSArgsError', 'bvh_ros.ros.node'),
         ('compiled', 'WaitSet', 'bvh_ros.client'),
         ('executors.SingleThreadedExecutor', '_spin_once_impl', 'bvh_ros.ros.node'),
+        ('executors.Executor', '_take_subscription', 'bvh_ros.ros.node'),
+        ('executors.Executor', '_take_service', 'bvh_ros.ros.node'),
+        ('executors.Executor', '_take_waitable', 'bvh_ros.ros.node'),
     ],
 )
 def test_a_name_that_is_gone_is_named(owner, name, module):

@@ -174,3 +174,15 @@ assert scene.overlap([0, 0, 8], [1, 1, 9]) and touching.touching_shapes.signatur
 assert 'fcl' not in sys.modules
 """
     subprocess.run([sys.executable, '-c', program], check=True)
+
+
+def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
+    scene = Scene()
+    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
+    scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
+    for turn, _ in enumerate(scene.validate_in_turns()):
+        scene.update('s', [f'new {turn}'], shapes.take([0]), stamp=2)
+    assert len(scene) > 60
+    scene._held.tree.view().tree.heights[:] += 1
+    with pytest.raises(RuntimeError, match='height'):
+        list(scene.validate_in_turns())

@@ -227,30 +227,37 @@ class _Reader:
 
     def shapes(self, rows: Integers, of: Integers) -> Generator[None, None, Shapes]:
         """Obstacles in the node's frame; `of` is the marker that each comes from."""
-        table = self.table
-        kind = _KINDS[table.type[of]]
-        shapes = Shapes(kind, table.position[of], table.orientation[of], table.scale[of])
+        shapes = yield from self._placed(rows, of)
         if self.meshes:
             held = np.empty(len(of), object)
-            for at in np.flatnonzero(table.type[of] == TRIANGLES).tolist():
+            for at in np.flatnonzero(self.table.type[of] == TRIANGLES).tolist():
                 held[at] = mesh = self.meshes[int(of[at])]
-                kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
+                shapes.kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
             shapes = shapes._replace(mesh=held)
-        listed = of[:0]
-        if self.points:
-            listed = np.flatnonzero(np.isin(table.type[of], list(LISTED_SHAPES)))
-        points = [self.points[row] for row in rows.tolist() if row in self.points]
-        local = np.concatenate(points) if points else np.empty((0, 3))
-        for begin in range(0, len(listed), ELEMENTS):
-            yield
-            some = slice(begin, begin + ELEMENTS)
-            place = listed[some]
-            turn = rotations.normalised(shapes.orientation[place])
-            shapes.position[place] += rotations.rotate(turn, local[some])
-            shapes.orientation[place] = turn
         if self.moved is not None:
             yield from self._move(shapes, of)
         return shapes
+
+    def _placed(self, rows: Integers, of: Integers) -> Generator[None, None, Shapes]:
+        """The shapes in their markers' frames; elements of lists at their points."""
+        table, count, done = self.table, len(of), 0
+        position, turn, size = (np.empty((count, width)) for width in (3, 4, 3))
+        points = [self.points[row] for row in rows.tolist() if row in self.points]
+        local = np.concatenate(points) if points else position[:0]
+        for begin in range(0, count, ELEMENTS):
+            if begin:
+                yield
+            some = slice(begin, begin + ELEMENTS)
+            marker = of[some]
+            position[some], size[some] = table.position[marker], table.scale[marker]
+            turn[some] = table.orientation[marker]
+            if done == len(local):
+                continue
+            place = begin + np.flatnonzero(np.isin(table.type[marker], list(LISTED_SHAPES)))
+            turn[place] = rotations.normalised(turn[place])
+            position[place] += rotations.rotate(turn[place], local[done : done + len(place)])
+            done += len(place)
+        return Shapes(_KINDS[table.type[of]], position, turn, size)
 
     def _move(self, shapes: Shapes, of: Integers) -> Generator[None, None, None]:
         """Bring what stands in other frames into the node's."""

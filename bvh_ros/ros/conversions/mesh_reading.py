@@ -5,14 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from concurrent.futures import ThreadPoolExecutor, wait
-from functools import cache
 
 from bvh_ros.ros.conversions.marker_table import Floats
 from bvh_ros.scene import Mesh, mesh_of
+from bvh_ros.scene.store.beside import beside
 
 MANY = 500  # triangles: more take longer than 10 ms
-PATIENCE = 0.002  # seconds between two looks whether the other thread is done
 
 
 def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
@@ -29,11 +27,7 @@ def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
         mesh = _examine(triangles, planar)
         yield
         return mesh
-    work = _helper().submit(_examine, triangles, planar)
-    while not work.done():
-        wait((work,), PATIENCE)
-        yield
-    return work.result()
+    return (yield from beside(_examine, triangles, planar))
 
 
 def _examine(triangles: Floats, planar: bool) -> Mesh:
@@ -41,8 +35,3 @@ def _examine(triangles: Floats, planar: bool) -> Mesh:
     # Made when they are first asked for, and kept.
     _ = mesh.outline if planar else (mesh.tree, mesh.discs)
     return mesh
-
-
-@cache
-def _helper() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, 'meshes')

@@ -4,17 +4,15 @@
 
 from __future__ import annotations
 
-import contextlib
-import time
 from collections import deque
 from collections.abc import Sequence
 from itertools import islice
 from typing import Protocol
 
+from bvh_ros.ros.seldom import Seldom
 from bvh_ros.ros.texts import LONGEST_LINE, shortened
 from bvh_ros.scene import Refusal
 
-LOG_EVERY = 2.0  # seconds
 LISTED = 100  # refused rows that are kept with their reasons, the latest
 
 
@@ -50,31 +48,17 @@ class Refused:
         self.last = ''
         self._rows: deque[str] = deque(maxlen=LISTED)
         self._row_count = 0
-        self._logger = logger
-        self._what = what
-        self._unlogged = 0
-        self._log_again = -float('inf')
+        self._seldom = Seldom(lambda reason: logger.warning(f'{what} refused: {reason}'))
 
     def add(self, reason: str, count: int = 1) -> None:
         """Count `count` refusals for one reason; never raises."""
         self.count += count
         self.last = shortened(reason, LONGEST_LINE)
-        self._unlogged += count
-        self.log()
+        self._seldom.add(self.last, count)
 
     def log(self) -> None:
-        """Log what is not logged yet, if the last report is long enough ago; never raises.
-
-        To be called now and then: what comes last is to be in the log, too.
-        """
-        now = time.monotonic()
-        if not self._unlogged or now < self._log_again:
-            return
-        more = f' ({self._unlogged - 1} more since the last report)' if self._unlogged > 1 else ''
-        with contextlib.suppress(Exception):  # whoever refuses goes on, logged or not
-            self._logger.warning(f'{self._what} refused: {self.last}{more}')
-        self._unlogged = 0
-        self._log_again = now + LOG_EVERY
+        """Log what is not logged yet; to be called now and then."""
+        self._seldom.log()
 
     def add_rows(self, refusals: Sequence[Refusal]) -> None:
         """Count the rows of an update that were refused."""

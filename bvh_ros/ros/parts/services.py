@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from types import coroutine
 from typing import TYPE_CHECKING, Any
 
 from nav_msgs.srv import GetPlan
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from bvh_ros.ros.conversions import plans
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import Scene, SceneHit
 
+Acting = Generator[None, None, str]  # pauses, and returns the reply
 Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
 
 
@@ -111,14 +114,27 @@ class QueryServices(NodePart):
         plans.fill_error(plan, request, reason, frames.frame_id, now)
 
 
+@coroutine
+def in_turns(node: Node, work: Acting) -> Acting:
+    """Go on with work whenever the executor has come round; return what it returns."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return str(end.value)
+        node.executor.wake()
+        yield
+
+
 class TriggerServices(NodePart):
-    """`~/clear`, `~/rebuild` and `~/validate`."""
+    """`~/clear`, `~/rebuild` and `~/validate`, one at a time; queries are answered in between."""
 
     def __init__(self, node: Node, world: World) -> None:
         super().__init__(node)
         self._world = world
         self._scene = world.scene
         self._sources = world.sources
+        self._group = MutuallyExclusiveCallbackGroup()
         for name, act in (
             ('~/clear', self._clear),
             ('~/rebuild', self._rebuild),
@@ -126,10 +142,12 @@ class TriggerServices(NodePart):
         ):
             self._serve(name, act)
 
-    def _serve(self, name: str, act: Callable[[], str]) -> None:
-        def callback(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _serve(self, name: str, act: Callable[[], Acting]) -> None:
+        async def callback(
+            _request: Trigger.Request, response: Trigger.Response
+        ) -> Trigger.Response:
             try:
-                response.message = act()
+                response.message = await in_turns(self.node, act())
                 response.success = True
                 return response
             except Exception as error:
@@ -138,22 +156,25 @@ class TriggerServices(NodePart):
                 self.node.get_logger().error(f'{name}: {response.message}')
             return response
 
-        self.service(Trigger, name, callback)
+        self.service(Trigger, name, callback, callback_group=self._group)
 
-    def _clear(self) -> str:
+    def _clear(self) -> Acting:
         removed = self._scene.clear()
         for source in self._sources:
             source.forget()
+        yield
         return f'removed {removed} obstacles'
 
-    def _rebuild(self) -> str:
+    def _rebuild(self) -> Acting:
         self._scene.rebuild()
+        yield
         return self._tree_in_words()
 
-    def _validate(self) -> str:
+    def _validate(self) -> Acting:
         if self._world.compiling:
             raise RuntimeError(self._world.compiling)
-        self._scene.validate()
+        yield from self._scene.validate_in_turns()
+        yield
         return f'valid: {self._tree_in_words()}'
 
     def _tree_in_words(self) -> str:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -17,9 +17,11 @@ from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.sources.source import Applying, Source
-from bvh_ros.scene import Families, Part
+from bvh_ros.scene import Families, Part, ShapeKind
 from bvh_ros.scene.slicing import AT_ONCE
 from bvh_ros.scene.store.names import as_families
+
+COSTLY_AS_ROWS = 60  # rows of boxes that take as long as one with a mesh
 
 
 class MarkerArraySource(Source):
@@ -58,18 +60,22 @@ class MarkerArraySource(Source):
         count, refusals = len(change.names), change.refusals
         removed = self._with_elements(change.removed)
         gone = self.scene.find(self.name, removed, change.namespaces)
-        at_once = count < AT_ONCE
+        meshes = int(np.count_nonzero(change.shapes.kind == ShapeKind.MESH))
+        costly = COSTLY_AS_ROWS * meshes > count
+        at_once = len(gone) < AT_ONCE and not self.scene.is_long(
+            self.name, count, whole=change.clears, costly=costly
+        )
         if at_once:
             self.scene.remove_group(self.name, '') if change.clears else self.scene.discard(gone)
         self._forget_lists(change)
         for name, size in change.lists.items():  # before: should anything go wrong on the way
             self._lists[name] = max(size, self._lists.get(name, 0))
         whole = change.clears and not at_once
-        refused = yield from self._in_slices('', count, part.cut, whole=whole)
+        refused = yield from self._in_slices('', count, part.cut, whole=whole, costly=costly)
         if not at_once:  # not before: others have asked meanwhile
             yield from self.scene.discard_in_slices(gone, besides=change.names)
         refusals.extend(refused)
-        self._settle_lists(change)
+        yield from self._settle_lists(change)
         return len(columns.id) + count - len(change.singles), refusals
 
     def forget(self) -> None:
@@ -92,7 +98,7 @@ class MarkerArraySource(Source):
             for name in [n for n in self._lists if n.rpartition('/')[0] in spaces]:
                 del self._lists[name]
 
-    def _settle_lists(self, change: markers.Change) -> None:
+    def _settle_lists(self, change: markers.Change) -> Iterator[None]:
         """Remove what lists no longer have, and what changed between a list and a single one."""
         ended = self._lists_among(change.singles).difference(change.lists)
         # A refused update keeps the list.
@@ -102,8 +108,8 @@ class MarkerArraySource(Source):
             left[name] = size, self._lists[name]
             self._lists[name] = size
         if left:
-            singles = list(change.lists)
-            self.scene.remove(self.name, self._elements(left, as_families(singles)))
+            gone = self._elements(left, as_families(list(change.lists)))
+            yield from self.scene.discard_in_slices(self.scene.find(self.name, gone), besides=[])
 
     def _lists_among(self, names: Families) -> set[str]:
         return self._lists.keys() & names.texts() if self._lists else set()

@@ -30,11 +30,12 @@ if TYPE_CHECKING:
     from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.world.frames import Frames
-    from bvh_ros.scene import Part, Scene
+    from bvh_ros.scene import Scene
+    from bvh_ros.scene.slicing import Parts
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]
-SLICE = 0.01  # seconds after which others get a turn
+SLICE = 0.005  # seconds after which others get a turn; whoever asks may wait for two
 DONE = object()
 
 
@@ -196,17 +197,18 @@ class Source(ABC):
         self.refused.add(reason)
 
     def _in_slices(
-        self, group: str, total: int, parts: Callable[[int], Iterator[Part]], *, whole: bool
+        self, group: str, total: int, parts: Parts, *, whole: bool, costly: bool = False
     ) -> Slices:
         """`Scene.in_slices` for this source; once those made it late, without pauses.
 
         What is left is not hurried through in slices, which are slow: all is applied again.
         """
-        apply = partial(self.scene.in_slices, self.name, group, total, parts, whole=whole)
-        slices = apply(at_once=self._hurried)
+        given = self.name, group, total, parts
+        apply = partial(self.scene.in_slices, *given, whole=whole, costly=costly)
+        slices = apply(at_once=self._hurried and not costly)
         while (end := _advance(slices)) is None:
             yield
-            if self._hurried:
+            if self._hurried and not costly:
                 slices.close()  # what is half done is not seen before it is whole
                 return (yield from apply(at_once=True))
         return end

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rclpy.clock import JumpThreshold
+from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
+
+from bvh_ros.ros.seldom import LOG_EVERY, Seldom
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.world.world import World
-
-LOG_EVERY = 2.0  # seconds
 
 
 class ClockJumps:
@@ -27,7 +27,10 @@ class ClockJumps:
 
     def __init__(self, node: Node, world: World) -> None:
         self._clock = node.get_clock()
-        self._logger = node.get_logger()
+        self._node = node
+        self._jumps = Seldom(lambda text: node.get_logger().warning(text))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOG_EVERY, self._jumps.log, clock=steady)
         self._world = world
         self._before = 0  # ns
         self._handle = self._clock.create_jump_callback(
@@ -43,12 +46,12 @@ class ClockJumps:
         # Not by the jump's own account: that is zero where /clock takes over.
         now = self._clock.now().nanoseconds
         by = now - self._before
-        self._logger.warning(
-            f'the clock jumped by {by / 1e9:.3f} s; lifetimes and ages go on from there',
-            throttle_duration_sec=LOG_EVERY,
+        self._jumps.add(
+            f'the clock jumped by {by / 1e9:.3f} s; lifetimes and ages go on from there'
         )
         self._world.shift(by, now)
 
     def destroy(self) -> None:
         """Take no notice any more."""
         self._handle.unregister()
+        self._node.destroy_timer(self._timer)

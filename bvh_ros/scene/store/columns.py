@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.jit.compiling import entry_point, lean_kernel
+from ...tree.store.memory import copy_bytes, touch
 from ..geometry.footprint import FOOTPRINT, footprints
 from ..geometry.records import GEOMETRY, UNTURNED
 from ..geometry.shapes import MESH, shapes_of
@@ -100,20 +101,36 @@ class Columns:
         self.__init__(self.footprint is not None, self._expects_meshes)  # type: ignore[misc]
         self.pairs_compared, self.pairs_in_more_digits = counts
 
-    def grow(self, count: int) -> None:
-        """Make room for the slots below `count`, at least doubling."""
+    def room_for(self, count: int) -> dict[str, NDArray[Any]]:
+        """Larger arrays for `grow`, empty if there is no need. Fresh memory takes longer to get
+        than to fill, so another thread may ask for it.
+        """
+        room = self._larger(count)
+        for name, array in room.items():
+            if name != 'footprint' or self.shaped:  # else it is in no memory yet
+                touch(array)
+        return room
+
+    def grow(self, count: int, room: dict[str, NDArray[Any]] | None = None) -> None:
+        """Make room for the slots below `count`."""
         old = len(self.tree_handle)
         if count <= old:
             return
-        capacity = max(count, 2 * old)
-        for name, array in vars(self).items():
-            if isinstance(array, np.ndarray):
-                bigger = np.zeros(capacity, array.dtype)
-                if name != 'footprint' or self.shaped:  # else it is in no memory yet
-                    bigger[:old] = array
-                setattr(self, name, bigger)
-        self.tree_handle[old:] = FREE
-        self.geometry[old:] = UNTURNED
+        for name, bigger in (room or self._larger(count)).items():
+            if name != 'footprint' or self.shaped:
+                copy_bytes(getattr(self, name), bigger)
+            setattr(self, name, bigger)
+
+    def _larger(self, count: int) -> dict[str, NDArray[Any]]:
+        """Arrays for the slots below `count`, at least twice as long; none if these will do."""
+        old = len(self.tree_handle)
+        if count <= old:
+            return {}
+        arrays = {n: array for n, array in vars(self).items() if isinstance(array, np.ndarray)}
+        larger = {name: np.zeros(max(count, 2 * old), arrays[name].dtype) for name in arrays}
+        larger['tree_handle'].fill(FREE)
+        larger['geometry'][:] = UNTURNED
+        return larger
 
     def different(self, slots: Slots) -> Slots:
         """Rows of the first place of each obstacle, ascending: one may stand at two, see

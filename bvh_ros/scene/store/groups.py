@@ -50,6 +50,13 @@ class Groups:
         group = self._groups.get((source, name))
         return group.number if group else NOBODY
 
+    def members(self, source: str, name: str) -> int:
+        """How many obstacles a group has ('': all that the source owns)."""
+        if not name:
+            return self.by_source().get(source, 0)
+        group = self._groups.get((source, name))
+        return group.members if group else 0
+
     def group(self, number: int) -> Group:
         """The group with this number."""
         return self._by_number[number]

@@ -4,6 +4,7 @@
 slot.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.nodes import SLOT_MASK
 from ..geometry.shapes import Floats
 from ..results import LAST_NODE_HANDLE, SceneHit
+from .beside import beside
 from .columns import NEVER, Columns
 from .groups import NOBODY, Groups
 from .names import Families
@@ -24,6 +26,9 @@ UNFINISHED = (
     'a change of the scene was interrupted (or is under way): what it holds is not known before '
     'it is cleared'
 )
+
+
+MANY = 10_000  # boxes: where fresh memory takes longer than a turn
 
 
 class Change:
@@ -122,6 +127,22 @@ class Obstacles:
                 f'the {LAST_NODE_HANDLE} node handles of this run are used up; restart the node'
             )
 
+    def make_room(self, more: int) -> Iterator[None]:
+        """Make room for so many more boxes, with pauses if they are many."""
+        if more < MANY:
+            return
+        count = min(len(self.tree) + more, 2 * self.most)
+        self.tree.reserve((yield from beside(self.tree.room_for, count)))
+        yield
+        columns = yield from beside(self.columns.room_for, count)
+        with self.change:
+            self.columns.grow(count, columns)
+        yield
+        names = yield from beside(self.registry.room_for, count)
+        with self.change:
+            self.registry.grow(count, names)
+        yield
+
     def move(self, rows: Rows, source: str, group: str) -> None:
         """Give obstacles that exist their new shape and pose."""
         slots, columns = rows.slot, self.columns
@@ -147,6 +168,8 @@ class Obstacles:
         where they are, see slicing.py; return their handles in the tree.
         """
         columns = self.columns
+        if not len(rows.slot):
+            return rows.slot
         lo, hi = self.tree.boxes(columns.tree_handle[rows.slot])
         stays = (lo == rows.lo).all(axis=1) & (hi == rows.hi).all(axis=1)
         moves = ~stays | rows.records['shaped'] | columns.geometry['shaped'][rows.slot]

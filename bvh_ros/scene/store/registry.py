@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.store.memory import touch
 from .groups import tally
 from .name_hash import EMPTY, add_slots, discard_slots, find_slots
 from .names import BARE, Families, split
@@ -67,7 +68,7 @@ class Registry:
         """Give new names, each there once, their slots."""
         if not len(slots):
             return
-        self._grow(int(slots.max()) + 1)
+        self.grow(int(slots.max()) + 1)
         used = tally(names.family)
         numbers = np.zeros(len(names.prefixes), np.int64)
         for place, count in used.items():
@@ -79,7 +80,7 @@ class Registry:
 
     def copy(self, slots: Slots, copies: Slots) -> None:
         """Call further slots the same; their names still lead to the first ones."""
-        self._grow(int(copies.max(initial=-1)) + 1)
+        self.grow(int(copies.max(initial=-1)) + 1)
         self._prefix_of[copies] = self._prefix_of[slots]
         self._number_of[copies] = self._number_of[slots]
         for prefix, count in tally(self._prefix_of[slots]).items():
@@ -141,14 +142,32 @@ class Registry:
     def _hashed(self) -> tuple[Slots, Slots, Slots, int]:
         return self._table, self._prefix_of, self._number_of, self._seed
 
-    def _grow(self, capacity: int) -> None:
+    def room_for(self, count: int) -> list[Slots]:
+        """Larger arrays for `grow`; empty if there is no need. Another thread may ask."""
+        room = self._larger(count)
+        for array in room[:2]:
+            touch(array)
+        return room
+
+    def grow(self, count: int, room: list[Slots] | None = None) -> None:
+        """Make room for the slots below `count`."""
         old = len(self._prefix_of)
-        if capacity <= old:
+        if count <= old:
             return
-        more = np.zeros(max(capacity, 2 * old) - old, np.int64)
-        self._prefix_of = np.concatenate([self._prefix_of, more])
-        self._number_of = np.concatenate([self._number_of, more])
-        places = 1 << (_LOAD * len(self._prefix_of) - 1).bit_length()
+        prefix_of, number_of, table = room or self._larger(count)
+        prefix_of[:old], number_of[:old] = self._prefix_of, self._number_of
         entered = self._table[self._table != EMPTY]
-        self._table = np.full(max(places, 16), EMPTY, np.int64)
+        self._prefix_of, self._number_of, self._table = prefix_of, number_of, table
         add_slots(*self._hashed(), entered)
+
+    def _larger(self, count: int) -> list[Slots]:
+        """Arrays for the slots below `count`, at least twice as long, and a table for them; none
+        if these will do.
+        """
+        old = len(self._prefix_of)
+        if count <= old:
+            return []
+        capacity = max(count, 2 * old)
+        places = max(1 << (_LOAD * capacity - 1).bit_length(), 16)
+        columns = [np.zeros(capacity, np.int64) for _ in range(2)]
+        return [*columns, np.full(places, EMPTY, np.int64)]

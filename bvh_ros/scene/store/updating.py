@@ -44,11 +44,14 @@ class Rows(NamedTuple):
         return Rows(*columns)
 
 
-_NO_NUMBERS, _NO_BOXES = np.empty(0, np.int64), np.empty((0, 3))
-_NO_ROWS = Rows(
-    *(_NO_NUMBERS, _NO_NUMBERS, np.empty(0, GEOMETRY), None, _NO_BOXES, _NO_BOXES, None),
-    *(_NO_NUMBERS, _NO_NUMBERS),
-)
+_NO_NUMBERS = np.empty(0, np.int64)
+_NO_ROWS = [  # planar or not
+    Rows(
+        *(_NO_NUMBERS, _NO_NUMBERS, np.empty(0, GEOMETRY), None, boxes, boxes, None),
+        *(_NO_NUMBERS, _NO_NUMBERS),
+    )
+    for boxes in (np.empty((0, 3)), np.empty((0, 2)))
+]
 
 
 class Owner(NamedTuple):
@@ -177,9 +180,9 @@ def validate_rows(
     good, known = _all_good()(form.faults, called, slots, owner.of_slot, owner.number)
     if good and not _refuse_names(names, reasons):
         if known == count:
-            return Validated(_NO_ROWS, rows, reasons)
+            return Validated(_NO_ROWS[planar], rows, reasons)
         if known == 0:
-            return Validated(rows, _NO_ROWS, reasons)
+            return Validated(rows, _NO_ROWS[planar], reasons)
     else:
         rows = rows.take(_taken(names, slots, form, owner, reasons))
     new = rows.slot == UNKNOWN

@@ -28,6 +28,7 @@ from ..nodes import (
     View,
 )
 from ..wide import snapshot as wide
+from .memory import touch
 from .storage import READ_ONLY, Storage, allocate, inherit_entry
 from .turns import ANY_VERSION, CHANGED, IS_CHANGED, IS_QUERIED, QUERIED
 
@@ -37,6 +38,14 @@ IS_READ_ONLY = 'the tree is mapped from a file and read-only: load it without mm
 # Why a change of one box is refused, where that is no fault of the arguments.
 MENDED = QUERIED, CHANGED, changing.FULL, changing.OWING, changing.NO_NUMBERS
 NO_ROWS, NO_MASKS = np.empty(0, np.int64), np.empty(0, np.uint32)
+
+
+def touched(ndim: int, capacity: int, fat: bool) -> Storage:
+    """Storage that waits to be filled, in memory that is there already."""
+    storage = allocate(ndim, capacity, fat)
+    for array in storage.tree[:-1]:
+        touch(array)
+    return storage
 
 
 class Arrays:
@@ -133,9 +142,28 @@ class Arrays:
         """Let larger arrays, or others, take the place of these."""
         if storage.process == READ_ONLY:
             raise ValueError(IS_READ_ONLY)
-        storage.heirs.append(allocate(self.ndim, capacity, fat))
+        self._succeed(storage, allocate(self.ndim, capacity, fat))
+
+    def _succeed(self, storage: Storage, heir: Storage) -> None:
+        storage.heirs.append(heir)
         if self._settled() is storage:
             raise RuntimeError(IS_CHANGED)
+
+    def room_for(self, count: int) -> Storage | None:
+        """Memory for so many boxes in all, for `reserve`; None if there is enough. Fresh memory
+        takes longer to get than to fill, so another thread may ask for it.
+        """
+        tree = self._storage.tree
+        if count <= len(tree.handles):
+            return None
+        capacity = min(max(count, 2 * len(tree.handles)), SLOT_MASK + 1)
+        return touched(self.ndim, capacity, len(tree.tight) > 0)
+
+    def reserve(self, room: Storage | None) -> None:
+        """Move into what `room_for` returned, unless there is as much room by now."""
+        storage = self._settled()
+        if room is not None and len(room.tree.handles) > len(storage.tree.handles):
+            self._succeed(storage, room)
 
     def _reserve(self, storage: Storage, more: int) -> None:
         """Make room for so many more boxes, at least doubling."""

@@ -35,7 +35,7 @@ LARGEST_VALUE = 4096  # bytes
 
 def pack(tree: Any) -> dict[str, Any]:
     """The arrays and values that make up a tree, by name."""
-    arrays = tree._copied()
+    arrays = tree.copied()
     state = arrays.state
     return {
         'version': VERSION,
