@@ -38,6 +38,23 @@ def test_without_ros(name, said):
     assert said in run(name)
 
 
+def test_a_sampling_planner(tmp_path):
+    picture = tmp_path / 'planner.png'
+    said = run('sampling_planner.py', '--ticks', '3', '--picture', str(picture))
+    assert '0 of them in touch with somebody' in said
+    assert picture.stat().st_size > 10_000
+
+
+def test_an_arm_at_a_shelf(tmp_path):
+    data = EXAMPLES.parents[1] / 'shared' / 'data'
+    if not data.exists():
+        pytest.skip('the recorded scenes are not there')
+    picture = tmp_path / 'arm.png'
+    said = run('arm_at_a_shelf.py', '--data', str(data), '--picture', str(picture))
+    assert 0 < int(said.split()[0]) < 500
+    assert picture.stat().st_size > 10_000
+
+
 def test_many_machines():
     pytest.importorskip('distributed', reason='extra [cluster] is not installed')
     few = '--boxes', '2e4', '--rays', '1e4', '--part', '5e3'

@@ -1,11 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The client's end of the topics `rays`, `ray_hits` and `names`."""
+"""The client's ends of the topics of questions and answers in batches, and of `names`."""
 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -19,7 +20,6 @@ from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client.errors import BvhError
-from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Rays
 from bvh_ros.ros.qos import DEPTH
 
@@ -27,17 +27,39 @@ JITTER = 1_000_000  # ns
 NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
-class RayChannel:
-    """Sends clouds of rays and gives each cloud of hits to who waits for its stamp."""
+class Channel:
+    """Sends questions by one topic and gives each cloud of answers to who waits for its stamp.
 
-    def __init__(self, node: Node, name: str, group: CallbackGroup) -> None:
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    topics : tuple of two str
+        Of questions and of answers.
+    read : callable
+        Makes answers of a cloud; ValueError if it cannot be read.
+    group : rclpy.callback_groups.CallbackGroup
+    kind : type
+        Of the questions' messages.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topics: tuple[str, str],
+        read: Callable[[PointCloud2], Any],
+        group: CallbackGroup,
+        kind: type = PointCloud2,
+    ) -> None:
         self._node = node
-        self._name = name
+        self.topic = topics[0]
+        self._read = read
         self.has_answered = False
         self._waiting: dict[tuple[int, int], tuple[Future, int]] = {}
-        self._publisher = node.create_publisher(PointCloud2, f'{name}/rays', DEPTH)
+        self.nothing = kind
+        """Makes a message that asks nothing."""
+        self._publisher = node.create_publisher(kind, topics[0], DEPTH)
         self.subscription = node.create_subscription(
-            PointCloud2, f'{name}/ray_hits', self._receive, DEPTH, callback_group=group
+            PointCloud2, topics[1], self._receive, DEPTH, callback_group=group
         )
 
     def is_found(self) -> bool:
@@ -47,15 +69,21 @@ class RayChannel:
         )
 
     def ask(
-        self, rays: Rays, frame_id: str, stamp: int | None, executor: Executor | None = None
+        self,
+        asked: Any,
+        count: int,
+        frame_id: str,
+        stamp: int | None,
+        executor: Executor | None = None,
     ) -> Future:
-        """Publish rays; return a future of their hits, whose callbacks the executor runs."""
-        cloud = ray_clouds.rays_cloud(rays)
-        cloud.header.frame_id = frame_id
-        cloud.header.stamp = Time(nanoseconds=self._stamp() if stamp is None else stamp).to_msg()
+        """Publish a message of so many questions; return a future of the answers, whose callbacks
+        the executor runs.
+        """
+        asked.header.frame_id = frame_id
+        asked.header.stamp = Time(nanoseconds=self._stamp() if stamp is None else stamp).to_msg()
         answer = Future(executor=executor)
-        self._waiting[_key(cloud)] = answer, cloud.width
-        self._publisher.publish(cloud)
+        self._waiting[_key(asked)] = answer, count
+        self._publisher.publish(asked)
         return answer
 
     def forget(self, answer: Future) -> None:
@@ -80,13 +108,14 @@ class RayChannel:
             return  # another client's
         self.has_answered = True
         try:
-            hits = ray_clouds.hits(cloud)
+            hits = self._read(cloud)
         except ValueError as error:
             answer.set_exception(BvhError(f'the reply cannot be read: {error}'))
             return
-        if len(hits.t) != count or (count and (hits.obstacles == UNANSWERED).all()):
+        rows = len(hits.obstacles)
+        if rows != count or (count and (hits.obstacles == UNANSWERED).all()):
             answer.set_exception(
-                BvhError(f"'{self._name}/rays' cannot answer; its log and diagnostics say why")
+                BvhError(f"'{self.topic}' cannot answer; its log and diagnostics say why")
             )
         else:
             answer.set_result(hits)
@@ -127,7 +156,13 @@ class NameChannel:
                 answer.set_result(None)
 
 
-def as_rays(origins: ArrayLike, directions: ArrayLike, t_max: ArrayLike, mask: ArrayLike) -> Rays:
+def as_rays(
+    origins: ArrayLike,
+    directions: ArrayLike,
+    t_max: ArrayLike,
+    mask: ArrayLike,
+    radius: ArrayLike | None = None,
+) -> Rays:
     """Return n rays; ValueError where the shapes do not fit together."""
     starts, ways = np.asarray(origins), np.asarray(directions)
     if starts.ndim != 2 or starts.shape[1] != 3 or ways.shape != starts.shape:
@@ -140,10 +175,21 @@ def as_rays(origins: ArrayLike, directions: ArrayLike, t_max: ArrayLike, mask: A
     return Rays(
         starts.astype(np.float64),
         ways.astype(np.float64),
-        _column('t_max', np.asarray(t_max, np.float64), count),
-        _column('mask', np.asarray(mask, np.uint32), count),
+        column('t_max', np.asarray(t_max, np.float64), count),
+        column('mask', np.asarray(mask, np.uint32), count),
         np.dtype(np.float32 if narrow else np.float64),
+        None if radius is None else column('radius', np.asarray(radius, np.float64), count),
     )
+
+
+def as_rows(name: str, values: ArrayLike, count: int | None = None, width: int = 3) -> NDArray:
+    """Return rows as float64; ValueError where they have another shape."""
+    rows = np.asarray(values, np.float64)
+    if count is not None and rows.shape == (width,):
+        rows = np.broadcast_to(rows, (count, width))
+    if rows.ndim != 2 or rows.shape[1] != width or count not in (None, len(rows)):
+        raise ValueError(f'{name} must have the shape ({count or "n"}, {width}), not {rows.shape}')
+    return rows
 
 
 def handles_of(obstacles: Iterable[int]) -> set[int]:
@@ -163,11 +209,12 @@ def topic_of_names(node: Node, name: str) -> str:
     return ''
 
 
-def _column(name: str, values: NDArray, count: int) -> NDArray:
+def column(name: str, values: NDArray, count: int) -> NDArray:
+    """Return a number a row; ValueError where there are others."""
     if values.shape not in ((), (count,)):
         raise ValueError(f'{name} must be one number or have the shape ({count},)')
     return np.broadcast_to(values, (count,))
 
 
-def _key(cloud: PointCloud2) -> tuple[int, int]:
+def _key(cloud: Any) -> tuple[int, int]:
     return cloud.header.stamp.sec, cloud.header.stamp.nanosec

@@ -5,19 +5,21 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from threading import Lock
+from typing import Any
 
-import numpy as np
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client.batch import NameChannel, RayChannel, as_rays, topic_of_names
+from bvh_ros.client import volumes
+from bvh_ros.client.batch import Channel, NameChannel, topic_of_names
 from bvh_ros.client.errors import BvhTimeoutError
 from bvh_ros.client.waiting import Waiting
-from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits, Rays
+from bvh_ros.ros.conversions import ray_clouds
 
-NO_RAYS = np.empty((0, 3))
-PATIENCE = 0.2  # seconds for an answer to no rays
+PATIENCE = 0.2  # seconds for an answer to nothing
 
 
 class Channels:
@@ -28,39 +30,48 @@ class Channels:
         self._name = name
         self._group = group
         self._waiting = waiting
-        self._rays: RayChannel | None = None
+        self._channels: dict[str, Channel] = {}
         self._names: NameChannel | None = None
         self._opening = Lock()  # threads that come at once share them
 
-    def rays(self) -> RayChannel:
-        """Rays and their hits."""
+    def open(
+        self, asked: str, told: str, read: Callable[[PointCloud2], Any], kind: type = PointCloud2
+    ) -> Channel:
+        """The topics of some questions and their answers."""
         with self._opening:
-            if self._rays is None:
-                self._rays = RayChannel(self._node, self._name, self._group)
-                self._waiting.add_subscription(self._rays.subscription)
-            return self._rays
+            if asked not in self._channels:
+                topics = f'{self._name}/{asked}', f'{self._name}/{told}'
+                channel = Channel(self._node, topics, read, self._group, kind)
+                self._channels[asked] = channel
+                self._waiting.add_subscription(channel.subscription)
+            return self._channels[asked]
 
-    def answered_rays(self, timeout: float) -> RayChannel:
-        """The same once the node hears us and we hear it; BvhTimeoutError if not in time."""
-        channel, deadline = self.rays(), time.monotonic() + timeout
+    def rays(self) -> Channel:
+        """Rays and their hits."""
+        return self.open('rays', 'ray_hits', ray_clouds.hits)
+
+    def until_answered(self, channel: Channel, timeout: float) -> None:
+        """Wait until the node hears us and we hear it; BvhTimeoutError if not in time."""
+        deadline = time.monotonic() + timeout
         if not self._waiting.until(channel.is_found, timeout):
-            raise BvhTimeoutError(f"no batches at '{self._name}' after {timeout:g} s")
+            raise BvhTimeoutError(f"nobody answers '{channel.topic}' after {timeout:g} s")
         # That both are found here does not say that the node has found us.
         while not channel.has_answered:
             if time.monotonic() > deadline:
-                raise BvhTimeoutError(f"'{self._name}/rays' did not answer within {timeout:g} s")
-            nothing = channel.ask(as_rays(NO_RAYS, NO_RAYS, np.inf, EVERYTHING), '', None)
+                raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")
+            nothing = channel.ask(channel.nothing(), 0, '', None)
             self._waiting.until_done(nothing, PATIENCE)
             channel.forget(nothing)
-        return channel
 
-    def cast(self, rays: Rays, frame_id: str, stamp: int | None, timeout: float) -> Hits:
-        """Wait for the hits of rays; BvhTimeoutError if they do not come in time."""
-        channel = self.answered_rays(timeout)
-        answer = channel.ask(rays, frame_id, stamp)
+    def ask(
+        self, channel: Channel, message: Any, frame_id: str, stamp: int | None, timeout: float
+    ) -> Any:
+        """Wait for the answers to a message; BvhTimeoutError if they do not come in time."""
+        self.until_answered(channel, timeout)
+        answer = channel.ask(message, volumes.rows_of(message), frame_id, stamp)
         if not self._waiting.until_done(answer, timeout):
             channel.forget(answer)
-            raise BvhTimeoutError(f"'{self._name}/rays' did not answer within {timeout:g} s")
+            raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")
         return answer.result()
 
     def find_names(self, handles: set[int], timeout: float) -> dict[int, str]:

@@ -16,13 +16,15 @@ from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
 
-from bvh_ros.client import plans
+from bvh_ros.client import plans, volumes
 from bvh_ros.client.batch import as_rays, handles_of
 from bvh_ros.client.channels import Channels
 from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.client.plans import Hit
 from bvh_ros.client.services import Services
 from bvh_ros.client.waiting import Waiting
+from bvh_ros.ros.conversions import ray_clouds
+from bvh_ros.ros.conversions.query_clouds import Near, Touched
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
 
 LOOK = 0.2  # seconds between two looks whether the node still compiles
@@ -166,6 +168,23 @@ class BvhClient:
         request = plans.request(corner, opposite, tolerance, frame_id, orientation)
         return plans.all_hits(self._call(self._services.overlap, request, timeout))
 
+    def nearest(
+        self,
+        point: Sequence[float],
+        max_distance: float = 0.0,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> list[Hit]:
+        """Return the obstacles nearest to a point, nearest first: at most as many as the node's
+        parameter `nearest_limit` says, and no farther than `max_distance` (m; 0: however far).
+
+        Otherwise like `raycast`. The first question of all makes the node compile, and is
+        answered by an error that begins with ``compiling``.
+        """
+        request = plans.request(point, point, max_distance, frame_id)
+        return plans.all_hits(self._call(self._services.nearest, request, timeout))
+
     def raycast_async(
         self,
         start: Sequence[float],
@@ -210,11 +229,12 @@ class BvhClient:
         t_max: ArrayLike = np.inf,
         mask: ArrayLike = EVERYTHING,
         *,
+        radius: ArrayLike | None = None,
         frame_id: str = '',
         stamp: int | None = None,
         timeout: float | None = None,
     ) -> Hits:
-        """Return the first obstacles on n thin rays, by the node's topics `rays` and `ray_hits`.
+        """Return the first obstacles on n rays, by the node's topics `rays` and `ray_hits`.
 
         Parameters
         ----------
@@ -225,6 +245,8 @@ class BvhClient:
             In units of the directions: metres if these are unit vectors.
         mask : int or (n,) array_like
             Only obstacles whose own mask has a bit in common are seen.
+        radius : float or (n,) array_like, optional
+            Of balls that go along the rays, m; where it is above 0, t_max ends the way.
         frame_id : str
             Frame of rays and hits, by default the node's.
         stamp : int, optional
@@ -246,9 +268,100 @@ class BvhClient:
         ValueError
             If the arrays do not fit together.
         """
-        rays = as_rays(origins, directions, t_max, mask)
+        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask, radius))
         timeout = self.timeout if timeout is None else timeout
-        return self._channels.cast(rays, frame_id, stamp, timeout)
+        return self._channels.ask(self._channels.rays(), cloud, frame_id, stamp, timeout)
+
+    def nearest_many(
+        self,
+        points: ArrayLike,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Near:
+        """Return the obstacles nearest to n points, by the topics `points` and `nearest_hits`.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            m.
+        max_distance, mask : one for all points, or (n,) array_like
+            Obstacles that are farther away (m), or are not seen, are left out.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Near
+            `points` (n, 3) on the obstacles, `distances` (n,), `normals` (n, 3), `obstacles` (n,).
+        """
+        asked = volumes.points(points, max_distance, mask)
+        return self._ask_volumes('points', 'nearest_hits', asked, frame_id, timeout)
+
+    def overlap_many(
+        self,
+        centers: ArrayLike,
+        sizes: ArrayLike,
+        orientations: ArrayLike | None = None,
+        tolerance: ArrayLike = 0.0,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Touched:
+        """Return what touches n turned boxes, by the topics `boxes` and `box_hits`.
+
+        Parameters
+        ----------
+        centers : array_like, shape (n, 3)
+            m.
+        sizes : array_like, shape (n, 3), or (3,) for all
+            Edge lengths, m.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w.
+        tolerance, mask : one for all boxes, or (n,) array_like
+            The boxes are grown by `tolerance` all round, m.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Touched
+            Of the obstacle nearest to each centre `points` (n, 3), `distances` (n,) and
+            `obstacles` (n,); and `counts` (n,), how many touch the box.
+        """
+        asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
+        return self._ask_volumes('boxes', 'box_hits', asked, frame_id, timeout)
+
+    def check_path(
+        self,
+        positions: ArrayLike,
+        orientations: ArrayLike | None = None,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Near:
+        """Return how far the node's `footprint` is from the nearest obstacle at n poses, by the
+        topics `paths` and `path_hits`.
+
+        Parameters
+        ----------
+        positions : array_like, shape (n, 3)
+            m.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Near
+            As of `nearest_many`; a distance is 0 where the footprint touches the obstacle.
+        """
+        asked = volumes.path(positions, orientations)
+        return self._ask_volumes('paths', 'path_hits', asked, frame_id, timeout)
 
     def raycast_many_async(
         self,
@@ -264,12 +377,12 @@ class BvhClient:
 
         `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
         """
-        rays = as_rays(origins, directions, t_max, mask)
-        return self._channels.rays().ask(rays, frame_id, stamp, self.node.executor)
+        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask))
+        return self._channels.rays().ask(cloud, cloud.width, frame_id, stamp, self.node.executor)
 
     def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""
-        self._channels.answered_rays(timeout)
+        self._channels.until_answered(self._channels.rays(), timeout)
 
     def names(self, obstacles: Iterable[int], *, timeout: float | None = None) -> dict[int, str]:
         """Return the names of node handles, as `raycast_many` returns them.
@@ -293,6 +406,14 @@ class BvhClient:
     def call(self, kind: Any, service: str, request: Any) -> Any:
         """Call any other service of the node once; BvhTimeoutError without an answer."""
         return self._services.once(kind, service, request, self.timeout)
+
+    def _ask_volumes(
+        self, asked: str, told: str, message: Any, frame_id: str, timeout: float | None
+    ) -> Any:
+        """Ask by other topics than those of rays."""
+        timeout = self.timeout if timeout is None else timeout
+        channel = self._channels.open(asked, told, volumes.readers[told], type(message))
+        return self._channels.ask(channel, message, frame_id, None, timeout)
 
     def _call(
         self, client: Client, request: GetPlan.Request, timeout: float | None

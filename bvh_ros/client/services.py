@@ -21,7 +21,7 @@ Answer = TypeVar('Answer')
 
 
 class Services:
-    """The services `raycast`, `raycast_all` and `overlap` of one bvh node."""
+    """The services `raycast`, `raycast_all`, `overlap` and `nearest` of one bvh node."""
 
     def __init__(self, node: Node, name: str, group: CallbackGroup, waiting: Waiting) -> None:
         self._node = node
@@ -35,12 +35,12 @@ class Services:
             waiting.add_client(made)
             return made
 
-        self.raycast, self.raycast_all, self.overlap = map(
-            client, ('raycast', 'raycast_all', 'overlap')
+        self.raycast, self.raycast_all, self.overlap, self.nearest = map(
+            client, ('raycast', 'raycast_all', 'overlap', 'nearest')
         )
 
     def are_offered(self) -> bool:
-        """Whether the node offers all of them."""
+        """Whether the node offers them."""
         clients = self.raycast, self.raycast_all, self.overlap
         return all(client.service_is_ready() for client in clients)
 

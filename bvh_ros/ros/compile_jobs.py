@@ -27,6 +27,10 @@ RADIUS = 0.5
 NUMBERS = np.arange(BOXES)
 MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
+# What is compiled only when somebody asks.
+NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
+BOXES_ASKED, PATHS = 'batches of boxes', 'paths'
+
 
 class Needs(NamedTuple):
     """What decides which kernels are called.
@@ -85,6 +89,47 @@ def jobs(needs: Needs) -> list[Job]:
         Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
         for name, seconds, call in calls
     ]
+
+
+def later_jobs(needs: Needs) -> list[Job]:
+    """Return what is compiled only when somebody asks."""
+    calls: list[tuple[str, float, Callable[[Needs], None]]] = [
+        (NEAREST, 8.0, _nearest),
+        *([(BALLS, 12.0, _balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
+        *([(POINTS, 10.0, _points)] if needs.batch else []),
+        (PATHS, 20.0, _paths),
+    ]
+    tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
+    return [
+        Job(name, f'{name} {tells_apart}', seconds, partial(call, needs))
+        for name, seconds, call in calls
+    ]
+
+
+def _nearest(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.nearest(START, 2)
+
+
+def _balls(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.sweep_many([START], [GOAL], RADIUS)
+
+
+def _boxes_asked(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.overlap_many([START], EDGE, want='hits')
+        scene.overlap_many([START], EDGE, [ABOUT_Z], RADIUS, want='hits')
+
+
+def _points(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.nearest_many([START])
+
+
+def _paths(needs: Needs) -> None:
+    for scene in _scenes(needs):
+        scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]))
 
 
 def _empty(needs: Needs) -> Scene:

@@ -12,7 +12,7 @@ from rclpy.exceptions import InvalidTopicNameException, NameValidationException,
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.compilation import Compilation
-from bvh_ros.ros.compile_jobs import Job, Needs, jobs
+from bvh_ros.ros.compile_jobs import PATHS, Job, Needs, jobs, later_jobs
 from bvh_ros.ros.config import qos_overrides
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.parameters import read_settings
@@ -21,6 +21,7 @@ from bvh_ros.ros.parts.diagnostics import Diagnostics
 from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
 from bvh_ros.ros.parts.maintenance import Maintenance
 from bvh_ros.ros.parts.names import NamesPublisher
+from bvh_ros.ros.parts.on_demand import OnDemand
 from bvh_ros.ros.parts.query_drawing import QueryDrawing
 from bvh_ros.ros.parts.readiness import Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.config.parameters import SourceSettings
-    from bvh_ros.ros.parts.batch import RayBatch
+    from bvh_ros.ros.parts.batch import Batch
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source
 
@@ -102,7 +103,8 @@ class BvhServer:
         """The topics that this configuration subscribes and whose QoS can be overridden."""
         topics = [source.settings.topic for source in self.world.sources]
         if self.settings.batch:
-            topics += [view.topic('rays') for view in self.world.views]
+            asked = 'rays', 'boxes', 'points', *(['paths'] if self.settings.footprint else [])
+            topics += [view.topic(name) for view in self.world.views for name in asked]
         if self._scan.pose_topic:
             topics.append(self._scan.pose_topic)
         for topic in topics:
@@ -125,14 +127,17 @@ class BvhServer:
     def jobs(self) -> list[Job]:
         """Return what compiles the kernels that this configuration needs."""
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
-        needs = Needs(
+        chosen, later = jobs(self._needs()), later_jobs(self._needs())
+        paths = [job for job in later if job.name == PATHS and self.settings.footprint]
+        return [*chosen[:2], *of_sources, *chosen[2:], *paths]
+
+    def _needs(self) -> Needs:
+        return Needs(
             planar=self.settings.planar,
             margin=self.settings.margin,
             kinds=sorted(self._kinds()),
             batch=self.settings.batch or bool(self._scan.pose_topic),
         )
-        chosen = jobs(needs)
-        return [*chosen[:2], *of_sources, *chosen[2:]]
 
     def serve(self) -> None:
         """Listen to the sources and offer the services; what updates and the first answers need is
@@ -162,13 +167,15 @@ class BvhServer:
         node, world = self.node, self.world
         drawing = QueryDrawing(node, world, self._draw)
         yield drawing
+        kernels = OnDemand(node, later_jobs(self._needs()))
+        yield kernels
         queries: list[QueryServices] = []
         for view in world.views:
-            queries.append(QueryServices(node, world, view, drawing))
+            queries.append(QueryServices(node, world, view, drawing, kernels))
             yield queries[-1]
         yield TriggerServices(node, world)
-        answerers: list[RayBatch | VirtualScan] = []
-        for answerer in self._create_answerers(drawing):
+        answerers: list[Batch | VirtualScan] = []
+        for answerer in self._create_answerers(drawing, kernels):
             answerers.append(answerer)
             yield answerer
         yield NamesPublisher(node, world.scene)
@@ -177,14 +184,21 @@ class BvhServer:
         yield Maintenance(node, world)
         yield Diagnostics(node, world, queries, answerers, self.features)
 
-    def _create_answerers(self, drawing: QueryDrawing) -> Iterator[RayBatch | VirtualScan]:
+    def _create_answerers(
+        self, drawing: QueryDrawing, kernels: OnDemand
+    ) -> Iterator[Batch | VirtualScan]:
         """Create what answers many rays at once; who does without imports none of it."""
         node, world = self.node, self.world
         if self.settings.batch:
             from bvh_ros.ros.parts.batch import RayBatch
+            from bvh_ros.ros.parts.volume_batches import BoxBatch, PathBatch, PointBatch
 
             for view in world.views:
-                yield RayBatch(node, world, view, drawing)
+                yield RayBatch(node, world, view, kernels, drawing)
+                yield BoxBatch(node, world, view, kernels)
+                yield PointBatch(node, world, view, kernels)
+                if self.settings.footprint:
+                    yield PathBatch(node, world, view, kernels, self.settings.footprint)
         if self._scan.pose_topic:
             from bvh_ros.ros.parts.virtual_scan import VirtualScan
 

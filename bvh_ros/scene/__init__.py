@@ -5,7 +5,7 @@
 from .geometry.meshes import Mesh, mesh_of
 from .geometry.shapes import ShapeKind, Shapes
 from .refusals import Block, Refusal, Refusals
-from .results import NO_NODE, CastHits, Obstacle, SceneHit, TooManyHitsError
+from .results import NO_NODE, BoxHits, CastHits, Obstacle, SceneHit, TooManyHitsError
 from .scene import Scene
 from .store.names import Families, Numbered
 from .updates import Part
@@ -13,6 +13,7 @@ from .updates import Part
 __all__ = [
     'NO_NODE',
     'Block',
+    'BoxHits',
     'CastHits',
     'Families',
     'Mesh',

@@ -106,7 +106,7 @@ class OverlapQueries:
             Quaternions x, y, z, w of the boxes' axes; zero is the identity, as is None.
         tolerance, mask : one for all boxes, or array_like of shape (n,)
             As in `overlap`.
-        want : {'any', 'count', 'first', 'all'}
+        want : {'any', 'count', 'first', 'all', 'hits'}
             What is asked of each box.
         threads : int
             The boxes are shared among so many threads; the answer does not depend on it.
@@ -122,11 +122,13 @@ class OverlapQueries:
         (offsets, handles), with 'all'
             Node handles of those that touch box i are ``handles[offsets[i]:offsets[i + 1]]``, in
             the order of `overlap`; int64 of shape (n + 1,), and uint32.
+        BoxHits, with 'hits'
+            How many there are, the first, its closest point, and how far that is.
 
         Raises
         ------
         ValueError
-            As `overlap`; the message names the first bad row. If `want` is none of the four.
+            As `overlap`; the message names the first bad row. If `want` is none of these.
         """
         places = checks.points('centers', centers, 3)
         edges = checks.floats('sizes', sizes)
@@ -177,7 +179,7 @@ class OverlapQueries:
     ) -> Any:
         """What `overlap_many` returns of any shapes."""
         if not isinstance(want, str) or want not in WANTED:
-            raise ValueError(f'want must be any, count, first or all, not {want!r}')
+            raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
         rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar)
         threads = checks.whole('threads', threads, 1)
         return self._overlaps.answer(rows, hulls, WANTED[want], threads)

@@ -105,8 +105,9 @@ class RayQueries:
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
         threads: int = 1,
+        radius: ArrayLike | None = None,
     ) -> CastHits:
-        """First obstacles on n thin rays ``origin + t * direction``, ``0 <= t <= t_max``.
+        """First obstacles on n rays ``origin + t * direction``, ``0 <= t <= t_max``.
 
         Parameters
         ----------
@@ -115,6 +116,8 @@ class RayQueries:
 
         threads : int
             The rays are shared among so many threads; the answer does not depend on it.
+        radius : one for all rays, or array_like of shape (n,), optional
+            Of balls that go along them, m. Where it is above zero the way has to end.
 
         Returns
         -------
@@ -127,8 +130,11 @@ class RayQueries:
             checks.limits('t_max', t_max, len(origins)),
             checks.masks(mask, len(origins)),
         )
-        rays, skip = Rays(origins, directions, limits, masks), bool(skip_inside)
-        return self._first_of_many(rays, skip, checks.whole('threads', threads, 1))
+        skip, threads = bool(skip_inside), checks.whole('threads', threads, 1)
+        rays = Rays(origins, directions, limits, masks)
+        if radius is None:
+            return self._first_of_many(rays, skip, threads)
+        return self._balls(rays, _radii(radius, len(origins)), skip, threads)
 
     def sweep_many(
         self,
@@ -164,20 +170,29 @@ class RayQueries:
         far = np.flatnonzero(~np.isfinite(directions).all(axis=1))
         if len(far):
             raise ValueError(f'the segment of row {far[0]} is longer than the largest double')
-        radii, masks = checks.limits('radius', radius, count), checks.masks(mask, count)
-        if np.isinf(radii).any():
-            raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
+        rays = Rays(origins, directions, np.ones(count), checks.masks(mask, count))
         threads = checks.whole('threads', threads, 1)
+        return self._balls(rays, _radii(radius, count), skip, threads)
+
+    def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
+        """First hits of balls that go along rays, and of those that are thin."""
         thin, thick = np.flatnonzero(radii == 0.0), np.flatnonzero(radii > 0.0)
-        rays = Rays(origins[thin], directions[thin], np.ones(len(thin)), masks[thin])
-        balls = Balls(*(rows[thick] for rows in (origins, directions, radii, masks)))
+        thin_rays, others = (Rays(*(rows[part] for rows in rays)) for part in (thin, thick))
         if not len(thick):
             return self._first_of_many(rays, skip, threads)
+        with np.errstate(over='ignore', invalid='ignore'):
+            ways = others.directions * others.t_max[:, None]
+        endless = np.flatnonzero(~np.isfinite(ways).all(axis=1))
+        if len(endless):
+            raise ValueError(f't_max must end the way of a ball: row {thick[endless[0]]} has none')
+        balls = Balls(others.origins, ways, radii[thick], others.masks)
         found = sweeping.first_of_many(self._held.tree, self._held.columns, balls, skip, threads)
+        met = found.handles != NO_NODE
+        found.t[met] *= others.t_max[met]
         if not len(thin):
             return found
         order = np.argsort(np.concatenate((thin, thick)))
-        both: Any = zip(self._first_of_many(rays, skip, threads), found, strict=True)
+        both: Any = zip(self._first_of_many(thin_rays, skip, threads), found, strict=True)
         return CastHits(*(np.concatenate(columns)[order] for columns in both))
 
     def _first_of_many(self, rays: Rays, skip_inside: bool, threads: int) -> CastHits:
@@ -252,3 +267,11 @@ class RayQueries:
             for hit in hits_in_order:
                 hit.point[2] = origin[2]
         return hits_in_order
+
+
+def _radii(radius: ArrayLike, count: int) -> Floats:
+    """Finite radii, one a row."""
+    radii = checks.limits('radius', radius, count)
+    if np.isinf(radii).any():
+        raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
+    return radii

@@ -60,6 +60,21 @@ class CastHits(NamedTuple):
     """(n, 3) outward; zero where the way is free, or begins in the obstacle."""
 
 
+class BoxHits(NamedTuple):
+    """What touches n boxes: how many obstacles, and the first of each."""
+
+    handles: NDArray[np.uint32]
+    """(n,) node handles of those nearest to the centres, NO_NODE (0xFFFFFFFF) where there is
+    none.
+    """
+    counts: NDArray[np.int64]
+    """(n,) how many there are."""
+    distances: NDArray[np.float64]
+    """(n,) of the first one's closest point from the centre, m; inf where there is none."""
+    points: NDArray[np.float64]
+    """(n, 3) that point, m; NaN where there is none."""
+
+
 class Clearance(NamedTuple):
     """How far an obstacle is from the nearest other one."""
 

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 
-OFFERED = {'raycast', 'raycast_all', 'overlap', 'clear', 'rebuild', 'validate'}
+OFFERED = {'raycast', 'raycast_all', 'overlap', 'nearest', 'clear', 'rebuild', 'validate'}
 EVERY_MANAGED_NODE = {'change_state', 'get_state', 'get_available_states'}
 STARTING = 60.0  # seconds
 COMPILING = 240.0  # seconds, where nothing is in the cache

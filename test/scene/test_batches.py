@@ -81,6 +81,12 @@ def test_sweeps(world, skip_inside):
         for column, expected in zip(hits, zip(*ones, strict=True), strict=True):
             same(column, np.array(expected, column.dtype))
     assert 20 < (hits.handles != NO_NODE).sum() < 290
+    ways = (goals - starts) / 4
+    rays = scene.raycast_many(starts, ways, 4.0, masks, skip_inside, radius=radii)
+    same(rays.handles, hits.handles)
+    thick = radii > 0
+    same(rays.t[thick], 4 * hits.t[thick])
+    same(rays.points[thick], hits.points[thick])
     for radius in (0.0, 0.5):
         hits = scene.sweep_many(starts, goals, radius)
         expected = [
@@ -97,6 +103,11 @@ def assert_wants(scene, ask, lists):
         same(ask(want='count', threads=threads), np.array([*map(len, handles)], np.int64))
         firsts = [row[0] if row else NO_NODE for row in handles]
         same(ask(want='first', threads=threads), np.array(firsts, np.uint32))
+        told = ask(want='hits', threads=threads)
+        same(told.handles, np.array(firsts, np.uint32))
+        same(told.counts, np.array([*map(len, handles)], np.int64))
+        same(told.distances, np.array([hits[0].t if hits else math.inf for hits in lists]))
+        same(told.points, np.array([hits[0].point if hits else NOBODY for hits in lists]))
         offsets, found = ask(want='all', threads=threads)
         same(offsets, np.cumsum([0, *map(len, handles)]))
         same(found, np.array([h for row in handles for h in row], np.uint32))
@@ -284,6 +295,7 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
         ('sweep_many', (POINT, POINT, [1.0]), 'radius'),
         ('sweep_many', (POINT, POINT, 0.0, [1, -1]), 'mask.* row 1'),
         ('sweep_many', (POINT, POINT, 0.0, 1, False, 0), 'threads'),
+        ('raycast_many', (POINT, [ONE] * 2, [1, math.inf], 1, False, 1, 0.5), 't_max.* row 1'),
         ('overlap_many', (NAN, ONE), 'centers.* row 1'),
         ('overlap_many', (POINT, NAN), 'sizes.* row 1'),
         ('overlap_many', (POINT, [ONE, [1, -1, 1]]), 'row 1 .*negative'),

@@ -17,6 +17,7 @@ from bvh_ros.ros.texts import shortened
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+NO_FOOTPRINT = (0.0,)
 NODE_OPTIONS = (
     Option('frame_id', 'map', 'Frame in which obstacles are kept and answers are given.'),
     Option('planar', False, 'See the world from above: footprints in a 2D tree, z is ignored.'),
@@ -44,13 +45,30 @@ NODE_OPTIONS = (
         maximum=2**31 - 1,
     ),
     Option(
+        'nearest_limit',
+        16,
+        'How many obstacles nearest to a point ~/nearest tells of at most.',
+        minimum=1,
+        maximum=100_000,
+    ),
+    Option(
         'region',
         [-math.inf] * 3 + [math.inf] * 3,
         'Only obstacles whose bounds touch the box from the first three to the last three numbers '
         '(m, in frame_id) are kept, and queries are answered about these.',
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
-    Option('batch', True, 'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits.'),
+    Option(
+        'batch',
+        True,
+        'Answer clouds of rays on ~/rays by clouds of hits on ~/ray_hits; boxes and points, too.',
+    ),
+    Option(
+        'footprint',
+        [*NO_FOOTPRINT],
+        'What goes along the paths on ~/paths, centred on each pose: edge lengths of a box, or '
+        'the radius of a ball (m). 0: there are no such topics.',
+    ),
     Option(
         'views',
         [''],
@@ -95,6 +113,7 @@ RESERVED_NAMES = (
 # What the node offers under its own name: `~/rays/raycast` beside `~/rays` would mislead.
 OFFERED_NAMES = (
     *('raycast', 'raycast_all', 'overlap', 'clear', 'rebuild', 'validate', 'obstacles'),
+    *('nearest', 'boxes', 'box_hits', 'points', 'nearest_hits', 'paths', 'path_hits'),
     *('rays', 'ray_hits', 'names', 'scene', 'tree', 'queries', 'virtual_scan'),
 )
 DEFAULT_SOURCE = 'markers'
@@ -145,7 +164,9 @@ class Settings:
     max_obstacles: int
     max_hits: int
     region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
+    nearest_limit: int
     batch: bool
+    footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
     use_tf: bool
     sources: tuple[SourceSettings, ...]
     views: tuple[ViewSettings, ...]
@@ -184,9 +205,11 @@ def read_settings(
             f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
         )
     region = _region(values.pop('region'), values['planar'])
+    footprint = _footprint(values.pop('footprint'))
     settings = Settings(
         **values,
         region=region,
+        footprint=footprint,
         sources=tuple(_read_source(node, name, types) for name in names),
         views=tuple(_read_view(node, name) for name in views),
         transforms=tuple(_read_transform(node, name, values['frame_id']) for name in transforms),
@@ -213,6 +236,17 @@ def _region(
         return None
     axes = 2 if planar else 3
     return tuple(lo[:axes]), tuple(hi[:axes])
+
+
+def _footprint(lengths: Sequence[float]) -> tuple[float, ...]:
+    if tuple(lengths) == NO_FOOTPRINT:
+        return ()
+    if len(lengths) not in (1, 3) or not all(math.isfinite(x) and x > 0.0 for x in lengths):
+        raise ConfigurationError(
+            "parameter 'footprint' must be [sx, sy, sz] of a box or [radius] of a ball, above 0, "
+            f'not {lengths}'
+        )
+    return tuple(lengths)
 
 
 def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -> SourceSettings:

@@ -68,6 +68,15 @@ def query(
     return Query(start, goal, turn, tolerance)
 
 
+def of_point(request: Any, query: Query) -> Query:
+    """Return the query as one about its start; ValueError if it has a goal of its own."""
+    start, goal = request.start.pose.position, request.goal.pose.position
+    place = goal.x, goal.y, goal.z
+    if any(place) and place != (start.x, start.y, start.z):
+        raise ValueError('goal.pose.position must be zero, or that of start: a point is asked for')
+    return query._replace(goal=query.start)
+
+
 class Replies:
     """Writes answers into Paths, with PoseStamped objects that are used again and again.
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 from array import array
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ class Rays(NamedTuple):
     t_max: Floats  # (n,) in units of the directions
     masks: NDArray[np.uint32]  # (n,)
     real: np.dtype[Any]  # float32 or float64: the widest type among the cloud's fields
+    radii: Floats | None = None  # (n,) m, of balls that go along the rays; None: thin rays
 
     def take(self, rows: NDArray[np.bool_]) -> Rays:
         """Return some of the rows."""
@@ -44,6 +46,7 @@ class Rays(NamedTuple):
             self.t_max[rows],
             self.masks[rows],
             self.real,
+            None if self.radii is None else self.radii[rows],
         )
 
     def fault(self, number: int = 0) -> tuple[NDArray[np.bool_], str]:
@@ -58,15 +61,16 @@ class Rays(NamedTuple):
             ),
             'its t_max is NaN or negative': np.logical_not(self.t_max >= 0.0),
         }
-        bad = np.zeros(len(self.t_max), bool)
-        for rows in faults.values():
-            bad |= rows
-        if not bad.any():
-            return bad, ''
-        first = int(bad.argmax())
-        return bad, f'row {number + first}: ' + next(
-            why for why, rows in faults.items() if rows[first]
-        )
+        if self.radii is not None:
+            faults['its radius is not finite, or negative'] = np.logical_not(
+                np.isfinite(self.radii) & (self.radii >= 0.0)
+            )
+            with np.errstate(over='ignore', invalid='ignore'):
+                ways = self.directions * self.t_max[:, None]
+            faults['it has a radius, and no end by t_max'] = (self.radii > 0.0) & np.logical_not(
+                np.isfinite(ways).all(axis=1)
+            )
+        return first_fault(faults, number)
 
 
 class Hits(NamedTuple):
@@ -103,8 +107,9 @@ class RayCloud:
     Parameters
     ----------
     cloud : sensor_msgs/PointCloud2
-        Fields x, y, z (origin, m), dx, dy, dz (direction) and optionally t_max, each float32 or
-        float64, and mask, an unsigned integer of up to 32 bits. Other fields are left alone.
+        Fields x, y, z (origin, m), dx, dy, dz (direction) and optionally t_max and radius (m),
+        each float32 or float64, and mask, an unsigned integer of up to 32 bits. Other fields are
+        left alone.
 
     Raises
     ------
@@ -113,7 +118,7 @@ class RayCloud:
     """
 
     def __init__(self, cloud: PointCloud | PointCloud2) -> None:
-        points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'mask'))
+        points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'radius', 'mask'))
         self._points = points.ravel()
         self.real = np.dtype(np.float32)
         """float32 or float64: the widest type among the fields."""
@@ -134,6 +139,11 @@ class RayCloud:
     def __len__(self) -> int:
         return len(self._points)
 
+    @property
+    def has_radii(self) -> bool:
+        """Whether balls go along the rays."""
+        return 'radius' in (self._points.dtype.names or ())
+
     def rows(self, begin: int, end: int) -> Rays:
         """Return some of the rays."""
         points = self._points[begin:end]
@@ -144,7 +154,9 @@ class RayCloud:
         masks = np.full(len(points), EVERYTHING, np.uint32)
         if 'mask' in names:
             masks[:] = points['mask']
-        return Rays(columns(points, ORIGIN), columns(points, DIRECTION), t_max, masks, self.real)
+        radii = columns(points, ['radius'])[:, 0] if 'radius' in names else None
+        origins, directions = columns(points, ORIGIN), columns(points, DIRECTION)
+        return Rays(origins, directions, t_max, masks, self.real, radii)
 
 
 def rays_cloud(given: Rays) -> PointCloud2:
@@ -152,14 +164,17 @@ def rays_cloud(given: Rays) -> PointCloud2:
     t_max = not np.isposinf(given.t_max).all()
     masks = (given.masks != EVERYTHING).any()
     names = [*ORIGIN, *DIRECTION, *(['t_max'] if t_max else [])]
+    names += [] if given.radii is None else ['radius']
     kinds: list[tuple[str, DTypeLike]] = [(name, given.real) for name in names]
     if masks:
         kinds.append(('mask', np.uint32))
     table = np.empty(len(given.t_max), kinds)
-    _put(table, ORIGIN, given.origins)
-    _put(table, DIRECTION, given.directions)
+    put_columns(table, ORIGIN, given.origins)
+    put_columns(table, DIRECTION, given.directions)
     if t_max:
         table['t_max'] = given.t_max
+    if given.radii is not None:
+        table['radius'] = given.radii
     if masks:
         table['mask'] = given.masks
     return _cloud(table, 1, len(table))
@@ -188,18 +203,20 @@ def hits_table(count: int, real: DTypeLike) -> NDArray[np.void]:
 def write_hits(table: NDArray[np.void], found: Hits) -> None:
     """Write hits into rows of a table, rounded to nearest."""
     with np.errstate(over='ignore'):  # farther than the largest float32 is inf in one
-        _put(table, ORIGIN, found.points)
+        put_columns(table, ORIGIN, found.points)
         table['t'] = found.t
-    _put(table, NORMAL, found.normals)
+    put_columns(table, NORMAL, found.normals)
     table['obstacle'] = found.obstacles
 
 
-def table_cloud(table: NDArray[np.void], height: int, width: int) -> PointCloud2:
-    """Return a table of hits as a cloud of height x width points, its header left to the
-    caller.
+def table_cloud(
+    table: NDArray[np.void], height: int, width: int, certain: NDArray[Any]
+) -> PointCloud2:
+    """Return a table as a cloud of height x width points, its header left to the caller; it is
+    dense where all of `certain` is finite.
     """
     cloud = _cloud(table, height, width)
-    cloud.is_dense = bool(np.isfinite(table['t']).all())
+    cloud.is_dense = bool(np.isfinite(certain).all())
     return cloud
 
 
@@ -207,20 +224,35 @@ def hits_cloud(found: Hits, height: int, width: int, real: DTypeLike) -> PointCl
     """Write hits into a cloud of height x width points, its header left to the caller."""
     table = hits_table(height * width, real)
     write_hits(table, found)
-    return table_cloud(table, height, width)
+    return table_cloud(table, height, width, table['t'])
 
 
-def rows_of(cloud: PointCloud) -> tuple[int, int]:
-    """Return height and width of the reply to a cloud that cannot be read.
+def rows_of(cloud: PointCloud, least: int) -> tuple[int, int]:
+    """Return height and width of the reply to a cloud that cannot be read; a point has at least so
+    many bytes.
 
     A size that its own data contradict, by promising more points than could stand in them, is not
     believed: one row says then that nothing is answered.
     """
-    believed = 0 < cloud.height * cloud.width * LEAST_RAY <= len(cloud.data)
+    believed = 0 < cloud.height * cloud.width * least <= len(cloud.data)
     return (cloud.height, cloud.width) if believed else (1, 1)
 
 
-def _put(table: NDArray[np.void], names: tuple[str, ...], values: Floats) -> None:
+def first_fault(
+    faults: dict[str, NDArray[np.bool_]], number: int
+) -> tuple[NDArray[np.bool_], str]:
+    """Return which rows (n,) have any of these faults, and which that is of the first of them."""
+    bad = np.logical_or.reduce([*faults.values()])
+    if not bad.any():
+        return bad, ''
+    first = int(bad.argmax())
+    return bad, f'row {number + first}: ' + next(
+        why for why, rows in faults.items() if rows[first]
+    )
+
+
+def put_columns(table: NDArray[np.void], names: Sequence[str], values: NDArray[Any]) -> None:
+    """Write columns (n, len(names)) into rows of a table."""
     for axis, name in enumerate(names):
         table[name] = values[:, axis]
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`~/rays` to `~/ray_hits`: many rays in one message, answered row for row."""
+"""Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Iterator
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
@@ -17,6 +17,7 @@ from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import Hits, RayCloud, Rays
+from bvh_ros.ros.parts.on_demand import BALLS
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
@@ -24,8 +25,10 @@ from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from rclpy.node import Node
 
+    from bvh_ros.ros.parts.on_demand import OnDemand
     from bvh_ros.ros.parts.query_drawing import QueryDrawing
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.views import View
@@ -38,15 +41,15 @@ TURN = 0.01  # seconds after which others get a turn
 DONE = object()
 
 
-class RayBatch(NodePart):
-    """Answers each cloud of rays by a cloud of hits, in the request's frame and of its shape.
+class Batch(NodePart):
+    """Answers each message of questions by a cloud of answers, in the request's frame.
 
-    A row that cannot be answered (NaN, infinite, negative t_max), and each row of a cloud that
-    cannot be answered (wrong fields, unknown frame, a required source missing), has the obstacle
-    0xFFFFFFFE and t = NaN. A cloud whose size cannot be believed gets one such row.
+    A row that cannot be answered (NaN, infinite, negative), and each row of a message that cannot
+    be answered (wrong fields, unknown frame, a required source missing), has the obstacle
+    0xFFFFFFFE and NaN. A cloud whose size cannot be believed gets one such row.
 
-    A cloud of very many rays is answered piece by piece, and others have their turns in between:
-    each ray meets the world as it is then. The replies come in the order of the requests.
+    A cloud of very many rows is answered piece by piece, and others have their turns in between:
+    each row meets the world as it is then. The replies come in the order of the requests.
 
     Parameters
     ----------
@@ -54,27 +57,30 @@ class RayBatch(NodePart):
     world : World
         Asked before each answer whether it is complete.
     view : View
-        What these rays see, of that what each row's mask asks for, and the name of the topics.
-    drawing : QueryDrawing
-        Is told of rays and hits while somebody looks.
+        What is seen, of that what each row's mask asks for, and the name of the topics.
+    kernels : OnDemand
+        What is compiled when somebody asks.
     """
 
-    def __init__(self, node: Node, world: World, view: View, drawing: QueryDrawing) -> None:
+    asked, told = 'rays', 'ray_hits'
+    message: type = PointCloud2
+
+    def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
         super().__init__(node)
         self.view = view
-        self.refused = Refused(node.get_logger(), view.topic('rays'))
-        self.what = f'rays of {view.name}' if view.name else 'rays'
-        self.answered = 0  # rays
+        self.refused = Refused(node.get_logger(), view.topic(self.asked))
+        self.what = f'{self.asked} of {view.name}' if view.name else self.asked
+        self.answered = 0  # rows
         self.timings = Timings()
         self._world = world
-        self._drawing = drawing
+        self._kernels = kernels
         self._work: deque[Iterator[None]] = deque()  # clouds that wait, the first begun
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
-        self._publisher = self.publisher(PointCloud2, view.topic('ray_hits'), DEPTH)
+        self._publisher = self.publisher(PointCloud2, view.topic(self.told), DEPTH)
         delivery = Delivery(ordered=False, raw=True)
         subscription = FollowingSubscription(
-            node, PointCloud2, view.topic('rays'), self.receive, delivery
+            node, self.message, view.topic(self.asked), self.receive, delivery
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)
@@ -82,7 +88,7 @@ class RayBatch(NodePart):
     def receive(self, serialised: bytes) -> None:
         """Begin to answer one cloud."""
         try:
-            request = decoder.read(serialised)
+            request = self._read(serialised)
         except ValueError as error:  # from whom, and what was asked, is not known
             self.refused.add(str(error))
             return
@@ -125,10 +131,57 @@ class RayBatch(NodePart):
         reply.header.frame_id = request.frame_id
         self._publisher.publish(reply)
 
+    def _read(self, serialised: bytes) -> Any:
+        """Read a message; ValueError if it is none."""
+        return decoder.read(serialised)
+
+    def _reply(self, request: Any) -> Generator[None, None, PointCloud2]:
+        """Make the cloud of answers, with pauses; ValueError if there can be none."""
+        raise NotImplementedError
+
+    def _refusal(self, request: Any, reason: str) -> PointCloud2:
+        """Make the cloud that says that nothing is answered."""
+        raise NotImplementedError
+
+    def _now(self) -> Scene:
+        return self._world.at(self.node.get_clock().now().nanoseconds)
+
+    def _masks(self, masks: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """What of these masks this view shows."""
+        return masks & np.uint32(self.view.mask)
+
+    def _count(self, bad: NDArray[np.bool_], reason: str) -> NDArray[np.bool_]:
+        """Count rows that are answered, and not; return which are."""
+        refused = int(np.count_nonzero(bad))
+        self.answered += len(bad) - refused
+        if refused:
+            self.refused.add(reason, refused)
+        return ~bad
+
+
+class RayBatch(Batch):
+    """Answers rays by hits.
+
+    Parameters
+    ----------
+    node, world, view, kernels
+        As of a `Batch`.
+    drawing : QueryDrawing
+        Is told of rays and hits while somebody looks.
+    """
+
+    def __init__(
+        self, node: Node, world: World, view: View, kernels: OnDemand, drawing: QueryDrawing
+    ) -> None:
+        super().__init__(node, world, view, kernels)
+        self._drawing = drawing
+
     def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
         self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         cloud = RayCloud(request)
+        if cloud.has_radii:
+            self._kernels.require(BALLS)
         table = ray_clouds.hits_table(len(cloud), cloud.real)
         for begin in range(0, len(cloud), PIECE):
             if begin:
@@ -136,37 +189,33 @@ class RayBatch(NodePart):
             rows = begin, begin + PIECE
             hits = self._answer(cloud.rows(*rows), begin, transform)
             ray_clouds.write_hits(table[slice(*rows)], hits)
-        return ray_clouds.table_cloud(table, request.height, request.width)
-
-    def _now(self) -> Scene:
-        return self._world.at(self.node.get_clock().now().nanoseconds)
+        return ray_clouds.table_cloud(table, request.height, request.width, table['t'])
 
     def _answer(self, rays: Rays, number: int, transform: Transform | None) -> Hits:
         """Hits of some rays, the first of which has this number."""
         scene = self._now()
         if transform is not None:
             rays = moved(transform, rays)
-        bad, reason = rays.fault(number)
-        refused = int(np.count_nonzero(bad))
-        self.answered += len(bad) - refused
-        if refused:
-            self.refused.add(reason, refused)
-            hits = Hits.unanswered(len(bad)).put(~bad, self._cast(scene, rays.take(~bad)))
-        else:
+        good = self._count(*rays.fault(number))
+        if good.all():
             hits = self._cast(scene, rays)
+        else:
+            hits = Hits.unanswered(len(good)).put(good, self._cast(scene, rays.take(good)))
         if self._drawing.is_watched:
             self._drawing.add_rays(rays, hits)
         return hits if transform is None else moved_back(transform, hits)
 
     def _cast(self, scene: Scene, rays: Rays) -> Hits:
-        view = self.view
-        masks = rays.masks & np.uint32(view.mask)
+        masks = self._masks(rays.masks)
         return Hits(
-            *scene.raycast_many(rays.origins, rays.directions, rays.t_max, masks, view.skip_inside)
+            *scene.raycast_many(
+                *(rays.origins, rays.directions, rays.t_max, masks, self.view.skip_inside),
+                radius=rays.radii,
+            )
         )
 
     def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
-        height, width = ray_clouds.rows_of(request)
+        height, width = ray_clouds.rows_of(request, ray_clouds.LEAST_RAY)
         self.refused.add(reason, height * width)
         return ray_clouds.hits_cloud(
             Hits.unanswered(height * width), height, width, np.dtype(np.float32)

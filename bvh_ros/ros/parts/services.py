@@ -1,10 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The services: raycast, raycast_all and overlap as GetPlan, and the triggers."""
+"""The services: raycast, raycast_all, overlap and nearest as GetPlan, and the triggers."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from types import coroutine
@@ -15,6 +16,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
 from bvh_ros.ros.conversions import plans
+from bvh_ros.ros.parts.on_demand import NEAREST
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
@@ -23,6 +25,7 @@ from bvh_ros.scene import TooManyHitsError
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.ros.parts.on_demand import OnDemand
     from bvh_ros.ros.parts.query_drawing import QueryDrawing
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
@@ -33,7 +36,7 @@ Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
 
 
 class QueryServices(NodePart):
-    """Answers `raycast`, `raycast_all` and `overlap` of a view, or says why it cannot.
+    """Answers `raycast`, `raycast_all`, `overlap` and `nearest` of a view, or says why it cannot.
 
     A request that cannot be answered never looks free: the reply holds one pose whose frame_id
     begins with `error: `.
@@ -47,9 +50,13 @@ class QueryServices(NodePart):
         What these services see.
     drawing : QueryDrawing
         Is told of questions and answers while somebody looks.
+    kernels : OnDemand
+        What is compiled when somebody asks.
     """
 
-    def __init__(self, node: Node, world: World, view: View, drawing: QueryDrawing) -> None:
+    def __init__(
+        self, node: Node, world: World, view: View, drawing: QueryDrawing, kernels: OnDemand
+    ) -> None:
         super().__init__(node)
         self.view = view
         self.refused = Refused(
@@ -60,10 +67,12 @@ class QueryServices(NodePart):
         self._clock = node.get_clock()
         self._world = world
         self._drawing = drawing
-        self._most = world.settings.max_hits
+        self._kernels = kernels
+        self._most, self._nearest_limit = world.settings.max_hits, world.settings.nearest_limit
         self._serve('raycast', self._raycast)
         self._serve('raycast_all', self._raycast_all)
         self._serve('overlap', self._overlap, oriented=True)
+        self._serve('nearest', self._nearest)
 
     def _serve(self, name: str, answer: Answer, *, oriented: bool = False) -> None:
         def callback(request: GetPlan.Request, response: GetPlan.Response) -> GetPlan.Response:
@@ -90,6 +99,11 @@ class QueryServices(NodePart):
             most=self._most,
         )
 
+    def _nearest(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+        self._kernels.require(NEAREST)
+        reach = query.tolerance or math.inf
+        return scene.nearest(query.start, self._nearest_limit, reach, self.view.mask)
+
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         began = time.perf_counter_ns()
         now = self._clock.now().nanoseconds
@@ -98,6 +112,8 @@ class QueryServices(NodePart):
             thin_ray = not oriented and answer == self._raycast and request.tolerance == 0.0
             scene = self._world.at(now, thin_ray=thin_ray)
             query = plans.query(request, frames.into_node, oriented=oriented)
+            if answer == self._nearest:
+                query = plans.of_point(request, query)
             hits = answer(scene, query)
             self._replies.fill(plan, hits, frames.frame_id, scene.newest)
             if self._drawing.is_watched:

@@ -13,7 +13,7 @@ from ...tree.jit.compiling import entry_point
 from ...tree.store.turns import IS_CHANGED
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
-from ..results import NO_NODE, require_few
+from ..results import NO_NODE, BoxHits, require_few
 from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from ..store.registry import Slots
@@ -21,7 +21,17 @@ from . import narrow_phase
 from .query_rows import QueryRows
 from .query_shape import QueryShape
 from .touching import REFUSED, Found, Scratch, touching_boxes, touching_shapes
-from .touching_rows import ALL, ANY, COUNT, FIRST, Answers, RowKernel, bodies_of, overlap_rows
+from .touching_rows import (
+    ALL,
+    ANY,
+    COUNT,
+    FIRST,
+    HITS,
+    Answers,
+    RowKernel,
+    bodies_of,
+    overlap_rows,
+)
 
 FEW = 64  # handles that there is room for at first
 NOBODY = np.empty(0, np.uint32)
@@ -59,52 +69,67 @@ class Overlaps:
         """`find` of n shapes: what is `wanted` (see `touching_rows`) of each, as
         `Scene.overlap_many` returns it.
         """
-        columns = self._columns
-        twice = columns.shadows > 0 and wanted == COUNT  # who stands at two places counts once
-        numbers, left, handles = self._find_rows(rows, hulls, ALL if twice else wanted, threads)
-        open_rows = np.flatnonzero(left)
-        each = [self._find_one(rows, hulls, row) for row in open_rows.tolist()]
-        if wanted != ALL and not twice:
-            for row, found in zip(open_rows.tolist(), each, strict=True):
-                first = found[0] if len(found) else NO_NODE
-                numbers[row] = first if wanted == FIRST else len(found)
-            return numbers.astype({ANY: np.bool_, COUNT: np.int64, FIRST: np.uint32}[wanted])
-        of = np.repeat(np.arange(len(numbers)), numbers)
-        sure = ~left[of]
-        counts = [len(found) for found in each]
+        if wanted == ALL:
+            return self._every(rows, hulls, threads)
+        told, _ = self._find_rows(rows, hulls, wanted, threads)
+        for row in np.flatnonzero(told.open).tolist():
+            found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+            told.numbers[row] = len(order)
+            handles = self._columns.node_handle[found.slots[order]]
+            if wanted == FIRST:
+                told.numbers[row] = handles[0] if len(order) else NO_NODE
+            elif wanted == HITS:
+                told.handles[row] = handles[0] if len(order) else NO_NODE
+                told.distances[row] = found.distances[order[0]] if len(order) else np.inf
+                told.points[row] = found.points[order[0]] if len(order) else np.nan
+        if wanted in (COUNT, HITS) and self._columns.shadows:
+            # Who stands at two places counts once, see slicing.py.
+            told.numbers[:] = np.diff(self._every(rows, hulls, threads)[0])
+        if wanted == HITS:
+            return BoxHits(told.handles, told.numbers, told.distances, told.points)
+        return told.numbers.astype({ANY: np.bool_, COUNT: np.int64, FIRST: np.uint32}[wanted])
+
+    def _every(
+        self, rows: QueryRows, hulls: Hulls | None, threads: int
+    ) -> tuple[Slots, NDArray[np.uint32]]:
+        """(offsets, node handles) of all that touch each shape."""
+        told, handles = self._find_rows(rows, hulls, ALL, threads)
+        of, count = np.repeat(np.arange(len(told.numbers)), told.numbers), len(told.numbers)
+        sure, open_rows, each = ~told.open[of], np.flatnonzero(told.open), [NOBODY]
+        for row in open_rows.tolist():
+            found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+            each.append(self._columns.node_handle[found.slots[order]].astype(np.uint32))
+        counts = [len(found) for found in each[1:]]
         of = np.concatenate((of[sure], np.repeat(open_rows, counts)))
         handles = np.concatenate((handles[sure], *each))
-        if columns.shadows:
-            first = np.unique(np.stack((of, handles)), axis=1, return_index=True)[1]
-            of, handles = of[np.sort(first)], handles[np.sort(first)]
-        sizes = np.bincount(of, minlength=len(numbers))
-        if wanted == COUNT:
-            return sizes
-        offsets = np.zeros(len(numbers) + 1, np.int64)
-        np.cumsum(sizes, out=offsets[1:])
+        if self._columns.shadows:
+            first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
+            of, handles = of[first], handles[first]
+        offsets = np.zeros(count + 1, np.int64)
+        np.cumsum(np.bincount(of, minlength=count), out=offsets[1:])
         return offsets, handles[np.argsort(of, kind='stable')]
-
-    def _find_one(self, rows: QueryRows, hulls: Hulls | None, row: int) -> NDArray[np.uint32]:
-        """Node handles of what touches the shape of a row."""
-        found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
-        return self._columns.node_handle[found.slots[order]].astype(np.uint32)
 
     def _find_rows(
         self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.uint32]]:
-        """A number a row, whether the row is left to `find`, and the handles of all that are met,
-        row after row, if those are wanted.
+    ) -> tuple[Answers, NDArray[np.uint32]]:
+        """What is wanted of each row, but of those that are `open`: these are left to `find`. And
+        the handles of all that are met, row after row, if those are wanted.
         """
         count, columns, view = len(rows.records), self._columns, self._tree.view()
         shaped = columns.shaped > 0 or bool(rows.records['shaped'].any())
         bodies = bodies_of(columns, hulls) if shaped else None
-        numbers, left = np.empty(count, np.int64), np.empty(count, np.bool_)
+        hits = count if wanted == HITS else 0
+        told = Answers(
+            *(np.empty(count, np.int64), np.empty(count, np.bool_)),
+            *(np.full(hits, NO_NODE, np.uint32), np.full(hits, np.inf)),
+            np.full((hits, 3), np.nan),
+        )
 
         def work(start: int, stop: int) -> tuple[NDArray[np.uint32], int, int]:
             parts, compared, more, room = [NOBODY], 0, 0, FEW
             while start < stop:
-                handles = np.empty(room if wanted == ALL else 0, np.uint32)
-                found, answers = self._scratch.found, Answers(numbers, left, handles)
+                handles = np.empty(room, np.uint32) if wanted == ALL else told.handles
+                found, answers = self._scratch.found, told._replace(handles=handles)
                 given = rows, wanted, (start, stop), columns.node_handle, found, answers
                 start, needed, written, pairs, digits = self._rows(view, bodies, given)
                 parts.append(handles[:written])
@@ -116,7 +141,7 @@ class Overlaps:
         done = in_threads(work, count, threads)
         columns.pairs_compared += sum(part[1] for part in done)
         columns.pairs_in_more_digits += sum(part[2] for part in done)
-        return numbers, left, np.concatenate([part[0] for part in done])
+        return told, np.concatenate([part[0] for part in done])
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32

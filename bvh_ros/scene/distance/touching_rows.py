@@ -24,19 +24,23 @@ from .touching import (
     touching_shapes,
 )
 
-ANY, COUNT, FIRST, ALL = range(4)  # what is wanted of each row
-WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL}
+ANY, COUNT, FIRST, ALL, HITS = range(5)  # what is wanted of each row
+WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL, 'hits': HITS}
 
 
 class Answers(NamedTuple):
     """What overlap queries find."""
 
     numbers: Any
-    """(n,) whether there is any, how many there are, or the first."""
+    """(n,) whether there is any, how many there are, or the node handle of the first."""
     open: Any
     """(n,) whether exact arithmetic must say."""
     handles: Any
-    """Of all that are met, row after row."""
+    """Of all that are met, row after row; where HITS are wanted (n,), of the first."""
+    distances: Any
+    """Where HITS are wanted (n,), of the first."""
+    points: Any
+    """The same, (n, 3)."""
 
 
 class Points(NamedTuple):
@@ -98,12 +102,19 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
         if wanted == ANY:
             answers.numbers[row] = count > 0
         elif wanted == FIRST:
-            first = node_handles[found.slots[found.order[0]]] if count > 0 else NO_NODE
-            answers.numbers[row] = first
+            answers.numbers[row] = NO_NODE
+            if count > 0:
+                answers.numbers[row] = node_handles[found.slots[found.order[0]]]
         elif wanted == ALL:
             for i in range(count):
                 answers.handles[written + i] = node_handles[found.slots[found.order[i]]]
             written += count
+        elif wanted == HITS and count > 0:
+            first = found.order[0]
+            answers.handles[row] = node_handles[found.slots[first]]
+            answers.distances[row] = found.distances[first]
+            for axis in range(3):
+                answers.points[row, axis] = found.points[first, axis]
         row += 1
     end_query(tree.state)
     return row, needed, written, compared, more

@@ -124,23 +124,29 @@ def test_the_managed_node_is_granted_what_it_does(policy, start_node):
 def test_a_client_may_ask_and_nothing_else(policy):
     node = granted(policy, '/bvh/node', '/bvh')
     client = granted(policy, '/bvh/client', '/bvh_client')
-    assert client['request'] == {'/bvh/raycast', '/bvh/raycast_all', '/bvh/overlap'}
+    services = 'raycast', 'raycast_all', 'overlap', 'nearest'
+    assert client['request'] == {f'/bvh/{name}' for name in services}
     assert client['request'] <= node['reply']
     shared = {'/rosout', '/parameter_events'}
-    assert client['publish'] - shared == {'/bvh/rays'} <= node['subscribe']
+    asked = {'/bvh/rays', '/bvh/boxes', '/bvh/points'}
+    assert client['publish'] - shared == asked <= node['subscribe']
     assert client['subscribe'] <= node['publish']
 
 
 ASK = """
-import sys, time
+import contextlib, sys
 import rclpy
-from bvh_ros.client import BvhClient
+from bvh_ros.client import BvhClient, BvhError
 
 rclpy.init(args=['--ros-args', '-r', f'__ns:={sys.argv[1]}'])
 client = BvhClient(rclpy.create_node('bvh_client'))
 client.wait_until_ready()
 client.raycast_many([(0.0, 0.0, 0.0)], [(1.0, 0.0, 0.0)])
 client.names([])
+with contextlib.suppress(BvhError):  # it may have to be compiled
+    client.nearest_many([(0.0, 0.0, 0.0)])
+with contextlib.suppress(BvhError):
+    client.overlap_many([(0.0, 0.0, 0.0)], (1.0, 1.0, 1.0))
 print('asked', flush=True)
 sys.stdin.read()
 """

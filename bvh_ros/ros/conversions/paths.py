@@ -1,0 +1,78 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The poses of a nav_msgs/Path, and a footprint at each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+
+from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.ray_clouds import first_fault
+from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.world.frames import Transform
+from bvh_ros.scene import ShapeKind, Shapes
+
+Floats = NDArray[np.float64]
+
+
+class Poses(NamedTuple):
+    """Poses of one path; nothing is known of their values yet."""
+
+    frame_id: str
+    stamp: int  # ns
+    places: Floats  # (n, 3) m
+    turns: Floats  # (n, 4) quaternions
+    elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
+
+    def rows(self, rows: Any) -> Poses:
+        """Return some of the rows."""
+        return self._replace(
+            places=self.places[rows], turns=self.turns[rows], elsewhere=self.elsewhere[rows]
+        )
+
+    def moved(self, transform: Transform) -> Poses:
+        """Return the same in the node's frame."""
+        with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
+            return self._replace(
+                places=transform.points(self.places),
+                turns=transform.orientations(rotations.normalised(self.turns)),
+            )
+
+    def fault(self, number: int) -> tuple[NDArray[np.bool_], str]:
+        """Return which rows (n,) cannot be answered, and of the first of them why."""
+        far = np.isfinite(self.places) & (np.abs(self.places) < 1e300)
+        faults: dict[str, NDArray[np.bool_]] = {
+            'its position is not finite, or beyond 1e300': np.logical_not(far.all(axis=1)),
+            'its orientation is not finite': np.logical_not(np.isfinite(self.turns).all(axis=1)),
+            'its frame is not that of the path': self.elsewhere,
+        }
+        return first_fault(faults, number)
+
+
+def read(path: Path) -> Poses:
+    """Read a path, whatever it holds."""
+    header, poses = path.header, [stamped.pose for stamped in path.poses]
+    places = [(at.x, at.y, at.z) for at in (pose.position for pose in poses)]
+    turns = [(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in poses)]
+    frames = [stamped.header.frame_id for stamped in path.poses]
+    return Poses(
+        header.frame_id,
+        nanoseconds(header.stamp),
+        np.array(places, np.float64).reshape(-1, 3),
+        np.array(turns, np.float64).reshape(-1, 4),
+        np.array([frame not in ('', header.frame_id) for frame in frames], bool),
+    )
+
+
+def shapes(poses: Poses, footprint: Sequence[float]) -> Shapes:
+    """Return the footprint, a box or a ball, at each pose."""
+    size = footprint if len(footprint) == 3 else (2.0 * footprint[0],) * 3
+    boxes = Shapes.boxes(poses.places, size, poses.turns)
+    if len(footprint) == 3:
+        return boxes
+    return boxes._replace(kind=np.full(len(poses.places), ShapeKind.SPHERE, np.uint8))

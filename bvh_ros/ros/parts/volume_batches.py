@@ -1,0 +1,189 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`~/boxes` to `~/box_hits`, `~/points` to `~/nearest_hits`, `~/paths` to `~/path_hits`."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import PointCloud2
+
+from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
+from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
+from bvh_ros.ros.parts.batch import PIECE, Batch
+from bvh_ros.ros.parts.on_demand import BOXES_ASKED, PATHS, POINTS
+from bvh_ros.scene import NO_NODE
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+    from rclpy.node import Node
+
+    from bvh_ros.ros.cdr.point_cloud2 import PointCloud
+    from bvh_ros.ros.parts.on_demand import OnDemand
+    from bvh_ros.ros.world.frames import Transform
+    from bvh_ros.ros.world.views import View
+    from bvh_ros.ros.world.world import World
+    from bvh_ros.scene import Scene
+
+Told = Near | Touched
+LEAST_FIELD = 4  # bytes
+
+
+class VolumeBatch(Batch):
+    """What batches of points and boxes share."""
+
+    question: type = Points
+    answer: Any = Near
+    needed = POINTS
+    least = 3 * LEAST_FIELD  # bytes of a row
+
+    def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
+        self._now()
+        self._kernels.require(self.needed)
+        transform = self._world.frames.into_node(request.frame_id, request.stamp)
+        cloud = QueryCloud(request, self.question)
+        told = query_clouds.unanswered(self.answer, len(cloud))
+        for begin in range(0, len(cloud), PIECE):
+            if begin:
+                yield
+            piece = slice(begin, begin + PIECE)
+            self._fill(told, piece, cloud.rows(begin, begin + PIECE), transform)
+        return query_clouds.answers_cloud(told, request.height, request.width, cloud.real)
+
+    def _fill(self, told: Told, piece: slice, asked: Any, transform: Transform | None) -> None:
+        """Answer some rows."""
+        scene = self._now()
+        if transform is not None:
+            with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
+                asked = asked.moved(transform)
+        good = self._count(*query_clouds.fault(asked, piece.start))
+        found = self._ask(
+            scene, asked._replace(**{k: v[good] for k, v in asked._asdict().items()})
+        )
+        if transform is not None:
+            found = moved_back(transform, found)
+        put(told, piece, good, found)
+
+    def _ask(self, scene: Scene, asked: Any) -> Told:
+        """Ask the scene."""
+        raise NotImplementedError
+
+    def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
+        height, width = ray_clouds.rows_of(request, self.least)
+        self.refused.add(reason, height * width)
+        told = query_clouds.unanswered(self.answer, height * width)
+        return query_clouds.answers_cloud(told, height, width, np.dtype(np.float32))
+
+
+class PointBatch(VolumeBatch):
+    """Answers points by the obstacles nearest to them."""
+
+    asked, told = 'points', 'nearest_hits'
+
+    def _ask(self, scene: Scene, asked: Points) -> Near:
+        masks = self._masks(asked.masks)
+        handles, distances, points = scene.nearest_many(asked.places, 1, asked.reaches, masks)
+        return near(asked.places, points[:, 0], distances[:, 0], handles[:, 0])
+
+
+class BoxBatch(VolumeBatch):
+    """Answers boxes by what touches them."""
+
+    asked, told = 'boxes', 'box_hits'
+    question, answer, needed = Boxes, Touched, BOXES_ASKED
+    least = 6 * LEAST_FIELD
+
+    def _ask(self, scene: Scene, asked: Boxes) -> Touched:
+        hits = scene.overlap_many(
+            *(asked.places, asked.sizes, asked.turns, asked.tolerances),
+            *(self._masks(asked.masks), 'hits'),
+        )
+        return Touched(hits.points, hits.distances, hits.handles, hits.counts.astype(np.uint32))
+
+
+class PathBatch(Batch):
+    """Answers the poses of paths by how far the footprint is from the nearest obstacle there, 0
+    where they touch.
+
+    Parameters
+    ----------
+    node, world, view, kernels
+        As of a `Batch`.
+    footprint : sequence of float
+        Edge lengths of a box, or the radius of a ball, m; centred on each pose.
+    """
+
+    asked, told = 'paths', 'path_hits'
+    message = Path
+
+    def __init__(
+        self, node: Node, world: World, view: View, kernels: OnDemand, footprint: Sequence[float]
+    ) -> None:
+        self._footprint = footprint
+        super().__init__(node, world, view, kernels)
+
+    def _read(self, serialised: bytes) -> paths.Poses:
+        return paths.read(deserialize_message(serialised, Path))
+
+    def _reply(self, request: paths.Poses) -> Generator[None, None, PointCloud2]:
+        self._now()
+        self._kernels.require(PATHS)
+        transform = self._world.frames.into_node(request.frame_id, request.stamp)
+        told = query_clouds.unanswered(Near, len(request.places))
+        for begin in range(0, len(request.places), PIECE):
+            if begin:
+                yield
+            piece = slice(begin, begin + PIECE)
+            rows = request.rows(piece)
+            if transform is not None:
+                rows = rows.moved(transform)
+            good = self._count(*rows.fault(begin))
+            found = self._ask(self._now(), rows.rows(good))
+            if transform is not None:
+                found = moved_back(transform, found)
+            put(told, piece, good, found)
+        return query_clouds.answers_cloud(told, 1, len(request.places), np.dtype(np.float64))
+
+    def _ask(self, scene: Scene, rows: paths.Poses) -> Near:
+        shapes = paths.shapes(rows, self._footprint)
+        handles, distances, places, points = scene.clearance_many(shapes, mask=self.view.mask)
+        return near(places, points, distances, handles)
+
+    def _refusal(self, request: paths.Poses, reason: str) -> PointCloud2:
+        count = max(len(request.places), 1)
+        self.refused.add(reason, count)
+        told = query_clouds.unanswered(Near, count)
+        return query_clouds.answers_cloud(told, 1, count, np.dtype(np.float64))
+
+
+def put(told: Any, piece: slice, good: NDArray[np.bool_], found: Any) -> None:
+    """Write the answers to the good rows of a piece."""
+    for column, rows in zip(told, found, strict=True):
+        column[piece][good] = rows
+
+
+def near(
+    places: NDArray[np.float64],
+    points: NDArray[np.float64],
+    distances: NDArray[np.float64],
+    handles: NDArray[np.uint32],
+) -> Near:
+    """Return obstacles' points with the directions from there to the places."""
+    normals = np.zeros((len(places), 3))
+    apart = (handles != NO_NODE) & (distances > 0.0)
+    normals[apart] = (places[apart] - points[apart]) / distances[apart, None]
+    return Near(points, distances, normals, handles)
+
+
+def moved_back(transform: Transform, told: Any) -> Any:
+    """Return answers in the frame that the questions came from."""
+    back = transform.inverse()
+    with np.errstate(over='ignore', invalid='ignore'):
+        told = told._replace(points=back.points(told.points))
+        if isinstance(told, Near):
+            told = told._replace(normals=back.vectors(told.normals))
+    return told

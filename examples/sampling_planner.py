@@ -1,0 +1,123 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A sampling planner (MPPI) at 20 Hz: of 2,000 rollouts of 30 steps each, a turned rectangle at
+every step, those that touch none of 1,000 people and forklifts on the move are averaged by cost.
+
+python examples/sampling_planner.py [--ticks 400] [--picture planner.png]
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
+
+ROLLOUTS, STEPS, TICK, STEP = 2_000, 30, 0.05, 0.1  # s
+PEOPLE, FORKLIFTS, SIDE = 900, 100, 120.0  # m
+ROBOT, SPACE = [0.9, 0.6, 1.0], 0.1  # m: the rectangle, and how far others have to be
+FASTEST, NOISE = 1.5, np.array([0.5, 1.0])  # m/s; of speed (m/s) and turning (rad/s)
+HARD, TEMPERATURE = 1e3, 0.5
+
+rng = np.random.default_rng(4)
+COUNT = PEOPLE + FORKLIFTS
+KIND = np.repeat([ShapeKind.CYLINDER, ShapeKind.BOX], [PEOPLE, FORKLIFTS]).astype(np.uint8)
+SIZES = np.repeat([[0.5, 0.5, 1.8], [2.4, 1.2, 2.0]], [PEOPLE, FORKLIFTS], axis=0)
+
+
+def quaternions(yaws):
+    """Of turns about z."""
+    turns = np.zeros((*np.shape(yaws), 4))
+    turns[..., 2], turns[..., 3] = np.sin(yaws / 2), np.cos(yaws / 2)
+    return turns
+
+
+def roll_out(pose, controls):
+    """Poses (n, STEPS, 3) of a car that drives by controls (n, STEPS, 2): x, y, yaw."""
+    yaws = pose[2] + np.cumsum(controls[..., 1], axis=1) * STEP
+    steps = controls[..., :1] * STEP * np.stack((np.cos(yaws), np.sin(yaws)), axis=2)
+    return np.concatenate((pose[:2] + np.cumsum(steps, axis=1), yaws[..., None]), axis=2)
+
+
+def plan(scene, pose, goal, nominal):
+    """(best controls (STEPS, 2), the poses of all rollouts, which of these are free)."""
+    controls = nominal + rng.normal(size=(ROLLOUTS, STEPS, 2)) * NOISE
+    controls[0] = nominal
+    controls[1] = 0.0  # standing still
+    controls[..., 0] = np.clip(controls[..., 0], 0.0, FASTEST)
+    controls[..., 1] = np.clip(controls[..., 1], -1.5, 1.5)
+    poses = roll_out(pose, controls)
+    centres = np.zeros((ROLLOUTS * STEPS, 3))
+    centres[:, :2] = poses[..., :2].reshape(-1, 2)
+    turns = quaternions(poses[..., 2].ravel())
+    touches = scene.overlap_many(centres, ROBOT, turns, SPACE).reshape(ROLLOUTS, STEPS)
+    cost = np.linalg.norm(poses[..., :2] - goal, axis=2).mean(axis=1)
+    cost += np.where(touches, HARD * np.linspace(1.0, 0.1, STEPS), 0.0).sum(axis=1)
+    weights = np.exp(-(cost - cost.min()) / TEMPERATURE)
+    best = np.einsum('n,nsc->sc', weights / weights.sum(), controls)
+    return best, poses, ~touches.any(axis=1)
+
+
+def draw(file, world, track, poses, free, goal):
+    """A picture of the world from above, of the way so far, and of the last rollouts."""
+    import matplotlib as mpl
+
+    mpl.use('Agg')
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(9, 9))
+    place, yaws = world
+    for i, (x, y) in enumerate(place[:, :2]):
+        if i < PEOPLE:
+            axes.add_patch(plt.Circle((x, y), 0.25, color='tab:blue'))
+        else:
+            box = plt.Rectangle((x - 1.2, y - 0.6), 2.4, 1.2, color='tab:orange')
+            box.set_transform(
+                mpl.transforms.Affine2D().rotate_around(x, y, yaws[i]) + axes.transData
+            )
+            axes.add_patch(box)
+    for some, colour in ((~free, '0.8'), (free, 'tab:green')):
+        for way in poses[some][:150]:
+            axes.plot(way[:, 0], way[:, 1], color=colour, linewidth=0.5)
+    axes.plot(*np.transpose(track), color='black', linewidth=2)
+    axes.plot(*goal, marker='*', color='tab:red', markersize=15)
+    axes.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect='equal', xlabel='x [m]', ylabel='y [m]')
+    figure.savefig(file, dpi=110, bbox_inches='tight')
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--ticks', type=int, default=400)
+    parser.add_argument('--picture', default='')
+    given = parser.parse_args()
+    place = np.column_stack((rng.uniform(5.0, SIDE, (COUNT, 2)), np.full(COUNT, 0.9)))
+    yaws, pace = rng.uniform(-np.pi, np.pi, COUNT), rng.uniform(0.2, 1.0, COUNT)
+    scene, names = Scene(planar=True), Numbered('mover/', np.arange(COUNT))
+    pose, goal = np.array([1.0, 1.0, np.pi / 4]), np.array([SIDE - 3.0, SIDE - 3.0])
+    nominal, track, spent, met = np.tile([1.0, 0.0], (STEPS, 1)), [pose[:2]], [], 0
+    for tick in range(given.ticks):
+        yaws += rng.normal(0.0, 0.3 * TICK, COUNT)
+        place[:, 0] = np.mod(place[:, 0] + pace * TICK * np.cos(yaws), SIDE)
+        place[:, 1] = np.mod(place[:, 1] + pace * TICK * np.sin(yaws), SIDE)
+        began = time.perf_counter()
+        scene.update('movers', names, Shapes(KIND, place, quaternions(yaws), SIZES), stamp=tick)
+        nominal, poses, free = plan(scene, pose, goal, nominal)
+        spent.append(time.perf_counter() - began)
+        pose = roll_out(pose, nominal[None] * [TICK / STEP, TICK / STEP])[0, 0]
+        track.append(pose[:2])
+        at = [[*pose[:2], 0.0]]
+        met += int(scene.overlap_many(at, ROBOT, quaternions(pose[2:]))[0])
+        if np.linalg.norm(pose[:2] - goal) < 1.0:
+            break
+    milliseconds = 1e3 * float(np.median(spent[1:] or spent))
+    print(
+        f'{tick + 1} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, {met} of them '
+        f'in touch with somebody; a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
+        f'among {COUNT}: {1e3 / milliseconds:.0f} Hz'
+    )
+    if given.picture:
+        draw(given.picture, (place, yaws), track, poses, free, goal)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,270 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Balls, boxes, points and paths over ROS 2: each row is what a scene of the same obstacles says,
+and what is no answer says so.
+"""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from sensor_msgs.msg import PointCloud2
+
+from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
+from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
+
+COUNT, ASKED = 80, 200
+RNG = np.random.default_rng(17)
+CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
+TURN = RNG.normal(size=(COUNT, 4))
+TURN /= np.linalg.norm(TURN, axis=1)[:, None]
+TURN[::2] = 0, 0, 0, 1
+SIZE[-10:] = SIZE[-10:, :1]  # the last are balls
+KIND = np.where(np.arange(COUNT) < COUNT - 10, ShapeKind.BOX, ShapeKind.SPHERE).astype(np.uint8)
+FOOTPRINT = [0.8, 0.5, 0.4]
+PLACE, FACING = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.8, 2.0))
+PARAMETERS = {
+    'footprint': FOOTPRINT,
+    'nearest_limit': 5,
+    'views': ['even'],
+    'even.include': [f'a/{i}' for i in range(0, COUNT, 2)],
+    'transforms': ['lidar'],
+    'lidar.xyz': PLACE.tolist(),
+    'lidar.xyzw': FACING.as_quat().tolist(),
+}
+COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
+
+
+@pytest.fixture(scope='module')
+def world(start_node, messages):
+    world = start_node(PARAMETERS)
+    kinds = {ShapeKind.BOX: 1, ShapeKind.SPHERE: 2}
+    world.markers(
+        *(
+            messages.marker(i, CENTRE[i], SIZE[i], turn=TURN[i], type=kinds[ShapeKind(KIND[i])])
+            for i in range(COUNT)
+        )
+    )
+    world.until(lambda: len(world.everything()) == COUNT)
+    return world
+
+
+@pytest.fixture(scope='module')
+def scene():
+    """The same world; its view sees every other one."""
+    scene, even = Scene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
+    names = [f'a/{i}' for i in range(COUNT)]
+    scene.update('markers', names, Shapes(KIND, CENTRE, TURN, SIZE), stamp=1, categories=even)
+    return scene
+
+
+@pytest.fixture
+def node(ros_context):
+    node = rclpy.create_node('asker')
+    yield node
+    node.destroy_node()
+
+
+@pytest.fixture(params=['all', 'even'])
+def client(request, world, node):
+    """A client, and what of the world it sees."""
+    view = request.param == 'even'
+    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=30.0)
+    client.mask = 2 if view else 1
+    return client
+
+
+def answered(ask):
+    """The answer, once what it takes is compiled."""
+    deadline = time.monotonic() + COMPILING
+    while True:
+        try:
+            return ask()
+        except BvhError:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+
+
+def same(found, expected):
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+
+
+def test_balls(client, scene):
+    origins, directions = RNG.uniform(-8, 8, (ASKED, 3)), RNG.normal(size=(ASKED, 3))
+    t_max, radius = RNG.uniform(1, 6, ASKED), RNG.choice([0.0, 0.2, 0.7], ASKED)
+    hits = answered(lambda: client.raycast_many(origins, directions, t_max, radius=radius))
+    expected = scene.raycast_many(
+        origins, directions, t_max, client.mask, radius=radius.astype(np.float64)
+    )
+    for found, column in zip(hits, expected, strict=True):
+        same(found, column)
+    assert 0.05 < (hits.obstacles != FREE).mean() < 0.95
+    t_max[7], radius[9], radius[11] = math.inf, -1.0, math.nan
+    radius[7] = 0.5
+    hits = client.raycast_many(origins, directions, t_max, radius=radius)
+    assert np.flatnonzero(hits.obstacles == UNANSWERED).tolist() == [7, 9, 11]
+    assert np.isnan(hits.t[[7, 9, 11]]).all()
+
+
+def test_boxes(client, scene):
+    centers, sizes = RNG.uniform(-7, 7, (ASKED, 3)), RNG.uniform(0, 1.5, (ASKED, 3))
+    turns, tolerance = RNG.normal(size=(ASKED, 4)), RNG.choice([0.0, 0.3], ASKED)
+    told = answered(lambda: client.overlap_many(centers, sizes, turns, tolerance))
+    expected = scene.overlap_many(centers, sizes, turns, tolerance, client.mask, 'hits')
+    same(told.obstacles, expected.handles)
+    same(told.counts, expected.counts)
+    same(told.distances, expected.distances)
+    same(told.points, expected.points)
+    assert 0.02 < (told.counts > 0).mean() < 0.9
+    centers[3], sizes[5], turns[6, 2], tolerance[8] = math.nan, -1.0, math.inf, math.nan
+    sizes[9] = 1.7e308
+    told = client.overlap_many(centers, sizes, turns, tolerance)
+    bad = [3, 5, 6, 8, 9]
+    assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == bad
+    assert (told.counts[bad] == UNANSWERED).all()
+    assert np.isnan(told.distances[bad]).all()
+    good = np.delete(np.arange(ASKED), bad)
+    same(told.counts[good], expected.counts[good])
+
+
+def test_points(client, scene):
+    points, reach = RNG.uniform(-8, 8, (ASKED, 3)), RNG.choice([0.1, 1.0, math.inf], ASKED)
+    told = answered(lambda: client.nearest_many(points, reach))
+    handles, distances, where = scene.nearest_many(points, 1, reach, client.mask)
+    same(told.obstacles, handles[:, 0])
+    same(told.distances, distances[:, 0])
+    same(told.points, where[:, 0])
+    near = handles[:, 0] != NO_NODE
+    lengths = np.linalg.norm(told.normals, axis=1)
+    assert np.allclose(lengths, near & (distances[:, 0] > 0))
+    back = where[near, 0] + distances[near] * told.normals[near]
+    assert np.allclose(back, points[near])
+    points[4, 1], reach[6] = math.inf, -1.0
+    told = client.nearest_many(points, reach)
+    assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == [4, 6]
+    assert np.isnan(told.distances[[4, 6]]).all()
+
+
+def test_paths(client, scene):
+    places, turns = RNG.uniform(-7, 7, (ASKED, 3)), RNG.normal(size=(ASKED, 4))
+    told = answered(lambda: client.check_path(places, turns))
+    shapes = Shapes.boxes(places, FOOTPRINT, turns)
+    handles, distances, mine, points = scene.clearance_many(shapes, mask=client.mask)
+    same(told.obstacles, handles)
+    same(told.distances, distances)
+    same(told.points, points)
+    assert 0.02 < (told.distances == 0).mean() < 0.9
+    apart = distances > 0
+    same(told.normals[apart], ((mine - points)[apart]) / distances[apart, None])
+    assert not told.normals[~apart].any()
+    places[2] = math.nan
+    told = client.check_path(places, turns)
+    assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == [2]
+
+
+def test_in_another_frame(world, scene, node):
+    client = BvhClient(node, world.name, timeout=30.0)
+    points = RNG.uniform(-8, 8, (50, 3))
+    local, turns = FACING.inv().apply(points - PLACE), FACING.inv().as_quat()[None]
+    near = answered(lambda: client.nearest_many(local, frame_id='lidar'))
+    expected = scene.nearest_many(points)
+    same(near.obstacles, expected[0][:, 0])
+    assert np.allclose(near.distances, expected[1][:, 0])
+    assert np.allclose(FACING.apply(near.points) + PLACE, expected[2][:, 0])
+    back = FACING.apply(near.points + near.distances[:, None] * near.normals) + PLACE
+    assert np.allclose(back[near.distances > 0], points[near.distances > 0])
+    turned = np.repeat(turns, 50, axis=0)  # unturned in the node's frame
+    told = answered(lambda: client.overlap_many(local, [1, 2, 3], turned, frame_id='lidar'))
+    same(told.counts, scene.overlap_many(points, [1, 2, 3], want='count'))
+    path = answered(lambda: client.check_path(local, turned, frame_id='lidar'))
+    clear = scene.clearance_many(Shapes.boxes(points, FOOTPRINT))
+    assert np.allclose(path.distances, clear[1], atol=1e-9)
+    with pytest.raises(BvhError, match='cannot answer'):
+        client.nearest_many(points, frame_id='mars')
+    with pytest.raises(BvhError, match='cannot answer'):
+        client.check_path(points, frame_id='mars')
+
+
+def replies(world, asked, told, message, kind):
+    """What is told of a message that no client of ours would send."""
+    heard = []
+    topics = f'{world.name}/{asked}', f'{world.name}/{told}'
+    publisher = world.node.create_publisher(type(message), topics[0], 10)
+    subscription = world.node.create_subscription(PointCloud2, topics[1], heard.append, 10)
+    world.until(lambda: publisher.get_subscription_count() > 0)
+    world.until(lambda: subscription.get_publisher_count() > 0)
+    time.sleep(0.2)
+    publisher.publish(message)
+    world.until(lambda: heard)
+    world.node.destroy_publisher(publisher)
+    world.node.destroy_subscription(subscription)
+    return query_clouds.read_answers(heard[0], kind)
+
+
+def test_clouds_that_say_too_little(world, messages):
+    for asked, told, kind, names in (
+        ('points', 'nearest_hits', query_clouds.Near, 'xy'),
+        ('boxes', 'box_hits', query_clouds.Touched, 'xyz'),
+    ):
+        cloud = messages.cloud({name: np.zeros(3) for name in [*names, 'sx', 'a', 'b', 'c']})
+        rows = replies(world, asked, told, cloud, kind)
+        assert rows.obstacles.tolist() == [UNANSWERED] * 3
+        assert np.isnan(rows.distances).all()
+    path = Path()
+    path.header.frame_id = 'map'
+    for frame in ('', 'map', 'lidar'):
+        path.poses.append(PoseStamped())
+        path.poses[-1].header.frame_id = frame
+    rows = replies(world, 'paths', 'path_hits', path, query_clouds.Near)
+    assert (rows.obstacles == UNANSWERED).tolist() == [False, False, True]
+
+
+def test_nearest_as_a_service(client, scene, world):
+    for point in RNG.uniform(-8, 8, (20, 3)):
+        hits = answered(lambda p=point: client.nearest(p))
+        expected = scene.nearest(point, 5, mask=client.mask)
+        assert [hit.name for hit in hits] == [hit.name for hit in expected]
+        assert [hit.point for hit in hits] == [tuple(hit.point.tolist()) for hit in expected]
+        reach = float(np.float32(expected[2].t))
+        few = scene.nearest(point, 5, reach, client.mask) if reach else expected
+        assert [hit.name for hit in client.nearest(point, reach)] == [hit.name for hit in few]
+    zero = world.plan('nearest', (1, 2, 3), (0, 0, 0)).poses
+    assert [pose.header.frame_id for pose in zero] == [
+        hit.name for hit in scene.nearest([1, 2, 3], 5)
+    ]
+    (error,) = world.names('nearest', (1, 2, 3), (1, 2, 4))
+    assert error.startswith('error: goal')
+    (error,) = world.names('nearest', (1, 2, math.nan), (0, 0, 0))
+    assert error.startswith('error: ')
+
+
+def test_an_incomplete_world(start_node, node):
+    world = start_node({'markers.required': True, 'footprint': [0.3]})
+    client = BvhClient(node, world.name, timeout=30.0)
+    for ask in (
+        lambda: client.nearest([0, 0, 0]),
+        lambda: client.nearest_many([[0, 0, 0]]),
+        lambda: client.overlap_many([[0, 0, 0]], [1, 1, 1]),
+        lambda: client.check_path([[0, 0, 0]]),
+        lambda: client.raycast_many([[0, 0, 0]], [[1, 0, 0]], 1.0, radius=0.1),
+    ):
+        with pytest.raises(BvhError):
+            ask()
+
+
+def test_a_footprint_that_is_none(configure):
+    from bvh_ros.ros.config.option import ConfigurationError
+
+    for wrong in ([1.0, 2.0], [-1.0], [math.inf], [0.0, 1.0, 1.0]):
+        with pytest.raises(ConfigurationError, match='footprint'):
+            configure({'footprint': wrong})
+    assert configure({}).settings.footprint == ()
