@@ -31,6 +31,7 @@ FLAT = 'face', 'end'
 DIGITS = 50
 PARALLEL = Decimal(10) ** -12  # ways closer together than this are one
 SLIDING = 1e-3  # of the size: that far apart the ends of edges may be what is closest
+BENDING = 1e-10  # of the size: farther along its tangent a rim is somewhere else
 
 
 class Solid(NamedTuple):
@@ -200,13 +201,14 @@ def measured(bodies, features, positions, turns, normal):
             for place, frame, feature in zip(places, frames, features, strict=True)
         ]
         size, basis = max(float(body.half.max()) for body in bodies), []
-        for frame, feature in zip(frames, features, strict=True):
+        for body, frame, feature in zip(bodies, frames, features, strict=True):
+            most = (BENDING if body.kind == CYLINDER else SLIDING) * size
             for way in feature.free:
                 step = across(frame @ decimals(way), basis)
                 if length(step) > PARALLEL:
                     basis.append(step / length(step))
                     moved = (ends[1] - ends[0]) @ basis[-1] / length(step)
-                    if abs(moved) > SLIDING * size:
+                    if abs(moved) > most:
                         return None
         apart = across(ends[1] - ends[0], basis)
         along = apart @ decimals(normal)
