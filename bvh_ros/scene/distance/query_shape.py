@@ -74,7 +74,8 @@ def fill_box(start, goal, orientation, planar, records, bounds):
             + matrix[1, axis] * diagonal[1]
             + matrix[2, axis] * diagonal[2]
         )
-    canonical_row(np.uint8(BOX), centre, orientation, edges, record, bounds)
+    ndim = 2 if planar else 3
+    canonical_row(np.uint8(BOX), centre, orientation, edges, ndim, record, bounds)
     return TURNED
 
 

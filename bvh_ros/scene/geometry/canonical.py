@@ -27,7 +27,7 @@ SNAP = 2.0**-50
 
 # Growth of the bounds of what is not an axis-aligned box, a share of the largest coordinate or
 # reach: above what counts as touching, see `casting.frame`, so that the broad phase never loses
-# what the true shape touches.
+# what the true shape touches. From above heights count only of what leans.
 OUTWARD = 2.0**-45
 LEAST = 5e-324
 
@@ -162,7 +162,7 @@ def reach_along(kind, half, matrix, axis):
 
 
 @lean_kernel
-def canonical_row(kind, position, orientation, size, record, bounds):
+def canonical_row(kind, position, orientation, size, ndim, record, bounds):
     """Fill in record and bounds (2, 3) of a row without faults."""
     matrix = stack_array(9, np.float64).reshape(3, 3)
     fill_unit(orientation, record.orientation)
@@ -184,7 +184,10 @@ def canonical_row(kind, position, orientation, size, record, bounds):
         reach = record.half[axis]
         if not aligned:
             reach = reach_along(kind, record.half, matrix, axis)
-            pad = max(pad, abs(position[axis]) + reach)
+            if axis < ndim:
+                pad = max(pad, abs(position[axis]) + reach)
+            elif record.orientation[0] != 0.0 or record.orientation[1] != 0.0:
+                pad = max(pad, record.half[axis])
         bounds[0, axis], bounds[1, axis] = position[axis] - reach, position[axis] + reach
     if not aligned:
         for axis in range(3):
@@ -200,7 +203,8 @@ def canonical_rows(kinds, positions, orientations, sizes, form):
         fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
         if fault == FINE:
             canonical_row(
-                kinds[i], positions[i], orientations[i], sizes[i], form.records[i], bounds
+                *(kinds[i], positions[i], orientations[i], sizes[i], form.lo.shape[1]),
+                *(form.records[i], bounds),
             )
             if not (is_finite(bounds[0]) and is_finite(bounds[1])):
                 fault = TOO_LARGE
@@ -243,17 +247,19 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
             form.faults[row], is_mesh[row] = NO_MESH, False
     rows = np.flatnonzero(is_mesh)
     records = form.records[rows]
-    turns = rotations(records['orientation'])
+    turns, ndim = rotations(records['orientation']), form.lo.shape[1]
     centres = np.array([mesh.centre for mesh in held[rows]]).reshape(-1, 3)
     with np.errstate(over='ignore', invalid='ignore'):
         records['position'] += np.einsum('nij,nj->ni', turns, centres)
         for row, record, turn in zip(rows.tolist(), records, turns, strict=True):
             position = record['position']
             places = held[row].vertices @ turn.T
-            largest = (np.abs(position) + np.abs(turn) @ record['half']).max()
+            largest = (np.abs(position) + np.abs(turn) @ record['half'])[:ndim].max()
+            if record['orientation'][:2].any():
+                largest = max(largest, record['half'].max())
             lo = position + places.min(axis=0) - (largest * OUTWARD + LEAST)
             hi = position + places.max(axis=0) + (largest * OUTWARD + LEAST)
             finite = np.isfinite(lo).all() and np.isfinite(hi).all()
             form.faults[row] = FINE if finite else TOO_LARGE
-            form.lo[row], form.hi[row] = lo[: form.lo.shape[1]], hi[: form.hi.shape[1]]
+            form.lo[row], form.hi[row] = lo[:ndim], hi[:ndim]
     form.records[rows] = records

@@ -4,14 +4,17 @@
 
 import itertools
 import math
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
+from scene.distance import contacts
 from scene.reference import geometry_arrays, random_shapes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from tree.reference import effort
 
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.geometry.canonical import canonicalise
 from bvh_ros.scene.geometry.footprint import footprints
 from bvh_ros.scene.geometry.shapes import as_shapes, shapes_of
@@ -97,3 +100,50 @@ def test_a_box_from_above_is_the_hull_of_its_corners():
         turns = edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0]
         assert turns.min() > -1e-12
     assert boxes > 100
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_bounds_hold_the_exact_shape_and_what_counts_as_touching(ndim):
+    """In 50 digits, of the quaternion as it is given; from above the height of what stands counts
+    for nothing.
+    """
+    rng = np.random.default_rng(ndim)
+    meshes = [contacts.prism(rng) for _ in range(4)]
+    for number in range(effort(300, 20_000)):
+        kind = list(ShapeKind)[number % len(ShapeKind)]
+        decade = rng.uniform(-90, 90) if kind == ShapeKind.MESH else rng.uniform(-290, 290)
+        body = contacts.solid(kind, meshes, rng)
+        if kind == ShapeKind.MESH:
+            mesh = Mesh(body.mesh.vertices[body.mesh.corners] * 10.0**decade)
+            body = contacts.Solid(kind, mesh.size / 2, mesh.vertices, mesh)
+        else:
+            body = body._replace(half=body.half * 10.0**decade)
+        turn = rng.normal(size=4) * 10.0 ** rng.uniform(-3, 3)
+        turn[:2] *= rng.choice([1.0, 0.0, 1e-16, 1e-160])
+        place = rng.normal(size=3) * body.half.max() * rng.choice([0.0, 1.0, 1e9])
+        held = np.full(1, body.mesh, object)
+        size = body.mesh.size if body.mesh else 2 * body.half
+        shapes = Shapes(np.array([kind], np.uint8), place[None], turn[None], size[None], held)
+        form = canonicalise(as_shapes(shapes), ndim)
+        assert form.faults[0] == 0
+        if not form.records['shaped'][0]:
+            continue
+        record, pads = form.records[0], []
+        standing = not record['orientation'][:2].any()
+        sizes = record['half'][: 2 if standing and ndim == 2 else 3]
+        with localcontext() as context:
+            context.prec = contacts.DIGITS
+            for axis in range(ndim):
+                far = contacts.reach(
+                    body, contacts.matrix(turn), contacts.decimals(np.eye(3)[axis])
+                )
+                near = contacts.reach(
+                    body, contacts.matrix(turn), -contacts.decimals(np.eye(3)[axis])
+                )
+                centre = Decimal(float(place[axis]))
+                pads += [centre - near - Decimal(form.lo[0, axis])]
+                pads += [Decimal(form.hi[0, axis]) - centre - far]
+            largest = max(sizes.max(), np.abs(place[:ndim]).max())
+            touching = 2.0**-46 * sizes.max() + 2.0**-51 * largest
+            assert min(pads) >= Decimal(touching), (kind, place, turn, body.half)
+            assert max(pads) <= Decimal(2.0**-43 * largest)
