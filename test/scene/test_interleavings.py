@@ -98,17 +98,17 @@ class Model:
         if not rows or ended:  # it is about to end
             leaving = one.found - one.named
             self.forget({name for name in leaving if name not in self.scene})
-            there = self.scene._held.columns.shadows
             self.shadows = [x for x in self.shadows if x[3] is not one or self.stands(x)]
-            assert len(self.shadows) == there
         if ended:
             self.end(one)
             assert not leaving & set(self.places)
 
     def stands(self, shadow):
-        name, place, *_ = shadow
-        hits = self.scene.overlap([place, 0, 0], [place, 0, 0])
-        return name in {hit.name for hit in hits} and self.places[name] != place
+        """Whether a shadow is still there; its obstacle may be back where it was."""
+        held = self.scene._held
+        slots = np.flatnonzero(held.columns.shadow).tolist()
+        places = held.columns.geometry['position'][:, 0].tolist()
+        return shadow[:2] in {(held.registry.name(slot), places[slot]) for slot in slots}
 
     def end(self, one):
         one.work.close()

@@ -63,8 +63,8 @@ def faults(made, planar):
         near_pairs(geometry, hulls, order, planar, found[side])
     for k, one in enumerate(made):
         pair = geometry[pairs[k]]
-        distance = distance_of(pair[0], pair[1], hulls, planar, points[0])
-        if distance != distance_of(pair[1], pair[0], hulls, planar, points[1]):
+        distance = distance_of(pair[0], hulls, pair[1], hulls, planar, points[0])
+        if distance != distance_of(pair[1], hulls, pair[0], hulls, planar, points[1]):
             yield 'another distance from the other side', one
         if (points[1, ::-1] != points[0]).any():
             yield 'other points from the other side', one
@@ -96,7 +96,7 @@ def test_a_common_point_of_what_overlaps_deeply():
     pairs, geometry, hulls = pairs_of(made, scene_of(made))
     points, common = np.empty((2, 3)), 0
     for one, (a, b) in zip(made, pairs, strict=True):
-        if distance_of(geometry[a], geometry[b], hulls, False, points) == 0.0:
+        if distance_of(geometry[a], hulls, geometry[b], hulls, False, points) == 0.0:
             common += 1
             assert (points[0] == points[1]).all()
             for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
@@ -105,16 +105,18 @@ def test_a_common_point_of_what_overlaps_deeply():
 
 
 def test_a_common_point_beside_cylinders():
-    """Entered by anything down to where nobody can tell."""
-    rng = np.random.default_rng(10)
+    """Entered by anything down to where nobody can tell. Corners on a rim make flat tetrahedra:
+    also of those the point is found that is common to rounding.
+    """
+    rng = np.random.default_rng(28)
     depths = [10.0**-k for k in range(5, 12)]
     made = contacts(COUNT, rng, ('parallel', 'nearly', 'free'), depths, NEAR, (CYLINDER, MESH))
     pairs, geometry, hulls = pairs_of(made, scene_of(made))
     points = np.empty((2, 3))
     for one, (a, b) in zip(made, pairs, strict=True):
-        if distance_of(geometry[a], geometry[b], hulls, False, points) == 0.0:
+        if distance_of(geometry[a], hulls, geometry[b], hulls, False, points) == 0.0:
             for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
-                assert outside(*place) <= COMMON * one.size, one
+                assert outside(*place) <= EXACT * one.size, one
 
 
 def test_how_many_are_compared_is_told():

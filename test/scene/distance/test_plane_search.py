@@ -225,7 +225,7 @@ def test_distance_beside_a_cylinder(gap):
     made = contacts((1.0, 1.0), gap, rng)
     records, points = records_of(made), np.empty((2, 3))
     for i in range(len(made)):
-        distance = distance_of(records[2 * i], records[2 * i + 1], None, False, points)
+        distance = distance_of(records[2 * i], None, records[2 * i + 1], None, False, points)
         assert distance == pytest.approx(max(gap, 0.0), rel=1e-14, abs=1e-14), i
         assert np.linalg.norm(points[1] - points[0]) == pytest.approx(distance, abs=1e-9), i
         for solid, point in zip(reference.geometry_arrays(made[i].shapes), points, strict=True):
