@@ -29,6 +29,12 @@ sys.exit(warm_up.main())
 """
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """What is written under a relative path is no part of the package."""
+    monkeypatch.chdir(tmp_path)
+
+
 def warm_up(*arguments, code=ONE):
     return subprocess.run(
         [sys.executable, '-c', code, *map(str, arguments)],

@@ -18,7 +18,7 @@ class RayHit(NamedTuple):
     largest double. 0 inside.
     """
     point: NDArray[np.float64]
-    """The point of entry, shape (ndim,): in the closed box, on the entered face. The origin where
+    """The point of entry, shape (ndim,), in the closed box, on the entered face. The origin where
     the ray starts inside.
     """
     normal: NDArray[np.float64]
