@@ -49,7 +49,9 @@ class Written(NamedTuple):
 
 @lean_kernel
 def write_rows(kept, slots, records, stamp, expires, owner):
-    """Write rows of an update to their slots; owner = (source, group). Return a `Written`."""
+    """Write rows of an update to their slots; owner = (source, group). Return what a `Written`
+    is made of.
+    """
     source, group = owner
     joined, shaped, concerned, soonest = 0, 0, False, np.int64(NEVER)
     for i in range(slots.shape[0]):
@@ -63,7 +65,7 @@ def write_rows(kept, slots, records, stamp, expires, owner):
         kept.source[slot], kept.group[slot] = source, group
         if expires[i] > 0:
             soonest = min(soonest, expires[i])
-    return Written(joined, shaped, concerned, soonest)
+    return joined, shaped, concerned, soonest
 
 
 @functools.cache
@@ -171,9 +173,8 @@ class Columns:
         numbers = self._take_meshes(rows)
         self._release_meshes(slots)  # afterwards: what only moves is never forgotten
         kept = Kept(self.geometry, self.stamp, self.expires, self.source, self.group)
-        written: Written = _write_rows()(
-            kept, slots, rows.records, rows.stamp, rows.expires, owner
-        )
+        columns = rows.records, rows.stamp, rows.expires
+        written = Written(*_write_rows()(kept, slots, *columns, owner))
         self.shaped += written.shaped
         if self.footprint is not None and written.concerned:
             self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])

@@ -7,6 +7,7 @@ from types import FunctionType
 from typing import Any
 
 import numba
+from numba import types
 
 from . import inside
 
@@ -64,6 +65,10 @@ def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
     takes 0.4 us, as long as a ray; for twelve in a NamedTuple, 1.3 us.
     """
     code: Callable[..., Any] = compiled
+    signature = tuple(map(numba.typeof, arguments))
     if inside.parts() is not None:
-        code = compiled.compile(tuple(map(numba.typeof, arguments)))
+        code = compiled.compile(signature)
+        if isinstance(compiled.overloads[signature].signature.return_type, types.BaseNamedTuple):
+            # numba makes it with Python code; where a signal handler raises in that, it crashes.
+            raise TypeError(f'{compiled.py_func.__name__} must return a plain tuple')
     return code
