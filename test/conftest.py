@@ -31,6 +31,12 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """A worker that dies ends the run: the tests of its files would be waited for, for ever."""
+    if getattr(config.option, 'maxworkerrestart', '0') is None:
+        config.option.maxworkerrestart = '0'
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """With `pytest -n 2` the tests of a file stay together, because they share nodes, and files
