@@ -87,7 +87,7 @@ def load(path: Path) -> dict[str, Any]:
             crc = zlib.crc32(_bytes_of(packed[name]), crc)
     if crc != header['crc']:
         raise ValueError(f'{path} is damaged: the CRC-32 of its arrays is not what it says')
-    return {**header, **packed, 'counters': [(str(k), str(n)) for k, n in header['counters']]}
+    return header | packed
 
 
 def attach(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -152,7 +152,14 @@ def test_a_header_that_lies_is_refused(tmp_path):
     stop = start + mapped.HEAD.unpack(whole[:start])[1]
     header = json.loads(whole[start:stop])
     lies = [{name: wrong} for name in header for wrong in (None, 'x', -1, 2**70, [], [[1, 2]], {})]
-    lies += [{'capacity': 2**40}, {'ndim': 4}, {'fat': 1}, {'margin': float('nan')}]
+    lies += [
+        {'capacity': 2**40},
+        {'ndim': 4},
+        {'counters': [3]},
+        {'counters': [[1], [2, 3]]},
+        {'fat': 1},
+        {'margin': float('nan')},
+    ]
     lies += [{'state': [2**31, *header['state'][1:]]}, {'state': [-5] * len(header['state'])}]
     for lie in lies:
         text = json.dumps(header | lie).encode()
