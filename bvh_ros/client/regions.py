@@ -37,7 +37,6 @@ class RegionClient:
         if not names:
             raise ValueError('there must be a name of a bvh node at least')
         self.node = node
-        self.names_of_nodes = tuple(names)
         self.timeout = timeout
         self._clients = [client.BvhClient(node, name, timeout=timeout) for name in names]
         self._regions: list[Box] | None = None

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tree import DynamicBVH
+from ..tree.nodes import NONE
 from .parts import ask
 
 # Rows that are answered at once, and rows of one task: what bounds the memory of who asks, and of
@@ -64,6 +66,11 @@ def _tasks(
         for first in range(0, len(group), ROWS_A_TASK):
             some = group[first : first + ROWS_A_TASK]
             yield rows[some], int(parts[some[0]])
+
+
+def parts_of(top: DynamicBVH, handles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of parts, by their handles in the tree over the parts; NONE stays."""
+    return np.where(handles == NONE, NONE, np.searchsorted(top.ids(), handles))
 
 
 def pieces(count: int) -> Iterator[slice]:

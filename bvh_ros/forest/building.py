@@ -77,28 +77,20 @@ def build(folder: Path, chunks: Iterable[Any], max_boxes: int) -> None:
 
 def _gather(file: Path, chunks: Iterable[Any]) -> Pile:
     """Write all chunks to one pile; ValueError, naming the chunk, if one is no boxes."""
-    count, ndim, lo, hi = 0, 0, np.empty(0), np.empty(0)
-    with open(file, 'wb') as pile:
-        for number, chunk in enumerate(chunks):
-            try:
-                low, high, masks = _boxes_of(chunk, ndim)
-            except ValueError as error:
-                raise ValueError(f'chunk {number}: {error}') from None
-            if not ndim:
-                ndim = low.shape[1]
-                lo, hi = np.full(ndim, np.inf), np.full(ndim, -np.inf)
-            rows = np.empty(len(low), row_dtype(ndim))
-            rows['id'] = np.arange(count, count + len(low))
-            rows['lo'], rows['hi'], rows['mask'] = low, high, masks
-            rows.tofile(pile)
-            lo, hi = (
-                np.minimum(lo, low.min(0, initial=np.inf)),
-                np.maximum(hi, high.max(0, initial=-np.inf)),
-            )
-            count += len(low)
-    if not ndim:
+    pile = None
+    for number, chunk in enumerate(chunks):
+        try:
+            low, high, masks = _boxes_of(chunk, len(pile.lo) if pile else 0)
+        except ValueError as error:
+            raise ValueError(f'chunk {number}: {error}') from None
+        pile = pile or _empty_pile(file, low.shape[1])
+        rows = np.empty(len(low), row_dtype(len(pile.lo)))
+        rows['id'] = np.arange(pile.rows, pile.rows + len(low))
+        rows['lo'], rows['hi'], rows['mask'] = low, high, masks
+        pile = _append(pile, rows)
+    if pile is None:
         raise ValueError('chunks are none: no box says whether the forest is planar')
-    return Pile(file, count, lo, hi)
+    return pile
 
 
 def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
@@ -156,8 +148,7 @@ def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
     pile_of = _runs(counts, max_boxes)
     number = -(-pile.rows // max_boxes) if by_id else int(pile_of[-1]) + 1
     files = [pile.file.with_name(f'{pile.file.name}.{i}') for i in range(number)]
-    corner = np.full(ndim, np.inf)
-    dealt = [Pile(file, 0, corner, -corner) for file in files]
+    dealt = [_empty_pile(file, ndim) for file in files]
     seen = 0
     for rows in _read(pile):
         if by_id:
@@ -181,10 +172,16 @@ def _runs(counts: NDArray[np.int64], max_boxes: int) -> NDArray[np.int64]:
     return pile_of
 
 
+def _empty_pile(file: Path, ndim: int) -> Pile:
+    return Pile(file, 0, np.full(ndim, np.inf), np.full(ndim, -np.inf))
+
+
 def _append(pile: Pile, rows: NDArray[Any]) -> Pile:
     with open(pile.file, 'ab') as file:
         rows.tofile(file)
-    lo, hi = np.minimum(pile.lo, rows['lo'].min(0)), np.maximum(pile.hi, rows['hi'].max(0))
+    lo = rows['lo'].min(0, initial=np.inf)
+    hi = rows['hi'].max(0, initial=-np.inf)
+    lo, hi = np.minimum(pile.lo, lo), np.maximum(pile.hi, hi)
     return Pile(pile.file, pile.rows + len(rows), lo, hi)
 
 

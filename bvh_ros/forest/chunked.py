@@ -19,24 +19,28 @@ def is_dask(*arrays: Any) -> bool:
     return any(type(array).__module__.partition('.')[0] == 'dask' for array in arrays)
 
 
-def raycast(forest: Forest, origins: Any, directions: Any, *rest: Any) -> RayHits:
+def raycast(
+    forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
+) -> RayHits:
     """`Forest.raycast_many`; ids, t and normals are dask arrays."""
-    columns, rest = _same_blocks((origins, directions), rest[:2]), rest[2:]
+    asked = _same_blocks(origins=origins, directions=directions, t_max=t_max, mask=mask)
     outputs = ((), np.int64), ((), np.float64), ((forest.ndim,), np.float64)
-    return RayHits(*_map('raycast_many', forest, columns, rest, outputs))
+    return RayHits(*_map(forest, 'raycast_many', (*asked, *rest), outputs))
 
 
-def occluded(forest: Forest, origins: Any, directions: Any, *rest: Any) -> Any:
+def occluded(
+    forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
+) -> Any:
     """`Forest.occluded_many` as a dask array."""
-    columns, rest = _same_blocks((origins, directions), rest[:2]), rest[2:]
-    return _map('occluded_many', forest, columns, rest, (((), np.bool_),))[0]
+    asked = _same_blocks(origins=origins, directions=directions, t_max=t_max, mask=mask)
+    return _map(forest, 'occluded_many', (*asked, *rest), (((), np.bool_),))[0]
 
 
 def nearest(forest: Forest, points: Any, k: int, max_distance: Any, mask: Any) -> Any:
     """`Forest.nearest_many`; ids and distances are dask arrays."""
-    where, reach, masks = _same_blocks((points,), (max_distance, mask))
+    where, reach, masks = _same_blocks(points=points, max_distance=max_distance, mask=mask)
     outputs = ((k,), np.int64), ((k,), np.float64)
-    return _map('nearest_many', forest, (where, None, reach, masks), (), outputs, k=k)
+    return _map(forest, 'nearest_many', (where, k, reach, masks), outputs)
 
 
 def overlap(forest: Forest, lo: Any, hi: Any, mask: Any, threads: int) -> Any:
@@ -45,35 +49,28 @@ def overlap(forest: Forest, lo: Any, hi: Any, mask: Any, threads: int) -> Any:
     """
     import dask.array as da
 
-    columns = _same_blocks((lo, hi), (mask,))
-    sizes, ids = _map('overlap_many', forest, columns, (threads,), (((), np.int64),) * 2, ragged=1)
+    asked = *_same_blocks(lo=lo, hi=hi, mask=mask), threads
+    sizes, ids = _map(forest, 'overlap_many', asked, (((), np.int64),) * 2, ragged=1)
     return da.concatenate([da.zeros(1, np.int64), da.cumsum(sizes)]), ids
 
 
-def _same_blocks(rows: tuple[Any, ...], values: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Arrays of shape (n, ndim) or (n,), cut at the same rows; a value for all rows stays."""
+def _same_blocks(**columns: Any) -> tuple[Any, ...]:
+    """Arrays of shape (n, ndim) or (n,), cut where the first is; a value for all rows stays."""
     import dask.array as da
 
-    whole = [da.asarray(array) for array in (*rows, *values)]
-    blocks = whole[0].chunks[0]
-    for array, name in zip(whole, ('the first', 'the second', 'a value', 'a value'), strict=False):
-        if array.ndim and array.chunks[0] != blocks and array.shape[0] != whole[0].shape[0]:
-            raise ValueError(f'{name} has {array.shape[0]} rows, not {whole[0].shape[0]}')
-    return tuple(
-        array.rechunk((blocks, *((-1,) * (array.ndim - 1)))) if array.ndim else given
-        for array, given in zip(whole, (*rows, *values), strict=True)
-    )
+    arrays = {name: da.asarray(column) for name, column in columns.items()}
+    first, *_ = arrays.values()
+    cut = []
+    for name, array in arrays.items():
+        if array.ndim and len(array) != len(first):
+            raise ValueError(f'{name} has {len(array)} rows, not {len(first)}')
+        blocks = first.chunks[0], *((-1,) * (array.ndim - 1))
+        cut.append(array.rechunk(blocks) if array.ndim else columns[name])
+    return tuple(cut)
 
 
 def _map(
-    query: str,
-    forest: Forest,
-    columns: tuple[Any, ...],
-    rest: tuple[Any, ...],
-    outputs: Any,
-    *,
-    k: int | None = None,
-    ragged: int = 0,
+    forest: Forest, query: str, asked: tuple[Any, ...], outputs: Any, *, ragged: int = 0
 ) -> list[Any]:
     """Ask for each block; the outputs of all blocks, one array each, of these shapes and types.
     The last `ragged` ones have as many rows as the answer has.
@@ -81,13 +78,10 @@ def _map(
     import dask
     import dask.array as da
 
-    blocks = columns[0].chunks[0]
-    cut = [
-        column.to_delayed().ravel() if is_dask(column) else [column] * len(blocks)
-        for column in columns
-    ]
+    blocks = asked[0].chunks[0]
+    cut = [one.to_delayed().ravel() if is_dask(one) else [one] * len(blocks) for one in asked]
     answered = [
-        dask.delayed(_ask_block, nout=len(outputs))(forest, query, *block, *rest, k=k)
+        dask.delayed(_ask_block, nout=len(outputs))(forest, query, *block)
         for block in zip(*cut, strict=True)
     ]
     return [
@@ -105,10 +99,7 @@ def _map(
     ]
 
 
-def _ask_block(forest: Forest, query: str, *asked: Any, k: int | None) -> tuple[Any, ...]:
-    if k is not None:
-        points, _, *others = asked
-        return forest.nearest_many(points, k, *others)
+def _ask_block(forest: Forest, query: str, *asked: Any) -> tuple[Any, ...]:
     answer = getattr(forest, query)(*asked)
     if query == 'overlap_many':
         return np.diff(answer[0]), answer[1]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
 from ..tree.nodes import NONE
-from .asking import Asking, pieces
+from .asking import Asking, parts_of, pieces
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -48,7 +48,7 @@ def _search(
     while len(rows) and seen < len(top):
         looked_up = min(looked_up, len(top))
         handles, gaps = top.nearest_many(points[rows], looked_up, reach[rows], masks[rows])
-        parts = np.where(handles == NONE, NONE, np.searchsorted(top.ids(), handles))
+        parts = parts_of(top, handles)
         for place in range(seen, looked_up):
             limit = np.minimum(reach[rows], distances[rows, -1])
             open_ = (parts[:, place] != NONE) & (gaps[:, place] <= limit * DOUBT)

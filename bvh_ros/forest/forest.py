@@ -59,7 +59,9 @@ class Forest:
         try:
             header = json.loads(file.read_text(encoding='utf-8'))
             if header['version'] != building.VERSION:
-                raise ValueError(f'it has version {header["version"]}; this is for 1')
+                raise ValueError(
+                    f'it has version {header["version"]}; this is for {building.VERSION}'
+                )
             self._count, self._ndim = int(header['boxes']), int(header['ndim'])
             self._top = DynamicBVH.load(self._folder / building.TOP, mmap=True)
             if self._top.ndim != self._ndim or len(self._top) != header['parts']:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
-from .asking import Asking, pieces
+from .asking import Asking, parts_of, pieces
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ def overlaps(
         asked = lo[piece], hi[piece], masks[piece]
         ends, handles = top.overlap_many(*asked)
         row = np.repeat(np.arange(len(asked[0])), np.diff(ends))
-        parts = np.searchsorted(top.ids(), handles)
+        parts = parts_of(top, handles)
         for some, _, (sizes, found) in asking.each('overlap', row, parts, asked, threads):
             rows.append(np.repeat(some, sizes) + piece.start)
             ids.append(found)

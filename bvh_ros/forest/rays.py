@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import DynamicBVH, RayHits, checks
 from ..tree.nodes import NONE
-from .asking import Asking, pieces
+from .asking import Asking, parts_of, pieces
 
 # Of two distances, each within 2 ulp of the exact one, and half an ulp for the sum.
 DOUBT = 16 * 2.0**-53
@@ -106,7 +106,7 @@ def _parts_met(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Where the parts of each ray begin and end, their numbers, nearest first, and how far."""
     ends, handles, ts = top.raycast_all_many(*asked)
-    return ends, np.searchsorted(top.ids(), handles), ts
+    return ends, parts_of(top, handles), ts
 
 
 def _cast(top: DynamicBVH, asking: Asking, rays: Rays, best: Best) -> None:
