@@ -36,7 +36,7 @@ from bvh_ros.scene import Scene, ShapeKind
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.config.settings import SourceSettings
     from bvh_ros.ros.parts.batch import Batch
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source

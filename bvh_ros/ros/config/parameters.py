@@ -8,10 +8,10 @@ import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bvh_ros.ros.config.option import FARTHEST, ConfigurationError, Option, read
+from bvh_ros.ros.config.settings import Settings, SourceSettings, TransformSettings, ViewSettings
 from bvh_ros.ros.texts import shortened
 
 if TYPE_CHECKING:
@@ -119,59 +119,6 @@ OFFERED_NAMES = (
 DEFAULT_SOURCE = 'markers'
 DEFAULT_TYPE = 'MarkerArray'
 DEFAULT_TOPIC = '~/obstacles'
-
-
-@dataclass(frozen=True)
-class SourceSettings:
-    """What one source was told."""
-
-    name: str
-    type: str
-    topic: str
-    prefix: str
-    required: bool
-    max_age: float  # s, 0 = unlimited
-    options: Mapping[str, Any]  # those of its type
-
-
-@dataclass(frozen=True)
-class ViewSettings:
-    """What one view was told."""
-
-    name: str
-    include: tuple[str, ...]
-    exclude: tuple[str, ...]
-    skip_inside: bool
-
-
-@dataclass(frozen=True)
-class TransformSettings:
-    """Where one frame lies in another, for ever."""
-
-    frame_id: str
-    parent: str
-    xyz: tuple[float, ...]  # m
-    xyzw: tuple[float, ...]  # of any length but zero
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the node was told."""
-
-    frame_id: str
-    planar: bool
-    margin: float  # m
-    max_obstacles: int
-    max_hits: int
-    region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
-    nearest_limit: int
-    batch: bool
-    footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
-    use_tf: bool
-    sources: tuple[SourceSettings, ...]
-    views: tuple[ViewSettings, ...]
-    transforms: tuple[TransformSettings, ...]
-    groups: Mapping[str, Mapping[str, Any]]  # options of parts: group -> option -> value
 
 
 def read_settings(

@@ -15,9 +15,9 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
+from bvh_ros.ros.compile_jobs import BALLS
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.ray_clouds import Hits, RayCloud, Rays
-from bvh_ros.ros.parts.on_demand import BALLS
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings

@@ -9,7 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from bvh_ros.ros.compilation import Compilation
-from bvh_ros.ros.compile_jobs import BALLS, BOXES_ASKED, NEAREST, PATHS, POINTS
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.world.world import IncompleteWorldError
 
@@ -17,8 +16,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.compile_jobs import Job
-
-__all__ = ['BALLS', 'BOXES_ASKED', 'NEAREST', 'PATHS', 'POINTS', 'OnDemand']
 
 
 class OnDemand(NodePart):

@@ -15,8 +15,8 @@ from nav_msgs.srv import GetPlan
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
+from bvh_ros.ros.compile_jobs import NEAREST
 from bvh_ros.ros.conversions import plans
-from bvh_ros.ros.parts.on_demand import NEAREST
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings

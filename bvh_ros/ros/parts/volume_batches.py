@@ -12,10 +12,10 @@ from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
+from bvh_ros.ros.compile_jobs import BOXES_ASKED, PATHS, POINTS
 from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
 from bvh_ros.ros.parts.batch import PIECE, Batch
-from bvh_ros.ros.parts.on_demand import BOXES_ASKED, PATHS, POINTS
 from bvh_ros.scene import NO_NODE
 
 if TYPE_CHECKING:

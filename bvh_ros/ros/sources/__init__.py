@@ -11,7 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
 from bvh_ros.ros.config.option import FARTHEST, Option
-from bvh_ros.ros.config.parameters import SourceSettings
+from bvh_ros.ros.config.settings import SourceSettings
 from bvh_ros.scene import ShapeKind
 
 if TYPE_CHECKING:

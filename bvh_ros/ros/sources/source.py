@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.compile_jobs import Job
-    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.config.settings import SourceSettings
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
     from bvh_ros.scene.slicing import Parts

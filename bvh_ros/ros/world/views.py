@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.config.parameters import ViewSettings
+from bvh_ros.ros.config.settings import ViewSettings
 from bvh_ros.ros.world.number_patterns import Automaton, Digits, digits_of
 from bvh_ros.scene import Families
 from bvh_ros.scene.store.names import BARE

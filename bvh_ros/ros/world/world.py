@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bvh_ros.ros.config.parameters import Settings
+    from bvh_ros.ros.config.settings import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.ros.world.views import View
