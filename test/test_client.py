@@ -281,7 +281,7 @@ def test_threads_that_come_at_once_open_the_topics_once(client, node):
 
     def ask():
         start.wait()
-        channels.append(client._channels.rays())
+        channels.append(client.channels.open('rays'))
 
     threads = [threading.Thread(target=ask) for _ in range(16)]
     for one in threads:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Path
 from numpy.typing import ArrayLike, NDArray
 from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import Executor
@@ -69,20 +70,15 @@ class Channel:
         )
 
     def ask(
-        self,
-        asked: Any,
-        count: int,
-        frame_id: str,
-        stamp: int | None,
-        executor: Executor | None = None,
+        self, asked: Any, frame_id: str, stamp: int | None, executor: Executor | None = None
     ) -> Future:
-        """Publish a message of so many questions; return a future of the answers, whose callbacks
-        the executor runs.
+        """Publish a message of questions; return a future of the answers, whose callbacks the
+        executor runs.
         """
         asked.header.frame_id = frame_id
         asked.header.stamp = Time(nanoseconds=self._stamp() if stamp is None else stamp).to_msg()
         answer = Future(executor=executor)
-        self._waiting[_key(asked)] = answer, count
+        self._waiting[_key(asked)] = answer, _rows_of(asked)
         self._publisher.publish(asked)
         return answer
 
@@ -214,6 +210,11 @@ def column(name: str, values: NDArray, count: int) -> NDArray:
     if values.shape not in ((), (count,)):
         raise ValueError(f'{name} must be one number or have the shape ({count},)')
     return np.broadcast_to(values, (count,))
+
+
+def _rows_of(asked: Any) -> int:
+    """How many questions a message asks."""
+    return len(asked.poses) if isinstance(asked, Path) else asked.width
 
 
 def _key(cloud: Any) -> tuple[int, int]:

@@ -6,20 +6,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from threading import Lock
 from typing import Any
 
+from nav_msgs.msg import Path
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client import volumes
 from bvh_ros.client.batch import Channel, NameChannel, topic_of_names
 from bvh_ros.client.errors import BvhTimeoutError
 from bvh_ros.client.waiting import Waiting
-from bvh_ros.ros.conversions import ray_clouds
+from bvh_ros.ros.conversions import query_clouds, ray_clouds
+from bvh_ros.ros.conversions.query_clouds import Near, Touched
 
 PATIENCE = 0.2  # seconds for an answer to nothing
+# The topic of questions: that of answers, the type of questions, and how answers are read.
+BATCHES: dict[str, tuple[str, type, Callable[[PointCloud2], Any]]] = {
+    'rays': ('ray_hits', PointCloud2, ray_clouds.hits),
+    'points': ('nearest_hits', PointCloud2, partial(query_clouds.read_answers, kind=Near)),
+    'boxes': ('box_hits', PointCloud2, partial(query_clouds.read_answers, kind=Touched)),
+    'paths': ('path_hits', Path, partial(query_clouds.read_answers, kind=Near)),
+}
 
 
 class Channels:
@@ -34,21 +43,16 @@ class Channels:
         self._names: NameChannel | None = None
         self._opening = Lock()  # threads that come at once share them
 
-    def open(
-        self, asked: str, told: str, read: Callable[[PointCloud2], Any], kind: type = PointCloud2
-    ) -> Channel:
+    def open(self, asked: str) -> Channel:
         """The topics of some questions and their answers."""
         with self._opening:
             if asked not in self._channels:
+                told, kind, read = BATCHES[asked]
                 topics = f'{self._name}/{asked}', f'{self._name}/{told}'
                 channel = Channel(self._node, topics, read, self._group, kind)
                 self._channels[asked] = channel
                 self._waiting.add_subscription(channel.subscription)
             return self._channels[asked]
-
-    def rays(self) -> Channel:
-        """Rays and their hits."""
-        return self.open('rays', 'ray_hits', ray_clouds.hits)
 
     def until_answered(self, channel: Channel, timeout: float) -> None:
         """Wait until the node hears us and we hear it; BvhTimeoutError if not in time."""
@@ -59,16 +63,17 @@ class Channels:
         while not channel.has_answered:
             if time.monotonic() > deadline:
                 raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")
-            nothing = channel.ask(channel.nothing(), 0, '', None)
+            nothing = channel.ask(channel.nothing(), '', None)
             self._waiting.until_done(nothing, PATIENCE)
             channel.forget(nothing)
 
     def ask(
-        self, channel: Channel, message: Any, frame_id: str, stamp: int | None, timeout: float
+        self, asked: str, message: Any, frame_id: str, stamp: int | None, timeout: float
     ) -> Any:
         """Wait for the answers to a message; BvhTimeoutError if they do not come in time."""
+        channel = self.open(asked)
         self.until_answered(channel, timeout)
-        answer = channel.ask(message, volumes.rows_of(message), frame_id, stamp)
+        answer = channel.ask(message, frame_id, stamp)
         if not self._waiting.until_done(answer, timeout):
             channel.forget(answer)
             raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")

@@ -1,10 +1,9 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of points, boxes and paths, and how their answers are read."""
+"""Messages of points, boxes and paths."""
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,9 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client.batch import as_rows, column
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
+from bvh_ros.ros.conversions.query_clouds import Boxes, Points
 
 REAL = np.dtype(np.float64)
-readers: dict[str, Any] = {
-    'nearest_hits': partial(query_clouds.read_answers, kind=Near),
-    'path_hits': partial(query_clouds.read_answers, kind=Near),
-    'box_hits': partial(query_clouds.read_answers, kind=Touched),
-}
 
 
 def points(places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike) -> PointCloud2:
@@ -65,11 +59,6 @@ def path(positions: ArrayLike, orientations: ArrayLike | None) -> Path:
         facing.x, facing.y, facing.z, facing.w = turn
         message.poses.append(stamped)
     return message
-
-
-def rows_of(message: Any) -> int:
-    """Return how many questions a message asks."""
-    return len(message.poses) if isinstance(message, Path) else message.width
 
 
 def _turns(orientations: ArrayLike | None, count: int) -> Any:

@@ -1,0 +1,195 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Questions in batches, by the topics of a bvh node."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from rclpy.node import Node
+from rclpy.task import Future
+
+from bvh_ros.client import volumes
+from bvh_ros.client.batch import as_rays
+from bvh_ros.client.channels import Channels
+from bvh_ros.ros.conversions import ray_clouds
+from bvh_ros.ros.conversions.query_clouds import Near, Touched
+from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
+
+
+class BatchCalls:
+    """`raycast_many` and its kin: a row a question, a row an answer."""
+
+    node: Node
+    timeout: float
+    channels: Channels
+
+    def raycast_many(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        radius: ArrayLike | None = None,
+        frame_id: str = '',
+        stamp: int | None = None,
+        timeout: float | None = None,
+    ) -> Hits:
+        """Return the first obstacles on n rays, by the node's topics `rays` and `ray_hits`.
+
+        Parameters
+        ----------
+        origins, directions : array_like, shape (n, 3)
+            The rays ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for the
+            point. Where both arrays are float32, rays and hits travel so, in half the bytes.
+        t_max : float or (n,) array_like
+            In units of the directions: metres if these are unit vectors.
+        mask : int or (n,) array_like
+            Only obstacles whose own mask has a bit in common are seen.
+        radius : float or (n,) array_like, optional
+            Of balls that go along the rays, m; where it is above 0, t_max ends the way.
+        frame_id : str
+            Frame of rays and hits, by default the node's.
+        stamp : int, optional
+            Time (ns) to transform another frame at, by default now; also what tells the answer
+            from others, so it must not be used twice.
+        timeout : float, optional
+            Seconds to wait for the answer.
+
+        Returns
+        -------
+        Hits
+            `obstacles` (n,): node handles (see `names`), FREE or, for a row that cannot be
+            answered (NaN), UNANSWERED; `t` (n,); `points` and `normals` (n, 3).
+
+        Raises
+        ------
+        BvhError
+            If the node answers no row; BvhTimeoutError if it does not reply.
+        ValueError
+            If the arrays do not fit together.
+        """
+        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask, radius))
+        return self._ask('rays', cloud, frame_id, stamp, timeout)
+
+    def nearest_many(
+        self,
+        points: ArrayLike,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Near:
+        """Return the obstacles nearest to n points, by the topics `points` and `nearest_hits`.
+
+        Parameters
+        ----------
+        points : array_like, shape (n, 3)
+            m.
+        max_distance, mask : one for all points, or (n,) array_like
+            Obstacles that are farther away (m), or are not seen, are left out.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Near
+            `points` (n, 3) on the obstacles, `distances` (n,), `normals` (n, 3), `obstacles` (n,).
+        """
+        asked = volumes.points(points, max_distance, mask)
+        return self._ask('points', asked, frame_id, None, timeout)
+
+    def overlap_many(
+        self,
+        centers: ArrayLike,
+        sizes: ArrayLike,
+        orientations: ArrayLike | None = None,
+        tolerance: ArrayLike = 0.0,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Touched:
+        """Return what touches n turned boxes, by the topics `boxes` and `box_hits`.
+
+        Parameters
+        ----------
+        centers : array_like, shape (n, 3)
+            m.
+        sizes : array_like, shape (n, 3), or (3,) for all
+            Edge lengths, m.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w.
+        tolerance, mask : one for all boxes, or (n,) array_like
+            The boxes are grown by `tolerance` all round, m.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Touched
+            Of the obstacle nearest to each centre `points` (n, 3), `distances` (n,) and
+            `obstacles` (n,); and `counts` (n,), how many touch the box.
+        """
+        asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
+        return self._ask('boxes', asked, frame_id, None, timeout)
+
+    def check_path(
+        self,
+        positions: ArrayLike,
+        orientations: ArrayLike | None = None,
+        *,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Near:
+        """Return how far the node's `footprint` is from the nearest obstacle at n poses, by the
+        topics `paths` and `path_hits`.
+
+        Parameters
+        ----------
+        positions : array_like, shape (n, 3)
+            m.
+        orientations : array_like, shape (n, 4), optional
+            Quaternions x, y, z, w.
+        frame_id, timeout
+            As of `raycast_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Near
+            As of `nearest_many`; a distance is 0 where the footprint touches the obstacle.
+        """
+        asked = volumes.path(positions, orientations)
+        return self._ask('paths', asked, frame_id, None, timeout)
+
+    def raycast_many_async(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        radius: ArrayLike | None = None,
+        frame_id: str = '',
+        stamp: int | None = None,
+    ) -> Future:
+        """Ask as `raycast_many` does; return a future of its result.
+
+        `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
+        """
+        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask, radius))
+        return self.channels.open('rays').ask(cloud, frame_id, stamp, self.node.executor)
+
+    def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
+        """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""
+        self.channels.until_answered(self.channels.open('rays'), timeout)
+
+    def _ask(
+        self, what: str, message: Any, frame_id: str, stamp: int | None, timeout: float | None
+    ) -> Any:
+        timeout = self.timeout if timeout is None else timeout
+        return self.channels.ask(what, message, frame_id, stamp, timeout)
