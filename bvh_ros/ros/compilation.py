@@ -11,7 +11,7 @@ from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.tree.jit import kernel_cache
 from bvh_ros.tree.jit.workers import Workers
 
-NEARLY = 0.95  # of a job, however long it runs
+AT_LEAST = 0.05  # of a job is left, however long it runs
 
 
 class Compilation:
@@ -29,7 +29,7 @@ class Compilation:
 
     def __init__(self, jobs: Sequence[Job], count: int = 0) -> None:
         self._began = time.monotonic()
-        self._since: dict[int, float] = {}  # when the jobs that run began
+        self._percent = 0
         self._left = {*range(len(jobs))}
         self._jobs = jobs
         missing = [n for n in self._left if not kernel_cache.is_noted(jobs[n].key)]
@@ -58,8 +58,6 @@ class Compilation:
             self._run(number)
         for index, _reason in self._workers.ended(timeout):
             self._run(self._missing[index])  # compiles what failed there, or raises why
-        now = time.monotonic()
-        self._since = {n: self._since.get(n, now) for n in self._running()}
 
     def end(self) -> None:
         """Leave the rest."""
@@ -67,9 +65,12 @@ class Compilation:
             self._workers.end()
 
     def percent(self) -> int:
-        """How far it has come."""
-        done = self.seconds - sum(self._remaining().values())
-        return int(100.0 * done / self.seconds) if self.seconds else 100
+        """How far it has come; never less than before."""
+        if not self._missing or self.is_done:
+            return 100
+        used, remaining = sum(self._used().values()), sum(self._remaining().values())
+        self._percent = max(self._percent, int(100.0 * used / (used + remaining)))
+        return self._percent
 
     def time_left(self) -> float:
         """About how many seconds are left, by the pace up to now."""
@@ -78,9 +79,9 @@ class Compilation:
             return 0.0
         count = self._workers.count if self._workers else 1
         left = max(sum(remaining.values()) / count, *remaining.values())
-        done = (self.seconds - sum(remaining.values())) / count
+        used = sum(self._used().values()) / count
         spent = time.monotonic() - self._began
-        return left * (spent / done if done > 1.0 else 1.0)
+        return left * (spent / used if used > 1.0 else 1.0)
 
     def in_words(self) -> str:
         """Say all of this in a line."""
@@ -96,13 +97,21 @@ class Compilation:
             return sorted(self._left)[:1]
         return [self._missing[index] for index in self._workers.running]
 
+    def _used(self) -> dict[int, float]:
+        """Processor seconds of each job that was begun elsewhere."""
+        used = self._workers.used() if self._workers else {}
+        return {self._missing[index]: seconds for index, seconds in used.items()}
+
     def _remaining(self) -> dict[int, float]:
-        """About how many seconds each job still takes, alone."""
-        now, remaining = time.monotonic(), {}
+        """About how many processor seconds each job still takes, if all are as much slower than
+        expected as the slowest one up to now.
+        """
+        used = self._used()
+        slower = max([1.0, *(used[n] / self._jobs[n].seconds for n in used)])
+        remaining = {}
         for number in self._left & {*self._missing}:
-            seconds = self._jobs[number].seconds
-            spent = now - self._since.get(number, now)
-            remaining[number] = seconds - min(spent, NEARLY * seconds)
+            seconds, spent = slower * self._jobs[number].seconds, used.get(number, 0.0)
+            remaining[number] = max(seconds - spent, AT_LEAST * seconds)
         return remaining
 
     def _run(self, number: int) -> None:

@@ -101,11 +101,16 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_answer(world, cluster)
     executor = cluster.get_executor(pure=False)
     stop, killed = threading.Event(), []
 
+    def is_up(dask_worker) -> bool:
+        return dask_worker.status.name == 'running'
+
     def kill() -> None:
         while not stop.wait(0.4):
+            # Who starts a worker gives up, for good, if that is killed before it is up.
+            up = cluster.run(is_up, nanny=True, on_error='ignore').values()
             told = cluster.run(os.getpid, on_error='ignore').values()
             pids = [pid for pid in told if isinstance(pid, int)]
-            if len(pids) == 2:
+            if len(pids) == 2 == sum(known is True for known in up):
                 os.kill(pids[0], signal.SIGKILL)
                 killed.append(pids[0])
 

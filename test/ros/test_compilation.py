@@ -63,6 +63,29 @@ def test_what_is_compiled_elsewhere_is_run_here_and_next_time_only_here(tmp_path
     assert processes(tmp_path, 'first')[2:] == [os.getpid()]
 
 
+def test_progress_is_what_the_processor_has_done():
+    """On a busy machine a job that waits is not nearly done; one that takes longer than expected
+    says so, and that others will.
+    """
+    wait = Job('wait', 'wait', 50.0, partial(time.sleep, 2.0))
+    waiting = Compilation([wait], 1)
+    seen = [percent for percent, _ in finish(waiting)]
+    assert max(seen[:-1]) < 10
+    assert seen[-1] == 100
+
+    burn = 'import time\nwhile time.process_time() < 3.0: pass'
+    work = [Job(name, name, 0.5, partial(exec, burn, {})) for name in ('one', 'two')]
+    working = Compilation(work, 1)
+    left, seen = [], []
+    while not working.is_done:
+        working.go_on(0.1)
+        seen.append(working.percent())
+        left.append(working.time_left())
+    assert seen == sorted(seen)
+    assert max(left) > 2.0  # the second one is as slow as the first
+    assert left[-1] == 0.0
+
+
 def test_where_nothing_can_be_kept_all_is_run_here(tmp_path, recwarn):
     (tmp_path / 'cache').write_text('')  # no folder
     kernel_cache._find_folder.cache_clear()

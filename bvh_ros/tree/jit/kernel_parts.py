@@ -10,6 +10,7 @@ of a cold start, and leaves the machine code as fast as it was.
 """
 
 import contextlib
+import gc
 import hashlib
 import os
 from collections.abc import Iterator
@@ -57,6 +58,19 @@ def _records_named_by_fields() -> Iterator[None]:
             yield
         finally:
             Record.mangling_args = theirs  # type: ignore[method-assign]
+
+
+@contextlib.contextmanager
+def _garbage_is_seldom_looked_for() -> Iterator[None]:
+    """numba makes millions of small objects: with Python's threshold of 700 a tenth of the time
+    goes into looking for cycles among them; with this one 2 %, and 20 MB more.
+    """
+    first, *others = gc.get_threshold()
+    gc.set_threshold(max(first, 200_000) if first else 0, *others)
+    try:
+        yield
+    finally:
+        gc.set_threshold(first, *others)
 
 
 class _Code(JITCodeLibrary):
@@ -129,7 +143,7 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Return the machine code for these types."""
-        with _records_named_by_fields():
+        with _records_named_by_fields(), _garbage_is_seldom_looked_for():
             try:
                 return super().compile(sig)
             finally:

@@ -7,6 +7,7 @@ import os
 import selectors
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
@@ -14,6 +15,14 @@ from .worker import packed
 
 MOST = 4  # processes, of some 300 MB: the longest call takes half as long as all
 START = 'import sys; sys.path[:] = {}; from bvh_ros.tree.jit.worker import main; main()'
+
+
+def _cpu_seconds(process: subprocess.Popen[bytes]) -> float:
+    """Processor time of a child that has not been waited for; any time where nobody tells."""
+    try:
+        return time.clock_gettime(~process.pid << 3 | 2)  # the clock of clock_getcpuclockid(3)
+    except (AttributeError, OSError):
+        return time.monotonic()
 
 
 def processors() -> int:
@@ -39,6 +48,8 @@ class Workers:
     def __init__(self, calls: Sequence[Callable[[], object]], count: int = 0) -> None:
         self._todo = deque(enumerate(calls))
         self._busy: dict[subprocess.Popen[bytes], int] = {}
+        self._began: dict[int, float] = {}  # processor time of a call's process when it began
+        self._used: dict[int, float] = {}
         self._lost: list[tuple[int, str]] = []
         self._selector = selectors.DefaultSelector()
         self.count = min(count or min(processors(), MOST), len(calls))
@@ -50,6 +61,12 @@ class Workers:
         """The numbers of the calls that run now."""
         return tuple(self._busy.values())
 
+    def used(self) -> dict[int, float]:
+        """Processor seconds of each call that has begun."""
+        for process, number in self._busy.items():
+            self._used[number] = _cpu_seconds(process) - self._began[number]
+        return self._used
+
     def ended(self, timeout: float) -> Iterator[tuple[int, str]]:
         """Tell which calls have ended, and why those failed that did; wait for the first one, at
         most so many seconds.
@@ -59,6 +76,7 @@ class Workers:
         for key, _ in self._selector.select(timeout):
             process = key.data
             line = process.stdout.readline()
+            self.used()  # before it begins something else
             number = self._busy.pop(process)
             if line:
                 self._begin_next(process)
@@ -93,7 +111,7 @@ class Workers:
             except Exception as error:  # whatever an object that will not be pickled raises
                 self._lost.append((number, repr(error)))
                 continue
-            self._busy[process] = number
+            self._busy[process], self._began[number] = number, _cpu_seconds(process)
             with contextlib.suppress(OSError):  # it has ended: seen when it should answer
                 assert process.stdin is not None
                 process.stdin.write(line)
