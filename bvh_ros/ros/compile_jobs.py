@@ -43,12 +43,15 @@ class Needs(NamedTuple):
         The shapes that its sources can bring, in order.
     batch : bool
         Whether rays come in batches.
+    threads : int
+        That share a batch.
     """
 
     planar: bool
     margin: float
     kinds: Sequence[ShapeKind]
     batch: bool
+    threads: int = 1
 
 
 class Job(NamedTuple):
@@ -82,6 +85,7 @@ def jobs(needs: Needs) -> list[Job]:
         ('thin rays', 4.0, _thin_rays),
         ('true shapes', 28.0, _true_shapes),
         *([('batches of rays', 7.0, _batches)] if needs.batch else []),
+        *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
         ('checks', 1.5, _checks),
     ]
     tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
@@ -232,6 +236,12 @@ def _batches(needs: Needs) -> None:
     )
     for count in (1, MANY, FEW):  # the snapshot is there once many were asked
         scene.raycast_many(line[:count], line[:count])
+
+
+def _threads(needs: Needs) -> None:
+    """Count the rays of a batch that several threads have answered."""
+    line = MIDDLE[:, : 2 if needs.planar else 3]
+    DynamicBVH(line.shape[1]).raycast_many(line, line, threads=2)
 
 
 def use_tree(ndim: int) -> None:

@@ -137,6 +137,7 @@ class BvhServer:
             margin=self.settings.margin,
             kinds=sorted(self._kinds()),
             batch=self.settings.batch or bool(self._scan.pose_topic),
+            threads=self.settings.threads,
         )
 
     def serve(self) -> None:
@@ -169,6 +170,8 @@ class BvhServer:
         yield drawing
         kernels = OnDemand(node, later_jobs(self._needs()))
         yield kernels
+        # Before the services: who hears an answer knows then which life of the node it comes from.
+        yield NamesPublisher(node, world.scene)
         queries: list[QueryServices] = []
         for view in world.views:
             queries.append(QueryServices(node, world, view, drawing, kernels))
@@ -178,7 +181,6 @@ class BvhServer:
         for answerer in self._create_answerers(drawing, kernels):
             answerers.append(answerer)
             yield answerer
-        yield NamesPublisher(node, world.scene)
         yield SceneDrawing(node, world, self._draw)
         yield TreeDrawing(node, world, self._draw)
         yield Maintenance(node, world)
@@ -251,7 +253,7 @@ class BvhServer:
     def features(self) -> dict[str, bool]:
         """Tell which parts this configuration and scene use, in words."""
         settings = self.settings
-        margin, views = settings.margin, len(settings.views)
+        margin, views, threads = settings.margin, len(settings.views), settings.threads
         shaped = self.world.scene.any_shaped
         return {
             '2D tree of footprints' if settings.planar else '3D tree': True,
@@ -259,6 +261,7 @@ class BvhServer:
             'region' if settings.region else 'region of its own': settings.region is not None,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
+            f'{threads} threads' if threads > 1 else 'threads': threads > 1,
             'virtual scan': bool(self._scan.pose_topic),
             'tf2': self._tf2 is not None,
             'narrow phase'

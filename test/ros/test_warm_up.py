@@ -31,7 +31,7 @@ CLOUDS = {
     'parameters',
     [
         pytest.param({}, id='no configuration'),
-        pytest.param({'planar': True}, id='planar'),
+        pytest.param({'planar': True, 'threads': 2}, id='planar'),
         pytest.param(
             {**CLOUDS, 'margin': 0.1, 'views': ['robot'], 'robot.skip_inside': True}, id='clouds'
         ),

@@ -70,6 +70,14 @@ NODE_OPTIONS = (
         'the radius of a ball (m). 0: there are no such topics.',
     ),
     Option(
+        'threads',
+        1,
+        'So many threads, no more than there are processors, share the rows of a cloud or path. '
+        'Answers do not depend on it.',
+        minimum=1,
+        maximum=1024,
+    ),
+    Option(
         'views',
         [''],
         'Names of views: parts of the world, each with patterns of obstacle names and services of '

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+SHARED = 1024  # rows: with fewer, threads take longer to begin than they save
+
 
 @dataclass(frozen=True)
 class SourceSettings:
@@ -55,8 +57,13 @@ class Settings:
     nearest_limit: int
     batch: bool
     footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
+    threads: int  # that share the rows of a batch
     use_tf: bool
     sources: tuple[SourceSettings, ...]
     views: tuple[ViewSettings, ...]
     transforms: tuple[TransformSettings, ...]
     groups: Mapping[str, Mapping[str, Any]]  # options of parts: group -> option -> value
+
+    def threads_for(self, rows: int) -> int:
+        """How many threads share so many rows."""
+        return self.threads if rows >= SHARED else 1

@@ -38,7 +38,7 @@ class Rays(NamedTuple):
     real: np.dtype[Any]  # float32 or float64: the widest type among the cloud's fields
     radii: Floats | None = None  # (n,) m, of balls that go along the rays; None: thin rays
 
-    def take(self, rows: NDArray[np.bool_]) -> Rays:
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Rays:
         """Return some of the rows."""
         return Rays(
             self.origins[rows],

@@ -211,6 +211,7 @@ class RayBatch(Batch):
             *scene.raycast_many(
                 *(rays.origins, rays.directions, rays.t_max, masks, self.view.skip_inside),
                 radius=rays.radii,
+                threads=self._world.settings.threads_for(len(masks)),
             )
         )
 

@@ -126,7 +126,8 @@ class VirtualScan(NodePart):
         view, settings = self._view, self._settings
         return Hits(
             *scene.raycast_many(
-                origins, directions, settings.range_max, view.mask, view.skip_inside
+                *(origins, directions, settings.range_max, view.mask, view.skip_inside),
+                threads=self._world.settings.threads_for(len(origins)),
             )
         )
 

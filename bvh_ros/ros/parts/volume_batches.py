@@ -86,7 +86,10 @@ class PointBatch(VolumeBatch):
 
     def _ask(self, scene: Scene, asked: Points) -> Near:
         masks = self._masks(asked.masks)
-        handles, distances, points = scene.nearest_many(asked.places, 1, asked.reaches, masks)
+        handles, distances, points = scene.nearest_many(
+            *(asked.places, 1, asked.reaches, masks),
+            threads=self._world.settings.threads_for(len(masks)),
+        )
         return near(asked.places, points[:, 0], distances[:, 0], handles[:, 0])
 
 
@@ -100,7 +103,11 @@ class BoxBatch(VolumeBatch):
     def _ask(self, scene: Scene, asked: Boxes) -> Touched:
         hits = scene.overlap_many(
             *(asked.places, asked.sizes, asked.turns, asked.tolerances),
-            *(self._masks(asked.masks), 'hits'),
+            *(
+                self._masks(asked.masks),
+                'hits',
+                self._world.settings.threads_for(len(asked.masks)),
+            ),
         )
         return Touched(hits.points, hits.distances, hits.handles, hits.counts.astype(np.uint32))
 
@@ -150,7 +157,9 @@ class PathBatch(Batch):
 
     def _ask(self, scene: Scene, rows: paths.Poses) -> Near:
         shapes = paths.shapes(rows, self._footprint)
-        handles, distances, places, points = scene.clearance_many(shapes, mask=self.view.mask)
+        handles, distances, places, points = scene.clearance_many(
+            shapes, mask=self.view.mask, threads=self._world.settings.threads_for(len(rows.places))
+        )
         return near(places, points, distances, handles)
 
     def _refusal(self, request: paths.Poses, reason: str) -> PointCloud2:

@@ -43,6 +43,7 @@ MUST_BE_REFUSED = (
     *[('margin', value) for value in (LARGEST, 1e10, -1.0, float('nan'), float('inf'), 'x', [])],
     *[('margin', value) for value in (True, -1, 2**63 - 1)],
     *[('max_obstacles', value) for value in (0, -1, 2**31, 0.5, True, 'x', [2**63 - 1])],
+    *[('threads', value) for value in (0, -1, 1025, 2.0, True, 'x')],
     *[('planar', value) for value in (0, 0.5, 'x', [True])],
     *[('c.voxel', value) for value in (LARGEST, -1.0)],
     *[('g.z_max', value) for value in (LARGEST, -1.0)],

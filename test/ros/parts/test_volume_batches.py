@@ -19,10 +19,11 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
+from bvh_ros.ros.config.settings import SHARED
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
-COUNT, ASKED = 80, 200
+COUNT, ASKED = 80, SHARED + 10
 RNG = np.random.default_rng(17)
 CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
 TURN = RNG.normal(size=(COUNT, 4))
@@ -35,6 +36,7 @@ PLACE, FACING = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.
 PARAMETERS = {
     'footprint': FOOTPRINT,
     'nearest_limit': 5,
+    'threads': 2,
     'views': ['even'],
     'even.include': [f'a/{i}' for i in range(0, COUNT, 2)],
     'transforms': ['lidar'],
