@@ -81,7 +81,7 @@ def _everything() -> Iterator[Job]:
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
     again = []
     for planar in (False, True):
-        yield from jobs(Needs(planar=planar, margin=0.0, kinds=every, batch=True))
+        yield from jobs(Needs(planar, 0.0, every, batch=True, threads=2))
         yield Job('tree', f'tree {planar}', 10.0, partial(use_tree, 2 if planar else 3))
         for margin, kinds in ((0.1, every), (0.0, every[:1]), (0.1, every[:1])):
             again += jobs(Needs(planar=planar, margin=margin, kinds=kinds, batch=True))

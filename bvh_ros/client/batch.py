@@ -193,16 +193,18 @@ def handles_of(obstacles: Iterable[int]) -> set[int]:
     return set(np.unique(np.fromiter(obstacles, np.int64)).tolist()) - {FREE, UNANSWERED}
 
 
-def topic_of_names(node: Node, name: str) -> str:
-    """Where names are told, or '' while nobody does.
+def tellers_of_names(node: Node, name: str) -> tuple[str, frozenset[bytes]]:
+    """Where names are told, and by which publishers; '' and none while nobody does.
 
-    The handles in a view are those of the node, which tells them under its own name only.
+    The handles in a view are those of the node, which tells them under its own name only. A node
+    that is started again has another publisher.
     """
     for above in (name, name.rpartition('/')[0]):
         told = node.get_publishers_info_by_topic(f'{above}/names') if above else ()
-        if any(publisher.topic_type == NAMES_TYPE for publisher in told):
-            return f'{above}/names'
-    return ''
+        tellers = [bytes(one.endpoint_gid) for one in told if one.topic_type == NAMES_TYPE]
+        if tellers:
+            return f'{above}/names', frozenset(tellers)
+    return '', frozenset()
 
 
 def column(name: str, values: NDArray, count: int) -> NDArray:

@@ -100,7 +100,7 @@ class BatchCalls:
         Near
             `points` (n, 3) on the obstacles, `distances` (n,), `normals` (n, 3), `obstacles` (n,).
         """
-        asked = volumes.points(points, max_distance, mask)
+        asked = volumes.cloud(volumes.points(points, max_distance, mask))
         return self._ask('points', asked, frame_id, None, timeout)
 
     def overlap_many(
@@ -135,7 +135,7 @@ class BatchCalls:
             Of the obstacle nearest to each centre `points` (n, 3), `distances` (n,) and
             `obstacles` (n,); and `counts` (n,), how many touch the box.
         """
-        asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
+        asked = volumes.cloud(volumes.boxes(centers, sizes, orientations, tolerance, mask))
         return self._ask('boxes', asked, frame_id, None, timeout)
 
     def check_path(
@@ -163,7 +163,7 @@ class BatchCalls:
         Near
             As of `nearest_many`; a distance is 0 where the footprint touches the obstacle.
         """
-        asked = volumes.path(positions, orientations)
+        asked = volumes.path(*volumes.poses(positions, orientations))
         return self._ask('paths', asked, frame_id, None, timeout)
 
     def raycast_many_async(
@@ -192,4 +192,4 @@ class BatchCalls:
         self, what: str, message: Any, frame_id: str, stamp: int | None, timeout: float | None
     ) -> Any:
         timeout = self.timeout if timeout is None else timeout
-        return self.channels.ask(what, message, frame_id, stamp, timeout)
+        return self.channels.begin(what, message, timeout, frame_id, stamp).result(timeout)

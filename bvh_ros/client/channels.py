@@ -15,9 +15,9 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client.batch import Channel, NameChannel, topic_of_names
+from bvh_ros.client.batch import Channel, NameChannel, tellers_of_names
 from bvh_ros.client.errors import BvhTimeoutError
-from bvh_ros.client.waiting import Waiting
+from bvh_ros.client.waiting import Pending, Waiting
 from bvh_ros.ros.conversions import query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Near, Touched
 
@@ -67,17 +67,21 @@ class Channels:
             self._waiting.until_done(nothing, PATIENCE)
             channel.forget(nothing)
 
-    def ask(
-        self, asked: str, message: Any, frame_id: str, stamp: int | None, timeout: float
-    ) -> Any:
-        """Wait for the answers to a message; BvhTimeoutError if they do not come in time."""
+    def begin(
+        self,
+        asked: str,
+        message: Any,
+        timeout: float,
+        frame_id: str = '',
+        stamp: int | None = None,
+    ) -> Pending:
+        """Ask once both sides hear each other, and wait for the answers later; BvhTimeoutError if
+        they do not in time.
+        """
         channel = self.open(asked)
         self.until_answered(channel, timeout)
         answer = channel.ask(message, frame_id, stamp)
-        if not self._waiting.until_done(answer, timeout):
-            channel.forget(answer)
-            raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")
-        return answer.result()
+        return Pending(self._waiting, answer, f"'{channel.topic}'", channel.forget)
 
     def find_names(self, handles: set[int], timeout: float) -> dict[int, str]:
         """Names of those of the handles that are told in time, in order; BvhTimeoutError if none
@@ -94,12 +98,12 @@ class Channels:
 
     def _told_names(self, timeout: float) -> NameChannel:
         if self._names is None and not self._waiting.until(
-            lambda: topic_of_names(self._node, self._name) != '', timeout
+            lambda: tellers_of_names(self._node, self._name)[0] != '', timeout
         ):
             raise BvhTimeoutError(f"nobody tells the names of '{self._name}'")
         with self._opening:
             if self._names is None:
-                topic = topic_of_names(self._node, self._name)
+                topic, _ = tellers_of_names(self._node, self._name)
                 self._names = NameChannel(self._node, topic, self._group)
                 self._waiting.add_subscription(self._names.subscription)
             return self._names

@@ -10,7 +10,6 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from bvh_ros.client import plans
 from bvh_ros.client.batch import handles_of
@@ -58,9 +57,9 @@ class BvhClient(SingleCalls, BatchCalls):
         self.timeout = timeout
         # A group of their own: a callback that awaits an answer keeps the group it is in busy.
         group = ReentrantCallbackGroup()
-        self._waiting = Waiting(node)
-        self.services = Services(node, name, group, self._waiting)
-        self.channels = Channels(node, name, group, self._waiting)
+        self.waiting = Waiting(node)
+        self.services = Services(node, name, group, self.waiting)
+        self.channels = Channels(node, name, group, self.waiting)
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node offers its services, and has compiled what they need.
@@ -71,7 +70,7 @@ class BvhClient(SingleCalls, BatchCalls):
             If it does not in time; the first start on a machine compiles for half a minute.
         """
         deadline = time.monotonic() + timeout
-        if not self._waiting.until(self.services.are_offered, timeout):
+        if not self.waiting.until(self.services.are_offered, timeout):
             raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
         while compiling := self._compiling(deadline - time.monotonic()):
             if time.monotonic() > deadline:
@@ -101,12 +100,3 @@ class BvhClient(SingleCalls, BatchCalls):
         """
         timeout = self.timeout if timeout is None else timeout
         return self.channels.find_names(handles_of(obstacles), timeout)
-
-    def wait_for(self, answer: Future, timeout: float) -> bool:
-        """Wait for what an `_async` call returned; whether it is there."""
-        self._waiting.check()
-        return self._waiting.until_done(answer, timeout)
-
-    def call(self, kind: Any, service: str, request: Any) -> Any:
-        """Call any other service of the node once; BvhTimeoutError without an answer."""
-        return self.services.once(kind, service, request, self.timeout)

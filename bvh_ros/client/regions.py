@@ -4,33 +4,44 @@
 
 from __future__ import annotations
 
-import itertools
+import heapq
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
-from bvh_ros.client import client
-from bvh_ros.client.errors import BvhError, BvhTimeoutError
+from bvh_ros.client import client, plans
+from bvh_ros.client.batch import handles_of
+from bvh_ros.client.coverage import Box, grown
+from bvh_ros.client.errors import BvhError
+from bvh_ros.client.layout import LEAVES, Layout, read_layout
+from bvh_ros.client.merging import HANDLE_BITS
 from bvh_ros.client.plans import Hit
+from bvh_ros.client.region_batches import RegionBatches
+from bvh_ros.client.waiting import left, results
 
-Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 SAME = 1e-9  # of the radius: what a ball touches where it starts
+Answer = TypeVar('Answer')
 
 
-class RegionClient:
-    """Calls the services of several bvh nodes as if they were one.
+class RegionClient(RegionBatches):
+    """Asks several bvh nodes as if they were one.
 
-    Asks the nodes whose region (their parameter) the query meets, and merges what they say:
-    nearest first, equal distances by name, an obstacle of several regions once. If one of them
-    does not answer, or the query leaves all regions, that is an error: what nobody knows is not
-    free.
+    Asks the nodes whose region (their parameter) a query meets, one alone if that holds all of
+    it, and merges what they say: nearest first, equal distances by name, an obstacle of several
+    regions once. If one of them does not answer, or the query leaves all regions, that is an
+    error, in a batch an UNANSWERED row: what nobody knows is not free. A node that was started
+    again is asked for its region anew.
 
-    Made by ``BvhClient(node, names)``.
+    In batches `obstacles` are int64: a node's handle, and above its 32 bits the number of the
+    node in the order of the names. So an obstacle of two regions has two numbers; `names` tells.
+    `counts` of what touches a box are UNANSWERED where two nodes know some of them each.
+
+    Places are in the nodes' frame. Made by ``BvhClient(node, names)``.
     """
 
     def __init__(self, node: Node, names: Sequence[str], timeout: float) -> None:
@@ -38,19 +49,25 @@ class RegionClient:
             raise ValueError('there must be a name of a bvh node at least')
         self.node = node
         self.timeout = timeout
-        self._clients = [client.BvhClient(node, name, timeout=timeout) for name in names]
-        self._regions: list[Box] | None = None
+        self.clients = [client.BvhClient(node, name, timeout=timeout) for name in names]
+        self._layout: Layout | None = None
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:
         """Wait until all nodes are ready; see `BvhClient.wait_until_ready`."""
-        for one in self._clients:
-            one.wait_until_ready(timeout)
+        deadline = time.monotonic() + timeout
+        for one in self.clients:
+            one.wait_until_ready(left(deadline))
 
-    def regions(self) -> list[Box]:
-        """Lower and upper corner of each node's region, m; asked for once."""
-        if self._regions is None:
-            self._regions = [self._region(one) for one in self._clients]
-        return self._regions
+    def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
+        """See `BvhClient.wait_until_batches_are_ready`."""
+        deadline = time.monotonic() + timeout
+        for one in self.clients:
+            one.wait_until_batches_are_ready(left(deadline))
+
+    def regions(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Lower and upper corner of each node's region, m."""
+        coverage = self.ask(lambda layout, _: layout.coverage, None)
+        return list(zip(coverage.lo, coverage.hi, strict=True))
 
     def raycast(
         self,
@@ -85,18 +102,50 @@ class RegionClient:
         timeout: float | None = None,
     ) -> list[Hit]:
         """As `BvhClient.overlap`."""
+        request = plans.request(corner, opposite, tolerance, '', orientation)
         a, b = _place(corner), _place(opposite)
-        center = a * 0.5 + b * 0.5
-        reach = abs(b - a) * 0.5
-        if tuple(orientation) != (0.0, 0.0, 0.0, 1.0):  # whatever way it is turned
-            reach = np.full(3, float(np.linalg.norm(reach)))
-        reach = reach + tolerance
-        replies = self._ask(
-            (center - reach, center + reach),
-            lambda one: one.overlap_async(corner, opposite, orientation, tolerance),
-            timeout,
-        )
+        center, box = a * 0.5 + b * 0.5, _box(a, b, 0.0)
+        if any(orientation[:3]):  # whatever way it is turned
+            box = _box(center, center, math.nextafter(math.dist(a, b) * 0.5, math.inf))
+        replies = self._hits('overlap', request, grown(box, [_float32(tolerance)]), timeout)
         return _merged(replies, lambda hit: math.dist(hit.point, center))
+
+    def nearest(
+        self, point: Sequence[float], max_distance: float = 0.0, *, timeout: float | None = None
+    ) -> list[Hit]:
+        """As `BvhClient.nearest`; without `max_distance`, regions must reach to infinity where
+        fewer obstacles are known than the nodes' `nearest_limit`.
+        """
+        request = plans.request(point, point, max_distance, '')
+        place = _place(point)
+
+        def far(hit: Hit) -> float:
+            return math.dist(hit.point, place)
+
+        def work(layout: Layout, deadline: float) -> list[Hit]:
+            reach = _float32(max_distance) or math.inf
+            met = layout.coverage.asked(_box(place, place, reach))[0]
+            hits = _merged(self._replies('nearest', request, met, deadline), far)
+            if len(hits) >= layout.nearest_limit:
+                hits = hits[: layout.nearest_limit]
+                reach = far(hits[-1])
+            if not layout.coverage.covers(_box(place, place, reach))[0]:
+                raise BvhError(LEAVES)
+            return hits
+
+        return self.ask(work, timeout)
+
+    def names(self, obstacles: Iterable[int], *, timeout: float | None = None) -> dict[int, str]:
+        """Names of the numbers that batches return; see `BvhClient.names`."""
+        deadline = time.monotonic() + (self.timeout if timeout is None else timeout)
+        numbers, names = handles_of(obstacles), dict[int, str]()
+        for region, one in enumerate(self.clients):
+            above = region << HANDLE_BITS
+            handles = [n - above for n in numbers if n >> HANDLE_BITS == region]
+            if handles:
+                found = one.names(handles, timeout=left(deadline))
+                names |= {above + handle: name for handle, name in found.items()}
+        return names
 
     def _along(
         self,
@@ -106,50 +155,58 @@ class RegionClient:
         radius: float,
         timeout: float | None,
     ) -> list[Hit]:
+        request = plans.request(start, end, radius, '')
         a, b = _place(start), _place(end)
-        replies = self._ask(
-            (np.minimum(a, b) - radius, np.maximum(a, b) + radius),
-            lambda one: getattr(one, f'{query}_async')(start, end, radius),
-            timeout,
-        )
+        replies = self._hits(query, request, _box(a, b, _float32(radius)), timeout)
         return _merged(replies, lambda hit: _share(hit, a, b - a, radius))
 
-    def _ask(self, box: Box, ask: Callable[[Any], Any], timeout: float | None) -> list[list[Hit]]:
-        """Ask all nodes whose region touches a box at once; their hits."""
-        timeout = self.timeout if timeout is None else timeout
-        met = [
-            one
-            for one, (lo, hi) in zip(self._clients, self.regions(), strict=True)
-            if (lo <= box[1]).all() and (hi >= box[0]).all()
-        ]
-        if not _covers(self.regions(), box):
-            raise BvhError('the query leaves the regions of all nodes')
-        answers = [(one, ask(one)) for one in met]
-        hits = []
-        for one, answer in answers:
-            if not one.wait_for(answer, timeout):
-                raise BvhTimeoutError(f"'{one.name}' did not answer within {timeout:g} s")
-            found = answer.result()
-            hits.append(found if isinstance(found, list) else [found] if found else [])
-        return hits
+    def _hits(self, query: str, request: Any, box: Box, timeout: float | None) -> list[list[Hit]]:
+        """What the nodes say that know all that touches a box."""
 
-    def _region(self, one: Any) -> Box:
-        service = f'{one.name}/get_parameters'
-        reply = one.call(GetParameters, service, GetParameters.Request(names=['region', 'planar']))
-        region, planar = reply.values
-        corners = np.array(region.double_array_value)
-        if corners.shape != (6,):
-            raise BvhError(f"'{one.name}' has no parameter 'region'")
-        lo, hi = corners[:3], corners[3:]
-        if planar.bool_value:  # who does not look at z knows all of it
-            lo[2], hi[2] = -math.inf, math.inf
-        return lo, hi
+        def work(layout: Layout, deadline: float) -> list[list[Hit]]:
+            if not layout.coverage.covers(box)[0]:
+                raise BvhError(LEAVES)
+            return self._replies(query, request, layout.coverage.asked(box)[0], deadline)
+
+        return self.ask(work, timeout)
+
+    def _replies(
+        self, query: str, request: Any, asked: NDArray[np.bool_], deadline: float
+    ) -> list[list[Hit]]:
+        asking = [self.clients[region].services for region in np.flatnonzero(asked)]
+        pending = [each.begin(getattr(each, query), request) for each in asking]
+        return [plans.all_hits(reply) for reply in results(pending, deadline)]
+
+    def ask(self, work: Callable[[Layout, float], Answer], timeout: float | None) -> Answer:
+        """Do what asks the nodes; again, if one of them was started again meanwhile: its region
+        may be another one.
+        """
+        deadline = time.monotonic() + (self.timeout if timeout is None else timeout)
+        while True:
+            layout = self._layout = read_layout(self.clients, self._layout, deadline)
+            try:
+                answer = work(layout, deadline)
+            except BvhError:
+                if layout.is_current(self.clients):
+                    raise
+            else:
+                if layout.is_current(self.clients):
+                    return answer
 
 
 def _place(place: Sequence[float]) -> NDArray[np.float64]:
-    if len(place) not in (2, 3):
-        raise ValueError('a place has 2 or 3 coordinates')
     return np.array((*place, 0.0)[:3], np.float64)
+
+
+def _box(a: NDArray[np.float64], b: NDArray[np.float64], reach: float) -> Box:
+    """One row: the box with these corners, grown."""
+    return grown((np.minimum(a, b)[None], np.maximum(a, b)[None]), [reach])
+
+
+def _float32(length: float) -> float:
+    """The larger of a length and what becomes of it in a request."""
+    with np.errstate(over='ignore'):
+        return max(float(length), float(np.float32(length)))
 
 
 def _share(hit: Hit, start: Any, way: Any, radius: float) -> float:
@@ -162,30 +219,8 @@ def _share(hit: Hit, start: Any, way: Any, radius: float) -> float:
 
 
 def _merged(replies: list[list[Hit]], distance: Callable[[Hit], float]) -> list[Hit]:
-    known = {hit.name: hit for hits in replies for hit in hits}
-    return sorted(known.values(), key=lambda hit: (distance(hit), hit.name))
-
-
-def _covers(regions: list[Box], box: Box) -> bool:
-    """Whether every point of a box lies in a region: regions' faces cut it into cells, each in one
-    or in none.
-    """
-    lo, hi = box
-    cuts = [
-        sorted({lo[axis], hi[axis], *_between(regions, axis, lo[axis], hi[axis])})
-        for axis in range(3)
-    ]
-    spans = ([*itertools.pairwise(each)] or [(each[0], each[0])] for each in cuts)
-    return all(
-        any(
-            all(low[i] <= cell[i][0] and cell[i][1] <= high[i] for i in range(3))
-            for low, high in regions
-        )
-        for cell in itertools.product(*spans)
-    )
-
-
-def _between(regions: list[Box], axis: int, lo: float, hi: float) -> Iterator[float]:
-    for corner in itertools.chain.from_iterable(regions):
-        if lo < corner[axis] < hi:
-            yield float(corner[axis])
+    """All obstacles once; those of one node stay in its order."""
+    known: dict[str, Hit] = {}
+    for hit in heapq.merge(*replies, key=lambda hit: (distance(hit), hit.name)):
+        known.setdefault(hit.name, hit)
+    return list(known.values())

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client.errors import BvhTimeoutError
-from bvh_ros.client.waiting import Waiting
+from bvh_ros.client.waiting import Pending, Waiting
 from bvh_ros.ros.qos import REQUESTS
 
 Answer = TypeVar('Answer')
@@ -59,14 +59,15 @@ class Services:
         client.call_async(request).add_done_callback(finish)
         return answer
 
+    def begin(self, client: Client, request: GetPlan.Request) -> Pending:
+        """Ask, and wait for the reply later."""
+        reply = client.call_async(request)
+        return Pending(self._waiting, reply, client.srv_name, client.remove_pending_request)
+
     def call(self, client: Client, request: GetPlan.Request, timeout: float) -> GetPlan.Response:
         """Wait for the reply; BvhTimeoutError if it does not come in time."""
         self._waiting.check()
-        reply = client.call_async(request)
-        if not self._waiting.until_done(reply, timeout):
-            client.remove_pending_request(reply)
-            raise BvhTimeoutError(f'{client.srv_name} did not answer within {timeout:g} s')
-        return reply.result()
+        return self.begin(client, request).result(timeout)
 
     def once(self, kind: Any, service: str, request: Any, timeout: float) -> Any:
         """Call another service, which is not kept open."""

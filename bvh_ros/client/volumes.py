@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of points, boxes and paths."""
+"""Points, boxes and poses that are asked about, and messages of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client.batch import as_rows, column
@@ -19,13 +19,13 @@ from bvh_ros.ros.conversions.query_clouds import Boxes, Points
 REAL = np.dtype(np.float64)
 
 
-def points(places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike) -> PointCloud2:
-    """Return a cloud of points; ValueError where the shapes do not fit together."""
+def points(places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike) -> Points:
+    """Return n points; ValueError where the shapes do not fit together."""
     where = as_rows('points', places)
     count = len(where)
     reaches = column('max_distance', np.asarray(max_distance, np.float64), count)
     masks = column('mask', np.asarray(mask, np.uint32), count)
-    return query_clouds.questions_cloud(Points(where, reaches, masks), REAL)
+    return Points(where, reaches, masks)
 
 
 def boxes(
@@ -34,24 +34,35 @@ def boxes(
     orientations: ArrayLike | None,
     tolerance: ArrayLike,
     mask: ArrayLike,
-) -> PointCloud2:
-    """Return a cloud of boxes; ValueError where the shapes do not fit together."""
+) -> Boxes:
+    """Return n boxes; ValueError where the shapes do not fit together."""
     where = as_rows('centers', centers)
     count = len(where)
-    asked = Boxes(
+    return Boxes(
         where,
         as_rows('sizes', sizes, count),
         _turns(orientations, count),
         column('tolerance', np.asarray(tolerance, np.float64), count),
         column('mask', np.asarray(mask, np.uint32), count),
     )
+
+
+def poses(positions: ArrayLike, orientations: ArrayLike | None) -> tuple[NDArray, NDArray]:
+    """Return places and orientations of n poses; ValueError where the shapes do not fit
+    together.
+    """
+    places = as_rows('positions', positions)
+    return places, _turns(orientations, len(places))
+
+
+def cloud(asked: Points | Boxes) -> PointCloud2:
+    """Return a cloud of points or boxes."""
     return query_clouds.questions_cloud(asked, REAL)
 
 
-def path(positions: ArrayLike, orientations: ArrayLike | None) -> Path:
-    """Return a path; ValueError where the shapes do not fit together."""
-    places = as_rows('positions', positions)
-    turns, message = _turns(orientations, len(places)), Path()
+def path(places: NDArray, turns: NDArray) -> Path:
+    """Return a path of poses."""
+    message = Path()
     for place, turn in zip(places.tolist(), turns.tolist(), strict=True):
         stamped = PoseStamped()
         at, facing = stamped.pose.position, stamped.pose.orientation

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import Any
 
 from rclpy.client import Client
 from rclpy.exceptions import InvalidHandle
@@ -15,7 +16,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from bvh_ros.client.errors import BvhError
+from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.ros.private_rclpy import WaitSet
 
 LOOK = 0.1  # seconds between two looks whether the context lives
@@ -112,6 +113,58 @@ class Waiting:
         executor = self._node.executor
         if (ready or told) and executor is not None:
             executor.wake()  # what was taken may be what a coroutine there awaits
+
+
+class Pending:
+    """Something that was asked, and whose answer is waited for.
+
+    Parameters
+    ----------
+    waiting : Waiting
+    answer : rclpy.task.Future
+    whom : str
+        Who was asked, for people.
+    forget : callable
+        Is called when nobody waits any more.
+    """
+
+    def __init__(
+        self, waiting: Waiting, answer: Future, whom: str, forget: Callable[[Future], None]
+    ) -> None:
+        self._waiting = waiting
+        self._answer = answer
+        self._whom = whom
+        self._forget = forget
+
+    def result(self, timeout: float) -> Any:
+        """Wait for the answer; BvhTimeoutError if it does not come within `timeout` seconds."""
+        try:
+            if not self._waiting.until_done(self._answer, timeout):
+                raise BvhTimeoutError(f'{self._whom} did not answer within {timeout:g} s')
+            return self._answer.result()
+        finally:
+            self.forget()
+
+    def forget(self) -> None:
+        """Wait for it no longer."""
+        if self._answer.done():
+            self._answer.exception()  # else rclpy complains that nobody looked at it
+        else:
+            self._forget(self._answer)
+
+
+def left(deadline: float) -> float:
+    """Seconds until a time of `time.monotonic`, not below 0."""
+    return max(deadline - time.monotonic(), 0.0)
+
+
+def results(pending: Sequence[Pending], deadline: float) -> list[Any]:
+    """All answers, or the error of the first that has none."""
+    try:
+        return [one.result(left(deadline)) for one in pending]
+    finally:
+        for one in pending:
+            one.forget()
 
 
 def _take_reply(client: Client) -> None:

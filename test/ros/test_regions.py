@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Four nodes of a region each, asked as one: the answers of one node, or an error."""
 
+import signal
+import time
+
 import numpy as np
 import pytest
 
@@ -9,15 +12,16 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
 
-TOPIC, BOXES, CALLS = '/regions/boxes', 120, 60
+TOPIC, BOXES, CALLS, ROWS = '/regions/boxes', 120, 60, 400
+COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
 INF = float('inf')
 QUARTERS = [
     [-INF, -INF, -INF, 0.0, 0.0, INF],
     [0.0, -INF, -INF, INF, 0.0, INF],
     [-INF, 0.0, -INF, 0.0, INF, INF],
-    [0.0, 0.0, -5.0, 30.0, 30.0, 5.0],  # what lies beyond is nobody's
+    [0.0, 0.0, -15.0, 30.0, 30.0, 25.0],  # what lies beyond is nobody's
 ]
 
 
@@ -25,22 +29,26 @@ QUARTERS = [
 def nodes(start_node, messages):
     """One that knows all, and four that share it."""
     given = {'sources': ['boxes'], 'boxes.type': 'MarkerArray', 'boxes.topic': TOPIC}
+    given |= {'footprint': [0.8, 0.5, 0.4], 'nearest_limit': 4}
     whole = start_node(given)
     parts = [start_node({**given, 'region': region}) for region in QUARTERS]
     publisher = whole.node.create_publisher(MarkerArray, TOPIC, 10)
     whole.until(lambda: publisher.get_subscription_count() == 5)
     rng = np.random.default_rng(2)
     places, sizes = rng.uniform(-10, 10, (BOXES, 3)), rng.uniform(0.2, 3.0, (BOXES, 3))
+    # A ring of cubes: equally far from the middle, in four regions.
+    places[-4:], sizes[-4:] = [[3, 3, 20], [-3, 3, 20], [3, -3, 20], [-3, -3, 20]], 2.0
     publisher.publish(
         MarkerArray(
-            markers=[messages.marker(i, places[i], sizes[i], stamp=1) for i in range(BOXES)]
+            # Of numbers as long as each other: the order of names is that of handles.
+            markers=[messages.marker(100 + i, places[i], sizes[i], stamp=1) for i in range(BOXES)]
         )
     )
     whole.until(lambda: len(whole.everything()) == BOXES)
     lo, hi = places - sizes / 2, places + sizes / 2
     for part, region in zip(parts, QUARTERS, strict=True):
         here = ((lo <= region[3:]) & (hi >= region[:3])).all(axis=1)
-        wanted = {f'a/{i}' for i in np.flatnonzero(here)}
+        wanted = {f'a/{100 + i}' for i in np.flatnonzero(here)}
         assert 10 < len(wanted) < BOXES
         part.until(lambda part=part, wanted=wanted: part.everything() == wanted)
     yield whole, parts
@@ -59,25 +67,104 @@ def test_four_nodes_answer_as_one(nodes):
         assert all_four.raycast(a, b, radius) == one.raycast(a, b, radius)
         assert all_four.raycast_all(a, b, radius) == one.raycast_all(a, b, radius)
         found = all_four.overlap(a, b)
-        assert {hit.name for hit in found} == {hit.name for hit in one.overlap(a, b)}
+        assert found == one.overlap(a, b)
         hits += len(found)
     turned = ((-3, -1, -1), (3, 1, 1), (0.0, 0.0, 0.6, 0.8))
     assert all_four.overlap(*turned) == one.overlap(*turned)
     assert hits > CALLS
 
 
+def same_rows(told, wanted, here, there):
+    """Row for row the same, obstacles by their names; how many rows meet one."""
+    named = [
+        np.array(['' if n == FREE else names[n] for n in numbers.tolist()])
+        for names, numbers in ((here, told.obstacles), (there, wanted.obstacles))
+    ]
+    np.testing.assert_array_equal(*named)
+    for name, column in wanted._asdict().items():
+        if name == 'counts':  # of two nodes nobody can tell
+            known = told.counts != UNANSWERED
+            np.testing.assert_array_equal(told.counts[known], column[known])
+            assert (column[~known] > 0).all()
+            assert known.mean() > 0.7
+        elif name != 'obstacles':
+            np.testing.assert_array_equal(getattr(told, name), column)
+    return np.count_nonzero(told.obstacles != FREE)
+
+
+def test_batches_of_four_nodes_are_those_of_one(nodes):
+    whole, parts = nodes
+    one = BvhClient(whole.node, whole.name, timeout=60.0)
+    four = BvhClient(whole.node, [part.name for part in parts], timeout=60.0)
+    four.wait_until_batches_are_ready()
+    rng = np.random.default_rng(4)
+    at, ways = rng.uniform((-12, -12, -4), (12, 12, 4), (2, ROWS, 3))
+    ways = np.where(rng.random((ROWS, 1)) < 0.5, np.rint(ways / 6), ways - at)
+    at[:40] = np.rint(at[:40])  # some on the faces of regions
+    at[:9] = [0, 0, 20], [0, 0, 0], [0, 5, 0], [5, 0, 0], [0, 3, 20], *rng.uniform(-9, 9, (4, 3))
+    sizes, turns = rng.uniform(0, 1.5, (ROWS, 3)), rng.normal(size=(ROWS, 4))
+    turns[::2] = 0, 0, 0, 1
+    t_max, radius = rng.uniform(0, 1.5, ROWS), rng.choice([0.0, 0.3], ROWS)
+    reach = rng.choice([0.5, 2.0, 4.0], ROWS)
+    reach[0] = 9.0
+    asks = [
+        lambda client: client.raycast_many(at, ways, t_max),
+        lambda client: client.raycast_many(at, ways, t_max, radius=radius),
+        lambda client: client.nearest_many(at, reach),
+        lambda client: client.overlap_many(at, sizes, turns, radius),
+        lambda client: client.check_path(at[:150], turns[:150]),
+    ]
+    for ask in asks:
+        told, wanted = answered(ask, four), answered(ask, one)
+        here, there = four.names(told.obstacles), one.names(wanted.obstacles)
+        assert same_rows(told, wanted, here, there) > 50
+    answered(lambda client: client.nearest((0, 0, 0), 4.0), one)
+    for point in at[:60].tolist():
+        assert four.nearest(point, 4.0) == one.nearest(point, 4.0)
+    ring = [hit.name for hit in four.nearest((0, 0, 20), 4.0)]
+    assert ring == [f'a/{216 + i}' for i in range(4)]
+    assert len(four.raycast_many(at[:0], at[:0]).obstacles) == 0
+    assert len(four.nearest_many(at[:0]).obstacles) == 0
+    with pytest.raises(ValueError, match='shape'):
+        four.raycast_many(at, at[1:])
+
+
+def answered(ask, client):
+    """The answer, once what it takes is compiled."""
+    deadline = time.monotonic() + COMPILING
+    while True:
+        try:
+            return ask(client)
+        except BvhTimeoutError:
+            raise
+        except BvhError:
+            assert time.monotonic() < deadline
+            time.sleep(0.2)
+
+
 def test_what_nobody_knows_is_not_free(nodes):
     whole, parts = nodes
     names = [part.name for part in parts]
     client = BvhClient(whole.node, names, timeout=60.0)
-    for a, b in (((5, 5, 0), (5, 5, 9)), ((31, 5, 0), (32, 5, 0)), ((-5, 5, 6), (5, 5, 6))):
+    for a, b in (((5, 5, 0), (5, 5, 29)), ((31, 5, 0), (32, 5, 0)), ((-5, 5, 26), (5, 5, 26))):
         with pytest.raises(BvhError, match='leaves the regions'):
             client.raycast(a, b)
-    client.raycast((-5, 5, 4.9), (5, 5, 4.9))
+    client.raycast((-5, 5, 24.9), (5, 5, 24.9))
     with pytest.raises(BvhError, match='leaves the regions'):
-        client.raycast((-5, 5, 4.9), (5, 5, 4.9), 0.2)
+        client.raycast((-5, 5, 24.9), (5, 5, 24.9), 0.2)
     with pytest.raises(BvhError, match='leaves the regions'):
-        client.overlap((1, 1, 1), (2, 2, 2), tolerance=4.0)
+        client.overlap((1, 1, 1), (2, 2, 2), tolerance=24.0)
+    with pytest.raises(BvhError, match='leaves the regions'):
+        client.nearest((29, 29, 0), 1.5)
+    rays = client.raycast_many([[9, 9, 0], [31, 5, 0], [9, 9, 24]], np.eye(3)[[2, 0, 2]], 22.0)
+    assert rays.obstacles[1:].tolist() == [UNANSWERED] * 2
+    assert np.isnan(rays.t[1:]).all()
+    assert client.nearest_many([[29, 29, 0]] * 2, [0.5, 1.5]).obstacles.tolist() == [
+        FREE,
+        UNANSWERED,
+    ]
+    with pytest.raises(BvhError, match='no row'):
+        client.raycast_many([[31, 5, 0]], [[1, 0, 0]])
     with pytest.raises(ValueError, match='a name'):
         BvhClient(whole.node, [])
     missing = BvhClient(whole.node, [*names, '/nowhere/bvh'], timeout=1.0)
@@ -94,3 +181,40 @@ def test_what_nobody_knows_is_not_free(nodes):
     assert hasty.raycast((-9, -9, 0), (-1, -1, 0)) == BvhClient(
         whole.node, whole.name, timeout=60.0
     ).raycast((-9, -9, 0), (-1, -1, 0))
+
+
+def test_a_slow_node_is_an_error_and_holds_up_nobody_else(nodes):
+    whole, parts = nodes
+    client = BvhClient(whole.node, [part.name for part in parts[:3]], timeout=60.0)
+    client.raycast((-9, -9, 0), (-1, -1, 0))
+    parts[1].process.send_signal(signal.SIGSTOP)
+    try:
+        for ask in (client.raycast, lambda a, b, **how: client.raycast_many([a], [b], **how)):
+            began = time.monotonic()
+            with pytest.raises(BvhTimeoutError):
+                ask((-9, -9, 0), (9, 0, 0), timeout=1.0)
+            assert time.monotonic() - began < 30.0
+        client.raycast((-9, -9, 0), (-1, -1, 0))
+    finally:
+        parts[1].process.send_signal(signal.SIGCONT)
+    assert client.raycast((-9, -9, 0), (9, 0, 0)) == BvhClient(
+        whole.node, whole.name, timeout=60.0
+    ).raycast((-9, -9, 0), (9, 0, 0))
+
+
+def test_a_node_that_is_started_again_with_another_region(start_node, messages):
+    given = {'region': [-INF, -INF, -INF, 0.0, INF, INF]}
+    left, right = start_node(given), start_node({'region': [0.0, -INF, -INF, INF, INF, INF]})
+    client = BvhClient(left.node, [left.name, right.name], timeout=60.0)
+    a, b, rays = (-9, 0, 0), (9, 0, 0), ([[-9, 0, 0]], [[1, 0, 0]], 18.0)
+    assert client.raycast(a, b) is None
+    assert client.raycast_many(*rays).obstacles.tolist() == [FREE]
+    right.end(signal.SIGKILL)
+    again = start_node({'region': [2.0, -INF, -INF, INF, INF, INF]}, namespace=right.namespace)
+    for ask in (lambda: client.raycast(a, b), lambda: client.raycast_many(*rays)):
+        with pytest.raises(BvhError, match='leaves the regions'):
+            ask()
+    again.end(signal.SIGKILL)
+    start_node({'region': [-1.0, -INF, -INF, INF, INF, INF]}, namespace=right.namespace)
+    assert client.raycast(a, b) is None
+    assert client.raycast_many(*rays).obstacles.tolist() == [FREE]

@@ -1,0 +1,109 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What several nodes tell of the same rows becomes one answer: the nearest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.client.coverage import Coverage
+from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+
+HANDLE_BITS = 32  # of an obstacle's number; above them stands whose handle it is
+
+Numbers = NDArray[np.int64]
+
+
+class Nearest:
+    """The nearest of what was told of n rows so far.
+
+    Of equal distances at one place, what the node says counts in whose region the place lies: it
+    knows all that is there. At different places the names decide, see `settle`.
+    """
+
+    def __init__(self, kind: Any, bad: NDArray[np.bool_], coverage: Coverage) -> None:
+        count = len(bad)
+        self._kind, self._coverage = kind, coverage
+        self.unknown = bad.copy()
+        """(n,) rows of which somebody knows nothing."""
+        blank: dict[str, Any] = {
+            **dict.fromkeys(('t', 'distances'), np.inf),
+            'points': np.nan,
+            'normals': 0.0,
+            'obstacles': FREE,
+            'counts': 0,
+        }
+        self._told: dict[str, Any] = {
+            name: np.full(
+                (count, 3) if name in ('points', 'normals') else count,
+                blank[name],
+                np.int64 if name in ('obstacles', 'counts') else np.float64,
+            )
+            for name in kind._fields
+        }
+        self.distances = self._told['t' if 't' in self._told else 'distances']
+        self._obstacles, self._points = self._told['obstacles'], self._told['points']
+        self._ties: list[tuple[Numbers, dict[str, Any]]] = []
+
+    def add(self, rows: Numbers, region: int, answer: Any) -> None:
+        """Add what the node of a region says of some rows."""
+        its = answer._asdict()
+        handles = its['obstacles'].astype(np.int64)
+        hit = (handles != FREE) & (handles != UNANSWERED)
+        self.unknown[rows[handles == UNANSWERED]] = True
+        its['obstacles'] = handles | region << HANDLE_BITS
+        if 'counts' in its:
+            self._count(rows[hit], its.pop('counts')[hit].astype(np.int64))
+        rows, its = rows[hit], {name: column[hit] for name, column in its.items()}
+        distances = its['t' if 't' in its else 'distances']
+        known = self._obstacles[rows] != FREE
+        nearer = ~known | (distances < self.distances[rows])
+        tied = known & (distances == self.distances[rows])
+        same = tied & (its['points'] == self._points[rows]).all(axis=1)
+        at_home = self._coverage.holds(its['obstacles'] >> HANDLE_BITS, its['points'])
+        other = self._coverage.holds(self._obstacles[rows] >> HANDLE_BITS, its['points'])
+        self._put(rows, its, nearer | (same & at_home & ~other))
+        apart = tied & ~same
+        if apart.any():
+            self._ties.append((rows[apart], {name: its[name][apart] for name in its}))
+
+    def _count(self, rows: Numbers, counts: Numbers) -> None:
+        """Counts of one node hold; those of several would count an obstacle of both twice."""
+        mine = self._told['counts']
+        mine[rows] = np.where(mine[rows] > 0, UNANSWERED, counts)
+
+    def _put(self, rows: Numbers, its: Mapping[str, Any], better: NDArray[np.bool_]) -> None:
+        for name, column in its.items():
+            self._told[name][rows[better]] = column[better]
+
+    def tied(self) -> set[int]:
+        """Obstacles whose names decide."""
+        asked: set[int] = set()
+        for rows, its in self._ties:
+            still = self._still(rows, its)
+            asked |= {*its['obstacles'][still].tolist(), *self._obstacles[rows[still]].tolist()}
+        return asked
+
+    def settle(self, names: Mapping[int, str]) -> None:
+        """Of obstacles as far away the one whose name comes first; those without come last."""
+        last = chr(0x10FFFF)
+        for rows, its in self._ties:
+            ours = [names.get(one, last) for one in self._obstacles[rows].tolist()]
+            theirs = [names.get(one, last) for one in its['obstacles'].tolist()]
+            first = np.array([a < b for a, b in zip(theirs, ours, strict=True)], np.bool_)
+            self._put(rows, its, first & self._still(rows, its))
+
+    def _still(self, rows: Numbers, its: Mapping[str, Any]) -> NDArray[np.bool_]:
+        distances = its['t' if 't' in its else 'distances']
+        return np.asarray(distances == self.distances[rows])
+
+    def answer(self) -> Any:
+        """All rows; those that are unknown as a node says it."""
+        lost = {'t': np.nan, 'distances': np.nan, 'points': np.nan, 'normals': 0.0}
+        for name, column in self._told.items():
+            column[self.unknown] = lost.get(name, UNANSWERED)
+        return self._kind(**self._told)

@@ -1,0 +1,90 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of questions to several nodes: where each row's answer can lie."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.client import volumes
+from bvh_ros.client.coverage import Box, Floats, grown, ways
+from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
+from bvh_ros.ros.conversions.ray_clouds import Hits, Rays, rays_cloud
+
+
+class Rows(NamedTuple):
+    """Questions of one kind."""
+
+    topic: str
+    answer: type[Hits | Near | Touched]
+    bad: NDArray[np.bool_]
+    """(n,) rows that nobody can answer."""
+    most: Floats
+    """(n,) no obstacle is looked for beyond this distance."""
+    around: Callable[[Floats], Box]
+    """Bounds of all places that are as near as some distances (n,): who knows what touches them
+    knows whether there is anything so near.
+    """
+    message: Callable[[NDArray[np.int64]], Any]
+    """Asks some of the rows."""
+
+
+def of_rays(rays: Rays) -> Rows:
+    """Rays, and balls that go along them; a distance is a t."""
+    radii = np.zeros(1) if rays.radii is None else rays.radii
+
+    def message(some: NDArray[np.int64]) -> Any:
+        return rays_cloud(rays.take(some))
+
+    def around(t: Floats) -> Box:
+        return ways(rays.origins, rays.directions, t, radii)
+
+    return Rows('rays', Hits, rays.fault()[0], rays.t_max, around, message)
+
+
+def of_points(asked: Points) -> Rows:
+    """Points whose nearest obstacles are asked for."""
+
+    def around(distances: Floats) -> Box:
+        return grown((asked.places, asked.places), distances)
+
+    bad = query_clouds.fault(asked, 0)[0]
+    return Rows('points', Near, bad, asked.reaches, around, _cloud_of(asked))
+
+
+def of_boxes(asked: Boxes) -> Rows:
+    """Boxes; whatever touches one lies around all of it."""
+    count, half = len(asked.places), asked.sizes * 0.5
+    with np.errstate(over='ignore', invalid='ignore'):
+        ball = np.nextafter(np.linalg.norm(half, axis=1), np.inf)[:, None]
+        half = np.where((asked.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
+        box = grown(grown((asked.places, asked.places), half), asked.tolerances)
+    bad = query_clouds.fault(asked, 0)[0]
+    return Rows('boxes', Touched, bad, np.zeros(count), lambda _: box, _cloud_of(asked))
+
+
+def of_poses(places: Floats, turns: Floats, footprint: Sequence[float]) -> Rows:
+    """Poses of a footprint: edge lengths of a box, or the radius of a ball."""
+    half = footprint[0] if len(footprint) == 1 else float(np.linalg.norm(footprint)) * 0.5
+    reach = np.nextafter(half, np.inf)
+    bad = np.logical_not(np.isfinite(np.hstack((places, turns))).all(axis=1))
+
+    def around(distances: Floats) -> Box:
+        return grown(grown((places, places), reach), np.maximum(distances, 0.0))
+
+    def message(some: NDArray[np.int64]) -> Any:
+        return volumes.path(places[some], turns[some])
+
+    return Rows('paths', Near, bad, np.full(len(places), np.inf), around, message)
+
+
+def _cloud_of(asked: Points | Boxes) -> Callable[[NDArray[np.int64]], Any]:
+    def message(some: NDArray[np.int64]) -> Any:
+        return volumes.cloud(asked._replace(**{k: v[some] for k, v in asked._asdict().items()}))
+
+    return message
