@@ -75,16 +75,18 @@ def _compile(parameters: Path | None) -> None:
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, use_tree
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, use_tree
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
     again = []
     for planar in (False, True):
-        yield from jobs(Needs(planar, 0.0, every, batch=True, threads=2))
+        needs = Needs(planar, 0.0, every, batch=True, threads=2)
+        yield from (*jobs(needs), *later_jobs(needs))
         yield Job('tree', f'tree {planar}', 10.0, partial(use_tree, 2 if planar else 3))
         for margin, kinds in ((0.1, every), (0.0, every[:1]), (0.1, every[:1])):
-            again += jobs(Needs(planar=planar, margin=margin, kinds=kinds, batch=True))
+            needs = needs._replace(margin=margin, kinds=kinds)
+            again += [*jobs(needs), *later_jobs(needs)]
     decode = 'decode markers'
     yield Job(decode, decode, 2.0, partial(marker_array.read, marker_array.EMPTY))
     yield from (job._replace(seconds=AGAIN) for job in again)
@@ -101,7 +103,7 @@ def _jobs_of(parameters: Path) -> list[Job]:
     rclpy.init(args=['--ros-args', '--params-file', str(parameters)])
     try:
         node = Node('bvh')
-        return BvhServer(node).jobs()
+        return BvhServer(node).jobs(wholly=True)
     except ConfigurationError as error:
         raise RuntimeError(str(error)) from error
     finally:

@@ -82,7 +82,9 @@ def test_a_parameter_file_is_read_as_the_node_reads_it(tmp_path):
     names = warm_up(file, code=jobs).stdout
     assert 'obstacles (True, ' in names
     assert 'decode markers' in names
+    assert 'nearest (True, ' in names  # compiled only when somebody asks, but then it is there
     assert 'batches' not in names
+    assert 'paths' not in names
     file.write_text('/**: {ros__parameters: {planar: perhaps}}')
     ended = warm_up(tmp_path, '--params-file', file)
     assert (ended.returncode, ended.stderr.count('\n')) == (1, 1)

@@ -124,12 +124,15 @@ class BvhServer:
         self._ends.append(readiness)
         readiness.begin(wholly=wholly)
 
-    def jobs(self) -> list[Job]:
-        """Return what compiles the kernels that this configuration needs."""
+    def jobs(self, *, wholly: bool = False) -> list[Job]:
+        """Return what compiles the kernels that this configuration needs; `wholly` with those
+        that wait until somebody asks.
+        """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
         chosen, later = jobs(self._needs()), later_jobs(self._needs())
         paths = [job for job in later if job.name == PATHS and self.settings.footprint]
-        return [*chosen[:2], *of_sources, *chosen[2:], *paths]
+        rest = [job for job in later if job.name != PATHS and wholly]
+        return [*chosen[:2], *of_sources, *chosen[2:], *paths, *rest]
 
     def _needs(self) -> Needs:
         return Needs(
