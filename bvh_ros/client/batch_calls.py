@@ -161,7 +161,8 @@ class BatchCalls:
         Returns
         -------
         Near
-            As of `nearest_many`; a distance is 0 where the footprint touches the obstacle.
+            As of `nearest_many`; where the footprint touches the obstacle, a distance is minus the
+            depth, and the normal the shortest way out.
         """
         asked = volumes.path(*volumes.poses(positions, orientations))
         return self._ask('paths', asked, frame_id, None, timeout)

@@ -133,7 +133,7 @@ def _points(needs: Needs) -> None:
 
 def _paths(needs: Needs) -> None:
     for scene in _scenes(needs):
-        scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]))
+        scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
 
 
 def _empty(needs: Needs) -> Scene:

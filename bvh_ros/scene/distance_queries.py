@@ -9,7 +9,7 @@ from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
 from .distance.query_rows import query_rows
-from .distance.touching_rows import Points
+from .distance.touching_rows import Points, Signed
 from .geometry.shapes import Floats, Shapes
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
@@ -24,7 +24,12 @@ class DistanceQueries:
         self._clearances = clearance.Clearances(held.tree, held.columns)
 
     def nearest(
-        self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
+        self,
+        point: ArrayLike,
+        k: int = 1,
+        max_distance: float = np.inf,
+        mask: int = ALL,
+        signed: bool = False,
     ) -> list[SceneHit]:
         """Return the up to k obstacles nearest to a point, nearest first, ties by handle.
 
@@ -38,13 +43,17 @@ class DistanceQueries:
             Farther ones are left out, m; may be inf.
         mask : int
             Only obstacles with ``categories & mask != 0`` are seen.
+        signed : bool
+            Within an obstacle the distance is minus the depth, the point the closest one of its
+            surface, and the normal leads out there. So the first is that in which the given point
+            lies deepest.
 
         Returns
         -------
         list of SceneHit
             `point` is the obstacle's point closest to the given one, `t` the distance between the
             two (m), `normal` leads from the obstacle's point to the given one; zero if that lies
-            in the obstacle.
+            in the obstacle, and `signed` is false.
 
         Raises
         ------
@@ -53,17 +62,18 @@ class DistanceQueries:
             shape.
         """
         where = checks.point('point', point, 3)
-        found, rows = self._nearness.find(
-            where,
-            checks.whole('k', k, 1),
-            checks.limit('max_distance', max_distance),
-            checks.mask(mask),
-        )
+        limits = checks.limit('max_distance', max_distance), checks.mask(mask)
+        many = checks.whole('k', k, 1)
+        found, rows = self._nearness.find(where, many, limits, True if signed else None)
         return self._held.hits(found, rows)
 
-    def clearance(self, name: str) -> Clearance | None:
+    def clearance(self, name: str, signed: bool = False) -> Clearance | None:
         """Return how far an obstacle is from the nearest other one, ties by handle; None if there
         is no other.
+
+        Where they touch it is 0; if `signed`, minus the penetration depth: the least distance by
+        which either has to move until they only just touch, which is along the way from `point` to
+        `other_point`, both on the surfaces then. So the nearest is that which is met deepest.
 
         Both by their true shapes; in a planar scene seen from above, the points at the height of
         the obstacle's centre. Two shapes that are no farther apart than their positions are
@@ -73,7 +83,8 @@ class DistanceQueries:
         slots, handles = [slot], self._held.columns.node_handle
         if self._held.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
-        every = [self._clearances.nearest_other(place) for place in slots]
+        sign: Signed = True if signed else None
+        every = [self._clearances.nearest_other(place, sign) for place in slots]
         found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
         if found.slots[0] == NONE:
             return None
@@ -90,6 +101,7 @@ class DistanceQueries:
         k: int = 1,
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
+        signed: bool = False,
         threads: int = 1,
     ) -> tuple[NDArray[np.uint32], Floats, Floats]:
         """Return the obstacles nearest to each of n points; a row is what `nearest` says.
@@ -102,6 +114,8 @@ class DistanceQueries:
             How many of each at most.
         max_distance, mask : one for all points, or array_like of shape (n,)
             As in `nearest`.
+        signed : bool
+            As in `nearest`: within an obstacle the distance is minus the depth.
         threads : int
             The points are shared among so many threads; the answer does not depend on it.
 
@@ -123,7 +137,8 @@ class DistanceQueries:
         count, many = len(where), checks.whole('k', k, 1)
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         asked = Points(where, reaches, checks.masks_or_one(mask, count))
-        near = self._nearness.find_rows(asked, many, checks.whole('threads', threads, 1))
+        sign: Signed = True if signed else None
+        near = self._nearness.find_rows(asked, many, sign, checks.whole('threads', threads, 1))
         return near.handles, near.distances, near.points
 
     def clearance_many(
@@ -131,6 +146,7 @@ class DistanceQueries:
         shapes: Shapes,
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
+        signed: bool = False,
         threads: int = 1,
     ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
         """Return how far each of n shapes is from the nearest obstacle, ties by handle.
@@ -144,6 +160,8 @@ class DistanceQueries:
             n rows.
         max_distance, mask : one for all shapes, or array_like of shape (n,)
             Obstacles that are farther away (m), or are not seen, are left out.
+        signed : bool
+            As in `clearance`: where they touch the distance is minus the depth.
         threads : int
             The shapes are shared among so many threads; the answer does not depend on it.
 
@@ -152,7 +170,7 @@ class DistanceQueries:
         handles : (n,) uint32
             Node handles, NO_NODE (0xFFFFFFFF) where there is no obstacle.
         distances : (n,)
-            m, 0 where they touch; inf where there is none.
+            m, 0 where they touch, or minus the depth; inf where there is none.
         points, other_points : (n, 3)
             The shape's point that is closest to the obstacle, and the obstacle's, m; NaN where
             there is none.
@@ -165,7 +183,8 @@ class DistanceQueries:
         rows, hulls = query_rows(shapes, 0.0, mask, self._held.planar)
         reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
         threads = checks.whole('threads', threads, 1)
-        found = self._clearances.find_rows(rows, hulls, reaches, NONE, threads)
+        asked: tuple[Floats, int, Signed] = reaches, NONE, True if signed else None
+        found = self._clearances.find_rows(rows, hulls, asked, threads)
         handles = self._held.columns.node_handle
         near = found.slots != NONE
         named = np.full(len(near), NO_NODE, np.uint32)

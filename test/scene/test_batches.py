@@ -160,16 +160,18 @@ def test_overlaps_of_one_shape(world):
 
 
 @pytest.mark.parametrize('k', [1, 3, 100])
-def test_nearest(world, k):
+@pytest.mark.parametrize('signed', [False, True])
+def test_nearest(world, k, signed):
     scene, rng = world
     points, masks = points_of(rng, 150), rng.integers(0, 4, 150)
     reaches = rng.choice([0.5, 2.0, math.inf], 150)
     ones = [
-        scene.nearest(p, k, float(r), int(m))
+        scene.nearest(p, k, float(r), int(m), signed)
         for p, r, m in zip(points, reaches, masks, strict=True)
     ]
     for threads in (1, 3):
-        handles, distances, where = scene.nearest_many(points, k, reaches, masks, threads)
+        told = scene.nearest_many(points, k, reaches, masks, signed, threads)
+        handles, distances, where = told
         assert handles.shape == distances.shape == where.shape[:2] == (150, k)
         for i, hits in enumerate(ones):
             rest = k - len(hits)
@@ -178,26 +180,29 @@ def test_nearest(world, k):
             same(where[i], np.array([hit.point for hit in hits] + [NOBODY] * rest))
 
 
-def test_clearances(world):
+@pytest.mark.parametrize('signed', [False, True])
+def test_clearances(world, signed):
     """As an obstacle of the same shape has it in the same scene."""
     scene, rng = world
     shapes, masks = random_shapes(rng, 40), rng.integers(1, 4, 40)
     names, kept = scene.names(), scene.handles()
     for threads in (1, 3):
-        handles, distances, points, others = scene.clearance_many(shapes, threads=threads)
+        told = scene.clearance_many(shapes, signed=signed, threads=threads)
+        handles, distances, points, others = told
         for i in range(40):
             scene.update('other', ['asked'], shapes.take([i]), stamp=2)
-            found = scene.clearance('asked')
+            found = scene.clearance('asked', signed)
             scene.remove('other', ['asked'])
             same([handles[i], distances[i]], [found.handle, found.distance])
             same(np.stack((points[i], others[i])), np.stack((found.point, found.other_point)))
-    assert 0 < (distances == 0.0).sum() < 40
+    assert 0 < (distances <= 0.0).sum() < 40
+    assert (distances.min() < 0.0) == signed
     assert len(names) == len(kept) == len(scene)
-    reach = float(np.median(distances))
-    near = scene.clearance_many(shapes, reach)
+    reach = max(float(np.median(distances)), 0.0)
+    near = scene.clearance_many(shapes, reach, signed=signed)
     same(near[0], np.where(distances <= reach, handles, NO_NODE).astype(np.uint32))
     same(near[1], np.where(distances <= reach, distances, math.inf))
-    seen = scene.clearance_many(shapes, mask=masks)
+    seen = scene.clearance_many(shapes, mask=masks, signed=signed)
     same(seen[1] >= distances, np.ones(40, bool))
 
 
@@ -315,7 +320,7 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
         ('nearest_many', (POINT, 1, [1.0, -1.0]), 'max_distance.* row 1'),
         ('clearance_many', (Shapes.boxes(NAN, ONE),), 'row 1'),
         ('clearance_many', (Shapes.boxes(POINT, ONE), math.nan), 'max_distance'),
-        ('clearance_many', (Shapes.boxes(POINT, ONE), 1.0, 1, 1.5), 'threads'),
+        ('clearance_many', (Shapes.boxes(POINT, ONE), 1.0, 1, False, 1.5), 'threads'),
     ],
 )
 def test_bad_input_is_refused(query, arguments, said):

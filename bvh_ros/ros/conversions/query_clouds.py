@@ -85,7 +85,7 @@ class Near(NamedTuple):
     """The obstacles nearest to n points or shapes."""
 
     points: Floats  # (n, 3) m, on the obstacles
-    distances: Floats  # (n,) m; inf where there is none, NaN where unanswered
+    distances: Floats  # (n,) m, negative in depth; inf where there is none, NaN where unanswered
     normals: Floats  # (n, 3) from there to the point; zero within the obstacle
     obstacles: NDArray[np.uint32]  # (n,) node handles, FREE or UNANSWERED
 

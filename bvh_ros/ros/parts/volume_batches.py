@@ -113,8 +113,8 @@ class BoxBatch(VolumeBatch):
 
 
 class PathBatch(Batch):
-    """Answers the poses of paths by how far the footprint is from the nearest obstacle there, 0
-    where they touch.
+    """Answers the poses of paths by how far the footprint is from the nearest obstacle there:
+    where they touch, minus the depth, and the normal is the shortest way out.
 
     Parameters
     ----------
@@ -158,7 +158,8 @@ class PathBatch(Batch):
     def _ask(self, scene: Scene, rows: paths.Poses) -> Near:
         shapes = paths.shapes(rows, self._footprint)
         handles, distances, places, points = scene.clearance_many(
-            shapes, mask=self.view.mask, threads=self._world.settings.threads_for(len(rows.places))
+            *(shapes, np.inf, self.view.mask, True),
+            self._world.settings.threads_for(len(rows.places)),
         )
         return near(places, points, distances, handles)
 
@@ -181,9 +182,11 @@ def near(
     distances: NDArray[np.float64],
     handles: NDArray[np.uint32],
 ) -> Near:
-    """Return obstacles' points with the directions from there to the places."""
+    """Return obstacles' points with the directions from there to the places, or out of the
+    obstacles where distances are negative.
+    """
     normals = np.zeros((len(places), 3))
-    apart = (handles != NO_NODE) & (distances > 0.0)
+    apart = (handles != NO_NODE) & (distances != 0.0)
     normals[apart] = (places[apart] - points[apart]) / distances[apart, None]
     return Near(points, distances, normals, handles)
 

@@ -28,8 +28,9 @@ from .gjk import CORE_ROWS, Core
 from .narrow_phase import fill_core, largest_length, ordered
 from .query_rows import QueryRows
 from .simplex import FIRST, SECOND, SLACK, WAY_ROOM, dot
+from .sinking import sink_shape
 from .sure_gap import sure_bounds
-from .touching_rows import RowKernel, bodies_of, of_row
+from .touching_rows import RowKernel, Signed, bodies_of, of_row
 
 ROUNDED = 1.0 + 2.0**-40  # no computed distance is off by as much
 MORE = 4
@@ -134,10 +135,11 @@ def box_gap(one, other, ndim, points):
 @lean_kernel
 def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
     """Fill in the rows [start, stop) of `told`; asked = (reaches, how many boxes there are, the
-    node handle that is not looked at), place = (start, stop). Returns (rows done, room wanted):
-    fewer than there are where there is no room, negative if the tree is changed.
+    node handle that is not looked at, `touching_rows.Signed`), place = (start, stop). Returns
+    (rows done, room wanted): fewer than there are where there is no room, negative if the tree is
+    changed.
     """
-    reaches, everybody, besides = asked
+    reaches, everybody, besides, signed = asked
     tree, (row, stop) = view.tree, place
     if not begin_query(tree.state, view.version):
         return -1, 0
@@ -150,8 +152,9 @@ def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
             limit, mask = max(reach * ROUNDED, reach), of_row(rows.masks, row)
             count = nearest(tree, low, high, wanted, limit, mask, room.slots, room.bounds)
             fresh = room.slots[looked:count]
-            look_at(bodies, rows, row, (reach, besides), node_handles, fresh, told)
-            if count < wanted or room.bounds[count - 1] > told.distances[row] * ROUNDED:
+            look_at(bodies, rows, row, (reach, besides), signed, node_handles, fresh, told)
+            distance = max(told.distances[row], 0.0)
+            if count < wanted or room.bounds[count - 1] > distance * ROUNDED:
                 break
             looked, wanted = count, min(wanted * MORE, everybody + 1)
         if wanted > room.slots.shape[0]:
@@ -162,7 +165,7 @@ def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
 
 
 @lean_kernel
-def look_at(bodies, rows, row, asked, node_handles, slots, told):
+def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
     reach, besides = asked
     points, planar = stack_array(6, np.float64).reshape(2, 3), bodies.footprints is not None
@@ -176,6 +179,8 @@ def look_at(bodies, rows, row, asked, node_handles, slots, told):
             distance = gap(one, bodies.query_hulls, other, bodies.hulls, planar, points)
         else:
             distance = box_gap(one, other, 2 if planar else 3, points)
+        if signed is not None:
+            distance = sink_shape(one, other, bodies, distance, points)
         if distance > reach or distance > told.distances[row]:
             continue
         tied = distance == told.distances[row] and best != NONE
@@ -194,34 +199,36 @@ class Clearances:
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self._kernel = RowKernel(clearance_rows)
+        self._kernels = {None: RowKernel(clearance_rows), True: RowKernel(clearance_rows)}
 
     def find_rows(
-        self, rows: QueryRows, hulls: Hulls | None, reaches: Floats, besides: int, threads: int
+        self, rows: QueryRows, hulls: Hulls | None, asked: tuple[Floats, int, Signed], threads: int
     ) -> Neighbours:
-        """The obstacles nearest to n shapes within distances, ties by handle; `besides` is a node
-        handle.
+        """The obstacles nearest to n shapes, ties by handle; asked = (reaches, the node handle
+        that is not looked at, whether distances have a sign).
         """
+        reaches, besides, signed = asked
         count, columns, view = len(rows.records), self._columns, self._tree.view()
         bodies, everybody = bodies_of(columns, hulls), len(self._tree)
         told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
-        asked = reaches, everybody, besides
+        question = reaches, everybody, besides, signed
 
         def work(start: int, stop: int) -> None:
             wanted = FEW
             while start < stop:
                 room = Room(np.empty(wanted, np.int64), np.empty(wanted))
-                given = rows, asked, (start, stop), columns.node_handle, room, told
-                start, wanted = self._kernel(view, bodies, given)
+                given = rows, question, (start, stop), columns.node_handle, room, told
+                start, wanted = self._kernels[signed](view, bodies, given)
 
         in_threads(work, count, threads)
         return told
 
-    def nearest_other(self, slot: int) -> Neighbours:
+    def nearest_other(self, slot: int, signed: Signed) -> Neighbours:
         """What is nearest to the obstacle of a slot."""
         records, handle = self._columns.geometry[slot : slot + 1], self._columns.node_handle[slot]
         lo, hi = self._tree.boxes(self._columns.tree_handle[slot : slot + 1])
         bounds = np.zeros((1, 2, 3))
         bounds[0, 0, : lo.shape[1]], bounds[0, 1, : lo.shape[1]] = lo, hi
         rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
-        return self.find_rows(rows, self._columns.hulls(), checks.FOREVER, int(handle), 1)
+        asked = checks.FOREVER, int(handle), signed
+        return self.find_rows(rows, self._columns.hulls(), asked, 1)

@@ -17,7 +17,7 @@ from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
 from .touching import REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
-from .touching_rows import Near, Points, RowKernel, bodies_of, nearest_rows
+from .touching_rows import Near, Points, RowKernel, Signed, bodies_of, nearest_rows
 
 MORE = 4
 
@@ -29,15 +29,16 @@ class Nearness:
         self._tree = tree
         self._columns = columns
         self._scratch = Scratch()
-        self._entries: dict[bool | None, Any] = {}
-        self._rows = RowKernel(nearest_rows)
+        self._entries: dict[tuple[bool | None, Signed], Any] = {}
+        self._rows = {None: RowKernel(nearest_rows), True: RowKernel(nearest_rows)}
 
     def find(
-        self, point: Floats, k: int, max_distance: float, mask: np.uint32
+        self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed
     ) -> tuple[Found, list[int]]:
-        """Up to k obstacles nearest to a point within a distance: what is known of them until the
-        next query of this thread, and their rows, nearest first, ties by handle.
+        """Up to k obstacles nearest to a point, limits = (max_distance, mask): what is known of
+        them until the next query of this thread, and their rows, nearest first, ties by handle.
         """
+        max_distance, mask = limits
         everybody = len(self._tree)
         reach = max(max_distance * ROUNDED, max_distance)
         asked = k + MORE  # so that most know at once that no other is nearer
@@ -45,18 +46,19 @@ class Nearness:
             asked = min(asked, everybody + 1)
             if asked > len(self._scratch.found.slots):
                 self._scratch.make_room(asked)
-            count = self._fill(point, (asked, reach, mask))
+            count = self._fill(point, (asked, reach, mask), signed)
             found = self._scratch.found
             distances = found.distances[:count].tolist()
             order = [row for row in found.order[:count].tolist() if distances[row] <= max_distance]
             order = self._different(found, order)[:k]
             if count < asked or (
-                len(order) == k and found.bounds.item(count - 1) > distances[order[-1]] * ROUNDED
+                len(order) == k
+                and found.bounds.item(count - 1) > max(distances[order[-1]], 0.0) * ROUNDED
             ):
                 return found, order
             asked *= MORE
 
-    def _fill(self, point: Floats, asked: tuple[int, float, np.uint32]) -> int:
+    def _fill(self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed) -> int:
         columns = self._columns
         bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
         shapes: Any = ()
@@ -64,16 +66,16 @@ class Nearness:
         if bodies is not None:
             kernel, variant, shapes = nearest_shapes, bodies.hulls is not None, (bodies,)
         found = self._scratch.found
-        given = self._tree.view().tree, *shapes, point, asked, columns.node_handle, found
-        entry = self._entries.get(variant)
+        given = self._tree.view().tree, *shapes, point, asked, signed, columns.node_handle, found
+        entry = self._entries.get((variant, signed))
         if entry is None:
-            entry = self._entries[variant] = entry_point(kernel, *given)
+            entry = self._entries[variant, signed] = entry_point(kernel, *given)
         count: int = entry(*given)
         if count == REFUSED:
             raise RuntimeError(IS_CHANGED)
         return count
 
-    def find_rows(self, points: Points, k: int, threads: int) -> Near:
+    def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near:
         """The k obstacles nearest to each of n points, as `find` has them."""
         count, columns, view = len(points.points), self._columns, self._tree.view()
         bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
@@ -81,7 +83,7 @@ class Nearness:
             *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
             np.empty((count, k, 3)),
         )
-        asked = k, len(self._tree), columns.shadows > 0
+        asked = k, len(self._tree), columns.shadows > 0, signed
 
         def work(start: int, stop: int) -> None:
             wanted = min(k, len(self._tree)) + 1
@@ -90,7 +92,7 @@ class Nearness:
                     self._scratch.make_room(wanted)
                 found = self._scratch.found
                 given = points, asked, (start, stop), columns.node_handle, found, near
-                start, wanted = self._rows(view, bodies, given)
+                start, wanted = self._rows[signed](view, bodies, given)
 
         in_threads(work, count, threads)
         return near

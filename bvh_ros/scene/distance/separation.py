@@ -14,6 +14,9 @@ import numpy as np
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from .gjk import AXES, CENTRE, HALF
+from .simplex import dot
+
+LINES = 15
 
 # The gap along a cross product is known to slack / its length: down to this length, well enough.
 NEARLY_PARALLEL = 2.0**-6
@@ -76,3 +79,37 @@ def along_crosses(half, other_half, turn, offset, slack):
                 return apart / across, True
             sure = sure and not PARALLEL < across < NEARLY_PARALLEL
     return 0.0, sure
+
+
+@lean_kernel
+def fill_line(one, other, line, way):
+    """Fill in a unit vector along one of the 15 lines; false if there is none."""
+    i, j = (line - 6) // 3, line % 3
+    if line >= 6:
+        return fill_cross(one[AXES + i], other[AXES + j], way)
+    for row in range(3):
+        way[row] = one[AXES + j, row] if line < 3 else other[AXES + j, row]
+    return dot(way, way) > 0.0
+
+
+@lean_kernel
+def fill_cross(one, other, way):
+    """Fill in the unit vector across two; false if they are parallel. Nearly parallel ones leave
+    it few digits: those across `one` are put right, as a long edge needs them, and those across
+    `other` follow.
+    """
+    for turn in range(2):
+        if turn == 0:
+            for axis in range(3):
+                y, z = (axis + 1) % 3, (axis + 2) % 3
+                way[axis] = one[y] * other[z] - one[z] * other[y]
+        else:
+            along = dot(one, way)
+            for axis in range(3):
+                way[axis] -= along * one[axis]
+        size = math.sqrt(dot(way, way))
+        if size == 0.0:
+            return False
+        for axis in range(3):
+            way[axis] /= size
+    return True

@@ -20,6 +20,7 @@ from ...tree.store.turns import ANY_VERSION, begin_query, end_query
 from .closest import closest_from_above, closest_in_box, closest_in_obstacle, length, look_back
 from .narrow_phase import near
 from .query_shape import grow
+from .sinking import sink_in_box, sink_in_obstacle
 
 REFUSED = -1  # the tree is being changed
 ROUNDED = 1.0 + 2.0**-48  # no computed distance is off by as much
@@ -146,9 +147,10 @@ def touching_shapes(tree, bodies, query, mask, node_handles, found):
 
 
 @lean_kernel
-def nearest_boxes(tree, point, asked, node_handles, found):
+def nearest_boxes(tree, point, asked, signed, node_handles, found):
     """Fill in the boxes nearest to a point; asked = (count, max_distance, mask). Return how many
-    there are.
+    there are. Where it is `signed`, not None, those that hold the point lie as deep as it is in
+    them: see `sinking`.
     """
     count, max_distance, mask = asked
     if not begin_query(tree.state, ANY_VERSION):
@@ -159,13 +161,15 @@ def nearest_boxes(tree, point, asked, node_handles, found):
         found.points[i, 2] = point[2]
         closest_in_box(lo, hi, point, found.points[i])
         found.distances[i] = look_back(found.points[i], point, lo.shape[0], found.normals[i])
+        if signed is not None:
+            sink_in_box(lo, hi, point, found, i)
     order_found(found, count, node_handles)
     end_query(tree.state)
     return np.int64(count)
 
 
 @lean_kernel
-def nearest_shapes(tree, bodies, point, asked, node_handles, found):
+def nearest_shapes(tree, bodies, point, asked, signed, node_handles, found):
     """`nearest_boxes`, with the distances of the shapes in the boxes."""
     count, max_distance, mask = asked
     if not begin_query(tree.state, ANY_VERSION):
@@ -175,6 +179,8 @@ def nearest_shapes(tree, bodies, point, asked, node_handles, found):
         shape = bodies.shapes[found.slots[i]]
         found.points[i, 2] = point[2]
         look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
+        if signed is not None:
+            sink_in_obstacle(shape, bodies, point, found, i)
     order_found(found, count, node_handles)
     end_query(tree.state)
     return np.int64(count)

@@ -4,7 +4,7 @@
 answer one.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from .touching import (
     touching_boxes,
     touching_shapes,
 )
+
+# Whether distances have a sign: None, not False, so that kernels without it do not have its code.
+Signed: TypeAlias = Literal[True] | None
 
 ANY, COUNT, FIRST, ALL, HITS = range(5)  # what is wanted of each row
 WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL, 'hits': HITS}
@@ -123,10 +126,10 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
 @lean_kernel
 def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
     """Fill in the rows [start, stop) of `near`; asked = (k, how many boxes there are, whether an
-    obstacle may stand at two places, see slicing.py), place = (start, stop). Returns (rows done,
-    room wanted in `found`) as `overlap_rows`.
+    obstacle may stand at two places, see slicing.py, `Signed`), place = (start, stop). Returns
+    (rows done, room wanted in `found`) as `overlap_rows`.
     """
-    k, everybody, twice = asked
+    k, everybody, twice, signed = asked
     tree, (row, stop) = view.tree, place
     if not begin_query(tree.state, view.version):
         return -1, 0
@@ -138,12 +141,13 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
         while wanted <= found.slots.shape[0]:
             question = (wanted, limit, mask)
             if bodies is None:
-                count = nearest_boxes(tree, point, question, node_handles, found)
+                count = nearest_boxes(tree, point, question, signed, node_handles, found)
             else:
-                count = nearest_shapes(tree, bodies, point, question, node_handles, found)
+                count = nearest_shapes(tree, bodies, point, question, signed, node_handles, found)
             kept = keep(found, count, (k, reach, twice), node_handles, near, row)
             if count < wanted or (
-                kept == k and found.bounds[count - 1] > near.distances[row, k - 1] * ROUNDED
+                kept == k
+                and found.bounds[count - 1] > max(near.distances[row, k - 1], 0.0) * ROUNDED
             ):
                 break
             wanted = min(wanted * 4, everybody + 1)

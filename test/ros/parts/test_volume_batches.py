@@ -160,14 +160,22 @@ def test_paths(client, scene):
     places, turns = RNG.uniform(-7, 7, (ASKED, 3)), RNG.normal(size=(ASKED, 4))
     told = answered(lambda: client.check_path(places, turns))
     shapes = Shapes.boxes(places, FOOTPRINT, turns)
-    handles, distances, mine, points = scene.clearance_many(shapes, mask=client.mask)
+    handles, distances, mine, points = scene.clearance_many(shapes, mask=client.mask, signed=True)
     same(told.obstacles, handles)
     same(told.distances, distances)
     same(told.points, points)
-    assert 0.02 < (told.distances == 0).mean() < 0.9
-    apart = distances > 0
-    same(told.normals[apart], ((mine - points)[apart]) / distances[apart, None])
-    assert not told.normals[~apart].any()
+    assert 0.02 < (told.distances < 0).mean() < 0.9
+    same(told.normals, (mine - points) / distances[:, None])
+    # What goes the way out is free, and what goes less far is not.
+    for share, free in ((1.001, True), (0.999, False)):
+        out = shapes._replace(position=places - share * distances[:, None] * told.normals)
+        rows = np.flatnonzero(distances < 0)
+        for row in rows:
+            one = Scene()
+            there = np.array([told.obstacles[row] - 1])
+            one.update('t', ['x'], Shapes(KIND, CENTRE, TURN, SIZE).take(there), stamp=1)
+            touches = one.overlap_shape(out.take([row]))
+            assert bool(touches) != free
     places[2] = math.nan
     told = client.check_path(places, turns)
     assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == [2]
@@ -188,7 +196,7 @@ def test_in_another_frame(world, scene, node):
     told = answered(lambda: client.overlap_many(local, [1, 2, 3], turned, frame_id='lidar'))
     same(told.counts, scene.overlap_many(points, [1, 2, 3], want='count'))
     path = answered(lambda: client.check_path(local, turned, frame_id='lidar'))
-    clear = scene.clearance_many(Shapes.boxes(points, FOOTPRINT))
+    clear = scene.clearance_many(Shapes.boxes(points, FOOTPRINT), signed=True)
     assert np.allclose(path.distances, clear[1], atol=1e-9)
     with pytest.raises(BvhError, match='cannot answer'):
         client.nearest_many(points, frame_id='mars')
