@@ -162,7 +162,7 @@ def mask(value: Any) -> np.uint32:
         return EVERY
     if not is_integer(value):
         try:
-            number = _one('mask', value)
+            number = one('mask', value)
         except ValueError:
             number = -1.0
         value = int(number) if 0.0 <= number <= ALL and number.is_integer() else value
@@ -196,7 +196,7 @@ def masks_or_one(value: Any, count: int) -> NDArray[np.uint32]:
     return EVERYTHING if value is ALL else masks(value, 1 if np.isscalar(value) else count)
 
 
-def _one(name: str, value: Any) -> float:
+def one(name: str, value: Any) -> float:
     """One number, from whatever `floats` takes."""
     array = unless_refused(name, value, ())
     if array.shape != ():
@@ -240,7 +240,7 @@ def path(name: str, value: Any) -> str:
 
 def limit(name: str, value: Any) -> float:
     """A distance >= 0 that may be inf."""
-    number = value if type(value) is float else _one(name, value)
+    number = value if type(value) is float else one(name, value)
     if not number >= 0.0:
         raise ValueError(f'{name} must not be negative or NaN, not {number}')
     return number

@@ -93,6 +93,7 @@ class DynamicBVH(RayQueries, Predicates):
         places = checks.capacity('capacity', capacity)
         self._storage = new_storage(self._ndim, places, self._margin > 0.0)
         self._wide = 0, 0, None, None
+        self._motion = None
 
     @classmethod
     def from_boxes(

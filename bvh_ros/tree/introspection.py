@@ -24,15 +24,16 @@ from .nodes import (
     WRITTEN,
     Tree,
 )
-from .store.arrays import Arrays, Floats, Ids, touched
+from .store.arrays import Floats, Ids, touched
 from .store.memory import copy_bytes
 from .store.storage import Storage
 from .store.turns import IS_CHANGED
+from .timed import Timed
 
 cost_entry = entry_points(cost_now, 0)
 
 
-class Introspection(Arrays):
+class Introspection(Timed):
     """Everything that only looks."""
 
     def __contains__(self, handle: object) -> bool:
@@ -201,6 +202,7 @@ class Introspection(Arrays):
             'cost_when_built': built_cost,  # at the last bulk build; 0 before the first
             'bytes': sum(array.nbytes for array in tree),
             'snapshot_bytes': snapshot.nbytes if snapshot else 0,
+            'motion_bytes': 0 if self._motion is None else self._motion.nbytes,
             'margin': self.margin,
             'sibling_search': self.sibling_search,
             'exact_boxes_beside_nodes': bool(len(tree.tight)),

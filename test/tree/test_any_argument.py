@@ -152,6 +152,26 @@ ARGUMENTS: dict[str, Call] = {
     'nearest_many k': lambda t, x: t.nearest_many(LO, x),
     'nearest_many max_distance': lambda t, x: t.nearest_many(LO, 1, x),
     'nearest_many mask': lambda t, x: t.nearest_many(LO, mask=x),
+    'set_velocities handle': lambda t, x: t.set_velocities(x, LO),
+    'set_velocities velocities': lambda t, x: t.set_velocities(t.ids()[:5], x),
+    'set_velocities reference': lambda t, x: t.set_velocities(t.ids()[:5], LO, x),
+    'velocities handle': lambda t, x: t.velocities(x),
+    'raycast at': lambda t, x: moving(t).raycast(ONE, ONE, at=x),
+    'raycast pace': lambda t, x: t.raycast(ONE, ONE, pace=x),
+    'raycast origin, moving': lambda t, x: moving(t).raycast(x, ONE),
+    'raycast_all pace': lambda t, x: moving(t).raycast_all(ONE, ONE, pace=x),
+    'raycast_many at': lambda t, x: moving(t).raycast_many(LO, HI, at=x),
+    'raycast_many directions, moving': lambda t, x: moving(t).raycast_many(LO, x),
+    'occluded_many pace': lambda t, x: t.occluded_many(LO, HI, pace=x),
+    'raycast_all_many mask, moving': lambda t, x: moving(t).raycast_all_many(LO, HI, mask=x),
+    'boxcast at': lambda t, x: moving(t).boxcast(LOW, HIGH, ONE, at=x),
+    'boxcast lo, moving': lambda t, x: moving(t).boxcast(x, HIGH, ONE),
+    'overlap at': lambda t, x: moving(t).overlap(LOW, HIGH, at=x),
+    'overlap hi, moving': lambda t, x: moving(t).overlap(LOW, x),
+    'overlap_many at': lambda t, x: moving(t).overlap_many(LO, HI, at=x),
+    'nearest at': lambda t, x: moving(t).nearest(ONE, at=x),
+    'nearest point, moving': lambda t, x: moving(t).nearest(x),
+    'nearest_many at': lambda t, x: moving(t).nearest_many(LO, at=x),
     'levels first': lambda t, x: t.levels(x, 2, 9),
     'levels last': lambda t, x: t.levels(0, x, 9),
     'levels most': lambda t, x: t.levels(0, 2, x),
@@ -167,6 +187,12 @@ ARGUMENTS: dict[str, Call] = {
     'load path': lambda t, x: DynamicBVH.load(x),
     '__contains__ handle': lambda t, x: x in t,
 }
+
+
+def moving(tree: DynamicBVH) -> DynamicBVH:
+    """The tree, of which some boxes have velocities from now on."""
+    tree.set_velocities(tree.ids()[:3], LO[:3])
+    return tree
 
 
 def some_tree() -> DynamicBVH:
@@ -191,7 +217,7 @@ def test_anything_for_any_argument(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(tmp_path)
     failures = []
     for what, call in ARGUMENTS.items():
-        name = what.split()[1]
+        name = what.split()[1].rstrip(',')
         tree = some_tree()
         before = snapshot(tree)
         refused = (ValueError, *([KeyError] if name == 'handle' else []))

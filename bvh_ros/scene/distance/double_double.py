@@ -8,27 +8,8 @@ A number is a pair (high, low); a vector is an array (3, 2). Lengths are about 1
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-
-HALVES = 2.0**27 + 1.0  # times a double, to part its digits in two halves
-
-
-@inlined
-def two_sum(a, b):
-    """a + b without rounding."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
-
-
-@inlined
-def two_product(a, b):
-    """a * b without rounding."""
-    product, large, other_large = a * b, HALVES * a, HALVES * b
-    high, other_high = large - (large - a), other_large - (other_large - b)
-    low, other_low = a - high, b - other_high
-    error = high * other_high - product
-    return product, ((error + high * other_low) + low * other_high) + low * other_low
+from ...tree.jit.compiling import lean_kernel
+from ...tree.unrounded import two_product, two_sum
 
 
 @lean_kernel

@@ -20,7 +20,8 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .double_double import cross2, dot2, two_sum
+from ...tree.unrounded import two_sum
+from .double_double import cross2, dot2
 from .gjk import AXES, CENTRE, corner_of
 from .separation import LINES, fill_line
 from .simplex import SLACK, dot

@@ -17,7 +17,8 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from .double_double import cross2, dot2, over, plus, times, two_sum
+from ...tree.unrounded import two_sum
+from .double_double import cross2, dot2, over, plus, times
 
 # Of lengths about 1: what the weights of a tetrahedron may miss the origin by. Of a flat one they
 # have few digits; what they miss it by is known all the same, and this is well below `gjk.SLACK`.

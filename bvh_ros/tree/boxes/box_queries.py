@@ -10,10 +10,12 @@ from numpy.typing import ArrayLike
 from .. import box_checks, checks
 from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty
 from ..rays import boxcasting
+from ..rays.raycasting import CLOSEST, Asked
 from ..results import RayHit
-from ..store.arrays import Arrays, Floats, Ids
+from ..store.arrays import Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..store.workers import in_threads
+from ..timed import NOW, Timed
 from . import nearest, nearest_packets, ordering, overlapping, pairs
 
 # Batches of points dense enough for eight neighbours to share their way: as many points a box, and
@@ -23,16 +25,20 @@ PACKETS_PER_BOX, LEAST_PACKETS = 1 / 4, 64
 FEW_OVERLAPS, FEW_NEAREST = 64, 64
 
 
-class BoxQueries(Arrays):
+class BoxQueries(Timed):
     """What touches, what comes to touch, and what is near."""
 
-    def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL) -> Ids:
+    def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL, at: float = NOW) -> Ids:
         """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
-        ascending.
+        ascending. `at`: when, s, of boxes that have velocities.
         """
         ndim, room = self._ndim, FEW_OVERLAPS
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
-        seen, kernel = checks.mask(mask), overlapping.one_entry(ndim)
+        seen = checks.mask(mask)
+        motion = self._motion if at is NOW else self._motion_at(at)
+        if motion is not None:
+            return motion.overlap(self, (low, high), seen, at)
+        kernel = overlapping.one_entry(ndim)
         while True:
             found = np.empty(room, np.int64)
             count = kernel(self._settled().tree, low, high, seen, found)
@@ -46,15 +52,24 @@ class BoxQueries(Arrays):
         return handles
 
     def overlap_many(
-        self, lo: ArrayLike, hi: ArrayLike, mask: ArrayLike = ALL, threads: int = 1
+        self,
+        lo: ArrayLike,
+        hi: ArrayLike,
+        mask: ArrayLike = ALL,
+        threads: int = 1,
+        at: ArrayLike = NOW,
     ) -> tuple[Ids, Ids]:
         """Overlaps of n query boxes, shape (n, ndim) each: (offsets, ids).
 
-        Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts.
+        Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts. `at`:
+        when, s, of boxes that have velocities; one for all or of shape (n,).
         """
         low, high = box_checks.boxes(lo, hi, self._ndim)
         count = len(low)
-        queries = overlapping.Queries(low, high, checks.masks_or_one(mask, count))
+        masks, motion = checks.masks_or_one(mask, count), self._motion_at(at, count=count)
+        if motion is not None:
+            return motion.overlap_many(self, (low, high), masks, at, threads)
+        queries = overlapping.Queries(low, high, masks)
         sizes = np.empty(count, np.int64)
         view = self.view()
 
@@ -93,7 +108,13 @@ class BoxQueries(Arrays):
         return np.column_stack((smaller[order], larger[order]))
 
     def boxcast(
-        self, lo: ArrayLike, hi: ArrayLike, translation: ArrayLike, mask: int = ALL
+        self,
+        lo: ArrayLike,
+        hi: ArrayLike,
+        translation: ArrayLike,
+        mask: int = ALL,
+        at: float = NOW,
+        pace: float = NOW,
     ) -> RayHit | None:
         """Return the first box that the box from `lo` to `hi` touches while it moves by
         `translation`.
@@ -106,6 +127,8 @@ class BoxQueries(Arrays):
             How far it goes, m. Zero asks what the box touches where it is.
         mask : int
             Only boxes with ``box_mask & mask != 0`` are seen.
+        at, pace : float
+            Of boxes that have velocities: when it starts, and how long it takes, s.
 
         Returns
         -------
@@ -133,9 +156,15 @@ class BoxQueries(Arrays):
         ndim = self._ndim
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         translation, place = checks.vector('translation', translation, ndim), np.empty((2, ndim))
-        handle, t = boxcasting.entry(ndim)(
-            self._settled().tree, low, high, translation, checks.mask(mask), place
-        )
+        seen = checks.mask(mask)
+        motion = self._motion if at is pace is NOW else self._motion_at(at, pace)
+        if motion is not None:
+            asked = Asked(1.0, seen, False, CLOSEST)
+            handle, t = motion.cast(self, (low, high, translation), asked, (at, pace), place)
+        else:
+            handle, t = boxcasting.entry(ndim)(
+                self._settled().tree, low, high, translation, seen, place
+            )
         if handle >= 0:
             return RayHit(handle, t, place[0], place[1])
         if handle == NOT_FINITE:
@@ -145,13 +174,19 @@ class BoxQueries(Arrays):
         return None
 
     def nearest(
-        self, point: ArrayLike, k: int = 1, max_distance: float = np.inf, mask: int = ALL
+        self,
+        point: ArrayLike,
+        k: int = 1,
+        max_distance: float = np.inf,
+        mask: int = ALL,
+        at: float = NOW,
     ) -> tuple[Ids, Floats]:
         """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances),
         nearest first, ties by handle.
 
         `point` has shape (ndim,), or is the box (lo, hi) of shape (2, ndim). The distance is 0
-        inside a box, and within 4 roundings of the exact one (see `tree.proximity`).
+        inside a box, and within 4 roundings of the exact one (see `boxes.nearest`). `at`: when, s,
+        of boxes that have velocities.
         """
         ndim = self._ndim
         if box_checks.is_pair(point):
@@ -161,16 +196,13 @@ class BoxQueries(Arrays):
         k = checks.capacity('k', k)
         if k > FEW_NEAREST:  # not more room than for all
             k = min(k, max(len(self), 1))
+        limit, seen = checks.limit('max_distance', max_distance), checks.mask(mask)
+        motion = self._motion if at is NOW else self._motion_at(at)
+        if motion is not None:
+            return motion.nearest(self, (low, high, at, k, limit, seen))
         ids, distances = np.empty(k, np.int64), np.empty(k)
         count = nearest.one_entry(ndim)(
-            self._settled().tree,
-            low,
-            high,
-            k,
-            checks.limit('max_distance', max_distance),
-            checks.mask(mask),
-            ids,
-            distances,
+            self._settled().tree, low, high, k, limit, seen, ids, distances
         )
         if count == k:
             return ids, distances
@@ -186,11 +218,15 @@ class BoxQueries(Arrays):
         k: int = 1,
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
+        at: ArrayLike = NOW,
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
         where = checks.points('points', points, self._ndim)
         k = checks.capacity('k', k)
         count = len(where)
+        motion = self._motion_at(at, count=count)
+        if motion is not None:
+            return motion.nearest_many(self, where, k, (max_distance, mask), at)
         ndim, reaches = self._ndim, checks.limits('max_distance', max_distance, count)
         asked = nearest.Points(where, k, reaches, checks.masks(mask, count))
         ids, distances = np.empty((count, k), np.int64), np.empty((count, k))

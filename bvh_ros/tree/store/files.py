@@ -22,7 +22,9 @@ from ..validation import array_forms
 from . import mapped
 from .storage import READ_ONLY, Storage, allocate
 
-VERSION = 1
+VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too
+VERSIONS = VERSION, WITH_MOTION
+MOTION = ('moving', 'velocities', 'references')
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
 # A letter of numpy's for each kind of number or text that a value may be.
 VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
@@ -37,8 +39,10 @@ def pack(tree: Any) -> dict[str, Any]:
     """The arrays and values that make up a tree, by name."""
     arrays = tree.copied()
     state = arrays.state
+    motion = tree.packed_velocities(arrays.handles)
     return {
-        'version': VERSION,
+        'version': WITH_MOTION if motion else VERSION,
+        **motion,
         **arrays._asdict(),
         'state': state[:STATE_PLACES],
         'ndim': tree.ndim,
@@ -52,6 +56,8 @@ def pack(tree: Any) -> dict[str, Any]:
 def save(path: str | PathLike[str], packed: dict[str, Any], to_map: bool) -> None:
     """Write one file under exactly this path: to be mapped, or else an .npz."""
     if to_map:
+        if packed['version'] == WITH_MOTION:
+            raise ValueError('a tree whose boxes have velocities cannot be saved to be mapped')
         mapped.save(Path(path), packed)
         return
     with open(path, 'wb') as file:
@@ -77,14 +83,26 @@ def _read(archive: zipfile.ZipFile) -> dict[str, Any]:
         if archive.getinfo(f'{name}.npy').file_size > LARGEST_VALUE:
             raise ValueError(f'its {name} is too large')
         packed[name] = _member(archive, name)
-        if name == 'version' and _value(packed, name) != VERSION:
-            raise ValueError(f'it has format version {packed[name]}; this is for {VERSION}')
+        if name == 'version' and _value(packed, name) not in VERSIONS:
+            raise ValueError(f'it has format version {packed[name]}; this is for {VERSIONS}')
     forms = {name: _form(archive, name) for name in ARRAYS}
     _check_forms(_value(packed, 'ndim'), forms)
     nodes = archive.getinfo('nodes.npy')
     if nodes.file_size > SMALLEST_SHARE * nodes.compress_size:
         raise ValueError('its nodes are compressed as no tree can be')
-    return packed | {name: _member(archive, name) for name in ARRAYS}
+    names: tuple[str, ...] = ARRAYS
+    if packed['version'] == WITH_MOTION:
+        names += MOTION
+        _check_motion(_value(packed, 'ndim'), [_form(archive, name) for name in MOTION], forms)
+    return packed | {name: _member(archive, name) for name in names}
+
+
+def _check_motion(ndim: int, forms: list[Any], others: dict[str, Any]) -> None:
+    """ValueError unless velocities are those of no more boxes than there is room for."""
+    (count,), room = (*forms[0][1], 0)[:1], others['handles'][1][0]
+    shapes = [form[1] for form in forms]
+    if shapes != [(count,), (count, ndim), (count,)] or count > room:
+        raise ValueError(f'its velocities are of shapes {shapes}')
 
 
 def _refuse_missing(names: Iterable[str]) -> None:
@@ -156,8 +174,8 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
         raise ValueError(f'a saved tree is a dict, not {type(packed).__name__}')
     _refuse_missing(packed)
     kept = {name: _value(packed, name) for name in VALUES}
-    if kept['version'] != VERSION:
-        raise ValueError(f'it has format version {kept["version"]}; this is for {VERSION}')
+    if kept['version'] not in VERSIONS:
+        raise ValueError(f'it has format version {kept["version"]}; this is for {VERSIONS}')
     kept |= {name: np.asarray(packed[name]) for name in ARRAYS}
     _check_forms(kept['ndim'], {name: (kept[name].dtype, kept[name].shape) for name in ARRAYS})
     return kept | {'counters': _counters(packed['counters'], counters)}
@@ -191,5 +209,7 @@ def unpack(tree: Any, packed: Any) -> None:
     tree._storage = storage
     try:
         tree.validate()
-    except RuntimeError as error:
+        if kept['version'] == WITH_MOTION:
+            tree.set_velocities(*(packed[name] for name in MOTION))
+    except (RuntimeError, KeyError, ValueError) as error:
         raise ValueError(f'the saved tree is not sound: {error}') from None

@@ -1,0 +1,263 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays and boxes that are swept among boxes that move: the traversal of `rays.raycasting`, with
+bounds that move.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entries import entry_points
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import stack_array
+from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf
+from ..rays.raycasting import ANY, CLOSEST, Asked, Found, of_row
+from ..rays.slab import (
+    DIRECTION,
+    EXACT,
+    INSIDE,
+    ORIGIN,
+    PAD,
+    RAY_FLOATS,
+    RAY_ROWS,
+    TINY,
+    UPPER,
+    set_swept_box,
+)
+from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
+from .bounds import covers, enter_node, moving_dtype
+from .meeting import Course, Moving, box_of, is_before, meet
+
+OUTSIDE = -4  # why a query did nothing: its times are not in the span of the bounds
+
+Floats = NDArray[np.float64]
+
+
+class Casts(NamedTuple):
+    """What is asked for."""
+
+    lo: Floats
+    """Shape (n, ndim), as hi and the directions; a ray has both at its origin."""
+    hi: Floats
+    directions: Floats
+    t_max: Floats
+    """A distance a row, or one for all, as of the masks and times."""
+    masks: NDArray[np.uint32]
+    at: Floats
+    pace: Floats
+    skip_inside: bool
+    mode: int
+
+
+class Places(NamedTuple):
+    """Where hits are, shape (m, ndim) each."""
+
+    points: Floats
+    normals: Floats
+
+
+@lean_kernel
+def cast(tree, moving, course, asked, found, filled):
+    """Write the hits of a course, `asked` as of `Asked`, to `found` from `filled` on; return where
+    the next would go. See `rays.raycasting.raycast`; instead of axes, faces of `meet`.
+
+    What the bounds do not hold for visits all boxes.
+    """
+    nodes, root, mask = moving.nodes, tree.state[ROOT], asked.mask
+    slots, ts, faces = found.slots, found.ts, found.axes
+    if root == NONE:
+        return filled
+    bounded = covers(moving, course.at, course.pace, asked.t_max) > 0
+    ahead, limit = course.at - moving.start, asked.t_max
+    begin, best = filled, np.int64(NONE)
+    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], entries[0], top = root, 0.0, 1
+    while top > 0:
+        top -= 1
+        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
+            continue
+        node, top = _descend(nodes, course, bounded, ahead, limit, (stack, entries, top))
+        if node == NONE or nodes[node].mask & mask == 0:
+            continue
+        slot = np.int64(node >> 1)
+        hit, t, face = meet(box_of(tree, moving, slot), course, asked.t_max)
+        if not hit or (asked.skip_inside and face == INSIDE):
+            continue
+        place = filled
+        if asked.mode == CLOSEST:
+            if best != NONE and not is_before(
+                tree, moving, course, (slot, t, face), (best, ts[begin], faces[begin])
+            ):
+                continue
+            best, place, limit = slot, begin, t
+        if place < slots.shape[0]:
+            slots[place], ts[place], faces[place] = slot, t, face
+        filled = place + 1
+        if asked.mode == ANY:
+            break
+    return filled
+
+
+@inlined
+def _descend(nodes, course, bounded, ahead, limit, waiting):
+    """Follow the nearer child from the last of the nodes that wait, (stack, entries, top), down to
+    a leaf: (leaf or NONE, top).
+    """
+    stack, entries, top = waiting
+    node = stack[top]
+    while not is_leaf(node):
+        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
+        first_entry, second_entry = 0.0, 0.0
+        if bounded:
+            first_entry = enter_node(nodes[first], course, ahead, limit)
+            second_entry = enter_node(nodes[second], course, ahead, limit)
+        if second_entry < first_entry:
+            first, second = second, first
+            first_entry, second_entry = second_entry, first_entry
+        if first_entry == np.inf:
+            return np.int64(NONE), top
+        if second_entry < np.inf:
+            stack[top], entries[top] = second, second_entry
+            top += 1
+        node = first
+    return node, top
+
+
+@inlined
+def is_sound(lo, hi, direction, times):
+    """Whether it is a box that goes somewhere at some time."""
+    at, pace = times
+    sound = np.isfinite(at) and np.isfinite(pace)
+    for k in range(lo.shape[0]):
+        sound &= np.isfinite(lo[k]) & np.isfinite(hi[k]) & np.isfinite(direction[k])
+        sound &= lo[k] <= hi[k]
+    return sound
+
+
+@lean_kernel
+def locate(box, course, t, face, point, normal):
+    """Write where and how a course meets a box, each of shape (ndim,): of all points that then
+    touch the closest to the centre of what is swept, in the box as it is then, on the face met.
+    """
+    lo, hi, velocity, reference = box
+    when = course.at if course.pace == 0.0 else course.at + t * course.pace
+    for k in range(lo.shape[0]):
+        low, high = course.ray[ORIGIN, k], course.ray[UPPER, k]
+        normal[k], point[k] = 0.0, low * 0.5 + high * 0.5
+        if face == INSIDE and low == high:
+            continue
+        way = velocity[k] * (when - reference)
+        if face != INSIDE and k == face >> 1:
+            point[k], normal[k] = (lo[k] + way, -1.0) if face & 1 == 0 else (hi[k] + way, 1.0)
+        else:
+            if course.ray[DIRECTION, k] != 0.0 and t > 0.0:
+                point[k] += t * course.ray[DIRECTION, k]
+            point[k] = min(max(point[k], lo[k] + way), hi[k] + way)
+
+
+@lean_kernel
+def cast_one(tree, moving, swept, asked, times, place):
+    """One ray or box, swept = (lo, hi, direction), asked an `Asked`, times = (at, pace): (handle,
+    t), and for CLOSEST its point and normal in `place`. Instead of a handle why there is none:
+    NONE, NOT_FINITE if the input is not, REFUSED if the tree is of another version, or OUTSIDE.
+    """
+    (lo, hi, direction), (at, pace), state = swept, times, tree.state
+    if not is_sound(lo, hi, direction, times):
+        return NOT_FINITE, np.inf
+    if covers(moving, at, pace, asked.t_max) == 0:
+        return OUTSIDE, np.inf
+    if not begin_query(state, moving.version):
+        return REFUSED, np.inf
+    course = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, pace)
+    set_swept_box(course.ray, lo, hi, direction)
+    slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
+    ts = stack_array(1, np.float64)
+    handle, t = np.int64(NONE), np.inf
+    if cast(tree, moving, course, asked, Found(slots, ts, faces), 0) > 0:
+        handle, t = tree.handles[slots[0]], ts[0]
+        if asked.mode == CLOSEST:
+            locate(box_of(tree, moving, slots[0]), course, t, faces[0], place[0], place[1])
+    state[RAYS] += 1
+    state[EXACT_RAYS] += np.int64(course.ray[EXACT, 0])
+    end_query(state)
+    return handle, t
+
+
+@lean_kernel
+def cast_rows(tree, moving, casts, offsets, found, first):
+    """Rays or boxes from row `first` on, hits of row i at [offsets[i], offsets[i + 1]) of `found`,
+    in no order.
+
+    Returns (rows done, room wanted): fewer than there are where there is no room for the hits of
+    the next one; negative if it is NOT_FINITE, OUTSIDE or REFUSED.
+    """
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED), np.int64(0)
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    done, exact, end, refused = np.int64(first), np.int64(0), np.int64(0), np.int64(0)
+    while done < casts.lo.shape[0]:
+        lo, hi, direction = casts.lo[done], casts.hi[done], casts.directions[done]
+        course = Course(ray, of_row(casts.at, done), of_row(casts.pace, done))
+        t_max, mask = of_row(casts.t_max, done), of_row(casts.masks, done)
+        if not is_sound(lo, hi, direction, (course.at, course.pace)):
+            refused = np.int64(NOT_FINITE)
+        elif covers(moving, course.at, course.pace, t_max) == 0:
+            refused = np.int64(OUTSIDE)
+        if refused != 0:
+            break
+        set_swept_box(ray, lo, hi, direction)
+        asked = Asked(t_max, mask, casts.skip_inside, casts.mode)
+        end = cast(tree, moving, course, asked, found, offsets[done])
+        if end > found.slots.shape[0]:
+            break
+        exact += np.int64(ray[EXACT, 0])
+        done += 1
+        offsets[done] = end
+    count_rays(tree.state, done - first, exact)
+    end_query(tree.state)
+    return (done if refused == 0 else refused), np.int64(end)
+
+
+@lean_kernel
+def describe_rows(tree, moving, casts, offsets, found, places):
+    """Bring the hits of each row, sorted by computed distance, into the order of the exact one,
+    then of handles; each t becomes the largest up to it. Points and normals go to `places`.
+    """
+    slots, ts, faces = found.slots, found.ts, found.axes
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    for i in range(casts.lo.shape[0]):
+        set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
+        course = Course(ray, of_row(casts.at, i), of_row(casts.pace, i))
+        for j in range(offsets[i] + 1, offsets[i + 1]):
+            hit, place = (slots[j], ts[j], faces[j]), j
+            while place > offsets[i] and is_before(
+                *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], faces[place - 1])
+            ):
+                slots[place], ts[place] = slots[place - 1], ts[place - 1]
+                faces[place] = faces[place - 1]
+                place -= 1
+            slots[place], ts[place], faces[place] = hit
+        for j in range(offsets[i], offsets[i + 1]):
+            if j > offsets[i]:
+                ts[j] = max(ts[j], ts[j - 1])
+            box = box_of(tree, moving, slots[j])
+            locate(box, course, ts[j], faces[j], places.points[j], places.normals[j])
+
+
+def no_motion(ndim: int) -> Moving:
+    """To tell a compiler the types."""
+    nodes = np.empty(0, moving_dtype(ndim))
+    return Moving(np.empty(0, np.int64), np.empty((1, 3)), np.empty(1), nodes, 0.0, 0.0, 0)
+
+
+_IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
+_CASTS = Casts(*(_ROWS,) * 3, _ROW, np.empty(0, np.uint32), _ROW, _ROW, False, CLOSEST)
+_FOUND: Any = Found(_IDS, _ROW, _IDS)
+one_entry = entry_points(
+    *(cast_one, no_motion, (_ROW,) * 3),
+    *(Asked(0.0, np.uint32(0), False, CLOSEST), (0.0, 0.0), _ROWS),
+)
+rows_entry = entry_points(cast_rows, no_motion, _CASTS, _IDS, _FOUND, 0)
+describe_entry = entry_points(describe_rows, no_motion, _CASTS, _IDS, _FOUND, Places(_ROWS, _ROWS))

@@ -1,0 +1,161 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The k boxes nearest to a point or box at some time: `boxes.nearest` with bounds that move.
+
+Gaps are within a rounding of the exact ones (see `sums`), so distances are as good as those of
+boxes at rest. They decide, ties by the smaller handle.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..boxes.nearest import insert_candidate, name_row, pruning_limit
+from ..entries import entry_points
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import stack_array
+from ..nodes import DEEPEST, ROOT, is_leaf
+from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
+from .bounds import covers
+from .casting import OUTSIDE, is_sound, no_motion
+from .meeting import box_of
+from .sums import gap
+
+
+class Near(NamedTuple):
+    """What is asked for."""
+
+    points: NDArray[np.float64]
+    """Shape (n, ndim)."""
+    reaches: NDArray[np.float64]
+    """The largest distance, a row, as of the masks."""
+    masks: NDArray[np.uint32]
+    at: NDArray[np.float64]
+    """A time a row."""
+    k: int
+
+
+@inlined
+def _gap_now(plane, front, velocity, at, reference):
+    """As a double; inf where it exceeds the largest."""
+    high, _, exponent = gap(plane, front, velocity, at, reference)
+    return high if exponent == 0 else math.ldexp(high, exponent)
+
+
+@lean_kernel
+def distance_then(box, low, high, at):
+    """Distance of a box at a time from the one from low to high, 0 where they touch."""
+    lo, hi, velocity, reference = box
+    longest, total = 0.0, 0.0
+    for axis in range(lo.shape[0]):
+        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
+        above = -_gap_now(hi[axis], low[axis], velocity[axis], at, reference)
+        apart = max(below, 0.0, above)
+        longest = max(longest, apart)
+        total += apart * apart
+    if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
+        return math.sqrt(total)
+    exponent = math.frexp(longest)[1]  # as in `boxes.nearest.distance`
+    total = 0.0
+    for axis in range(lo.shape[0]):
+        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
+        above = -_gap_now(hi[axis], low[axis], velocity[axis], at, reference)
+        apart = math.ldexp(max(below, 0.0, above), -exponent)
+        total += apart * apart
+    return math.ldexp(math.sqrt(total), exponent)
+
+
+@inlined
+def _square(node, low, high, ahead):
+    """Squared distance of a node's bounds, only to prune by; comparisons with NaN are false."""
+    total = 0.0
+    for axis in range(node.lo.shape[0]):
+        below = node.lo[axis] + node.lo_rate[axis] * ahead - high[axis]
+        above = low[axis] - node.hi[axis] - node.hi_rate[axis] * ahead
+        if below > 0.0:
+            total += below * below
+        elif above > 0.0:
+            total += above * above
+    return total
+
+
+@lean_kernel
+def nearest_then(tree, moving, near, found, distances):
+    """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
+    arrays (k,), nearest first; return how many there are. NOT_FINITE if it is no box or time,
+    OUTSIDE if the bounds do not hold for the time.
+    """
+    low, high, at, k, reach, mask = near
+    nodes, root = moving.nodes, tree.state[ROOT]
+    if not is_sound(low, high, low, (at, 0.0)):
+        return np.int64(NOT_FINITE)
+    bounded = covers(moving, at, 0.0, 0.0)
+    if bounded == 0:
+        return np.int64(OUTSIDE)
+    stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], squares[0], top = root, 0.0, (0 if root < 0 else 1)
+    count, limit = np.int64(0), pruning_limit(reach)
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if squares[top] > limit or nodes[node].mask & mask == 0:
+            continue
+        if is_leaf(node):
+            apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
+            if apart <= reach:
+                count = insert_candidate(
+                    *(found, distances, tree.handles, count, k, node >> 1, apart)
+                )
+                if count == k:
+                    limit = pruning_limit(distances[k - 1])
+            continue
+        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
+        square, other = 0.0, 0.0
+        if bounded > 0:
+            square = _square(nodes[first], low, high, at - moving.start)
+            other = _square(nodes[second], low, high, at - moving.start)
+        if other < square:
+            first, second, square, other = second, first, other, square
+        stack[top], squares[top] = second, other
+        stack[top + 1], squares[top + 1] = first, square
+        top += 2
+    name_row(tree.handles, found, distances, count)
+    return count
+
+
+@lean_kernel
+def nearest_one(tree, moving, near, found, distances):
+    """`nearest_then`; REFUSED if the tree is of another version."""
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED)
+    count = nearest_then(tree, moving, near, found, distances)
+    end_query(tree.state)
+    return np.int64(count)
+
+
+@lean_kernel
+def nearest_rows(tree, moving, rows, found, distances):
+    """Row by row, to `found` and `distances`, (n, k), padded with NONE and inf: 0, or why not."""
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED)
+    why = np.int64(0)
+    for i in range(rows.points.shape[0]):
+        point = rows.points[i]
+        near = point, point, rows.at[i], rows.k, rows.reaches[i], rows.masks[i]
+        why = min(nearest_then(tree, moving, near, found[i], distances[i]), np.int64(0))
+        if why < 0:
+            break
+    end_query(tree.state)
+    return why
+
+
+_ROW, _ROWS, _IDS = np.empty(0), np.empty((0, 3)), np.empty(0, np.int64)
+one_entry = entry_points(
+    *(nearest_one, no_motion, (_ROW, _ROW, 0.0, 1, 0.0, np.uint32(0)), _IDS, _ROW)
+)
+rows_entry = entry_points(
+    *(nearest_rows, no_motion, Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1)),
+    *(np.empty((0, 1), np.int64), _ROWS),
+)

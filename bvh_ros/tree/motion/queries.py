@@ -1,0 +1,233 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The queries of a tree whose boxes move. Arguments are those of the tree's methods of the same
+names, which hand them on.
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import box_checks, checks, time_checks
+from ..nodes import NONE
+from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found
+from ..results import RayHits
+from ..store.turns import NOT_FINITE
+from ..store.workers import in_threads
+from . import casting, nearest, overlapping
+from .bounds import LONGEST
+from .casting import OUTSIDE, Casts, Places
+from .motion import Motion
+
+Floats = NDArray[np.float64]
+Ids = NDArray[np.int64]
+STILL = np.zeros(1)
+
+
+class MotionQueries(Motion):
+    """What is asked of moving boxes."""
+
+    def cast(
+        self,
+        tree: Any,
+        swept: tuple[Floats, Floats, Floats],
+        asked: Asked,
+        times: tuple[Any, Any],
+        place: Floats,
+    ) -> tuple[int, float]:
+        """`casting.cast_one` of lo, hi, direction: (handle, or NONE or NOT_FINITE, t)."""
+        at, pace = times
+        if not (type(at) is type(pace) is float):
+            times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
+        kernel = casting.one_entry(tree._ndim)
+        handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
+        while handle < NONE and handle != NOT_FINITE:
+            self.fit(tree, *_span(at, pace, asked.t_max))
+            handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
+        if handle == NOT_FINITE:
+            time_checks.moments('at', at, None)
+            time_checks.moments('pace', pace, None)
+        return handle, t
+
+    def overlap(self, tree: Any, box: tuple[Floats, Floats], mask: np.uint32, at: Any) -> Ids:
+        """Handles of what a box touches, ascending."""
+        at, room, kernel = time_checks.moment('at', at), 64, overlapping.one_entry(tree.ndim)
+        swept, count = (*box, np.zeros(tree.ndim)), OUTSIDE
+        found = _room(room)
+        while True:
+            count = kernel(tree.view().tree, self.moving, swept, mask, at, found)
+            if count == NOT_FINITE:
+                box_checks.box(*box, tree.ndim)
+            if 0 <= count <= len(found.slots):
+                return np.sort(found.slots[:count])
+            if count > 0:
+                found = _room(count)
+            else:
+                self.fit(tree, *_span(at, 0.0, 0.0))
+
+    def nearest(
+        self, tree: Any, near: tuple[Floats, Floats, Any, int, float, np.uint32]
+    ) -> tuple[Ids, Floats]:
+        """`nearest.nearest_one` of (low, high, at, k, reach, mask): (ids, distances)."""
+        low, high, when, k, reach, mask = near
+        at, kernel = time_checks.moment('at', when), nearest.one_entry(tree.ndim)
+        found, distances = np.empty(k, np.int64), np.empty(k)
+        asked = low, high, at, k, reach, mask
+        while True:
+            count = kernel(tree.view().tree, self.moving, asked, found, distances)
+            if count == NOT_FINITE:
+                checks.finite('point', np.array((low, high)))
+            if count >= 0:
+                return found[:count], distances[:count]
+            self.fit(tree, *_span(at, 0.0, 0.0))
+
+    def every_ray(
+        self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]
+    ) -> tuple[Ids, Ids, Found, Places]:
+        """`every` hit of rays = (origins, directions, t_max, mask, skip_inside)."""
+        origins, directions, t_max, mask, skip_inside = rays
+        count, skip = len(origins), checks.flag('skip_inside', skip_inside)
+        limits = checks.limits_or_one('t_max', t_max, count)
+        rows = limits, checks.masks_or_one(mask, count), *_times(times, count)
+        return self.every(tree, Casts(origins, origins, directions, *rows, skip, EVERY))
+
+    def every(self, tree: Any, casts: Casts) -> tuple[Ids, Ids, Found, Places]:
+        """All hits of rays or boxes, nearest first, or the first of each: (offsets, handles, what
+        was found, where).
+        """
+        count, ndim, begun = len(casts.lo), tree.ndim, tree.view()
+        offsets, done = np.zeros(count + 1, np.int64), 0
+        found, kernel = _room(count if casts.mode != EVERY else 64), casting.rows_entry(ndim)
+        spans = functools.partial(_spans, casts.at, casts.pace, casts.t_max)
+        while done < count:
+
+            def call(arrays: Any, moving: Any, first: int = done, room: Any = found) -> Any:
+                return kernel(arrays, moving, casts, offsets, room, first)
+
+            done, wanted = self.ask(tree, spans, call)
+            if done < count:
+                full, found = found, _room(max(2 * len(found.slots), wanted))
+                for old, new in zip(full, found, strict=True):
+                    new[: len(old)] = old
+        total = offsets[-1]
+        rows = np.repeat(np.arange(count), np.diff(offsets))
+        keys = begun.tree.handles[found.slots[:total]], found.ts[:total], rows
+        order = np.lexsort(keys)
+        found = Found(found.slots[order], found.ts[order], found.axes[order])
+        places = Places(np.empty((len(order), ndim)), np.empty((len(order), ndim)))
+        if casts.mode != ANY:
+            kernel = casting.describe_entry(ndim)
+            kernel(begun.tree, self.moving, casts, offsets, found, places)
+        handles = begun.tree.handles[found.slots]
+        tree.check_unchanged(begun)
+        return offsets, handles, found, places
+
+    def first_many(
+        self,
+        tree: Any,
+        rays: tuple[Floats, Floats, Floats, Any],
+        skip_inside: bool,
+        mode: int,
+        times: tuple[Any, Any],
+        threads: int,
+    ) -> RayHits:
+        """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
+        which the ids tell it.
+        """
+        origins, directions, *others = rays
+        count = len(origins)
+        checks.finite('origins', origins)
+        checks.finite('directions', directions)
+        more = *others, *_times(times, count), skip_inside, mode
+        casts = Casts(origins, origins, directions, *more)
+        hits = RayHits(
+            np.full(count, NONE, np.int64), np.full(count, np.inf), np.zeros((count, tree.ndim))
+        )
+
+        def work(start: int, stop: int) -> None:
+            offsets, handles, found, places = self.every(tree, _part_of(casts, start, stop))
+            rows = start + np.flatnonzero(np.diff(offsets))
+            hits.ids[rows] = handles
+            if mode == CLOSEST:
+                hits.t[rows], hits.normals[rows] = found.ts, places.normals
+
+        in_threads(work, count, threads)
+        return hits
+
+    def overlap_many(
+        self,
+        tree: Any,
+        boxes: tuple[Floats, Floats],
+        masks: NDArray[np.uint32],
+        at: ArrayLike,
+        threads: int = 1,
+    ) -> tuple[Ids, Ids]:
+        """What boxes that go nowhere meet: (offsets, handles)."""
+        count = len(boxes[0])
+        times = time_checks.moments('at', at, count), STILL
+        casts = Casts(*boxes, np.zeros_like(boxes[0]), STILL, masks, *times, False, EVERY)
+
+        def work(start: int, stop: int) -> tuple[Ids, Ids]:
+            offsets, handles, _, _ = self.every(tree, _part_of(casts, start, stop))
+            return np.diff(offsets), handles
+
+        sizes, handles = zip(*in_threads(work, count, threads), strict=True)
+        offsets = np.zeros(count + 1, np.int64)
+        np.cumsum(np.concatenate(sizes), out=offsets[1:])
+        return offsets, np.concatenate(handles)
+
+    def nearest_many(
+        self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: ArrayLike
+    ) -> tuple[Ids, Floats]:
+        """The nearest to points, asked = (max_distance, mask): (ids, distances)."""
+        count = len(points)
+        times = np.broadcast_to(time_checks.moments('at', at, count), count).copy()
+        limits, masks = (
+            checks.limits('max_distance', asked[0], count),
+            checks.masks(asked[1], count),
+        )
+        rows, kernel = nearest.Near(points, limits, masks, times, k), nearest.rows_entry(tree.ndim)
+        found, distances = np.empty((count, k), np.int64), np.empty((count, k))
+        spans = functools.partial(_spans, times, STILL, STILL)
+        self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))
+        return found, distances
+
+
+def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
+    """`at` and `pace`: each one for all or (n,), finite."""
+    return time_checks.moments('at', times[0], count), time_checks.moments('pace', times[1], count)
+
+
+def _room(count: int) -> Found:
+    return Found(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+
+
+def _part_of(casts: Casts, start: int, stop: int) -> Casts:
+    """The rows [start, stop); what stands for all rows stays as it is."""
+    if stop - start == len(casts.lo):
+        return casts
+    cut: list[Any] = [
+        rows[start:stop] if isinstance(rows, np.ndarray) and len(rows) == len(casts.lo) else rows
+        for rows in casts
+    ]
+    return Casts(*cut)
+
+
+def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
+    """First and last time of a ray; both now where it is too long for bounds."""
+    last = at if pace == 0.0 else at + t_max * pace
+    if not (abs(at) < LONGEST and abs(last) < LONGEST):
+        return 0.0, 0.0
+    return min(at, last), max(at, last)
+
+
+def _spans(at: Floats, pace: Floats, t_max: Floats) -> tuple[float, float]:
+    """`_span` of all rows for which there can be bounds."""
+    with np.errstate(invalid='ignore', over='ignore'):
+        last = np.where(pace == 0.0, at, at + t_max * pace)
+        at = np.broadcast_to(at, last.shape)
+        good = (np.abs(at) < LONGEST) & (np.abs(last) < LONGEST)
+    moments = np.concatenate((at[good], last[good]))
+    return (moments.min(), moments.max()) if len(moments) else (0.0, 0.0)

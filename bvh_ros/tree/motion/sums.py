@@ -1,0 +1,89 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How far a plane that moves is from what may meet it, and how fast the two come together.
+
+At time `at` a plane that was told at `reference` is ahead of a front by
+
+    gap = plane - front + velocity * (at - reference),
+
+and a front that moves by `direction` a unit of t, while time goes by `pace`, comes nearer by
+
+    rate = direction - velocity * pace.
+
+They meet at t = gap / rate. Differences of such sums lose digits where terms cancel. So each is a
+triple (high, low, exponent), (high + low) * 2**exponent, of a relative error below 2**-55, with
+the sign that real arithmetic gives it, 0 only where it is. In doubles, the terms' errors kept, it
+is wrong by less than 2**-100 of its largest term: enough unless it is smaller than 2**-40 of that
+one, or leaves 2**-900 .. 2**900. Then `wide_numbers` adds it up without rounding.
+"""
+
+import math
+
+import numpy as np
+
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import stack_array
+from ..rays.exact_sign import LIMBS, add_product
+from ..unrounded import two_product, two_sum
+from .wide_numbers import clear, leading, magnitude
+
+CANCELLED = 2.0**-40
+SMALL, LARGE = 2.0**-900, 2.0**900
+
+
+@lean_kernel
+def gap(plane, front, velocity, at, reference):
+    """plane - front + velocity * (at - reference) as (high, low, exponent)."""
+    since, lost = two_sum(at, -reference)
+    way, below = two_product(velocity, since)
+    apart, least = two_sum(plane, -front)
+    if velocity == 0.0 or since == 0.0:
+        if math.isfinite(apart):
+            return apart, least, 0
+    else:
+        total, rest = two_sum(apart, way)
+        rest += below + velocity * lost + least
+        high = total + rest
+        largest = max(abs(plane), abs(front), abs(way))
+        if max(CANCELLED * largest, SMALL) < abs(high) and largest < LARGE:
+            return high, rest - (high - total), 0
+    return exact_gap(plane, front, velocity, at, reference)
+
+
+@inlined
+def rate(direction, velocity, pace):
+    """direction - velocity * pace as (high, low, exponent)."""
+    return gap(direction, 0.0, -velocity, pace, 0.0)
+
+
+@lean_kernel
+def exact_gap(plane, front, velocity, at, reference):
+    """`gap`, added up without rounding."""
+    limbs = stack_array(LIMBS, np.int64)
+    add_gap(limbs, plane, front, velocity, at, reference)
+    sign = magnitude(limbs)
+    high, low, exponent = leading(limbs)
+    return sign * high, sign * low, exponent
+
+
+@lean_kernel
+def add_gap(limbs, plane, front, velocity, at, reference):
+    """Let an accumulator hold `gap`."""
+    clear(limbs)
+    add_product(limbs, plane, 1.0)
+    add_product(limbs, front, -1.0)
+    add_product(limbs, velocity, at)
+    add_product(limbs, -velocity, reference)
+
+
+@lean_kernel
+def quotient(above, below):
+    """The quotient of two triples, within 2 ulp; inf where it exceeds the largest double, within
+    1e-323 where it is subnormal.
+    """
+    (high, low, exponent), (divisor, rest, other_exponent) = above, below
+    share = high / divisor
+    if SMALL < abs(share) < LARGE:
+        product, error = two_product(share, divisor)
+        share += ((high - product) - error + (low - share * rest)) / divisor
+    return share if exponent == other_exponent else math.ldexp(share, exponent - other_exponent)

@@ -1,0 +1,149 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""How rays reach the kernels: those of boxes at rest, or of boxes that move."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import checks
+from ..nodes import View
+from ..results import RayHit, RayHits
+from ..store.arrays import Floats, Ids
+from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
+from ..store.workers import in_threads
+from ..timed import NOW, Timed
+from ..wide.ray_streams import RAYS_AT_ONCE
+from ..wide.snapshot import Snapshot
+from . import ray_batches, ray_hits, raycasting
+from .raycasting import Asked, Rays
+
+
+class RayAsking(Timed):
+    """What the methods about rays share."""
+
+    def _cast(
+        self,
+        origin: ArrayLike,
+        direction: ArrayLike,
+        t_max: float,
+        mask: int,
+        skip_inside: bool,
+        mode: int,
+        at: float,
+        pace: float,
+    ) -> tuple[int, float, Floats] | None:
+        """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""
+        ndim = self._ndim
+        origin = checks.vector('origin', origin, ndim)
+        direction = checks.vector('direction', direction, ndim)
+        place, skip = np.empty((2, ndim)), checks.flag('skip_inside', skip_inside)
+        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        motion = self._motion if at is pace is NOW else self._motion_at(at, pace)
+        if motion is not None:
+            # As Asked(...), which would take one more call of a function of Python's.
+            asked = tuple.__new__(Asked, (limit, seen, skip, mode))
+            swept = origin, origin, direction
+            handle, t = motion.cast(self, swept, asked, (at, pace), place)
+        else:
+            handle, t = ray_hits.one_entry(ndim)(
+                self._settled().tree, origin, direction, limit, seen, skip, mode, place
+            )
+        if handle >= 0:
+            return handle, t, place
+        if handle == NOT_FINITE:
+            checks.point('origin', origin, ndim)
+            checks.point('direction', direction, ndim)
+        if handle == REFUSED:
+            raise RuntimeError(IS_CHANGED)
+        return None
+
+    def _hit(
+        self, view: View, origin: Floats, direction: Floats, slot: int, t: float, axis: int
+    ) -> RayHit:
+        tree, place = view.tree, np.empty((2, self._ndim))
+        ray_hits.locate_entry(self._ndim)(tree, origin, direction, slot, t, axis, place)
+        return RayHit(int(tree.handles[slot]), t, place[0], place[1])
+
+    def _first(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        t_max: ArrayLike,
+        mask: ArrayLike,
+        skip_inside: bool,
+        mode: int,
+        threads: int,
+        at: Any,
+        pace: Any,
+    ) -> RayHits:
+        """First hits, or of any hits no more than ids, in one pass over the memory: what is
+        copied, checked or written apart costs a fifth of a ray among 1,000 boxes.
+        """
+        ndim = self._ndim
+        origins = checks.rows('origins', origins, ndim)
+        count = len(origins)
+        directions = checks.rows('directions', directions, ndim, count)
+        t_max = checks.limits_or_one('t_max', t_max, count)
+        masks = checks.masks_or_one(mask, count)
+        skip_inside = checks.flag('skip_inside', skip_inside)
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        motion = self._motion_at(at, pace, count)
+        if motion is not None:
+            some = origins, directions, t_max, masks
+            return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
+        # As Rays(...), which would take one more call of a function of Python's.
+        asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
+        rays = tuple.__new__(Rays, asked)
+        hits = ray_batches.room_for(count, ndim, mode)
+        view = self.view()
+        snapshot = self.snapshot_for(count, view)
+        if threads == 1:
+            exact = ray_batches.cast(view, snapshot, rays, hits)
+        else:
+            exact = self._cast_in_threads(view, snapshot, rays, hits, threads)
+        if exact == NOT_FINITE:
+            checks.finite('origins', origins)
+            checks.finite('directions', directions)
+        accepted(exact)
+        return hits
+
+    def _cast_in_threads(
+        self, view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits, threads: int
+    ) -> int:
+        """How many took exact arithmetic, or why none is counted."""
+        count = len(rays.origins)
+
+        def work(start: int, stop: int) -> int:
+            part = ray_batches.part_of(rays, hits, start, stop)
+            return ray_batches.cast(view, snapshot, *part)
+
+        done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
+        exact: int = min(done) if min(done) < 0 else sum(done)
+        # Once all are answered: of what is refused none counts.
+        if exact >= 0:
+            ray_hits.count_entry(self._ndim)(view.tree, count, exact)
+        return exact
+
+    def every_hit(
+        self,
+        view: View,
+        origins: Floats,
+        directions: Floats,
+        t_max: ArrayLike,
+        mask: ArrayLike,
+        skip_inside: bool,
+    ) -> tuple[Ids, raycasting.Found]:
+        """`raycast_all_many` of good input: offsets, and slots, t and axes entered; right if the
+        tree is unchanged afterwards.
+        """
+        count, mode = len(origins), raycasting.EVERY
+        t_max, mask = (
+            checks.limits_or_one('t_max', t_max, count),
+            checks.masks_or_one(mask, count),
+        )
+        skip_inside = checks.flag('skip_inside', skip_inside)
+        rays = Rays(origins, directions, t_max, mask, skip_inside, mode)
+        return raycasting.every_hit(view, rays)

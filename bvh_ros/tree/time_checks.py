@@ -1,0 +1,34 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Times made sound before they reach a kernel, see `checks`."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .checks import Floats, one, unless_refused
+
+
+def moment(name: str, value: Any) -> float:
+    """One finite number."""
+    number = value if type(value) is float else one(name, value)
+    if not math.isfinite(number):
+        raise ValueError(f'{name} must be finite, not {number}')
+    return number
+
+
+def moments(name: str, value: ArrayLike, count: int | None) -> Floats:
+    """One for all as shape (1,), or shape (count,); finite. `count` None: only one."""
+    if count is None:
+        return np.array([moment(name, value)])
+    array = unless_refused(name, value, (count,))
+    if array.ndim == 0:
+        return np.array([moment(name, array[()])])
+    if array.shape != (count,):
+        raise ValueError(f'{name} must be a number or have shape ({count},), not {array.shape}')
+    bad = np.flatnonzero(~np.isfinite(array))
+    if len(bad):
+        raise ValueError(f'{name} must be finite: row {bad[0]} is {array[bad[0]]}')
+    return array

@@ -1,0 +1,107 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Boxes that move by themselves. A tree without any neither imports nor compiles `motion`."""
+
+from typing import TYPE_CHECKING, Any, Optional
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from . import checks, handle_checks, time_checks
+from .store.arrays import Arrays, Floats, Ids
+
+if TYPE_CHECKING:
+    from .motion.queries import MotionQueries
+
+NOW = 0.0  # the default of times: a query that leaves it is asked for nothing else
+
+
+class Timed(Arrays):
+    """A tree whose boxes may have velocities."""
+
+    _motion: Optional['MotionQueries']
+
+    def set_velocities(
+        self, handles: ArrayLike, velocities: ArrayLike, reference: ArrayLike = 0.0
+    ) -> None:
+        """Let boxes move: at time s their place is what they were told, plus ``velocity * (s -
+        reference)``.
+
+        From then on `raycast`, `raycast_all`, `occluded`, `overlap`, `nearest`, their batches, and
+        `boxcast` see the world as it is `at` a time, 0 unless told; rays and sweeps while time
+        goes by, with `pace`. They decide exactly, as ever. All else (`boxes`, `overlap_pairs`,
+        ...) is about the places that boxes were told. A new box has no velocity; one that is
+        moved keeps its velocity and reference until told others.
+
+        Parameters
+        ----------
+        handles : array_like of int, shape (n,)
+        velocities : array_like, shape (n, ndim)
+            m/s; zero is at rest.
+        reference : float, or array_like of shape (n,)
+            When the boxes are where they were told to be, s.
+
+        Raises
+        ------
+        KeyError
+            If a handle names no box; then nothing is changed.
+        ValueError
+            If a handle is given twice, a number is not finite or the shapes do not fit; or if the
+            tree is mapped from a file.
+
+        Examples
+        --------
+        >>> from bvh_ros import DynamicBVH
+        >>> tree = DynamicBVH(ndim=2)
+        >>> car = tree.insert([10, -1], [14, 1])
+        >>> tree.set_velocities([car], [[-5, 0]])
+        >>> tree.raycast([0, 0], [1, 0]).t, tree.raycast([0, 0], [1, 0], at=1.0).t
+        (10.0, 5.0)
+        >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # who drives 3 m/s meets it after 1.25 s
+        1.25
+        """
+        view = self.view()
+        slots = handle_checks.slots_of(view.tree.handles, handles)
+        rows = checks.points('velocities', velocities, self.ndim, len(slots))
+        times = time_checks.moments('reference', reference, len(slots))
+        if self._motion is None:
+            from .motion.queries import MotionQueries
+
+            self._motion = MotionQueries(self.ndim)
+        motion, named = self._motion, view.tree.handles[slots]
+        self.check_unchanged(view)
+        self._change(motion.write, view.version, named, rows, times)
+
+    def velocities(self, handles: ArrayLike) -> tuple[Floats, Floats]:
+        """(velocities, references) of boxes, shape (n, ndim) and (n,); zero where a box has none.
+        KeyError if a handle names no box.
+        """
+        view = self.view()
+        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
+        rows, times = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
+        if self._motion is not None:
+            kept, known = self._motion.kept, np.flatnonzero(slots < len(self._motion.kept.owners))
+            known = known[kept.owners[slots[known]] == view.tree.handles[slots[known]]]
+            rows[known], times[known] = (
+                kept.velocities[slots[known]],
+                kept.references[slots[known]],
+            )
+        self.check_unchanged(view)
+        return rows, times
+
+    def packed_velocities(self, handles: Ids) -> dict[str, Any]:
+        """What a file holds of them, by name, of a tree with these handles by slot; nothing where
+        no box ever had one.
+        """
+        return {} if self._motion is None else self._motion.packed(handles)
+
+    def _motion_at(
+        self, at: Any, pace: Any = NOW, count: int | None = None
+    ) -> Optional['MotionQueries']:
+        """The motion, if any box moves; else the times, of one query or `count`, are of no
+        account, but must be times.
+        """
+        if self._motion is None and not at is pace is NOW:
+            time_checks.moments('at', at, count)
+            time_checks.moments('pace', pace, count)
+        return self._motion

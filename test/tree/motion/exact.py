@@ -1,0 +1,103 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a tree of moving boxes must answer: brute force over all boxes, in exact arithmetic.
+
+Doubles are whole numbers of one small power of two. In its square every gap and every rate is a
+Python integer, and a distance along a ray is a `Fraction` of two of them.
+"""
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tree.reference import INSIDE, ExactHit
+
+Floats = NDArray[np.float64]
+
+
+class World(NamedTuple):
+    """Boxes that move."""
+
+    lo: Floats
+    hi: Floats
+    velocities: Floats
+    references: Floats
+
+    def bits(self, *others: Floats) -> int:
+        """All numbers of the world and these are whole in units of 2**-bits."""
+        values = np.concatenate([np.ravel(array) for array in (*self, *others)]).tolist()
+        return max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
+
+
+class Course(NamedTuple):
+    """What is swept, and when."""
+
+    low: Floats
+    high: Floats
+    direction: Floats
+    at: float
+    pace: float
+
+
+def whole(values: Floats | float, bits: int) -> list[int]:
+    """Doubles in units of 2**-bits."""
+    ratios = [x.as_integer_ratio() for x in np.ravel(values).tolist()]
+    return [n << (bits + 1 - d.bit_length()) for n, d in ratios]
+
+
+def meetings(world: World, course: Course) -> list[ExactHit]:
+    """All boxes that a course meets, by exact t, then row."""
+    bits = world.bits(*map(np.asarray, course))
+    low, high, way = (whole(x, bits) for x in course[:3])
+    (at,), (pace,) = whole(course.at, bits), whole(course.pace, bits)
+    hits = []
+    rows = zip(*([whole(x, bits) for x in array] for array in world), strict=True)
+    for row, (lo, hi, velocity, (reference,)) in enumerate(rows):
+        gaps = [
+            (
+                ((lo[k] - high[k]) << bits) + velocity[k] * (at - reference),
+                ((hi[k] - low[k]) << bits) + velocity[k] * (at - reference),
+                (way[k] << bits) - velocity[k] * pace,
+            )
+            for k in range(len(lo))
+        ]
+        found = _meeting(gaps)
+        if found is not None:
+            hits.append(ExactHit(found[0], row, found[1]))
+    return sorted(hits)
+
+
+def _meeting(gaps: list[tuple[int, int, int]]) -> tuple[Fraction, int] | None:
+    """The latest entry, and its face of `meet`, unless it is after the earliest leave."""
+    entry, entry_over, entered = 0, 1, INSIDE
+    leave, leave_over = 1, 0  # infinity
+    for axis, (near, far, rate) in enumerate(gaps):
+        if rate == 0:
+            if near > 0 or far < 0:
+                return None
+            continue
+        face = 2 * axis + (rate < 0)
+        if rate < 0:
+            near, far, rate = -far, -near, -rate
+        if near * entry_over > entry * rate:
+            entry, entry_over, entered = near, rate, face
+        if far * leave_over < leave * rate:
+            leave, leave_over = far, rate
+    if entry * leave_over > leave * entry_over:
+        return None
+    return Fraction(entry, entry_over), entered
+
+
+def squared_distances(world: World, low: Floats, high: Floats, at: float) -> list[Fraction]:
+    """Exact squares of the distances of the boxes at a time from the one from low to high."""
+    squares = []
+    for lo, hi, velocity, reference in zip(*(array.tolist() for array in world), strict=True):
+        since, total = Fraction(at) - Fraction(reference), Fraction(0)
+        for k, speed in enumerate(velocity):
+            way = Fraction(speed) * since
+            below = Fraction(lo[k]) + way - Fraction(float(high[k]))
+            above = Fraction(float(low[k])) - Fraction(hi[k]) - way
+            total += max(below, above, Fraction(0)) ** 2
+        squares.append(total)
+    return squares

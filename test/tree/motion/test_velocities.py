@@ -1,0 +1,172 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Velocities stay with their boxes, whatever becomes of the tree."""
+
+import copy
+import pickle
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tree.motion.exact import meetings
+from tree.motion.test_moving_boxes import tree_of
+from tree.motion.worlds import worlds
+
+from bvh_ros import DynamicBVH
+
+OFF = """
+import sys
+from bvh_ros import DynamicBVH
+tree = DynamicBVH.from_boxes([[0, 0], [3, 3]], [[1, 1], [4, 4]])
+tree.raycast([-1, 0.5], [1, 0], at=3.0, pace=1.0), tree.raycast_many([[0, 0]], [[1, 0]])
+tree.overlap([0, 0], [1, 1]), tree.nearest([0, 0]), tree.boxcast([0, 0], [1, 1], [1, 0])
+assert tree.stats()['motion_bytes'] == 0
+assert not [name for name in sys.modules if name.startswith('bvh_ros.tree.motion')]
+tree.set_velocities(tree.ids(), [[1, 0], [0, 1]])
+assert 'bvh_ros.tree.motion.casting' in sys.modules
+"""
+
+
+def moving_tree(count: int = 9) -> DynamicBVH:
+    lo = np.column_stack((10.0 * np.arange(count), np.zeros(count)))
+    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    tree.set_velocities(tree.ids(), np.column_stack((np.arange(count), np.zeros(count))), 2.0)
+    return tree
+
+
+def test_a_tree_without_velocities_imports_nothing_of_it():
+    subprocess.run([sys.executable, '-c', OFF], check=True)
+
+
+def test_boxes_that_come_and_go_and_move():
+    tree = moving_tree()
+    first, *others = tree.ids().tolist()
+    tree.remove(first)
+    new = tree.insert([0, 0], [1, 1])  # in its place
+    assert tree.velocities([new])[0].tolist() == [[0, 0]]
+    assert tree.raycast([-1, 0.5], [1, 0], at=100.0).id == new
+    tree.move(others[0], [0, 50], [1, 51])
+    velocities, references = tree.velocities(others)
+    assert velocities[:, 0].tolist() == list(range(1, 9))
+    assert references.tolist() == [2.0] * 8
+    assert tree.overlap([3, 50], [3, 51], at=5.0).tolist() == [others[0]]
+    many = tree.insert_many(np.full((99, 2), 1e3), np.full((99, 2), 1e3))  # the arrays grow
+    tree.set_velocities(many[-1:], [[1, 1]])
+    tree.rebuild()
+    assert tree.velocities(others)[0][:, 0].tolist() == list(range(1, 9))
+    tree.set_velocities(others, np.zeros((8, 2)))
+    assert not tree.velocities(others)[0].any()
+    assert tree.overlap([0, 50], [1, 51], at=1e6).tolist() == [others[0]]
+    tree.clear()
+    again = tree.insert([0, 0], [1, 1])
+    assert tree.velocities([again])[0].tolist() == [[0, 0]]
+    assert DynamicBVH().raycast([0, 0, 0], [1, 0, 0], at=1.0) is None
+
+
+def test_what_is_refused_changes_nothing():
+    tree = moving_tree()
+    ids, one = tree.ids(), [[1.0, 2.0]]
+    for handles, velocities, reference, error in (
+        ([ids[0], 12345], [[0, 0]] * 2, 0.0, KeyError),
+        ([ids[0], ids[0]], [[0, 0]] * 2, 0.0, ValueError),
+        (ids[:1], [[np.nan, 0]], 0.0, ValueError),
+        (ids[:1], [[1.0, 2.0, 3.0]], 0.0, ValueError),
+        (ids[:1], one, np.inf, ValueError),
+        (ids[:1], one, [1.0, 2.0], ValueError),
+    ):
+        with pytest.raises(error):
+            tree.set_velocities(handles, velocities, reference)
+    assert tree.velocities(ids)[0][:, 0].tolist() == list(range(9))
+    for still in (tree, DynamicBVH(ndim=2)):
+        for times in ({'at': np.nan}, {'pace': np.inf}, {'at': [1.0, 2.0]}, {'pace': 'x'}):
+            with pytest.raises(ValueError, match=r'at|pace'):
+                still.raycast([0, 0], [1, 0], **times)
+            with pytest.raises(ValueError, match=r'at|pace'):
+                still.raycast_many([[0, 0]] * 3, [[1, 0]] * 3, **times)
+
+
+def test_kept_in_files(tmp_path: Path):
+    tree = moving_tree()
+    gone, ids = tree.ids()[0], tree.ids()[1:]
+    tree.remove(gone)
+    tree.save(tmp_path / 'tree.npz')
+    others = DynamicBVH.load(tmp_path / 'tree.npz'), pickle.loads(pickle.dumps(tree))
+    for other in (*others, copy.deepcopy(tree)):
+        assert [x.tolist() for x in other.velocities(ids)] == [
+            x.tolist() for x in tree.velocities(ids)
+        ]
+        assert other.raycast([25, 0.5], [1, 0], at=4.0) is not None
+    with pytest.raises(ValueError, match='velocities cannot be saved to be mapped'):
+        tree.save(tmp_path / 'mapped', mapped=True)
+    DynamicBVH(ndim=2).save(tmp_path / 'mapped', mapped=True)
+    mapped = DynamicBVH.load(tmp_path / 'mapped', mmap=True)
+    with pytest.raises(ValueError, match='read-only'):
+        mapped.set_velocities([], np.empty((0, 2)))
+    with np.load(tmp_path / 'tree.npz') as file:
+        sound = dict(file)
+    for damage in (
+        {'moving': np.array([5] * 8)},
+        {'moving': np.array([ids[0]] * 8)},
+        {'moving': np.arange(5000)},
+        {'velocities': np.full((8, 2), np.nan)},
+        {'velocities': np.zeros((8, 3))},
+        {'references': np.zeros(7)},
+        {'version': np.array(3)},
+    ):
+        np.savez_compressed(tmp_path / 'damaged.npz', **(sound | damage))
+        with pytest.raises(ValueError, match=r'no saved tree|not sound|velocities'):
+            DynamicBVH.load(tmp_path / 'damaged.npz')
+
+
+def test_bounds_follow_the_tree_and_the_times():
+    """One tree that changes and is asked for all times, against one made for each question."""
+    for world, course, rng in worlds(5, 20):
+        tree, ids = tree_of(world), None
+        for _ in range(4):
+            ids = tree.ids()
+            for scale in (1.0, 1e3, -1e5, 0.0):
+                asked = course._replace(at=course.at * scale, high=course.low)
+                hits = meetings(world, asked)
+                times = {'at': asked.at, 'pace': asked.pace}
+                _, found, _ = tree.raycast_all_many([asked.low], [asked.direction], **times)
+                assert sorted(found) == sorted(ids[hit.row] for hit in hits)
+            row = rng.integers(len(ids))
+            world.lo[row], world.hi[row] = world.lo[0], world.hi[0]
+            tree.move(ids[row], world.lo[0], world.hi[0])
+            world.velocities[row] = world.velocities[1]
+            world.references[row] = world.references[1]
+            tree.set_velocities(ids[row : row + 1], world.velocities[1:2], world.references[1])
+
+
+def test_who_asks_while_velocities_change_is_right_or_refused():
+    tree = moving_tree(500)
+    ids, speeds = tree.ids(), np.zeros((500, 2))
+    wrong, stop = [], threading.Event()
+
+    def ask() -> None:
+        while not stop.is_set():
+            try:
+                found = tree.overlap([-1, 0], [6000, 1], at=3.0)
+            except RuntimeError:
+                continue
+            if found.tolist() != ids.tolist():
+                wrong.append(found)
+
+    threads = [threading.Thread(target=ask) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    done = 0
+    while done < 200:
+        speeds[:, 0] = done % 7
+        try:
+            tree.set_velocities(ids, speeds, 3.0 - done % 3)
+            done += 1
+        except RuntimeError:
+            pass
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert not wrong
