@@ -60,8 +60,10 @@ def _local(shapes: Shapes, row: int, kind: ShapeKind) -> Floats:
         return corners
     if kind == ShapeKind.CAPSULE:
         ball = UNIT[ShapeKind.SPHERE] * size[0]
+        straight = size[2] - size[0]
         middle = ball.mean(axis=1, keepdims=True)[..., 2:]
-        return ball + np.sign(middle) * (0.0, 0.0, 0.5 * (size[2] - size[0]))
+        side = UNIT[ShapeKind.CYLINDER][AROUND : 2 * AROUND] * (size[0], size[1], straight)
+        return np.concatenate((ball + np.sign(middle) * (0.0, 0.0, 0.5 * straight), side))
     return UNIT[kind] * size
 
 

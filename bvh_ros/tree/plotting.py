@@ -57,7 +57,9 @@ def picture(
     if len(segments):
         _add_lines(axes, segments, [BLOCKED_WAY if len(spots) else FREE_WAY], 1.6)
     if len(spots):
-        axes.plot(*spots.T, 'o', color=BLOCKED_WAY, markeredgecolor='white', zorder=9)
+        axes.plot(
+            *spots.T, 'o', color=BLOCKED_WAY, markeredgecolor='white', zorder=9, **_whole(ndim)
+        )
     return axes
 
 
@@ -79,7 +81,9 @@ def add_faces(axes: Any, faces: Any, colours: ArrayLike) -> None:
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
         light = LightSource(azdeg=250.0, altdeg=55.0)
-        lit = Poly3DCollection(faces, facecolors=colours, shade=True, lightsource=light)
+        lit = Poly3DCollection(
+            faces, facecolors=colours, shade=True, lightsource=light, **_whole(3)
+        )
         axes.add_collection3d(lit, autolim=False)
         return
     from matplotlib.collections import PolyCollection
@@ -117,6 +121,11 @@ def _points(name: str, given: Any, shape: tuple[int, ...]) -> Floats:
     return points
 
 
+def _whole(ndim: int) -> dict[str, bool]:
+    """Axes of three dimensions show more than their own square, to which matplotlib would cut."""
+    return {'clip_on': False} if ndim == 3 else {}
+
+
 def _new_axes(ndim: int) -> Any:
     from matplotlib import pyplot
 
@@ -135,12 +144,12 @@ def _new_axes(ndim: int) -> Any:
 
 def _show_all(axes: Any, lo: Floats, hi: Floats) -> None:
     """One scale on all axes."""
-    room = max(float((hi - lo).max()) * ROOM, 1e-9)
+    room = float((hi - lo).max()) * ROOM or 1e-9
     axes.set_xlim(lo[0] - room, hi[0] + room)
     axes.set_ylim(lo[1] - room, hi[1] + room)
     if len(lo) == 3:
         axes.set_zlim(lo[2], hi[2] + room)
-        axes.set_box_aspect(hi - lo + room, zoom=1.2)
+        axes.set_box_aspect(hi - lo + room, zoom=1.1)
     else:
         axes.set_aspect('equal')
 
@@ -149,7 +158,7 @@ def _add_lines(axes: Any, segments: Any, colours: ArrayLike, width: float) -> No
     if segments.shape[2] == 3:
         from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-        lines = Line3DCollection(segments, colors=colours, linewidths=width, zorder=8)
+        lines = Line3DCollection(segments, colors=colours, linewidths=width, zorder=8, **_whole(3))
         axes.add_collection3d(lines, autolim=False)
         return
     from matplotlib.collections import LineCollection

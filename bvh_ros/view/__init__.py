@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`bvh_view`: a live node, a recording or a saved tree in a browser.
 
-`worlds`, `recorded` and `live` are what can be looked at, without a browser; `page`, `panel`,
-`drawing` and `probe` show it with viser.
+`worlds`, `recorded` and `live` are what can be looked at, without a browser; `page` shows it with
+viser, and `panel`, `stage`, `drawing`, `picking` and `probe` are its parts.
 """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Obstacles and lines in viser's scene; only what has changed is sent.
 
-Positions travel as float32, as every browser draws them.
+Positions travel as float32, as every browser draws them, after `Placing` has moved them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import viser
 from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
+from bvh_ros.scene.geometry.shapes import rotations
 from bvh_ros.tree.plotting import CORNERS, EDGES, PALETTE, corners_of
+from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import Floats, Overlay
 
 MOST_SHADOWS = 2_000  # obstacles; beyond, shadows cost the browser more than they show
@@ -44,21 +46,26 @@ def as_sent(colours: Any) -> NDArray[np.uint8]:
     return sent
 
 
+def _cylinder() -> Triangles:
+    """Its side is smooth up to the rims, which it does not share with its ends."""
+    made = trimesh.creation.cylinder(0.5, 1.0, sections=24)
+    end = np.abs(made.face_normals[:, 2]) > 0.5
+    corners = np.concatenate((made.faces[end], made.faces[~end] + len(made.vertices)))
+    return Triangles(np.tile(made.vertices, (2, 1)), corners, False)
+
+
 UNIT = {
     ShapeKind.BOX: _unit(trimesh.creation.box(), True),
     ShapeKind.SPHERE: _unit(trimesh.creation.icosphere(2, 0.5), False),
-    ShapeKind.CYLINDER: _unit(trimesh.creation.cylinder(0.5, 1.0, sections=24), True),
+    ShapeKind.CYLINDER: _cylinder(),
 }
 
 
 class Obstacles:
-    """Instanced meshes, one for each colour and kind of shape.
+    """Instanced meshes, one for each colour and kind of shape."""
 
-    What is neither box, sphere, cylinder nor mesh is drawn as the box around it.
-    """
-
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
+        self._server, self._placing = server, placing
         self._handles: dict[Key, viser.BatchedMeshHandle] = {}
         self.count = 0
 
@@ -67,9 +74,9 @@ class Obstacles:
         instances: dict[Key, list[Shapes]] = {}
         meshes: dict[str, Triangles] = {}
         for colour, some in shapes:
-            for name, triangles, rows in _by_mesh(some):
+            for name, triangles, alike in _by_mesh(some):
                 meshes[name] = triangles
-                instances.setdefault((colour % len(COLOURS), name), []).append(some.take(rows))
+                instances.setdefault((colour % len(COLOURS), name), []).append(alike)
         self.count = sum(len(some.kind) for _, some in shapes)
         shadows = self.count <= MOST_SHADOWS
         with self._server.atomic():
@@ -80,17 +87,19 @@ class Obstacles:
 
     def _place(self, key: Key, several: list[Shapes], triangles: Triangles, shadows: bool) -> None:
         colour, name = key
-        position, orientation, size = (
-            np.concatenate([one[column] for one in several]).astype(np.float32)
-            for column in (1, 2, 3)
+        places, orientation, size = (
+            np.concatenate([one[column] for one in several]) for column in (1, 2, 3)
         )
-        turns = orientation[:, (3, 0, 1, 2)]
-        scales = np.ones_like(size) if name.startswith('mesh') else size
+        position = self._placing.shown(places).astype(np.float32)
+        turns = orientation[:, (3, 0, 1, 2)].astype(np.float32)
+        vertices, scales = triangles.vertices, (size / self._placing.unit).astype(np.float32)
+        if name.startswith('mesh'):
+            vertices, scales = vertices / self._placing.unit, np.ones_like(scales)
         handle = self._handles.get(key)
         if handle is None:
             self._handles[key] = self._server.scene.add_batched_meshes_simple(
-                f'/obstacles/{colour}_{name}', triangles.vertices, triangles.faces, turns,
-                position, batched_scales=scales, batched_colors=as_sent(PALETTE[colour]),
+                f'/obstacles/{colour}_{name}', vertices, triangles.faces, turns, position,
+                batched_scales=scales, batched_colors=as_sent(PALETTE[colour]),
                 lod='off', flat_shading=triangles.flat, cast_shadow=shadows,
                 receive_shadow=shadows,
             )  # fmt: skip
@@ -101,42 +110,75 @@ class Obstacles:
         handle.cast_shadow = handle.receive_shadow = shadows
 
 
-def _by_mesh(shapes: Shapes) -> list[tuple[str, Triangles, NDArray[np.int64]]]:
-    """What is drawn with one mesh: its name, its triangles, and the rows."""
+def _by_mesh(shapes: Shapes) -> list[tuple[str, Triangles, Shapes]]:
+    """What is drawn with one mesh: its name, its triangles, and where."""
     found = []
-    kind = np.where(np.isin(shapes.kind, [*UNIT, ShapeKind.MESH]), shapes.kind, ShapeKind.BOX)
-    if shapes.mesh is None:
-        kind = np.where(kind == ShapeKind.MESH, ShapeKind.BOX, kind)
-    for one, triangles in UNIT.items():
-        rows = np.flatnonzero(kind == one)
+    is_capsule, is_mesh = shapes.kind == ShapeKind.CAPSULE, shapes.kind == ShapeKind.MESH
+    if is_capsule.any():
+        shapes = _joined(shapes.take(~is_capsule), *_parts(shapes.take(is_capsule)))
+        is_mesh = shapes.kind == ShapeKind.MESH
+    for kind, triangles in UNIT.items():
+        rows = np.flatnonzero(shapes.kind == kind)
         if len(rows):
-            found.append((one.name.lower(), triangles, rows))
+            found.append((kind.name.lower(), triangles, shapes.take(rows)))
     rows_of: dict[bytes, list[int]] = {}
     held: dict[bytes, Mesh] = {}
-    for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
+    for row in np.flatnonzero(is_mesh).tolist():
         mesh: Mesh = shapes.mesh[row]  # type: ignore[index]
         rows_of.setdefault(mesh.key, []).append(row)
         held[mesh.key] = mesh
     for key, several in rows_of.items():
-        wound = trimesh.Trimesh(held[key].vertices, held[key].corners, process=False)
-        wound.fix_normals()  # the triangles of a mesh are wound as they came
-        found.append((f'mesh_{key.hex()[:16]}', _unit(wound, True), np.array(several)))
+        triangles = Triangles(held[key].vertices, _wound(held[key]), True)
+        found.append((f'mesh_{key.hex()[:16]}', triangles, shapes.take(several)))
     return found
+
+
+def _wound(mesh: Mesh) -> NDArray[np.int32]:
+    """Its corners (m, 3), counter-clockwise seen from outside; in a mesh they are as they came."""
+    one, two, three = np.moveaxis(mesh.vertices[mesh.corners] / mesh.radius, 1, 0)
+    inward = (np.cross(two - one, three - one) * mesh.normals).sum(axis=1) < 0.0
+    return np.where(inward[:, None], mesh.corners[:, ::-1], mesh.corners)
+
+
+def _parts(capsules: Shapes) -> tuple[Shapes, Shapes, Shapes]:
+    """The cylinders and balls that capsules consist of."""
+    width, length = capsules.size[:, 0], capsules.size[:, 2]
+    straight = np.maximum(length - width, 0.0)
+    up = rotations(capsules.orientation)[:, :, 2] * (0.5 * straight[:, None])
+    cylinders = capsules._replace(
+        kind=np.full_like(capsules.kind, ShapeKind.CYLINDER),
+        size=np.stack((width, width, straight), axis=1),
+    ).take(straight > 0.0)
+    balls = capsules._replace(
+        kind=np.full_like(capsules.kind, ShapeKind.SPHERE),
+        size=np.repeat(width[:, None], 3, axis=1),
+    )
+    above, below = (balls._replace(position=balls.position + way) for way in (up, -up))
+    return cylinders, above, below
+
+
+def _joined(*several: Shapes) -> Shapes:
+    meshes = [np.full(len(one.kind), None) if one.mesh is None else one.mesh for one in several]
+    columns = [np.concatenate([one[column] for one in several]) for column in range(4)]
+    return Shapes._make([*columns, np.concatenate(meshes)])
 
 
 class Lines:
     """Line segments under one name, there only while there are any."""
 
-    def __init__(self, server: viser.ViserServer, name: str, width: float) -> None:
-        self._server, self._name, self._width = server, name, width
+    def __init__(
+        self, server: viser.ViserServer, placing: Placing, name: str, width: float
+    ) -> None:
+        self._server, self._placing = server, placing
+        self._name, self._width = name, width
         self._handle: viser.LineSegmentsHandle | None = None
 
     def draw(self, segments: Floats, colours: Floats) -> None:
-        """Show segments (n, 2, 3), colours (n, 3) from 0 to 1."""
+        """Show segments (n, 2, 3), m, in colours (n, 3) from 0 to 1."""
         if not len(segments):
             self.clear()
             return
-        points = segments.astype(np.float32)
+        points = self._placing.shown(segments).astype(np.float32)
         each = np.repeat(as_sent(colours)[:, None], 2, axis=1)
         if self._handle is None:
             self._handle = self._server.scene.add_line_segments(
@@ -154,26 +196,31 @@ class Lines:
 
 
 class Dots:
-    """Points under one name, of a size in metres."""
+    """Points under one name, of a size in units of the page."""
 
     def __init__(
-        self, server: viser.ViserServer, name: str, colour: Sequence[float] | Floats
+        self,
+        server: viser.ViserServer,
+        placing: Placing,
+        name: str,
+        colour: Sequence[float] | Floats,
     ) -> None:
-        self._server, self._name = server, name
-        self._colour = as_sent(colour)
+        self._server, self._placing = server, placing
+        self._name, self._colour = name, as_sent(colour)
         self._handle: viser.PointCloudHandle | None = None
 
     def draw(self, points: Floats, size: float) -> None:
-        """Show points (n, 3)."""
+        """Show points (n, 3), m."""
+        places = self._placing.shown(points).astype(np.float32)
         if self._handle is not None and not len(points):
             self._handle.remove()
             self._handle = None
         elif self._handle is not None:
             with self._server.atomic():
-                self._handle.points, self._handle.point_size = points.astype(np.float32), size
+                self._handle.points, self._handle.point_size = places, size
         elif len(points):
             self._handle = self._server.scene.add_point_cloud(
-                self._name, points, self._colour, point_size=size, point_shape='circle',
+                self._name, places, self._colour, point_size=size, point_shape='circle',
                 precision='float32', point_shading='gradient',
             )  # fmt: skip
 
@@ -181,14 +228,14 @@ class Dots:
 class Overlays:
     """The last queries and hits, and the virtual scan."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._lines = Lines(server, '/queries/rays', 2.0)
-        self._hits = Dots(server, '/queries/hits', PALETTE[6])
-        self._scan = Dots(server, '/scan', PALETTE[5])
+    def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
+        self._lines = Lines(server, placing, '/queries/rays', 2.0)
+        self._hits = Dots(server, placing, '/queries/hits', PALETTE[6])
+        self._scan = Dots(server, placing, '/scan', PALETTE[5])
         self._shown: Overlay | None = None
 
     def draw(self, overlay: Overlay, size: float) -> None:
-        """Show these; `size` is that of the world, m."""
+        """Show these; `size` is that of the world on the page."""
         if overlay is self._shown:
             return
         self._shown = overlay

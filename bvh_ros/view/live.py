@@ -24,6 +24,8 @@ from bvh_ros.view.topics import Topics
 from bvh_ros.view.worlds import Answer, Floats, Frame, Group, Integers, Overlay, ShownWorld, Wanted
 
 PATIENCE = 30.0  # seconds for parameters and diagnostics
+LOOK_EVERY = 1.0
+ANSWER_WITHIN = 2.0
 NO_HANDLES = np.empty(0, np.int64)
 
 
@@ -32,7 +34,8 @@ class Live(ShownWorld):
 
     The messages of its sources are decoded here, as fast as they come, into a scene of our own.
     Of a source that told something before we listened, `~/scene` is shown, once a second. Picks
-    and other questions are answered by the node itself.
+    and other questions are answered by the node itself. When the node ends, what was there stays;
+    when it comes back, the view begins anew, with the parameters that it has then.
 
     Parameters
     ----------
@@ -48,10 +51,16 @@ class Live(ShownWorld):
     """
 
     def __init__(self, name: str, waiting: Callable[[], object] = lambda: None) -> None:
-        space = name.rpartition('/')[0]
-        node = rclpy.create_node('bvh_view_start', namespace=space or '/')
+        self._name, self._waiting = name, waiting
+        self._returned = 0  # times
+        self._open()
+
+    def _open(self) -> None:
+        """Wait for the node, and listen as it does."""
+        name, space = self._name, self._name.rpartition('/')[0] or '/'
+        node = rclpy.create_node('bvh_view_start', namespace=space)
         try:
-            _wait_for(BvhClient(node, name), waiting)
+            _wait_for(BvhClient(node, name), self._waiting)
             parameters = _parameters(node, name)
             heard = Topics(node, name)
             _until(node, heard.sources, name, 'diagnostics')
@@ -62,7 +71,7 @@ class Live(ShownWorld):
         parameters = [
             Parameter(one.name, value=topics.get(one.name, one.value)) for one in parameters
         ]
-        self.node = Node('bvh_view', namespace=space or '/', parameter_overrides=parameters)
+        self.node = Node('bvh_view', namespace=space, parameter_overrides=parameters)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self.topics = Topics(self.node, name)
@@ -74,20 +83,45 @@ class Live(ShownWorld):
         scan = scan_settings(self._server.settings.groups['virtual_scan'])
         self.has_scan = bool(scan.pose_topic)
         self.topics.place_scans_with(world.frames, scan)
-        self._client = BvhClient(self.node, name)
+        self._client = BvhClient(self.node, name, timeout=ANSWER_WITHIN)
         self._sources = {source.name: source for source in world.sources}
         for source in world.sources:
             source.subscribe()
         self._maintenance = Maintenance(self.node, world)
+        self._known: set[bytes] = set()  # the node's publishers, as first seen
+        self._present: set[bytes] = set()  # and as last seen
+        self._looked_at = 0.0
 
     def prepare(self) -> None:
         """Nothing: the node has compiled what it needs."""
 
     def advance(self, until: float) -> None:
-        """Hear what comes until then."""
+        """Hear what comes until then; begin anew with a node that came back."""
+        if time.monotonic() - self._looked_at > LOOK_EVERY:
+            self._look()
         self._executor.spin_once(0.0)
         while (left := until - time.monotonic()) > 0.0:
             self._executor.spin_once(left)
+
+    def _look(self) -> None:
+        """Whether the node is there, and still the one that we have listened to."""
+        self._looked_at = time.monotonic()
+        others = self.node.get_publishers_info_by_topic(f'{self._name}/scene')
+        found = {bytes(one.endpoint_gid) for one in others}
+        was_there, self._present = self._known, found
+        self._known = self._known or found
+        if found and was_there and not found & was_there:
+            self.close()
+            self._returned += 1
+            self._open_again()
+
+    def _open_again(self) -> None:
+        while True:
+            try:
+                self._open()
+                return
+            except BvhTimeoutError:  # it has ended once more
+                self._waiting()
 
     def want(self, wanted: Wanted) -> None:
         """Subscribe to what somebody looks at."""
@@ -96,7 +130,7 @@ class Live(ShownWorld):
     def version(self) -> Hashable:
         """Another one after each message."""
         heard = sum(source.messages for source in self._sources.values())
-        return heard, self.scene.population, self.topics.scenes
+        return self._returned, heard, self.scene.population, self.topics.scenes
 
     def groups(self) -> list[Group]:
         """All obstacles by source: as heard here or, where that is not all, from `~/scene`."""
@@ -144,19 +178,31 @@ class Live(ShownWorld):
 
     def figures(self) -> dict[str, str]:
         """What the node's diagnostics tell."""
+        if self._is_gone:
+            return {'the node': 'has ended; this is what was there'}
         return self.topics.figures
 
     def raycast(self, start: Floats, goal: Floats) -> Answer:
         """Ask the node for the first obstacle on a segment; the time is that of the round trip."""
+        self._refuse_if_gone()
         began = time.perf_counter()
         hit = self._client.raycast(start.tolist(), goal.tolist())
         return Answer([] if hit is None else [hit], 1e6 * (time.perf_counter() - began))
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the node for all obstacles that touch a box."""
+        self._refuse_if_gone()
         began = time.perf_counter()
         hits = self._client.overlap(lo.tolist(), hi.tolist())
         return Answer(hits, 1e6 * (time.perf_counter() - began))
+
+    @property
+    def _is_gone(self) -> bool:
+        return bool(self._known) and not self._present
+
+    def _refuse_if_gone(self) -> None:
+        if self._is_gone:
+            raise RuntimeError(f'{self._name} has ended')
 
     def close(self) -> None:
         """Destroy the node."""

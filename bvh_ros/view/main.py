@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import html
 import ipaddress
 import signal
 import sys
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 HOST, PORT = '127.0.0.1', 8080
 GET_IT = "the view needs viser: pip install 'bvh_ros[view]'"
 MOST_PORT = 65535
+RECORDED = ('.csv', '.mcap', '.db3')  # any other file is a saved tree
 
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
@@ -28,7 +30,7 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
         nargs='?',
         default='/bvh',
         help='name of a node (default /bvh), a bag (folder, .mcap, .db3), a track file (.csv) '
-        'or a saved tree (.npz)',
+        'or a saved tree (.npz or mapped)',
     )
     parser.add_argument('--topic', default='', help='only this one of the bag')
     parser.add_argument('--host', default=HOST, help=f'address to serve at (default {HOST})')
@@ -51,7 +53,7 @@ def _is_local(host: str) -> bool:
 def _open(what: str, topic: str, ended: threading.Event) -> ShownWorld:
     """Open what is to be shown; what is not needed for that is not imported."""
     path = Path(what)
-    if path.suffix == '.npz':
+    if path.is_file() and path.suffix not in RECORDED:
         from bvh_ros.view.worlds import SavedTree
 
         return SavedTree(path)
@@ -80,7 +82,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Show until Ctrl-C or SIGTERM; return the exit code."""
     options = _arguments(args)
     try:
-        from bvh_ros.view.page import LocalServer, Page
+        from bvh_ros.view.page import Page
+        from bvh_ros.view.server import LocalServer
     except ModuleNotFoundError as error:
         if error.name not in ('viser', 'trimesh'):
             raise
@@ -99,7 +102,7 @@ def main(args: Sequence[str] | None = None) -> int:
                 'reaches it sees and asks all; nothing is encrypted',
                 file=sys.stderr,
             )
-        waiting = server.gui.add_markdown(f'opening {options.what} ...')
+        waiting = server.gui.add_html(html.escape(f'opening {options.what} ...'))
         world = _open(options.what, options.topic, ended)
         waiting.remove()
         Page(server, world).run(ended.is_set)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import viser
@@ -31,21 +31,22 @@ class Panel:
     def __init__(self, server: viser.ViserServer, world: ShownWorld, do: Do) -> None:
         self._gui, self._do = server.gui, do
         self._recording: Recording | None = None
-        self.figures = self._gui.add_markdown(f'**{world.title}**')
+        self.figures = self._gui.add_html(_text([f'<b>{html.escape(world.title)}</b>']))
         self.legend = self._gui.add_html('')
         if isinstance(world, Recording):
             self._add_player(world)
         with self._gui.add_folder('Clicked'):
-            self.picked = self._gui.add_markdown('Click an obstacle.')
+            self.picked = self._gui.add_html('')
             self.follow = self._gui.add_checkbox('follow', False, disabled=True)
         with self._gui.add_folder('Ask'):
             self.ask = self._gui.add_dropdown('with', CHOICES)
-            self.answer = self._gui.add_markdown('')
+            self.answer = self._gui.add_html('')
         with self._gui.add_folder('Tree'):
             self.tree = self._gui.add_checkbox('boxes', False)
             deepest = max(1, world.height)
             self.depths = self._gui.add_multi_slider('depths', 0, deepest, 1, (0, min(3, deepest)))
         with self._gui.add_folder('Show'):
+            self.all = self._gui.add_button('Look at all')
             self.colour = self._gui.add_dropdown('colours by', (BY_SOURCE, BY_NAMESPACE))
             self.queries = self._gui.add_checkbox('queries and hits', world.has_queries)
             self.queries.visible = world.has_queries
@@ -88,9 +89,12 @@ class Panel:
 
     def tell(self, title: str, count: int, figures: Mapping[str, str]) -> None:
         """Write the figures, and where a recording is."""
-        rows = [f'| {key} | {value} |' for key, value in figures.items()]
-        table = '\n'.join(['| | |', '|:--|--:|', *rows]) if rows else ''
-        _set(self.figures, f'**{count:,} obstacles** · {title}\n\n{table}')
+        rows = [
+            f'<div style="display:flex;gap:.5em"><span style="flex:1">{html.escape(key)}</span>'
+            f'<span>{html.escape(value)}</span></div>'
+            for key, value in figures.items()
+        ]
+        _set(self.figures, _text([f'<b>{count:,} obstacles</b> · {html.escape(title)}', *rows]))
         if self._recording is not None:
             t = round(min(self._recording.t, self._recording.seconds), 2)
             self._time.value = t
@@ -111,8 +115,24 @@ class Panel:
             )
         if len(legend) > MOST_IN_LEGEND:
             lines.append(f'<div>and {len(legend) - MOST_IN_LEGEND} more</div>')
-        text = f'<div style="padding:0 .8em .5em;font-size:.85em">{"".join(lines)}</div>'
-        _set(self.legend, text)
+        _set(self.legend, _text(lines))
+
+    def tell_picked(self, lines: Sequence[str]) -> None:
+        """Write, as HTML, who was clicked."""
+        _set(self.picked, _text(lines))
+
+    def tell_answer(self, line: str) -> None:
+        """Write, as HTML, what was met."""
+        _set(self.answer, _text([line]))
+
+
+def _text(lines: Sequence[str]) -> str:
+    """Lines of HTML, in which all that came from outside is escaped, as the panel shows them.
+
+    Viser's Markdown would draw HTML and pictures that stand in an obstacle's name.
+    """
+    each = ''.join(f'<div>{line}</div>' for line in lines)
+    return f'<div style="padding:.1em .8em .5em;font-size:.85em;line-height:1.55">{each}</div>'
 
 
 def _set(handle: Any, text: str) -> None:

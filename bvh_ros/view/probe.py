@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from html import escape
 
 import numpy as np
 import viser
 
 from bvh_ros.tree.plotting import BLOCKED_WAY, FREE_WAY
 from bvh_ros.view.drawing import Dots, Lines, edges
+from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, ShownWorld
 
 NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
@@ -21,10 +23,10 @@ SHOWN = 5  # names of a longer answer
 class Probe:
     """Asks again whenever a handle or the world has moved."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
-        self._lines = Lines(server, '/ask/lines', 4.0)
-        self._spots = Dots(server, '/ask/hits', BLOCKED_WAY)
+    def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
+        self._server, self._placing = server, placing
+        self._lines = Lines(server, placing, '/ask/lines', 4.0)
+        self._spots = Dots(server, placing, '/ask/hits', BLOCKED_WAY)
         self._handles: list[viser.TransformControlsHandle] = []
         self._label: viser.LabelHandle | None = None
         self._asked: Hashable = None
@@ -32,7 +34,7 @@ class Probe:
         self.answer = ''
 
     def choose(self, kind: str, middle: Floats, size: float) -> None:
-        """Begin with two handles about the middle of the world, or end."""
+        """Begin with two handles about the middle of the world, or end; both as on the page."""
         self.kind, self._asked, self.answer = kind, None, ''
         for handle in self._handles:
             handle.remove()
@@ -49,15 +51,22 @@ class Probe:
             self._handles.append(handle)
 
     def place(self, one: Floats, other: Floats) -> None:
-        """Put the handles somewhere."""
+        """Put the handles at two places (3,) of the world, m."""
         for handle, place in zip(self._handles, (one, other), strict=True):
-            handle.position = place
+            handle.position = self._placing.shown(place)
+
+    def ends(self) -> tuple[Floats, Floats]:
+        """Where the handles are in the world, two of (3,), m."""
+        one, other = (
+            self._placing.meant(np.array(handle.position, np.float64)) for handle in self._handles
+        )
+        return one, other
 
     def update(self, world: ShownWorld, version: Hashable, size: float) -> None:
         """Ask, if anything has moved."""
         if self.kind == NOTHING:
             return
-        one, other = (np.array(handle.position, np.float64) for handle in self._handles)
+        one, other = self.ends()
         asked = (*one.tolist(), *other.tolist(), version)
         if asked == self._asked:
             return
@@ -65,7 +74,7 @@ class Probe:
         try:
             answer = (world.raycast if self.kind == SEGMENT else world.overlap)(one, other)
         except (RuntimeError, ValueError) as error:
-            self.answer = f'no answer: {error}'
+            self.answer = escape(f'no answer: {error}')
             return
         self.answer = in_words(answer)
         spots = np.array([hit.point for hit in answer.hits]).reshape(-1, 3)
@@ -87,17 +96,23 @@ class Probe:
         if text:
             place = spots[0] if len(spots) else lines.mean(axis=(0, 1))
             self._label = self._server.scene.add_label(
-                '/ask/answer', text, position=place, anchor='bottom-center'
+                '/ask/answer', text, position=self._placing.shown(place), anchor='bottom-center'
             )
 
 
 def in_words(answer: Answer) -> str:
-    """Who was met, where, and how long it took."""
+    """Who was met, where, and how long it took, as HTML."""
     took = f'{answer.microseconds:,.0f} us'
     if not answer.hits:
-        return f'**free** · {took}'
-    names = ', '.join(f'**{hit.name}**' for hit in answer.hits[:SHOWN])
+        return f'<b>free</b> · {took}'
+    names = ', '.join(f'<b>{escape(hit.name)}</b>' for hit in answer.hits[:SHOWN])
     rest = len(answer.hits) - SHOWN
     more = f' and {rest} more' if rest > 0 else ''
-    x, y, z = answer.hits[0].point
-    return f'{names}{more} at ({x:.3f}, {y:.3f}, {z:.3f}) m · {took}'
+    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m · {took}'
+
+
+def in_digits(*metres: float) -> str:
+    """Millimetres where the largest needs no more and no fewer."""
+    largest = max(abs(one) for one in metres)
+    form = '.3f' if largest == 0.0 or 0.01 <= largest < 1e7 else '.6g'
+    return ', '.join(format(one, form) for one in metres)

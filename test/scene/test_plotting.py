@@ -46,6 +46,25 @@ def test_a_surface_fills_the_bounds_of_its_shape_and_faces_outwards(kind):
 
 
 @pytest.mark.parametrize('kind', ShapeKind)
+def test_a_surface_is_closed(kind):
+    """Every way out of it from its middle goes through one of its faces."""
+    (surface,) = plotting.surfaces(
+        shapes_of(kind)._replace(orientation=np.array([(0, 0, 0, 1.0)]))
+    )
+    ways = np.random.default_rng(5).normal(size=(200, 3))
+    middle = surface.mean(axis=(0, 1))
+    met = np.zeros(len(ways), bool)
+    for face in surface:
+        for corner in range(1, len(face) - 1):
+            a, b, c = face[[0, corner, corner + 1]] - middle
+            volume = np.linalg.det(np.stack((a, b, c)))
+            if abs(volume) > 1e-9:
+                shares = np.linalg.solve(np.stack((a, b, c), axis=1), ways.T)
+                met |= (shares > -1e-9).all(axis=0)
+    assert met.all()
+
+
+@pytest.mark.parametrize('kind', ShapeKind)
 @pytest.mark.parametrize('planar', [False, True])
 def test_every_shape_is_drawn(kind, planar):
     pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
@@ -53,11 +72,24 @@ def test_every_shape_is_drawn(kind, planar):
     scene = scene_of(kind, planar=planar)
     axes = scene.plot(levels=0)
     assert len(axes.collections) == 2
+    assert all(one.get_clip_on() == planar for one in axes.collections)
     lo, hi = scene.bounds
     assert axes.get_xlim()[0] <= lo[0] < hi[0] <= axes.get_xlim()[1]
     if planar:
         (outline,) = axes.collections[0].get_paths()
         np.testing.assert_allclose(outline.vertices.max(axis=0), hi, atol=0.03)
+    pyplot.close('all')
+
+
+@pytest.mark.parametrize('unit', [1e-12, 1.0, 1e12])
+def test_a_picture_is_as_large_as_the_world(unit):
+    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
+    pyplot.switch_backend('agg')
+    scene = Scene()
+    scene.update('us', ['it'], Shapes.boxes([(0.0, 0.0, 0.0)], 2.0 * unit), stamp=0)
+    lo, hi = scene.plot().get_xlim()
+    assert 1.0 < hi / unit < 1.1
+    assert -1.1 < lo / unit < -1.0
     pyplot.close('all')
 
 

@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page in a real browser: what is seen, counted, clicked and asked is what the scene holds."""
 
-import colorsys
-import io
 import json
-import threading
 import time
 
 import numpy as np
@@ -13,120 +10,105 @@ import pytest
 
 pytest.importorskip('viser', reason='viser is not installed')
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.scene.geometry.shapes import rotations
-from bvh_ros.tree.plotting import PALETTE
-from bvh_ros.view.page import LocalServer, Page
-from bvh_ros.view.probe import SEGMENT
+from view import pages
+from view.pages import text_of, until
+
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 from bvh_ros.view.worlds import ShownWorld
 
-TIMEOUT = 90.0  # seconds: WebGL without a graphics card is slow
-PLACES = {'crates/1': (0.0, 0.0, 0.5), 'posts/1': (3.0, 3.0, 0.5), 'balls/1': (-2.0, 3.0, 0.5)}
-KINDS = (ShapeKind.BOX, ShapeKind.CYLINDER, ShapeKind.SPHERE)
+EVIL = '<img src="http://127.0.0.1:9/" onerror="document.title = 1">![](http://127.0.0.1:9/)**'
+KINDS = {
+    'crate': (ShapeKind.BOX, (0.0, 0.0, 0.5), (1.0, 2.0, 1.0), (0.0, 0.0, 0.38, 0.92)),
+    'post': (ShapeKind.CYLINDER, (3.0, 3.0, 0.5), (1.0, 1.0, 1.0), (0.2, 0.1, 0.0, 0.97)),
+    'ball': (ShapeKind.SPHERE, (-2.0, 3.0, 0.5), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)),
+    EVIL: (ShapeKind.CAPSULE, (-3.0, -1.0, 1.0), (0.8, 0.8, 3.0), (0.5, 0.2, 0.0, 0.84)),
+}
+CORNERS = np.array([(-1.0, -1.0, -0.5), (1.0, -1.0, -0.5), (0.0, 1.0, -0.5), (0.0, 0.0, 1.0)])
+FARAWAY = [  # metres, and where
+    (1.0, (0.0, 0.0, 0.0)),
+    (1.0, (5e6, 4e5, 120.0)),  # a map in UTM coordinates
+    (1e12, (0.0, 0.0, 0.0)),
+    (1e-12, (0.0, 0.0, 0.0)),
+]
 
 
-def until(condition, what):
-    deadline = time.monotonic() + TIMEOUT
-    while not (found := condition()):
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
-    return found
+def five(unit=1.0, at=(0.0, 0.0, 0.0)):
+    """One of each shape, each of a source of its own."""
+    scene = Scene()
+    for name, (kind, place, size, turn) in KINDS.items():
+        shape = Shapes.boxes([at + unit * np.array(place)], unit * np.array([size]), [turn])
+        shape = shape._replace(kind=np.array([kind], np.uint8))
+        assert scene.update(name, [name], shape, stamp=0) == []
+    mesh = Mesh([unit * np.delete(CORNERS, corner, axis=0) for corner in range(4)])
+    shape = Shapes.of_meshes([mesh], [at + unit * np.array((3.0, -1.0, 0.5))])
+    assert scene.update('mesh', ['mesh'], shape, stamp=0) == []
+    return scene
 
 
 @pytest.fixture(scope='module')
 def page():
-    """A page about three obstacles, each of a source, kind and colour of its own."""
-    scene = Scene()
-    for (name, place), kind in zip(PLACES.items(), KINDS, strict=True):
-        shape = Shapes.boxes([place], 1.0)._replace(kind=np.array([kind], np.uint8))
-        scene.update(name.partition('/')[0], [name], shape, stamp=0)
-    server = LocalServer('127.0.0.1', 8200)
-    shown = Page(server, ShownWorld('three', scene))
-    shown.panel.shadows.value = shown.panel.grid.value = False
-    shown._set_theme()
-    ended = threading.Event()
-    thread = threading.Thread(target=shown.run, args=(ended.is_set,))
-    thread.start()
-    yield shown
-    ended.set()
-    thread.join()
-    server.stop()
+    with pages.shown(ShownWorld('five', five())) as shown:
+        yield shown
 
 
 @pytest.fixture(scope='module')
 def opened(browser, page):
     """The browser, once it shows the page."""
-    browser.get(f'http://127.0.0.1:{page.server.get_port()}/')
-    browser.text = lambda: browser.execute_script('return document.body.innerText')
-    until(lambda: '3 obstacles' in browser.text(), 'the page does not count')
-    until(page.server.get_clients, 'no client')
+    pages.visit(browser, page, 5)
     return browser
 
 
-def pixel_of(page, canvas, point):
-    """Where a point is seen, in pixels from the middle of the canvas, right and down."""
-    (client,) = page.server.get_clients().values()
-    camera = client.camera
-    turn = rotations(np.array(camera.wxyz)[None, [1, 2, 3, 0]])[0]
-    right, down, ahead = turn.T @ (np.array(point) - camera.position)
-    scale = 0.5 * canvas.size['height'] / np.tan(0.5 * camera.fov)
-    return scale * right / ahead, scale * down / ahead
+def test_every_pixel_shows_what_an_exact_ray_meets(opened, page):
+    def right():
+        compared, obstacles, differ = pages.differences(opened, page)
+        return compared > 1000 and obstacles > 100 and differ == 0
+
+    until(right, 'something else is seen')
+    page.todo.put(page.world.scene.clear)  # the comparison can fail
+    until(lambda: '0 obstacles' in text_of(opened), 'the page does not count')
+    page.world.scene = five()
+    until(lambda: '5 obstacles' in text_of(opened), 'the page does not count')
 
 
-def click(browser, canvas, at):
-    from selenium.webdriver import ActionChains
+def test_a_click_names_the_obstacle(opened, page):
+    for name, (kind, place, *_) in KINDS.items():
+        told = f'{kind.name.lower()}, '
 
-    chain = ActionChains(browser, duration=0)
-    chain.move_to_element_with_offset(canvas, *(round(one) for one in at)).click().perform()
+        def named(name=name, place=place, told=told):
+            pages.click(opened, pages.pixel_of(page, pages.canvas_of(opened), place))
+            time.sleep(1.0)
+            return told in (text := text_of(opened)) and f'{name} at' in text
 
-
-def canvas_of(browser):
-    from selenium.webdriver.common.by import By
-
-    return browser.find_element(By.TAG_NAME, 'canvas')
-
-
-@pytest.mark.parametrize('name', PLACES)
-def test_a_click_names_the_obstacle(opened, page, name):
-    kind = KINDS[[*PLACES].index(name)].name.lower()
-    told = f'{kind}, 1 x 1 x 1 m, of source {name.partition("/")[0]}'
-
-    def named():
-        click(opened, canvas := canvas_of(opened), pixel_of(page, canvas, PLACES[name]))
-        time.sleep(1.0)
-        return told in (text := opened.text()) and f'{name} at' in text
-
-    until(named, f'{name} is not named')
-
-
-def test_each_obstacle_is_seen_in_the_colour_of_its_source(opened, page):
-    from PIL import Image
-
-    canvas = canvas_of(opened)
-
-    middle = np.array((canvas.size['width'], canvas.size['height'])) / 2
-    wanted = [colorsys.rgb_to_hls(*colour)[0] for colour in PALETTE[:3]]
-
-    def seen():
-        picture = Image.open(io.BytesIO(opened.get_screenshot_as_png())).convert('RGB')
-        at = [np.rint(middle + pixel_of(page, canvas, point)) for point in PLACES.values()]
-        colours = [np.array(picture.getpixel((int(x), int(y)))) / 255 for x, y in at]
-        hues = [colorsys.rgb_to_hls(*colour)[0] for colour in colours]
-        return all(abs(hue - want) < 0.06 for hue, want in zip(hues, wanted, strict=True))
-
-    until(seen, 'the colours are others')
+        until(named, f'{name} is not named')
 
 
 def test_a_segment_is_answered_as_its_handle_moves(opened, page):
-    page._todo.put(lambda: setattr(page.panel.ask, 'value', SEGMENT))
-    page._todo.put(page._choose)
-    page._todo.put(lambda: page.probe.place(np.array((-4.0, 0.0, 0.5)), np.array((4.0, 0.0, 0.5))))
-    until(lambda: 'crates/1 at (-0.500, 0.000, 0.500) m' in opened.text(), 'no answer')
-    page._todo.put(lambda: page.probe.place(np.array((-4.0, 0.0, 2.5)), np.array((4.0, 0.0, 2.5))))
-    until(lambda: 'free ·' in opened.text(), 'it is not free')
+    segment, higher = np.array(((-4.0, 0.0, 0.5), (4.0, 0.0, 0.5))), np.array((0.0, 0.0, 5.0))
+    page.todo.put(lambda: setattr(page.panel.ask, 'value', 'a segment'))
+    page.todo.put(page.ask)
+    page.todo.put(lambda: page.probe.place(*segment))
+    hit = page.world.scene.raycast(*segment)
+    told = '{} at ({:.3f}, {:.3f}, {:.3f}) m · '.format(hit.name, *hit.point)
+    until(lambda: told in text_of(opened), 'no answer')
+    page.todo.put(lambda: page.probe.place(*(segment + higher)))
+    until(lambda: 'free · ' in text_of(opened), 'it is not free')
+
+
+def test_two_browsers_see_the_same(opened, page):
+    first = opened.current_window_handle
+    opened.switch_to.new_window('window')
+    pages.visit(opened, page, 5)
+    assert len(page.server.get_clients()) == 2
+    page.todo.put(lambda: page.world.scene.remove('ball', ['ball']))
+    for window in (opened.current_window_handle, first):
+        opened.switch_to.window(window)
+        until(lambda: '4 obstacles' in text_of(opened), 'the page does not count')
 
 
 def test_nothing_is_asked_of_others_and_nothing_goes_wrong(opened):
+    """Whatever stands in a name: no picture was fetched, and no program run."""
+    assert 'onerror' in text_of(opened)
+    assert opened.title != '1'
     wrong = [entry for entry in opened.get_log('browser') if entry['level'] == 'SEVERE']
     assert wrong == []
     asked = set()
@@ -134,11 +116,39 @@ def test_nothing_is_asked_of_others_and_nothing_goes_wrong(opened):
         said = json.loads(entry['message'])['message']
         if said['method'] in ('Network.requestWillBeSent', 'Network.webSocketCreated'):
             asked.add(said['params'].get('request', said['params'])['url'])
-    begins = ('http://127.0.0.1:', 'ws://127.0.0.1:', 'data:', 'blob:http://127.0.0.1:')
+    begins = ('http://127.0.0.1:8', 'ws://127.0.0.1:8', 'data:', 'blob:http://127.0.0.1:8')
     assert [url for url in asked if not url.startswith(begins)] == []
-    assert any(url.startswith('http://127.0.0.1:') for url in asked)
+    assert any(url.startswith('http://127.0.0.1:8') for url in asked)
 
 
 def test_the_tunnel_of_viser_stays_shut(page):
     assert page.server.request_share_url() is None
     assert page.server._share_tunnel is None
+
+
+@pytest.mark.parametrize(('unit', 'at'), FARAWAY[1:])
+def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
+    with pages.shown(ShownWorld('five', five(unit, at))) as page:
+        pages.visit(browser, page, 5)
+        until(lambda: pages.differences(browser, page)[1:] > (100, 0), 'nothing is seen')
+        until(lambda: pages.differences(browser, page)[2] == 0, 'something else is seen')
+
+
+def test_a_world_that_is_empty_and_grows(browser):
+    scene = Scene()
+    with pages.shown(ShownWorld('grows', scene)) as page:
+        pages.visit(browser, page, 0)
+
+        def put(name, x, size):
+            scene.update(name, [name], Shapes.boxes([(x, 0.0, 0.0)], size), stamp=0)
+
+        for count, (x, size) in enumerate(((0.0, 0.1), (40.0, 30.0)), 1):
+            page.todo.put(lambda count=count, x=x, size=size: put(str(count), x, size))
+            until(lambda count=count: f'{count} obstacle' in text_of(browser), 'not counted')
+        pages.press(browser, 'Look at all')
+
+        def right():
+            _, obstacles, differ = pages.differences(browser, page)
+            return obstacles > 100 and differ == 0
+
+        until(right, 'something else is seen')

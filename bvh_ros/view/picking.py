@@ -1,0 +1,101 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Who was clicked: named, marked, and followed."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from bvh_ros.scene.geometry.shapes import rotations
+from bvh_ros.view.drawing import Lines, edges_of
+from bvh_ros.view.panel import Panel
+from bvh_ros.view.placing import Placing
+from bvh_ros.view.probe import in_digits, in_words
+from bvh_ros.view.server import LocalServer
+from bvh_ros.view.stage import Stage
+from bvh_ros.view.worlds import ShownWorld
+
+REACH = 10.0  # of a click, in sizes of the world
+
+
+class Picking:
+    """Lets the world answer a click, and stays with whom it named.
+
+    Parameters
+    ----------
+    server : LocalServer
+    panel : Panel
+    world : ShownWorld
+    stage : Stage
+    placing : Placing
+    """
+
+    def __init__(
+        self, server: LocalServer, panel: Panel, world: ShownWorld, stage: Stage, placing: Placing
+    ) -> None:
+        self._panel, self._world, self._stage, self._placing = panel, world, stage, placing
+        self._mark = Lines(server, placing, '/clicked', 4.0)
+        self._picked, self._at, self._distance = '', np.zeros(3), 0.0
+        self._answered, self._followed = 'Click an obstacle.', np.zeros(3)
+
+    def pick(self, origin: object, direction: object) -> None:
+        """Ask who is seen on a ray from the camera, and mark him."""
+        eye, way = np.array(origin, np.float64), np.array(direction, np.float64)
+        start = self._placing.meant(eye)
+        reach = self._placing.unit * (REACH * self._stage.size + float(np.linalg.norm(eye)))
+        self._picked = ''
+        try:
+            answer = self._world.pick(start, way, reach)
+        except (RuntimeError, ValueError) as error:
+            self._answered = escape(f'no answer: {error}')
+        else:
+            self._answered = 'Nothing is there.'
+            if answer.hits:
+                hit = answer.hits[0]
+                self._picked, self._at = hit.name, np.array(hit.point)
+                self._distance = float(np.linalg.norm(self._at - start))
+                self._answered = in_words(answer._replace(hits=answer.hits[:1]))
+        known = self._picked in self._world.scene
+        self._panel.follow.disabled = not known
+        if known:
+            self._followed = self._world.scene.get(self._picked).position
+        self._place_mark()
+        self.tell()
+
+    def tell(self) -> None:
+        """Say who it is, and how he is now."""
+        lines = [self._answered]
+        if self._picked:
+            lines.append(f'distance {in_digits(self._distance)} m')
+        if self._picked in self._world.scene:
+            known = self._world.scene.get(self._picked)
+            size = ' x '.join(f'{edge:.3g}' for edge in known.size)
+            lines.append(f'{known.kind.name.lower()}, {size} m, of source {escape(known.source)}')
+            if self._world.now() and known.stamp:
+                age = 1e-9 * (self._world.now() - known.stamp)
+                lines.append(f'stamp {1e-9 * known.stamp:.3f} s, age {age:.2f} s')
+        elif self._picked:
+            lines.append('not heard here: source and shape are known to the node only')
+        self._panel.tell_picked(lines)
+
+    def go_on(self) -> None:
+        """Keep the mark on whom was clicked, and the cameras with him."""
+        self._place_mark()
+        if self._picked not in self._world.scene:
+            return
+        now = self._world.scene.get(self._picked).position
+        moved, self._followed = now - self._followed, now
+        if self._panel.follow.value and moved.any():
+            self._stage.go_with(moved)
+
+    def _place_mark(self) -> None:
+        scene = self._world.scene
+        if self._picked not in scene:
+            self._mark.clear()
+            return
+        known = scene.get(self._picked)
+        turn = rotations(known.orientation[None])[0]
+        colour = (1.0, 1.0, 1.0) if self._panel.dark.value else (0.1, 0.1, 0.1)
+        self._mark.draw(edges_of(known.position, turn, 1.02 * known.size), np.array([colour] * 12))

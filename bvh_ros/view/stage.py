@@ -1,0 +1,142 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What surrounds the obstacles: camera, light, grid and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bvh_ros.view.panel import Panel
+from bvh_ros.view.placing import Placing
+from bvh_ros.view.server import LocalServer
+from bvh_ros.view.worlds import Floats, ShownWorld
+
+LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
+GROWN = 1.5  # times its size as last seen: then the world has another one
+NEAR, FAR = 1e-3, 30.0  # what a camera sees, in sizes of the world
+
+
+class Stage:
+    """Keeps camera, light, grid and frames about as large as the world.
+
+    Parameters
+    ----------
+    server : LocalServer
+    panel : Panel
+    world : ShownWorld
+    placing : Placing
+        Is chosen when there is something to be seen for the first time.
+    """
+
+    def __init__(
+        self, server: LocalServer, panel: Panel, world: ShownWorld, placing: Placing
+    ) -> None:
+        self.size = 10.0  # of the world, on the page
+        self._server, self._panel, self._world, self._placing = server, panel, world, placing
+        self._bounds: tuple[Floats, Floats] | None = None  # on the page
+        self.set_theme()
+        self.draw_frames()
+
+    @property
+    def middle(self) -> Floats:
+        """Of the world, on the page."""
+        lo, hi = self._bounds or (np.zeros(3), np.ones(3))
+        return 0.5 * lo + 0.5 * hi
+
+    def fit(self, bounds: Sequence[tuple[Floats, Floats]]) -> None:
+        """Be as large as boxes (lo, hi), m; look at them once there are some."""
+        if not bounds:
+            return
+        lo = np.min([one for one, _ in bounds], axis=0)
+        hi = np.max([one for _, one in bounds], axis=0)
+        first = self._bounds is None
+        if first:
+            self._placing.fit(lo, hi)
+        lo, hi = self._placing.shown(lo), self._placing.shown(hi)
+        self._bounds = lo, hi
+        size = max(float((hi - lo).max()), 1e-3)
+        if first or size > GROWN * self.size:
+            self.size = size
+            self._set_reach()
+            self.set_theme()
+            self.draw_frames()
+        if first:
+            self.look_at_all()
+
+    def look_at_all(self) -> None:
+        """Have all cameras see the whole world."""
+        if self._bounds is None:
+            return
+        lo, hi = self._bounds
+        self.size = max(float((hi - lo).max()), 1e-3)
+        self._set_reach()
+        middle = self.middle
+        middle[2] = lo[2]
+        away = (0.0, -0.02, 1.0) if self._world.scene.planar else (-0.42, -0.72, 0.52)
+        place = middle + 1.05 * self.size * np.array(away)
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = place, middle
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = place, middle
+
+    def _set_reach(self) -> None:
+        """What is nearer or farther than that, no camera sees."""
+        near, far = NEAR * self.size, FAR * self.size
+        camera = self._server.initial_camera
+        camera.near, camera.far = near, far
+        for client in self._server.get_clients().values():
+            client.camera.near, client.camera.far = near, far
+
+    def go_with(self, moved: Floats) -> None:
+        """Move all cameras, m."""
+        way = moved / self._placing.unit
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            with client.atomic():
+                look_at = camera.look_at + way
+                camera.position = camera.position + way
+                camera.look_at = look_at
+
+    def set_theme(self) -> None:
+        """Light or dark, with the grid and shadows that the panel says."""
+        dark = self._panel.dark.value
+        self._server.theme(dark=dark)
+        self._light(self._panel.shadows.value)
+        cells, sections = DARK if dark else LIGHT
+        cell = 10.0 ** np.floor(np.log10(self.size / 5.0))
+        ground = self._placing.shown(np.zeros(3))[2]
+        if self._bounds is not None:
+            lowest = float(self._bounds[0][2])
+            ground = ground if abs(ground - lowest) < self.size and ground < lowest else lowest
+        self._server.scene.add_grid(
+            '/grid', infinite_grid=True, cell_size=cell, section_size=5.0 * cell,
+            cell_color=cells, section_color=sections, fade_distance=6.0 * self.size,
+            shadow_opacity=0.2, position=(0.0, 0.0, ground), visible=self._panel.grid.value,
+        )  # fmt: skip
+
+    def _light(self, shadows: bool) -> None:
+        """Viser's own lights bleach the colours that tell sources apart."""
+        scene = self._server.scene
+        scene.configure_default_lights(enabled=False, cast_shadow=False)
+        scene.configure_environment_map('warehouse', environment_intensity=0.35)
+        scene.add_light_ambient('/lights/all_round', intensity=0.9)
+        scene.add_light_directional(
+            '/lights/sun', intensity=2.2, position=(-1.0, -2.0, 3.0), cast_shadow=shadows
+        )
+
+    def draw_frames(self) -> None:
+        """Draw all frames, by numbers: a slash in a name would make it a part of another."""
+        scene, length = self._server.scene, 0.05 * self.size
+        seen = self._panel.frames.value
+        scene.world_axes.visible = False
+        own = self._world.frame_id or 'world'
+        places = [(own, np.zeros(3), np.array((0.0, 0.0, 0.0, 1.0))), *self._world.frames()]
+        for number, (name, position, orientation) in enumerate(places):
+            scene.add_frame(
+                f'/frames/{number}', axes_length=length, axes_radius=0.05 * length,
+                wxyz=orientation[[3, 0, 1, 2]], position=self._placing.shown(position),
+                visible=seen,
+            )  # fmt: skip
+            scene.add_label(f'/frames/{number}/name', name, anchor='top-left', visible=seen)
