@@ -22,7 +22,7 @@ class Asking(NamedTuple):
     """Where a forest is, and who asks its parts."""
 
     folder: str
-    stamp: int
+    checksums: list[int]
     executor: Executor | None
 
     def each(
@@ -39,7 +39,11 @@ class Asking(NamedTuple):
         """
         tasks = list(_tasks(rows, parts))
         calls = (
-            (self.folder, self.stamp, part, query, *(column[some] for column in columns), *rest)
+            (
+                *(self.folder, self.checksums[part], part, query),
+                *(column[some] for column in columns),
+                *rest,
+            )
             for some, part in tasks
         )
         if self.executor is None:

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH, box_checks, checks
+from ..tree.store import mapped
 from . import hilbert
 
-VERSION = 1
+VERSION = 2
 HEADER, TOP = 'forest.json', 'top.tree'
 ROWS_AT_ONCE = 1 << 18  # of a pile in memory
 
@@ -41,7 +42,7 @@ def part_file(folder: Path, number: int) -> Path:
 
 
 def ids_file(folder: Path, number: int) -> Path:
-    """The ids of a part's boxes, by slot."""
+    """The ids of a part's boxes, by slot, and at the end the checksum of its tree."""
     return folder / f'part-{number:06}.ids.npy'
 
 
@@ -53,24 +54,26 @@ def row_dtype(ndim: int) -> np.dtype[Any]:
 
 def build(folder: Path, chunks: Iterable[Any], max_boxes: int) -> None:
     """Write a forest; the folder appears when it is whole."""
-    if folder.exists():
-        raise FileExistsError(f'{folder} exists already')
+    taken = FileExistsError(f'{folder} exists already')
+    if os.path.lexists(folder):
+        raise taken
     work = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
     try:
         pile = _gather(work / 'all', chunks)
-        parts, count = _plant(work, pile, max_boxes), pile.rows
-        (work / HEADER).write_text(
-            json.dumps(
-                {
-                    'version': VERSION,
-                    'ndim': len(pile.lo),
-                    'boxes': count,
-                    'parts': parts,
-                    'max_boxes': max_boxes,
-                }
-            )
-        )
-        os.rename(work, folder)
+        parts = _plant(work, pile, max_boxes)
+        header = {
+            'version': VERSION,
+            'ndim': len(pile.lo),
+            'top': mapped.checksum(work / TOP),
+            'parts': parts,
+        }
+        (work / HEADER).write_text(json.dumps(header))
+        try:
+            os.rename(work, folder)
+        except OSError:
+            if os.path.lexists(folder):  # another builder was faster
+                raise taken from None
+            raise
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
@@ -105,15 +108,19 @@ def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
     return low, high, checks.masks(chunk[2] if len(chunk) == 3 else 1, len(low))
 
 
-def _plant(work: Path, whole: Pile, max_boxes: int) -> int:
-    """Write the trees of all parts, in the order of the curve, and the tree over them."""
-    piles, bounds = [whole], list[tuple[Any, Any, Any]]()
+def _plant(work: Path, whole: Pile, max_boxes: int) -> list[tuple[int, int]]:
+    """Write the trees of all parts, in the order of the curve, and the tree over them; how many
+    boxes each part has, and its checksum.
+    """
+    piles, bounds, parts = [whole], list[tuple[Any, Any, Any]](), list[tuple[int, int]]()
     while piles:
         pile = piles.pop()
         if pile.rows > max_boxes:
             piles += reversed(_deal(pile, max_boxes))
         elif pile.rows:
-            bounds.append(_plant_part(work, len(bounds), pile))
+            mask, checksum = _plant_part(work, len(parts), pile)
+            bounds.append((pile.lo, pile.hi, mask))
+            parts.append((pile.rows, checksum))
         pile.file.unlink()
     ndim = len(whole.lo)
     top = DynamicBVH(ndim, capacity=max(len(bounds), 1))
@@ -121,18 +128,21 @@ def _plant(work: Path, whole: Pile, max_boxes: int) -> int:
         lo, hi, masks = (np.array(column) for column in zip(*bounds, strict=True))
         top.insert_many(lo, hi, masks)
     top.save(work / TOP, mapped=True)
-    return len(bounds)
+    return parts
 
 
-def _plant_part(work: Path, number: int, pile: Pile) -> tuple[Any, Any, Any]:
-    """Write one part; return its bounds and all its masks."""
+def _plant_part(work: Path, number: int, pile: Pile) -> tuple[np.uint32, int]:
+    """Write one part; return all its masks, and the checksum of its tree, which follows the ids,
+    too: files of two parts or forests do not go together.
+    """
     rows = np.fromfile(pile.file, row_dtype(len(pile.lo)))
     tree = DynamicBVH.from_boxes(rows['lo'], rows['hi'], mask=rows['mask'])
-    ids = np.empty(len(rows), np.int64)
-    ids[tree.slots(tree.ids())] = rows['id']
-    np.save(ids_file(work, number), ids)
     tree.save(part_file(work, number), mapped=True)
-    return pile.lo, pile.hi, np.bitwise_or.reduce(rows['mask'])
+    ids = np.empty(len(rows) + 1, np.int64)
+    ids[tree.slots(tree.ids())] = rows['id']
+    ids[-1] = checksum = mapped.checksum(part_file(work, number))
+    np.save(ids_file(work, number), ids)
+    return np.bitwise_or.reduce(rows['mask']), checksum
 
 
 def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
@@ -178,7 +188,7 @@ def _empty_pile(file: Path, ndim: int) -> Pile:
 
 def _append(pile: Pile, rows: NDArray[Any]) -> Pile:
     with open(pile.file, 'ab') as file:
-        rows.tofile(file)
+        file.write(rows.view(np.uint8).data)  # unlike tofile, says that the disk is full
     lo = rows['lo'].min(0, initial=np.inf)
     hi = rows['hi'].max(0, initial=-np.inf)
     lo, hi = np.minimum(pile.lo, lo), np.maximum(pile.hi, hi)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,16 +15,30 @@ if TYPE_CHECKING:
     from .forest import Forest
 
 
-def is_dask(*arrays: Any) -> bool:
-    """Whether one of them is a dask array; dask is not imported for that."""
-    return any(type(array).__module__.partition('.')[0] == 'dask' for array in arrays)
+VALUES = 't_max', 'max_distance', 'mask'  # one for all rows, or one a row
+
+
+def are_meant(executor: Any, *columns: Any) -> bool:
+    """Whether one of the columns is a dask array; ValueError if there is an executor beside it,
+    which nobody would ask.
+    """
+    if not any(map(is_dask, columns)):
+        return False
+    if executor is not None:
+        raise ValueError('executor must be None where rows are dask arrays: Dask asks then')
+    return True
+
+
+def is_dask(array: Any) -> bool:
+    """Whether this is a dask array; dask is not imported for that."""
+    return type(array).__module__.partition('.')[0] == 'dask'
 
 
 def raycast(
     forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
 ) -> RayHits:
     """`Forest.raycast_many`; ids, t and normals are dask arrays."""
-    asked = _same_blocks(origins=origins, directions=directions, t_max=t_max, mask=mask)
+    asked = _rays(forest.ndim, origins, directions, t_max, mask)
     outputs = ((), np.int64), ((), np.float64), ((forest.ndim,), np.float64)
     return RayHits(*_map(forest, 'raycast_many', (*asked, *rest), outputs))
 
@@ -32,13 +47,15 @@ def occluded(
     forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
 ) -> Any:
     """`Forest.occluded_many` as a dask array."""
-    asked = _same_blocks(origins=origins, directions=directions, t_max=t_max, mask=mask)
+    asked = _rays(forest.ndim, origins, directions, t_max, mask)
     return _map(forest, 'occluded_many', (*asked, *rest), (((), np.bool_),))[0]
 
 
 def nearest(forest: Forest, points: Any, k: int, max_distance: Any, mask: Any) -> Any:
     """`Forest.nearest_many`; ids and distances are dask arrays."""
-    where, reach, masks = _same_blocks(points=points, max_distance=max_distance, mask=mask)
+    where, reach, masks = _same_blocks(
+        forest.ndim, points=points, max_distance=max_distance, mask=mask
+    )
     outputs = ((k,), np.int64), ((k,), np.float64)
     return _map(forest, 'nearest_many', (where, k, reach, masks), outputs)
 
@@ -49,23 +66,35 @@ def overlap(forest: Forest, lo: Any, hi: Any, mask: Any, threads: int) -> Any:
     """
     import dask.array as da
 
-    asked = *_same_blocks(lo=lo, hi=hi, mask=mask), threads
+    asked = *_same_blocks(forest.ndim, lo=lo, hi=hi, mask=mask), threads
     sizes, ids = _map(forest, 'overlap_many', asked, (((), np.int64),) * 2, ragged=1)
     return da.concatenate([da.zeros(1, np.int64), da.cumsum(sizes)]), ids
 
 
-def _same_blocks(**columns: Any) -> tuple[Any, ...]:
+def _rays(ndim: int, origins: Any, directions: Any, t_max: Any, mask: Any) -> tuple[Any, ...]:
+    return _same_blocks(ndim, origins=origins, directions=directions, t_max=t_max, mask=mask)
+
+
+def _same_blocks(ndim: int, **columns: Any) -> tuple[Any, ...]:
     """Arrays of shape (n, ndim) or (n,), cut where the first is; a value for all rows stays."""
     import dask.array as da
 
-    arrays = {name: da.asarray(column) for name, column in columns.items()}
-    first, *_ = arrays.values()
-    cut = []
-    for name, array in arrays.items():
-        if array.ndim and len(array) != len(first):
-            raise ValueError(f'{name} has {len(array)} rows, not {len(first)}')
-        blocks = first.chunks[0], *((-1,) * (array.ndim - 1))
-        cut.append(array.rechunk(blocks) if array.ndim else columns[name])
+    first, cut = None, list[Any]()
+    for name, column in columns.items():
+        if name in VALUES and not is_dask(column) and np.ndim(column) == 0:
+            cut.append(column)
+            continue
+        array = da.asarray(column)
+        if not all(map(math.isfinite, array.shape)):
+            raise ValueError(f'{name} has blocks of unknown size: call its compute_chunk_sizes()')
+        first = array if first is None else first
+        if name in VALUES and array.shape == ():
+            array = da.broadcast_to(array, (len(first),))
+        wide = () if name in VALUES else (ndim,)
+        if array.shape != (*first.shape[:1], *wide):
+            shape = ', '.join(map(str, ('n', *wide)))
+            raise ValueError(f'{name} must have shape ({shape}), all of one n, not {array.shape}')
+        cut.append(array.rechunk((first.chunks[0], *((-1,) * len(wide)))))
     return tuple(cut)
 
 

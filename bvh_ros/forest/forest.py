@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Iterable
 from concurrent.futures import Executor
 from os import PathLike
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree import ALL, DynamicBVH, RayHits, box_checks, checks
+from ..tree.store import mapped
 from . import building, chunked, distances, overlaps, rays
 from .asking import Asking
 
@@ -54,17 +56,21 @@ class Forest:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder.resolve()
-        file = self._folder / building.HEADER
-        self._stamp = file.stat().st_mtime_ns
+        text = (self._folder / building.HEADER).read_bytes()
+        self._mark = zlib.crc32(text)
+        top = self._folder / building.TOP
         try:
-            header = json.loads(file.read_text(encoding='utf-8'))
+            header = json.loads(text)
             if header['version'] != building.VERSION:
                 raise ValueError(
                     f'it has version {header["version"]}; this is for {building.VERSION}'
                 )
-            self._count, self._ndim = int(header['boxes']), int(header['ndim'])
-            self._top = DynamicBVH.load(self._folder / building.TOP, mmap=True)
-            if self._top.ndim != self._ndim or len(self._top) != header['parts']:
+            counts = [checks.whole('boxes of a part', count, 1) for count, _ in header['parts']]
+            self._checksums = [checksum for _, checksum in header['parts']]
+            self._count, self._ndim = sum(counts), header['ndim']
+            self._top = DynamicBVH.load(top, mmap=True)
+            known = self._ndim, len(counts), header['top']
+            if (self._top.ndim, len(self._top), mapped.checksum(top)) != known:
                 raise ValueError('its top tree is of another forest')
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f'{folder} is no forest: {error}') from None
@@ -103,7 +109,7 @@ class Forest:
         return cls(Path(checks.path('folder', folder)))
 
     def __reduce__(self) -> Any:
-        return type(self), (self._folder,)
+        return _open_again, (self._folder, self._mark)
 
     def __len__(self) -> int:
         """How many boxes there are."""
@@ -125,7 +131,7 @@ class Forest:
         return self._top.bounds
 
     def _asking(self, executor: Executor | None) -> Asking:
-        return Asking(str(self._folder), self._stamp, executor)
+        return Asking(str(self._folder), self._checksums, executor)
 
     def raycast_many(
         self,
@@ -138,8 +144,9 @@ class Forest:
         executor: Executor | None = None,
     ) -> RayHits:
         """First hits of n rays, see `DynamicBVH.raycast_many`. `threads`: of each worker."""
-        if chunked.is_dask(origins, directions, t_max, mask):
-            return chunked.raycast(self, origins, directions, t_max, mask, skip_inside, threads)
+        if chunked.are_meant(executor, origins, directions, t_max, mask):
+            how = checks.flag('skip_inside', skip_inside), checks.whole('threads', threads, 1)
+            return chunked.raycast(self, origins, directions, t_max, mask, *how)
         asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
         return rays.first_hits(self._top, self._asking(executor), asked)
 
@@ -154,8 +161,9 @@ class Forest:
         executor: Executor | None = None,
     ) -> NDArray[np.bool_]:
         """Whether each of n rays meets any box, see `DynamicBVH.occluded_many`."""
-        if chunked.is_dask(origins, directions, t_max, mask):
-            return chunked.occluded(self, origins, directions, t_max, mask, skip_inside, threads)
+        if chunked.are_meant(executor, origins, directions, t_max, mask):
+            how = checks.flag('skip_inside', skip_inside), checks.whole('threads', threads, 1)
+            return chunked.occluded(self, origins, directions, t_max, mask, *how)
         asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
         return rays.any_hits(self._top, self._asking(executor), asked)
 
@@ -168,10 +176,10 @@ class Forest:
         executor: Executor | None = None,
     ) -> tuple[Ids, Ids]:
         """Overlaps of n query boxes, see `DynamicBVH.overlap_many`: (offsets, ids)."""
-        if chunked.is_dask(lo, hi, mask):
+        threads = checks.whole('threads', threads, 1)
+        if chunked.are_meant(executor, lo, hi, mask):
             return chunked.overlap(self, lo, hi, mask, threads)
         low, high = box_checks.boxes(lo, hi, self._ndim)
-        threads = checks.whole('threads', threads, 1)
         masks = checks.masks(mask, len(low))
         return overlaps.overlaps(self._top, self._asking(executor), low, high, masks, threads)
 
@@ -184,9 +192,18 @@ class Forest:
         executor: Executor | None = None,
     ) -> tuple[Ids, Floats]:
         """The k boxes nearest to n points, see `DynamicBVH.nearest_many`: (ids, distances)."""
-        if chunked.is_dask(points, max_distance, mask):
+        k = checks.capacity('k', k)
+        if chunked.are_meant(executor, points, max_distance, mask):
             return chunked.nearest(self, points, k, max_distance, mask)
         where = checks.points('points', points, self._ndim)
         reach = checks.limits('max_distance', max_distance, len(where))
-        masks, k = checks.masks(mask, len(where)), checks.capacity('k', k)
+        masks = checks.masks(mask, len(where))
         return distances.nearest(self._top, self._asking(executor), where, k, reach, masks)
+
+
+def _open_again(folder: Path, mark: int) -> Forest:
+    """What a pickle stands for; ValueError if another forest is in the folder now."""
+    forest = Forest(folder)
+    if forest._mark != mark:
+        raise ValueError(f'{folder} holds another forest than the one that was pickled')
+    return forest

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
 from ..tree.nodes import NONE
+from ..tree.store import mapped
 from .building import ids_file, part_file
 
 # Parts that a process has open: each has a snapshot of its own once enough rays have come.
@@ -41,12 +42,18 @@ class Found(NamedTuple):
 
 
 @lru_cache(maxsize=OPEN_PARTS)
-def _open(folder: str, number: int, stamp: int) -> Part:
-    """`stamp` tells a forest from one that was in this folder before."""
-    tree = DynamicBVH.load(part_file(Path(folder), number), mmap=True)
-    ids = np.load(ids_file(Path(folder), number), mmap_mode='r')
-    if ids.shape != (len(tree),) or ids.dtype != np.int64:
-        raise ValueError(f'{ids_file(Path(folder), number)} is of another part')
+def _open(folder: str, number: int, checksum: int) -> Part:
+    """`checksum` tells a part from one that was in this folder before, or came there since."""
+    file, beside = part_file(Path(folder), number), ids_file(Path(folder), number)
+    tree = DynamicBVH.load(file, mmap=True)
+    if mapped.checksum(file) != checksum:
+        raise ValueError(f'{file} is of another forest or part')
+    try:
+        ids = np.load(beside, mmap_mode='r')
+    except EOFError:
+        raise ValueError(f'{beside} is empty') from None
+    if ids.shape != (len(tree) + 1,) or ids.dtype != np.int64 or ids[-1] != checksum:
+        raise ValueError(f'{beside} is of another part')
     return Part(tree, ids)
 
 
@@ -84,6 +91,6 @@ QUERIES = {
 }
 
 
-def ask(folder: str, stamp: int, number: int, query: str, *asked: Any) -> Any:
+def ask(folder: str, checksum: int, number: int, query: str, *asked: Any) -> Any:
     """Ask a part one of QUERIES."""
-    return QUERIES[query](_open(folder, number, stamp), *asked)
+    return QUERIES[query](_open(folder, number, checksum), *asked)

@@ -17,6 +17,7 @@ from bvh_ros import DynamicBVH
 from bvh_ros.forest import Forest
 
 TIMEOUT = 240
+KILLS = 3  # more would be more than a loaded machine can bear
 
 
 @pytest.fixture(scope='module')
@@ -105,7 +106,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_answer(world, cluster)
         return dask_worker.status.name == 'running'
 
     def kill() -> None:
-        while not stop.wait(0.4):
+        while len(killed) < KILLS and not stop.wait(0.4):
             # Who starts a worker gives up, for good, if that is killed before it is up.
             up = cluster.run(is_up, nanny=True, on_error='ignore').values()
             told = cluster.run(os.getpid, on_error='ignore').values()
@@ -118,7 +119,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_answer(world, cluster)
     killer.start()
     try:
         deadline = time.monotonic() + TIMEOUT
-        while len(killed) < 3:
+        while len(killed) < KILLS:
             check(world, executor)
             assert time.monotonic() < deadline
     finally:
@@ -146,5 +147,28 @@ def test_dask_arrays_in_and_out(world, cluster):
     found = forest.overlap_many(rows[0], rows[0] + 1)
     for lazy, known in zip(found, forest.overlap_many(origins, origins + 1), strict=True):
         np.testing.assert_array_equal(lazy.compute(), known)
-    with pytest.raises(ValueError, match='rows'):
-        forest.raycast_many(rows[0], rows[1][:-1])
+
+
+def test_dask_arrays_that_do_not_fit_are_refused_at_once(world):
+    da = pytest.importorskip('dask.array', reason='extra [cluster] is not installed')
+    forest, _, origins, directions = world
+    at, ways = da.from_array(origins, chunks=999), da.from_array(directions, chunks=999)
+    refused: list[tuple[Any, str]] = [
+        (lambda: forest.raycast_many(at, ways[:-1]), 'directions'),
+        (lambda: forest.raycast_many(at[:, 0], ways), 'origins'),
+        (lambda: forest.occluded_many(at[:, :2], ways), 'origins'),
+        (lambda: forest.raycast_many(at, ways, at), 't_max'),
+        (lambda: forest.nearest_many(at[at[:, 0] > 30]), 'unknown size'),
+        (lambda: forest.nearest_many(at, 0), 'k must'),
+        (lambda: forest.overlap_many(at, at, threads=0), 'threads'),
+        (lambda: forest.raycast_many(at, ways, executor=ThreadPoolExecutor(1)), 'executor'),
+    ]
+    for ask, why in refused:
+        with pytest.raises(ValueError, match=why):
+            ask()
+    with_none = da.concatenate([at[:0], at[:50], at[:0]])
+    found = forest.overlap_many(with_none, with_none + 1, da.asarray(1))
+    for lazy, known in zip(
+        found, forest.overlap_many(origins[:50], origins[:50] + 1), strict=True
+    ):
+        np.testing.assert_array_equal(lazy.compute(scheduler='synchronous'), known)

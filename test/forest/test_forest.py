@@ -3,8 +3,11 @@
 """Every answer of a forest is, bit for bit, that of one tree of all boxes."""
 
 import json
+import os
 import pickle
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -195,7 +198,8 @@ def test_a_folder_that_is_no_forest_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         Forest.open(tmp_path / 'nowhere')
     header = json.loads((whole / building.HEADER).read_text())
-    texts = ['', '[]', 'x', '{}', *(json.dumps(header | {k: 'y'}) for k in ('version', 'parts'))]
+    wrong = [header | {key: 'y'} for key in ('version', 'parts', 'top')]
+    texts = ['', '[]', 'x', '{}', *map(json.dumps, wrong)]
     for text in texts:
         shutil.rmtree(tmp_path / 'other', ignore_errors=True)
         shutil.copytree(whole, tmp_path / 'other')
@@ -212,3 +216,62 @@ def test_a_folder_that_is_no_forest_is_refused(tmp_path):
     building.part_file(tmp_path / 'short', 1).unlink()
     with pytest.raises(FileNotFoundError):
         Forest.open(tmp_path / 'short').overlap_many([[-1e9] * 3], [[1e9] * 3])
+
+
+def test_files_of_two_forests_do_not_go_together(tmp_path):
+    """Nor those of two parts: whoever copies half of a folder gets no wrong answer."""
+    lo, hi = lattice(np.random.default_rng(0), 3)
+    whole, everything = tmp_path / 'forest', ([[-1e9] * 3], [[1e9] * 3])
+    Forest.build(whole, [(lo, hi)], 500)
+    Forest.build(tmp_path / 'other', [(lo + 1, hi + 1)], 500)
+    files = [building.part_file(whole, 0), building.ids_file(whole, 0), whole / building.TOP]
+    others = [
+        *(tmp_path / 'other' / file.name for file in files),
+        building.part_file(whole, 1),
+        building.ids_file(whole, 1),
+    ]
+    for other in others:
+        shutil.rmtree(tmp_path / 'mixed', ignore_errors=True)
+        shutil.copytree(whole, tmp_path / 'mixed')
+        shutil.copy(other, tmp_path / 'mixed' / other.name.replace('000001', '000000'))
+        with pytest.raises(ValueError, match='of another'):
+            Forest.open(tmp_path / 'mixed').overlap_many(*everything)
+    shutil.rmtree(tmp_path / 'mixed')
+    shutil.copytree(whole, tmp_path / 'mixed')
+    before = Forest.open(tmp_path / 'mixed')
+    pickled = pickle.dumps(before)
+    shutil.rmtree(tmp_path / 'mixed')
+    os.rename(tmp_path / 'other', tmp_path / 'mixed')
+    for ask in (lambda: before.overlap_many(*everything), lambda: pickle.loads(pickled)):
+        with pytest.raises(ValueError, match='another forest'):
+            ask()
+
+
+def test_who_builds_where_another_builds_loses_and_leaves_nothing(tmp_path):
+    lo, hi = lattice(np.random.default_rng(0), 3)
+
+    def chunks():
+        yield lo, hi
+        Forest.build(tmp_path / 'forest', [(lo[:7], hi[:7])])
+
+    with pytest.raises(FileExistsError):
+        Forest.build(tmp_path / 'forest', chunks())
+    assert len(Forest.open(tmp_path / 'forest')) == 7
+    (tmp_path / 'link').symlink_to(tmp_path / 'nowhere')
+    with pytest.raises(FileExistsError):  # now, not when all is built
+        Forest.build(tmp_path / 'link', iter(()))
+    assert {file.name for file in tmp_path.iterdir()} == {'forest', 'link'}
+
+
+def test_a_full_disk_says_so_and_leaves_nothing(tmp_path):
+    program = f"""
+import resource, signal, numpy as np
+from bvh_ros.forest import Forest
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+lo = np.zeros((9000, 3))
+Forest.build({str(tmp_path / 'forest')!r}, [(lo, lo)], 500)
+"""
+    ended = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert ended.stderr.splitlines()[-1].startswith('OSError: [Errno 27] File too large')
+    assert not list(tmp_path.iterdir())

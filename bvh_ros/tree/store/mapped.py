@@ -108,6 +108,13 @@ def attach(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     }
 
 
+def checksum(path: Path) -> int:
+    """The CRC-32 that `save` noted of the arrays; ValueError if it is no such file."""
+    with open(path, 'rb') as file:
+        crc: int = _read_header(path, file)['crc']
+    return crc
+
+
 def _bytes_of(array: NDArray[Any]) -> memoryview:
     return np.ascontiguousarray(array).view(np.uint8).data
 
