@@ -36,6 +36,7 @@ def rows_of(output):
     return [line for line in output.splitlines() if ROW.match(line)]
 
 
+@pytest.mark.slow
 def test_recorded_traffic_and_the_warehouse_at_once(shared_data):
     """Two demos in one domain: each sees its own world only."""
     file = shared_data / 'commonroad_ngsim' / 'USA_Peach-4_8_T-1.csv'
@@ -86,6 +87,7 @@ def test_markers_of_things_that_are_gone():
     assert [one.action for one in scenarios.markers([thing], [], begin=True).markers] == [3, 0]
 
 
+@pytest.mark.slow
 def test_the_demo_with_a_view_says_where_it_is_and_ends_it():
     pytest.importorskip('viser', reason='viser is not installed')
     demo = start('--view')

@@ -38,6 +38,7 @@ def test_without_ros(name, said):
     assert said in run(name)
 
 
+@pytest.mark.slow
 def test_a_sampling_planner(tmp_path):
     picture = tmp_path / 'planner.png'
     said = run('sampling_planner.py', '--ticks', '3', '--picture', str(picture))
@@ -55,6 +56,7 @@ def test_an_arm_at_a_shelf(tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_many_machines():
     pytest.importorskip('distributed', reason='extra [cluster] is not installed')
     few = '--boxes', '2e4', '--rays', '1e4', '--part', '5e3'

@@ -49,6 +49,7 @@ def check(world: Any, executor: Executor) -> None:
     np.testing.assert_array_equal(distances, tree.nearest_many(origins, 3)[1])
 
 
+@pytest.mark.slow
 def test_threads_and_processes(world):
     with ThreadPoolExecutor(4) as executor:
         check(world, executor)
@@ -98,6 +99,7 @@ def test_a_dask_cluster(world, cluster):
     check(world, cluster.get_executor(pure=False))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_in_the_middle_changes_no_answer(world, cluster):
     executor = cluster.get_executor(pure=False)
     stop, killed = threading.Event(), []
@@ -127,6 +129,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_no_answer(world, cluster)
         killer.join()
 
 
+@pytest.mark.slow
 def test_dask_arrays_in_and_out(world, cluster):
     da = pytest.importorskip('dask.array', reason='extra [cluster] is not installed')
     forest, _, origins, directions = world

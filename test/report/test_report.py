@@ -10,7 +10,7 @@ pytest.importorskip('matplotlib')
 
 from bvh_ros.report import cli
 
-pytestmark = pytest.mark.timeout(900)  # seconds: the first run compiles builds of the package
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]  # seconds
 
 
 @pytest.fixture(scope='module', params=sorted(cli.PARTS))

@@ -131,6 +131,7 @@ def test_the_first_hit(told):
     assert several > 20
 
 
+@pytest.mark.slow
 def test_a_short_soak(tmp_path):
     command = [sys.executable, '-c', 'from bvh_ros.report.cli import main; main()', 'soak']
     command += ['--minutes', str(MINUTES), '--out', str(tmp_path)]

@@ -22,6 +22,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from visualization_msgs.msg import MarkerArray
 
+pytestmark = pytest.mark.slow
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SMALL_MULTIPLE = 12  # of the bytes; DDS, the message and the reply are some of them
 ANYWAY = 30_000_000  # bytes that come and go whatever is done

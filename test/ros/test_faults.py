@@ -24,6 +24,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
 
+pytestmark = pytest.mark.slow
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UP, DOWN = (0, 0, 9), (0, 0, -9)
 BACK_WITHIN = 60.0  # seconds

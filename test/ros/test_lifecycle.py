@@ -112,6 +112,7 @@ def test_a_life(manage, messages):
     assert world.end() == 0
 
 
+@pytest.mark.slow
 def test_transitions_that_the_state_does_not_have_are_refused(manage):
     managed = manage()
     assert not managed.change(Transition.TRANSITION_ACTIVATE)
@@ -129,6 +130,7 @@ def test_transitions_that_the_state_does_not_have_are_refused(manage):
     assert managed.world.end() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('parameters', 'complaint'),
     [

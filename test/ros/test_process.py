@@ -38,6 +38,7 @@ def handles(process, number):
     return int(status.partition('SigCgt:')[2].split()[0], 16) >> (number - 1) & 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize('after', [0.0, 0.1, 0.3])
 def test_clean_exit_while_starting(start_node, how, after):
@@ -49,6 +50,7 @@ def test_clean_exit_while_starting(start_node, how, after):
     assert 'Traceback' not in world.said()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
 def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_to_end, how):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
@@ -73,6 +75,7 @@ def test_start_up_line_says_what_is_on(start_node):
         assert word in line
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('parameters', 'reason'),
     [
@@ -122,6 +125,7 @@ def test_wrong_parameters(configure, parameters, reason):
         configure(parameters)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sources', [[], ['']])
 def test_no_source_at_all(start_node, sources):
     world = start_node({'sources': sources})

@@ -15,6 +15,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+pytestmark = pytest.mark.slow
+
 DELETE, DELETE_ALL, CYLINDER = 2, 3, 3
 FIELDS = ('x', 'y', 'z', 'sx', 'sy', 'sz')
 SPARSE = 1 if os.environ.get('BVH_ROS_LONG_TESTS') else 5  # of ten thousand free voxels

@@ -14,6 +14,8 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
 
+pytestmark = pytest.mark.slow
+
 TOPIC, BOXES, CALLS, ROWS = '/regions/boxes', 120, 60, 400
 COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
 INF = float('inf')

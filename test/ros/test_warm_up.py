@@ -27,6 +27,9 @@ CLOUDS = {
 }
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.mark.parametrize(
     'parameters',
     [

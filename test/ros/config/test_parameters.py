@@ -72,6 +72,7 @@ def complaint(ros):
     return of
 
 
+@pytest.mark.slow
 def test_every_parameter_of_every_kind(complaint):
     """Whether it is refused or not, nothing else is raised, and a refusal names the parameter."""
     node = Node('n', parameter_overrides=[Parameter(n, value=v) for n, v in EVERYTHING.items()])

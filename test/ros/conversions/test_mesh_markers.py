@@ -16,7 +16,7 @@ POINTS = [CORNERS[i] for face in FACES for i in face]
 NO_AREA = [CORNERS[i] for i in (0, 0, 1)]
 
 
-@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('planar', [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, messages, planar):
     """An octahedron, 2 m x 4 m x 6 m, turned by a quarter about z: 4 m along x, 2 m along y."""
     from std_msgs.msg import ColorRGBA

@@ -201,6 +201,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
     assert 19 <= len(taken) <= 26
 
 
+@pytest.mark.slow
 def test_a_world_whose_change_was_interrupted():
     """Nothing is answered before it is cleared, and diagnostics say so."""
     scene = Scene()

@@ -78,6 +78,7 @@ def is_running(pid):
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, how):
     world = start()

@@ -117,6 +117,7 @@ def test_a_burst_costs_few_rounds_of_the_executor(ros):
     node.destroy_publisher(publisher)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('clients', 'each'), [(1, 1000), (20, 50)])
 def test_a_burst_of_requests(world, messages, clients, each):
     asking = [
@@ -245,6 +246,7 @@ def test_best_effort_beside_reliable_beside_latched(start_node, messages, publis
     world.node.destroy_publisher(publishers['best'])
 
 
+@pytest.mark.slow
 def test_large_clouds_that_come_too_fast_make_the_node_neither_late_nor_large(
     start_node, messages, publish
 ):

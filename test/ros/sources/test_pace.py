@@ -55,6 +55,7 @@ def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages
     assert world.trigger('validate').success
 
 
+@pytest.mark.slow
 def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, messages):
     world = start_node({'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}})
     count, at = 130_000, np.arange(130_001.0)
@@ -73,6 +74,7 @@ def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, m
     assert world.trigger('validate').success
 
 
+@pytest.mark.slow
 def test_messages_that_wait_make_no_long_turn(world, messages):
     """Meshes take as long without pauses as with them: others have their turns in between."""
     faces = [(0, 0, 0), (0, 1, 0), (1, 0, 0), (0, 0, 0), (1, 0, 0), (0, 0, 1)]

@@ -203,6 +203,7 @@ def test_planar(start_node, messages):
     assert world.names('raycast', (0, 9.4, 0), (9, 9.4, 0)) == ['a/2']
 
 
+@pytest.mark.slow
 def test_more_than_max_obstacles_are_refused_and_the_rest_kept(start_node, messages):
     world = start_node({'max_obstacles': 3})
     world.markers(*(messages.marker(i, (2 * i, 0, 0)) for i in range(5)))
