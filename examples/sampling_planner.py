@@ -3,11 +3,14 @@
 """A sampling planner (MPPI) at 20 Hz: of 2,000 rollouts of 30 steps each, a turned rectangle at
 every step, those that touch none of 1,000 people and forklifts on the move are averaged by cost.
 
-python examples/sampling_planner.py [--ticks 400] [--picture planner.png]
+python examples/sampling_planner.py [--ticks 400] [--picture planner.png] [--node]
+
+With --node it asks a bvh_node of its own over ROS 2, to which the movers are published as boxes.
 """
 
 import argparse
 import time
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -39,7 +42,51 @@ def roll_out(pose, controls):
     return np.concatenate((pose[:2] + np.cumsum(steps, axis=1), yaws[..., None]), axis=2)
 
 
-def plan(scene, pose, goal, nominal):
+@contextmanager
+def in_this_process():
+    """(how to tell of the movers, how to ask which poses touch anything)."""
+    scene, names = Scene(planar=True), Numbered('mover/', np.arange(COUNT))
+
+    def tell(place, turns):
+        scene.update('movers', names, Shapes(KIND, place, turns, SIZES), stamp=0)
+
+    yield tell, scene.overlap_many
+
+
+@contextmanager
+def through_a_node():
+    """The same by messages: a cloud of boxes, and a cloud of questions for each answer."""
+    from sensor_msgs.msg import PointCloud2
+
+    from bvh_ros.client import BvhError, volumes
+    from bvh_ros.ros import large_messages, running
+
+    large_messages.enable()
+    source = {'type': 'PointCloud2', 'topic': '~/movers', 'required': True}
+    parameters = {'sources': ['movers'], 'movers': source}
+    with running.served('planner', parameters) as (client, _):
+        topic = f'{client.node.get_namespace()}/bvh/movers'
+        publisher = client.node.create_publisher(PointCloud2, topic, 10)
+        while not publisher.get_subscription_count():
+            time.sleep(0.01)
+
+        def tell(place, turns):
+            # A cloud of questions about boxes has the fields of a cloud of boxes.
+            cloud = volumes.cloud(volumes.boxes(place, SIZES, turns, 0.0, 1))
+            cloud.header.frame_id = 'map'
+            publisher.publish(cloud)
+
+        def ask(*asked):
+            while True:
+                try:
+                    return client.overlap_many(*asked).counts > 0
+                except BvhError:  # what this takes is being compiled, or the movers are on the way
+                    time.sleep(0.1)
+
+        yield tell, ask
+
+
+def plan(ask, pose, goal, nominal):
     """(best controls (STEPS, 2), the poses of all rollouts, which of these are free)."""
     controls = nominal + rng.normal(size=(ROLLOUTS, STEPS, 2)) * NOISE
     controls[0] = nominal
@@ -50,7 +97,7 @@ def plan(scene, pose, goal, nominal):
     centres = np.zeros((ROLLOUTS * STEPS, 3))
     centres[:, :2] = poses[..., :2].reshape(-1, 2)
     turns = quaternions(poses[..., 2].ravel())
-    touches = scene.overlap_many(centres, ROBOT, turns, SPACE).reshape(ROLLOUTS, STEPS)
+    touches = ask(centres, ROBOT, turns, SPACE).reshape(ROLLOUTS, STEPS)
     cost = np.linalg.norm(poses[..., :2] - goal, axis=2).mean(axis=1)
     cost += np.where(touches, HARD * np.linspace(1.0, 0.1, STEPS), 0.0).sum(axis=1)
     weights = np.exp(-(cost - cost.min()) / TEMPERATURE)
@@ -89,30 +136,36 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--ticks', type=int, default=400)
     parser.add_argument('--picture', default='')
+    parser.add_argument('--node', action='store_true')
     given = parser.parse_args()
+    with (through_a_node if given.node else in_this_process)() as (tell, ask):
+        drive(given, tell, ask)
+
+
+def drive(given, tell, ask):
+    """Plan and go a step, tick after tick."""
     place = np.column_stack((rng.uniform(5.0, SIDE, (COUNT, 2)), np.full(COUNT, 0.9)))
     yaws, pace = rng.uniform(-np.pi, np.pi, COUNT), rng.uniform(0.2, 1.0, COUNT)
-    scene, names = Scene(planar=True), Numbered('mover/', np.arange(COUNT))
     pose, goal = np.array([1.0, 1.0, np.pi / 4]), np.array([SIDE - 3.0, SIDE - 3.0])
     nominal, track, spent, met = np.tile([1.0, 0.0], (STEPS, 1)), [pose[:2]], [], 0
-    for tick in range(given.ticks):
+    for _ in range(given.ticks):
         yaws += rng.normal(0.0, 0.3 * TICK, COUNT)
         place[:, 0] = np.mod(place[:, 0] + pace * TICK * np.cos(yaws), SIDE)
         place[:, 1] = np.mod(place[:, 1] + pace * TICK * np.sin(yaws), SIDE)
         began = time.perf_counter()
-        scene.update('movers', names, Shapes(KIND, place, quaternions(yaws), SIZES), stamp=tick)
-        nominal, poses, free = plan(scene, pose, goal, nominal)
+        tell(place, quaternions(yaws))
+        nominal, poses, free = plan(ask, pose, goal, nominal)
         spent.append(time.perf_counter() - began)
         pose = roll_out(pose, nominal[None] * [TICK / STEP, TICK / STEP])[0, 0]
         track.append(pose[:2])
         at = [[*pose[:2], 0.0]]
-        met += int(scene.overlap_many(at, ROBOT, quaternions(pose[2:]))[0])
+        met += int(ask(np.array(at), ROBOT, quaternions(pose[None, 2]))[0])
         if np.linalg.norm(pose[:2] - goal) < 1.0:
             break
     milliseconds = 1e3 * float(np.median(spent[1:] or spent))
     print(
-        f'{tick + 1} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, {met} of them '
-        f'in touch with somebody; a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
+        f'{len(spent)} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, in {met} of '
+        f'them in touch; a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
         f'among {COUNT}: {1e3 / milliseconds:.0f} Hz'
     )
     if given.picture:

@@ -107,7 +107,7 @@ class RegionBatches:
                 asked[told.unknown] = False
                 self._add(told, rows, asked, deadline)
                 done |= asked
-                reach = np.minimum(told.distances, rows.most)
+                reach = np.clip(told.distances, 0.0, rows.most)  # a depth reaches no farther
             told.unknown |= ~coverage.covers(rows.around(reach))
             if count and told.unknown.all():
                 raise BvhError(f'no row can be answered: NaN, or {LEAVES}')

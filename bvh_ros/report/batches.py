@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import DynamicBVH
-from . import plots, timing
+from . import timing
 from .libraries.embree import Embree, triangles
 from .page import Page
 from .scenes import EDGE, Floats, incoherent_rays, uniform_boxes
@@ -57,7 +57,6 @@ def batches(page: Page, brief: bool) -> None:
         page.add('Embree is not installed here, and so batches of rays are left out.')
         return
     rows: list[list[Cell]] = []
-    curves: dict[str, plots.Line] = {}
     for size in (300,) if brief else BOXES:
         ask = _asking(size)
         for count in (1, 20) if brief else SIZES:
@@ -65,7 +64,6 @@ def batches(page: Page, brief: bool) -> None:
                 rows.append(_row(size, kind, batch, brief, ask))
         for kind, shape in (('lidar scan', LIDAR), ('scan in a plane', PLANE)):
             rows.append(_row(size, kind, scan(*((2, 10) if brief else shape)), brief, ask))
-        curves |= _curves(size, rows)
     page.add('### Batches of rays')
     page.add(
         'One call with as many rays, all in. Embree is given float32 arrays that are ready, and '
@@ -73,13 +71,6 @@ def batches(page: Page, brief: bool) -> None:
     )
     header = ('boxes', 'rays', 'in a batch', 'bvh_ros, us', 'Embree, us', 'ours / Embree')
     page.table(Table('peers_batches', header, rows))
-    plots.lines(
-        page.plot('peers_batches', 'Time of a batch over its size'),
-        curves,
-        'rays in a batch',
-        'us a batch',
-        'Rays from anywhere',
-    )
 
 
 def _asking(size: int) -> Callable[[Batch], dict[str, Job]]:
@@ -105,7 +96,7 @@ def _row(
     size: int, kind: str, batch: Batch, brief: bool, jobs: Callable[[Batch], dict[str, Job]]
 ) -> list[Cell]:
     found: dict[str, Timing] = interleaved(
-        {name: _many_times(job, brief) for name, job in jobs(batch).items()},
+        {name: many_times(job, brief) for name, job in jobs(batch).items()},
         3 if brief else REPEATS,
         warm=True,
     )
@@ -113,7 +104,7 @@ def _row(
     return [size, kind, len(batch.origins), ours, theirs, ours / theirs]
 
 
-def _many_times(job: Job, brief: bool) -> Job:
+def many_times(job: Job, brief: bool) -> Job:
     """So often that the clock's own time is none of it."""
     job.run()
     times = 1 if brief else max(1, int(1e-3 / timing.seconds(job.run)))
@@ -122,13 +113,4 @@ def _many_times(job: Job, brief: bool) -> Job:
         for _ in range(times):
             job.run()
 
-    return Job(run, times)
-
-
-def _curves(size: int, rows: list[list[Cell]]) -> dict[str, plots.Line]:
-    found = {}
-    for name, column in (('bvh_ros', 3), ('Embree', 4)):
-        chosen = [row for row in rows if row[0] == size and row[1] == 'from anywhere']
-        points = [(float(row[2] or 0), float(row[column] or 0)) for row in chosen]
-        found[f'{name}, {size:,} boxes'] = plots.Line(*zip(*points, strict=True))
-    return found
+    return Job(run, times * job.units)

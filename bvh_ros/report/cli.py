@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from . import error, features, intake, peers, soak, speed, stability
+from . import error, features, intake, peers, planner, soak, speed, stability
 from .page import Page
 from .progress import bar, say
 
@@ -22,6 +22,7 @@ PARTS = {
     'error': error,
     'features': features,
     'peers': peers,
+    'planner': planner,
     'speed': speed,
     'stability': stability,
 }
@@ -71,6 +72,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help='error: how wrong each way of answering is, against its time; '
         'features: what each part costs when it is on, and when it is off; '
         'peers: other libraries on the same work; '
+        'planner: batches of swept balls, turned boxes, points and distances; '
         'speed: growth, calls, policies, searches, cold start; '
         'stability: extreme and stiff cases; exits with 1 if one fails; '
         'intake: from a published message to the first answer, over ROS 2; '

@@ -89,6 +89,31 @@ def running_node(
 
 
 @contextmanager
+def served(
+    name: str, parameters: Mapping[str, object] | None = None, *, log: IO[bytes] | None = None
+) -> Iterator[tuple[BvhClient, subprocess.Popen[bytes]]]:
+    """Start ROS and a node as `running_node` does, kept apart from others; both end with the
+    block.
+
+    Yields
+    ------
+    client : BvhClient
+        Of that node, ready; its own node has this name.
+    process : subprocess.Popen
+        The node's.
+    """
+    namespace = keep_apart()
+    init()
+    try:
+        with running_node(namespace, parameters, log=log) as process:
+            client = BvhClient(rclpy.create_node(name, namespace=namespace), timeout=60.0)
+            wait_until_ready(client, process)
+            yield client, process
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
 def signals_waiting() -> Iterator[None]:
     """Let what would end us wait: a process that is just being started would be left behind."""
     came: list[int] = []

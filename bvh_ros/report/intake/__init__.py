@@ -29,31 +29,20 @@ INTRODUCTION = '## Intake'
 
 def over_ros(page: Page, brief: bool) -> None:
     """Measure over ROS 2 with the profile for large messages."""
-    import rclpy
-
-    from bvh_ros.client import BvhClient
     from bvh_ros.ros import large_messages, running
 
-    namespace = running.keep_apart()
     large_messages.enable()
-    running.init()
     parameters = {
         'sources': ['markers', 'boxes', 'by_id'],
         'boxes': {'type': 'PointCloud2', 'topic': '~/boxes'},
         'by_id': {'type': 'PointCloud2', 'topic': '~/boxes_by_id'},
         'max_obstacles': 10 * BOXES,
     }
-    try:
-        with (
-            (page.folder / 'intake_node.log').open('wb') as log,
-            running.running_node(namespace, parameters, log=log) as process,
-        ):
-            node = rclpy.create_node('intake', namespace=namespace)
-            client = BvhClient(node, timeout=60.0)
-            running.wait_until_ready(client, process)
-            page.table(_usable(client, brief))
-    finally:
-        rclpy.try_shutdown()
+    with (
+        (page.folder / 'intake_node.log').open('wb') as log,
+        running.served('intake', parameters, log=log) as (client, _),
+    ):
+        page.table(_usable(client, brief))
 
 
 SECTIONS = {'over ROS 2': over_ros}

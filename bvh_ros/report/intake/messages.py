@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages full of boxes, and one box beside them that shows which message is in."""
 
-from array import array
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
+
+from bvh_ros.ros.conversions import ray_clouds
 
 Floats = NDArray[np.float64]
 
@@ -51,18 +52,6 @@ def cloud(count: int, side: int, *, by_id: bool = False) -> PointCloud2:
         table[name] = EDGE
     if by_id:
         table['id'] = np.arange(count)
-    step = table.dtype.itemsize
-    data = array('B')
-    data.frombytes(table.tobytes())
-    message = PointCloud2(height=1, width=count, point_step=step, row_step=step * count, data=data)
+    message = ray_clouds.table_cloud(table, 1, count, table['x'])
     message.header.frame_id = 'map'
-    message.fields = [
-        PointField(
-            name=name,
-            offset=4 * place,
-            count=1,
-            datatype=PointField.UINT32 if name == 'id' else PointField.FLOAT32,
-        )
-        for place, name in enumerate(names)
-    ]
     return message

@@ -25,25 +25,15 @@ STEP = 5.0  # seconds between two moves of the progress bar
 
 def run(page: Page, minutes: float) -> int:
     """Soak; returns how many answers were wrong, and one more if memory grew."""
-    import rclpy
-
-    from bvh_ros.client import BvhClient
     from bvh_ros.ros import running
 
-    namespace = running.keep_apart()
-    running.init()
-    try:
-        with (
-            (page.folder / 'soak_node.log').open('wb') as log,
-            running.running_node(namespace, log=log) as process,
-        ):
-            node = rclpy.create_node('soak', namespace=namespace)
-            running.wait_until_ready(BvhClient(node), process)
-            record = Record(process.pid)
-            with publishing(namespace):
-                ask_on(node, record, max(1, int(60.0 * minutes / STEP)))
-    finally:
-        rclpy.try_shutdown()
+    with (
+        (page.folder / 'soak_node.log').open('wb') as log,
+        running.served('soak', log=log) as (client, process),
+    ):
+        record = Record(process.pid)
+        with publishing(client.node.get_namespace()):
+            ask_on(client.node, record, max(1, int(60.0 * minutes / STEP)))
     return record.write(page)
 
 

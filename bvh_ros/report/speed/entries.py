@@ -22,22 +22,14 @@ from ...tree.jit.kernel_parts import Kernel
 
 
 class Entry(NamedTuple):
-    """A kernel, compiled for one signature.
-
-    Attributes
-    ----------
-    name : str
-    signature : str
-    seconds : float
-        All of it; 0 for what was in the cache.
-    llvm : float
-        Seconds of that in LLVM.
-    """
+    """A kernel, compiled for one signature."""
 
     name: str
     signature: str
     seconds: float
+    """All of it; 0 for what was in the cache."""
     llvm: float
+    """Seconds of that in LLVM."""
 
 
 def default_jobs() -> list[Job]:

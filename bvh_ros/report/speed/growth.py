@@ -7,7 +7,6 @@ import resource
 import numpy as np
 
 from ... import DynamicBVH
-from .. import plots
 from ..page import Page
 from ..scenes import incoherent_rays, uniform_boxes
 from ..tables import Table
@@ -23,7 +22,7 @@ HEADER = (
 
 
 def growth(page: Page, brief: bool) -> None:
-    """Measure, and draw."""
+    """Measure."""
     rows = []
     for size in SIZES_QUICK if brief else SIZES:
         rows.append(_row(size, 200 if brief else RAYS))
@@ -35,14 +34,6 @@ def growth(page: Page, brief: bool) -> None:
         f'{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MB at most.'
     )
     page.table(Table('speed_growth', HEADER, rows))
-    columns = dict(zip(HEADER, zip(*rows, strict=True), strict=True))
-    plots.lines(
-        page.plot('speed_growth', 'Time a ray and a box against the number of boxes'),
-        {name: plots.Line(columns['boxes'], columns[name]) for name in HEADER[1:4]},
-        'boxes',
-        'ns',
-        'Growth',
-    )
 
 
 def _row(size: int, asked: int) -> list[int | float]:
