@@ -35,7 +35,7 @@ def questions(rows):
     boxes = volumes.boxes(places, SIZE, rng.normal(size=(rows, 4)), 0.1, 1)
     floats = places.astype(REAL), ways.astype(REAL)
     return {
-        'thin rays of 5 m': ('rays', ray_clouds.rays_cloud(as_rays(*floats, LONG, 1, 0.0))),
+        'thin rays of 5 m': ('rays', ray_clouds.rays_cloud(as_rays(*floats, LONG, 1))),
         'balls along them': ('rays', ray_clouds.rays_cloud(as_rays(*floats, LONG, 1, RADIUS))),
         'turned boxes': ('boxes', query_clouds.questions_cloud(boxes, REAL)),
         'points': ('points', query_clouds.questions_cloud(volumes.points(places, 5.0, 1), REAL)),
