@@ -3,6 +3,7 @@
 """`bvh_report planner`: what planners ask by the thousand, and loops over python-fcl and coal."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,7 +91,7 @@ def batches(page: Page, brief: bool) -> None:
     peers = [peer for peer in (Fcl(), Coal()) if peer.installed()]
     rows: list[list[Cell]] = []
     for name, question in questions(boxes, starts, turns).items():
-        calls = {str(n): Job(lambda q=question, n=n: q.ask(slice(n)), n) for n in counts}
+        calls = {str(n): Job(partial(question.ask, slice(n)), n) for n in counts}
         jobs = {row: many_times(job, brief) for row, job in calls.items()}
         for peer in peers if question.size else ():
             jobs[peer.name] = Job(loop(peer, boxes, asked, question), len(starts[few]))
