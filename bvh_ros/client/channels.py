@@ -66,6 +66,8 @@ class Channels:
             nothing = channel.ask(channel.nothing(), '', None)
             self._waiting.until_done(nothing, PATIENCE)
             channel.forget(nothing)
+            if nothing.done():
+                nothing.exception()  # an error is an answer, too
 
     def begin(
         self,
