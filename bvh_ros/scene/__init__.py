@@ -4,11 +4,11 @@
 
 from .geometry.meshes import Mesh, mesh_of
 from .geometry.shapes import ShapeKind, Shapes
+from .parts import Part
 from .refusals import Block, Refusal, Refusals
 from .results import NO_NODE, BoxHits, CastHits, Obstacle, SceneHit, TooManyHitsError
 from .scene import Scene
 from .store.names import Families, Numbered
-from .updates import Part
 
 __all__ = [
     'NO_NODE',

@@ -12,9 +12,10 @@ from ..tree import checks
 from ..tree.nodes import ALL
 from ..tree.store.workers import in_threads
 from .casting import ball_casting, box_casting, casting, sweeping
-from .casting.arguments import Found, Rays
+from .casting.arguments import Found, Rays, radii_of, require_ends
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
+from .moments import Moments
 from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 
@@ -24,6 +25,7 @@ class RayQueries:
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
+        self._moments = Moments(held)
 
     def raycast(
         self,
@@ -32,6 +34,8 @@ class RayQueries:
         radius: float = 0.0,
         mask: int = ALL,
         skip_inside: bool = False,
+        at: int | None = None,
+        until: int | None = None,
     ) -> SceneHit | None:
         """Return the first obstacle on the way from start to goal.
 
@@ -46,6 +50,10 @@ class RayQueries:
             Only obstacles with ``categories & mask != 0`` are seen.
         skip_inside : bool
             Ignore obstacles that the point or ball touches at the start.
+        at, until : int, optional
+            ns: the segment is left at `at`, and reached at `until`, while obstacles with
+            velocities move; without `until`, the world is frozen at that time. None: it is as
+            last told.
 
         Returns
         -------
@@ -63,6 +71,9 @@ class RayQueries:
         ValueError
             If an argument is NaN, infinite, negative (`radius`) or of the wrong shape.
         """
+        if self._moments.meant(at, until, 1):
+            asked = self._segment(start, goal, radius), mask, skip_inside
+            return self._moments.first(*asked, at, until)
         held, radius = self._held, checks.limit('radius', radius)
         if radius == 0.0 and not held.columns.shaped:
             start, goal = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
@@ -80,6 +91,8 @@ class RayQueries:
         mask: int = ALL,
         skip_inside: bool = False,
         most: int | None = None,
+        at: int | None = None,
+        until: int | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles on the way, nearest first, ties by handle.
 
@@ -88,6 +101,9 @@ class RayQueries:
         is looked at.
         """
         origin, direction, radius = self._segment(start, goal, radius)
+        if self._moments.meant(at, until, 1):
+            way = origin, direction, radius
+            return self._moments.every(way, mask, skip_inside, at, until, most)
         if radius == 0.0 and not self._held.columns.shaped:
             hits = box_casting.every(
                 self._held.tree, origin, direction, checks.mask(mask), bool(skip_inside), most
@@ -106,6 +122,8 @@ class RayQueries:
         skip_inside: bool = False,
         threads: int = 1,
         radius: ArrayLike | None = None,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
     ) -> CastHits:
         """First obstacles on n rays ``origin + t * direction``, ``0 <= t <= t_max``.
 
@@ -118,6 +136,8 @@ class RayQueries:
             The rays are shared among so many threads; the answer does not depend on it.
         radius : one for all rays, or array_like of shape (n,), optional
             Of balls that go along them, m. Where it is above zero the way has to end.
+        at, until : one for all rays, or array_like of shape (n,), optional
+            As in `raycast`; `until` is when t is 1.
 
         Returns
         -------
@@ -132,9 +152,12 @@ class RayQueries:
         )
         skip, threads = bool(skip_inside), checks.whole('threads', threads, 1)
         rays = Rays(origins, directions, limits, masks)
+        if self._moments.meant(at, until, len(origins)):
+            radii = radii_of(0.0 if radius is None else radius, len(origins))
+            return self._moments.first_of_many(rays, radii, skip, at, until, threads)
         if radius is None:
             return self._first_of_many(rays, skip, threads)
-        return self._balls(rays, _radii(radius, len(origins)), skip, threads)
+        return self._balls(rays, radii_of(radius, len(origins)), skip, threads)
 
     def sweep_many(
         self,
@@ -144,6 +167,8 @@ class RayQueries:
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
         threads: int = 1,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
     ) -> CastHits:
         """First obstacles on the ways of n balls; a row is what `raycast` says.
 
@@ -157,6 +182,8 @@ class RayQueries:
             Ignore obstacles that a ball touches at its start.
         threads : int
             The balls are shared among so many threads; the answer does not depend on it.
+        at, until : one for all balls, or array_like of shape (n,), optional
+            As in `raycast`.
 
         Raises
         ------
@@ -171,8 +198,10 @@ class RayQueries:
         if len(far):
             raise ValueError(f'the segment of row {far[0]} is longer than the largest double')
         rays = Rays(origins, directions, np.ones(count), checks.masks(mask, count))
-        threads = checks.whole('threads', threads, 1)
-        return self._balls(rays, _radii(radius, count), skip, threads)
+        threads, radii = checks.whole('threads', threads, 1), radii_of(radius, count)
+        if self._moments.meant(at, until, count):
+            return self._moments.first_of_many(rays, radii, skip, at, until, threads)
+        return self._balls(rays, radii, skip, threads)
 
     def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls that go along rays, and of those that are thin."""
@@ -180,11 +209,8 @@ class RayQueries:
         thin_rays, others = (Rays(*(rows[part] for rows in rays)) for part in (thin, thick))
         if not len(thick):
             return self._first_of_many(rays, skip, threads)
-        with np.errstate(over='ignore', invalid='ignore'):
-            ways = others.directions * others.t_max[:, None]
-        endless = np.flatnonzero(~np.isfinite(ways).all(axis=1))
-        if len(endless):
-            raise ValueError(f't_max must end the way of a ball: row {thick[endless[0]]} has none')
+        require_ends(rays, radii)
+        ways = others.directions * others.t_max[:, None]
         balls = Balls(others.origins, ways, radii[thick], others.masks)
         found = sweeping.first_of_many(self._held.tree, self._held.columns, balls, skip, threads)
         met = found.handles != NO_NODE
@@ -267,11 +293,3 @@ class RayQueries:
             for hit in hits_in_order:
                 hit.point[2] = origin[2]
         return hits_in_order
-
-
-def _radii(radius: ArrayLike, count: int) -> Floats:
-    """Finite radii, one a row."""
-    radii = checks.limits('radius', radius, count)
-    if np.isinf(radii).any():
-        raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
-    return radii

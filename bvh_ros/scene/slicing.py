@@ -15,12 +15,13 @@ from collections.abc import Callable, Generator, Iterator
 import numpy as np
 
 from ..tree.nodes import SLOT_MASK
+from .parts import Part
 from .refusals import Refusals
 from .store import updating
 from .store.names import as_families
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
-from .updates import NONE, Part, Sliced, Updates
+from .updates import NONE, Sliced, Updates
 
 # Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
 # as long in all.

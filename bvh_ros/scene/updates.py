@@ -2,22 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of messages into a scene."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree.nodes import ALL
+from ..tree import checks
 from .geometry.shapes import Shapes, as_shapes
+from .parts import Part, require_a_name_each
 from .refusals import Refusals
 from .store import updating
 from .store.names import Families, Names, as_families
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
-from .store.updating import FIRST_TIME, LAST_TIME, Owner, Rows, Validated, column
+from .store.updating import FIRST_TIME, Owner, Rows, Validated
 
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 NONE = np.empty(0, np.int64)
@@ -37,43 +38,6 @@ def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | 
     if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
         raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
     return lo, hi
-
-
-class Part(NamedTuple):
-    """Some rows of an update, as for `Scene.update`."""
-
-    names: Names
-    shapes: Shapes
-    stamp: ArrayLike
-    expires: ArrayLike = 0
-    categories: ArrayLike | None = None
-
-    def cut(self, length: int) -> Iterator['Part']:
-        """The same in parts of at most so many rows."""
-        if isinstance(self.shapes, Shapes) and np.size(self.shapes.kind) <= length:
-            yield self
-            return
-        names, given = as_families(self.names), as_shapes(self.shapes)
-        total = len(given.kind)
-        require_a_name_each(names, total)
-        columns: list[Any] = [
-            column('stamp', self.stamp, total, LAST_TIME, FIRST_TIME),
-            column('expires', self.expires, total, LAST_TIME),
-            None,
-        ]
-        if self.categories is not None:
-            columns[2] = column('categories', self.categories, total, ALL)
-        for begin in range(0, max(total, 1), length):
-            rows = slice(begin, begin + length)
-            shapes = given.take(rows)
-            rest: list[Any] = [None if each is None else each[rows] for each in columns]
-            yield Part(names.take(rows), shapes, *rest)
-
-
-def require_a_name_each(names: Families, count: int) -> None:
-    """ValueError if there are more or fewer names than shapes."""
-    if len(names) != count:
-        raise ValueError(f'there are {len(names)} names for {count} shapes')
 
 
 @dataclass(eq=False)
@@ -121,6 +85,7 @@ class Updates:
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
     ) -> Refusals:
         """Add or modify obstacles.
 
@@ -139,6 +104,9 @@ class Updates:
         categories : int or (n,) array, optional
             32-bit masks; a query sees an obstacle if its own mask has a bit in common. None: known
             obstacles keep theirs, new ones get what the scene's `categorise` says.
+        velocities : (n, 3) array, optional
+            m/s, from the stamp on: what queries with `at` count on. Only places move, nothing
+            turns. None: the rows' obstacles are at rest.
 
         Returns
         -------
@@ -152,7 +120,7 @@ class Updates:
         OverflowError
             If the node handles of this run are used up; nothing is changed then.
         """
-        return self.apply(source, '', Part(names, shapes, stamp, expires, categories))
+        return self.apply(source, '', Part(names, shapes, stamp, expires, categories, velocities))
 
     def replace(
         self,
@@ -164,13 +132,14 @@ class Updates:
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
     ) -> Refusals:
         """`update`, and remove the obstacles of this group that are not named. The group '' is all
         that the source owns.
 
         A refused row counts as named: its obstacle stays.
         """
-        part = Part(names, shapes, stamp, expires, categories)
+        part = Part(names, shapes, stamp, expires, categories, velocities)
         return self.apply(source, group, part, whole=True)
 
     def apply(
@@ -185,6 +154,7 @@ class Updates:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         held = self._held
         updating.text('source', source), updating.text('group', group)
+        speeds = self._speeds(part)
         names, slots, valid = self._validated(source, part)
         added, known, outside = self._within_region(valid.added, valid.known)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
@@ -208,8 +178,10 @@ class Updates:
                 self._note_told(sliced, present, outside)
                 sliced.shadows.append(held.leave_shadows(known))
             held.move(known, source, group)
+            held.set_velocities(known.slot, known, speeds)
             if len(added.row):
-                held.insert(added, names.take(added.row), source, group)
+                new = held.insert(added, names.take(added.row), source, group)
+                held.set_velocities(new, added, speeds)
             held.newest = newest
         return valid.reasons.refusals(names.text)
 
@@ -227,8 +199,15 @@ class Updates:
         return (
             names,
             slots,
-            updating.validate_rows(names, shapes, slots, owner, part[2:], held.planar),
+            updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar),
         )
+
+    def _speeds(self, part: Part) -> NDArray[np.float64] | None:
+        """Velocities of the rows along the tree's axes; None if none are told."""
+        if part.velocities is None:
+            return None
+        rows = checks.points('velocities', part.velocities, 3, len(as_shapes(part.shapes).kind))
+        return np.ascontiguousarray(rows[:, : self._held.tree.ndim])
 
     def _within_region(self, added: Rows, known: Rows) -> tuple[Rows, Rows, Slots]:
         """New and known obstacles whose bounds touch the region, and slots of those that leave."""

@@ -28,10 +28,10 @@ class Timed(Arrays):
         reference)``.
 
         From then on `raycast`, `raycast_all`, `occluded`, `overlap`, `nearest`, their batches, and
-        `boxcast` see the world as it is `at` a time, 0 unless told; rays and sweeps while time
-        goes by, with `pace`. They decide exactly, as ever. All else (`boxes`, `overlap_pairs`,
-        ...) is about the places that boxes were told. A new box has no velocity; one that is
-        moved keeps its velocity and reference until told others.
+        `boxcast` see the world as it is `at` a time, 0 unless told, or None: as boxes were told;
+        rays and sweeps while time goes by, with `pace`. They decide exactly, as ever. All else
+        (`boxes`, `overlap_pairs`, ...) is about the places that boxes were told. A new box has no
+        velocity; one that is moved keeps its velocity and reference until told others.
 
         Parameters
         ----------
@@ -89,6 +89,13 @@ class Timed(Arrays):
         self.check_unchanged(view)
         return rows, times
 
+    @property
+    def motion(self) -> Optional['MotionQueries']:
+        """What is asked of moving boxes, for who knows their arrays; None where no box ever had a
+        velocity.
+        """
+        return self._motion
+
     def packed_velocities(self, handles: Ids) -> dict[str, Any]:
         """What a file holds of them, by name, of a tree with these handles by slot; nothing where
         no box ever had one.
@@ -98,9 +105,13 @@ class Timed(Arrays):
     def _motion_at(
         self, at: Any, pace: Any = NOW, count: int | None = None
     ) -> Optional['MotionQueries']:
-        """The motion, if any box moves; else the times, of one query or `count`, are of no
-        account, but must be times.
+        """The motion, if any box moves and its time is asked for (`at` is not None); else the
+        times, of one query or `count`, are of no account, but must be times.
         """
+        if at is None:
+            if pace is not NOW:
+                raise ValueError('pace needs at, which is None')
+            return None
         if self._motion is None and not at is pace is NOW:
             time_checks.moments('at', at, count)
             time_checks.moments('pace', pace, count)

@@ -11,11 +11,14 @@ shapes, and a scene without meshes nothing of theirs.
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.nodes import DEEPEST
 from ...tree.rays.slab import RAY_ROWS
+from ..geometry.shapes import Floats
 from ..store.columns import Columns
 
 
@@ -84,6 +87,23 @@ class Scratch(NamedTuple):
     work: Any
     stack: Any
     entries: Any
+
+
+def radii_of(radius: ArrayLike, count: int) -> Floats:
+    """Finite radii, one a row."""
+    radii = checks.limits('radius', radius, count)
+    if np.isinf(radii).any():
+        raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
+    return radii
+
+
+def require_ends(rays: Rays, radii: Floats) -> None:
+    """ValueError where the way of a ball has no end."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        ways = rays.directions * rays.t_max[:, None]
+    endless = np.flatnonzero((radii > 0.0) & ~np.isfinite(ways).all(axis=1))
+    if len(endless):
+        raise ValueError(f't_max must end the way of a ball: row {endless[0]} has none')
 
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:

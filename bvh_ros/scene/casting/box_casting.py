@@ -100,7 +100,7 @@ def first_of_many(
     """First hits of n rays."""
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    hits = tree.raycast_many(*flat, rays.t_max, rays.masks, skip_inside, threads)
+    hits = tree.raycast_many(*flat, rays.t_max, rays.masks, skip_inside, threads, at=None)
     told = Told(np.empty(count, np.uint32), np.empty((count, 3)), np.zeros((count, 3)))
     nodes, tight = tree.arrays()[:2]
     describe(nodes, tight, node_handles, rays, hits, told)

@@ -67,6 +67,10 @@ class Obstacles:
         self.groups = Groups()
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
+        self.moves = False
+        """Whether any obstacle was told a velocity so far."""
+        self.epoch = 0
+        """Time 0 of the tree, ns."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""
@@ -163,6 +167,30 @@ class Obstacles:
             self.groups.join(source, group, joined)
             self.groups.leave(before[before != columns.group[slots]])
 
+    def set_velocities(self, slots: Slots, rows: Rows, speeds: Floats | None) -> None:
+        """Velocities of rows of an update that stand at these slots now, from their stamps on;
+        where none are told, all of them are at rest.
+        """
+        if not len(slots) or (speeds is None and not self.moves):
+            return
+        if speeds is None:
+            now = np.zeros((len(slots), self.tree.ndim))
+        else:
+            now = speeds[rows.row]
+            if not self.moves:
+                self.epoch = rows.stamp.item(0)
+                self.moves = bool(now.any())
+        if self.moves:
+            since = self.seconds(rows.stamp)
+            self.tree.set_velocities(self.columns.tree_handle[slots], now, since)
+
+    def seconds(self, stamps: NDArray[np.int64]) -> Floats:
+        """Times in ns as the tree has them: since the first velocity was told, so that no digit of
+        the nanoseconds is lost in 100 days.
+        """
+        since = stamps.astype(np.longdouble) - np.longdouble(self.epoch)
+        return np.asarray(since / 10**9, np.float64)
+
     def leave_shadows(self, rows: Rows) -> Slots:
         """Copies of the obstacles that are about to move, of the same names and handles, that stay
         where they are, see slicing.py; return their handles in the tree.
@@ -175,6 +203,9 @@ class Obstacles:
         moves = ~stays | rows.records['shaped'] | columns.geometry['shaped'][rows.slot]
         slots = rows.slot[moves]
         handles = self.tree.insert_many(lo[moves], hi[moves], columns.categories[slots])
+        if self.moves:
+            before = self.tree.velocities(columns.tree_handle[slots])
+            self.tree.set_velocities(handles, *before)
         copies = self.tree.slots(handles)
         columns.grow(int(copies.max(initial=-1)) + 1)
         columns.copy(slots, copies)

@@ -28,7 +28,9 @@ FEW_OVERLAPS, FEW_NEAREST = 64, 64
 class BoxQueries(Timed):
     """What touches, what comes to touch, and what is near."""
 
-    def overlap(self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL, at: float = NOW) -> Ids:
+    def overlap(
+        self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL, at: float | None = NOW
+    ) -> Ids:
         """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
         ascending. `at`: when, s, of boxes that have velocities.
         """
@@ -57,7 +59,7 @@ class BoxQueries(Timed):
         hi: ArrayLike,
         mask: ArrayLike = ALL,
         threads: int = 1,
-        at: ArrayLike = NOW,
+        at: ArrayLike | None = NOW,
     ) -> tuple[Ids, Ids]:
         """Overlaps of n query boxes, shape (n, ndim) each: (offsets, ids).
 
@@ -113,7 +115,7 @@ class BoxQueries(Timed):
         hi: ArrayLike,
         translation: ArrayLike,
         mask: int = ALL,
-        at: float = NOW,
+        at: float | None = NOW,
         pace: float = NOW,
     ) -> RayHit | None:
         """Return the first box that the box from `lo` to `hi` touches while it moves by
@@ -179,7 +181,7 @@ class BoxQueries(Timed):
         k: int = 1,
         max_distance: float = np.inf,
         mask: int = ALL,
-        at: float = NOW,
+        at: float | None = NOW,
     ) -> tuple[Ids, Floats]:
         """The up to k boxes nearest to `point` within `max_distance` (m): (ids, distances),
         nearest first, ties by handle.
@@ -218,7 +220,7 @@ class BoxQueries(Timed):
         k: int = 1,
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
-        at: ArrayLike = NOW,
+        at: ArrayLike | None = NOW,
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
         where = checks.points('points', points, self._ndim)

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
-HORIZON = 1.0  # s: bounds are fitted to so long a time at least
+HORIZON = 1.0  # s: from one time on bounds are fitted to so many more
 fit_entry = entry_points(fit_nodes, no_motion, np.empty(0, np.int64))
 
 
@@ -62,8 +62,9 @@ class Motion:
             self.fit(tree, *spans())
 
     def fit(self, tree: Any, first: float, last: float) -> None:
-        """Fit bounds of the tree as it is now to a time that holds this one, and while it stays as
-        it is what was asked for before. RuntimeError if it is being changed.
+        """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
+        been asked for others since it changed, they are fitted to a longer time that holds both.
+        RuntimeError if it is being changed.
         """
         arrays, ndim, before = tree.view().tree, tree.ndim, self.moving
         version = arrays.state.item(CHANGES)
@@ -71,10 +72,13 @@ class Motion:
             if arrays.state.item(TURN) < 0:
                 raise RuntimeError(IS_CHANGED)
             first, last = min(first, before.start), max(last, before.stop)
-        more = max(0.5 * (last - first), 0.5 * HORIZON, 2.0**-40 * max(abs(first), abs(last)))
+            more = 0.5 * (last - first)
+            first, last = first - more, last + more
+        elif first == last:
+            last = first + max(HORIZON, 2.0**-40 * abs(first))
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim))
         order = np.empty(len(arrays.nodes), np.int64)
-        moving = Moving(*self.kept, nodes, float(first - more), float(last + more), version)
+        moving = Moving(*self.kept, nodes, float(first), float(last), version)
         if fit_entry(ndim)(arrays, moving, order) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         self.moving = moving

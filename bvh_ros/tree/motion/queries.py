@@ -8,7 +8,7 @@ import functools
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
 from ..nodes import NONE
@@ -161,7 +161,7 @@ class MotionQueries(Motion):
         tree: Any,
         boxes: tuple[Floats, Floats],
         masks: NDArray[np.uint32],
-        at: ArrayLike,
+        at: Any,
         threads: int = 1,
     ) -> tuple[Ids, Ids]:
         """What boxes that go nowhere meet: (offsets, handles)."""
@@ -179,7 +179,7 @@ class MotionQueries(Motion):
         return offsets, np.concatenate(handles)
 
     def nearest_many(
-        self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: ArrayLike
+        self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: Any
     ) -> tuple[Ids, Floats]:
         """The nearest to points, asked = (max_distance, mask): (ids, distances)."""
         count = len(points)

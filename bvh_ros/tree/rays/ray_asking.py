@@ -31,7 +31,7 @@ class RayAsking(Timed):
         mask: int,
         skip_inside: bool,
         mode: int,
-        at: float,
+        at: float | None,
         pace: float,
     ) -> tuple[int, float, Floats] | None:
         """One ray, with as little Python as can be: (handle, t, point and normal as rows)."""

@@ -27,7 +27,7 @@ class RayQueries(RayAsking):
         t_max: float = np.inf,
         mask: int = ALL,
         skip_inside: bool = False,
-        at: float = NOW,
+        at: float | None = NOW,
         pace: float = NOW,
     ) -> RayHit | None:
         """Return the first box that the ray meets.
@@ -82,7 +82,7 @@ class RayQueries(RayAsking):
         t_max: float = np.inf,
         mask: int = ALL,
         skip_inside: bool = False,
-        at: float = NOW,
+        at: float | None = NOW,
         pace: float = NOW,
     ) -> list[RayHit]:
         """Return every box that the ray meets, nearest first (exactly; ties by handle). Arguments
@@ -113,7 +113,7 @@ class RayQueries(RayAsking):
         t_max: float = np.inf,
         mask: int = ALL,
         skip_inside: bool = False,
-        at: float = NOW,
+        at: float | None = NOW,
         pace: float = NOW,
     ) -> bool:
         """Whether the ray meets any box; cheaper than `raycast`. Arguments as there."""
@@ -128,7 +128,7 @@ class RayQueries(RayAsking):
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
         threads: int = 1,
-        at: ArrayLike = NOW,
+        at: ArrayLike | None = NOW,
         pace: ArrayLike = NOW,
     ) -> RayHits:
         """First hits of n rays, the same as `raycast` gives one by one.
@@ -157,7 +157,7 @@ class RayQueries(RayAsking):
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
         threads: int = 1,
-        at: ArrayLike = NOW,
+        at: ArrayLike | None = NOW,
         pace: ArrayLike = NOW,
     ) -> NDArray[np.bool_]:
         """Whether each of n rays meets any box, shape (n,). Arguments as `raycast_many`."""
@@ -173,7 +173,7 @@ class RayQueries(RayAsking):
         t_max: ArrayLike = np.inf,
         mask: ArrayLike = ALL,
         skip_inside: bool = False,
-        at: ArrayLike = NOW,
+        at: ArrayLike | None = NOW,
         pace: ArrayLike = NOW,
     ) -> tuple[Ids, Ids, Floats]:
         """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i +

@@ -1,0 +1,142 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays and swept balls at a time, or while it passes, among obstacles that have velocities.
+
+Seen from an obstacle that moves on a straight line, a ray is another ray. So the tree says whose
+boxes may be met, and each of these obstacles is asked by the ray that it sees. Among axis-aligned
+boxes thin rays are decided by the tree alone, as real arithmetic does.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.jit.compiling import lean_kernel
+from ...tree.motion.casting import Casts
+from ...tree.rays.raycasting import EVERY
+from ...tree.rays.slab import INSIDE, set_ray
+from ..geometry.shapes import Floats, along_axes
+from ..store.obstacles import Obstacles
+from ..store.registry import Slots
+from .arguments import Found, Hits, Rays, call, new_scratch, world_of
+from .casting import enter_obstacle, touch
+from .frame import COORDINATES, FRAME_SLACK
+
+
+class Met(NamedTuple):
+    """Hits, by ray and in the order in which they are met."""
+
+    rows: Slots
+    slots: Slots
+    ts: Floats
+    points: Floats
+    """Shape (m, 3)."""
+    normals: Floats
+
+    def take(self, which: NDArray[np.int64]) -> 'Met':
+        """Some of them."""
+        columns: Any = (column[which] for column in self)
+        return Met(*columns)
+
+
+class Times(NamedTuple):
+    """When rays start, s, and how many seconds pass a unit of t; shape (n,) each."""
+
+    at: Floats
+    pace: Floats
+
+
+@lean_kernel
+def meet_each(world, rays, slots, radii, scratch, found):
+    """Ray i, or a ball of radii[i] that goes along it, against the obstacle at slots[i]; t is inf
+    where it is missed.
+    """
+    hits = found.hits
+    for i in range(slots.shape[0]):
+        set_ray(scratch.ray, rays.origins[i], rays.directions[i])
+        t_max, work = rays.t_max[i], scratch.work
+        t, feature = enter_obstacle(world, slots[i], scratch.ray, radii[i], t_max, work)
+        hits.slots[i], hits.ts[i], hits.features[i] = slots[i], t, feature
+        if t < np.inf:
+            touch(world, scratch, radii[i], hits, i, found.points[i], found.normals[i])
+
+
+def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
+    """All that rays, or balls, meet; `rays` as Scene.raycast_many has them."""
+    ndim, count = held.tree.ndim, len(rays.origins)
+    flat = rays._replace(
+        origins=along_axes(rays.origins, ndim), directions=along_axes(rays.directions, ndim)
+    )
+    thin = radii == 0.0
+    parts = [_plain(held, flat, np.flatnonzero(thin), skip, times)]
+    if held.columns.shaped or not thin.all():
+        parts.append(_shaped(held, flat, radii, skip, times))
+    columns: Any = zip(*parts, strict=True)
+    met = Met(*(np.concatenate(column) for column in columns))
+    if ndim == 2:
+        met.points[:, 2] = rays.origins[met.rows, 2]
+    handles = held.columns.node_handle[met.slots]
+    order = np.lexsort((handles, met.ts, met.rows))
+    first = len(parts[0].rows)
+    _keep_exact_order(order, met, first)
+    return met.take(order) if count else met
+
+
+def _motion_of(held: Obstacles) -> Any:
+    return held.tree.motion
+
+
+def _keep_exact_order(order: NDArray[np.int64], met: Met, first: int) -> None:
+    """The first so many hits are in exact order, which their t, as doubles, may not tell."""
+    same = met.rows[order[1:]] == met.rows[order[:-1]]
+    same &= met.ts[order[1:]] == met.ts[order[:-1]]
+    while True:
+        wrong = same & (order[:-1] < first) & (order[1:] < first) & (order[:-1] > order[1:])
+        if not wrong.any():
+            return
+        place = int(np.argmax(wrong))
+        order[place], order[place + 1] = order[place + 1], order[place]
+
+
+def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, times: Times) -> Met:
+    """Thin rays of these rows against axis-aligned boxes, decided exactly."""
+    some = Rays(*(np.ascontiguousarray(column[rows]) for column in rays))
+    asked = some.t_max, some.masks, times.at[rows], times.pace[rows], skip, EVERY
+    casts = Casts(some.origins, some.origins, some.directions, *asked)
+    offsets, handles, found, places = _motion_of(held).every(held.tree, casts)
+    slots = held.tree.slots(handles)
+    plain = np.flatnonzero(~held.columns.geometry['shaped'][slots])
+    points, normals = (np.zeros((len(slots), 3)) for _ in range(2))
+    points[:, : held.tree.ndim], normals[:, : held.tree.ndim] = places
+    of = np.repeat(rows, np.diff(offsets))
+    return Met(of, slots, found.ts, points, normals).take(plain)
+
+
+def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
+    """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
+    largest = np.abs(rays.origins).max(axis=1, initial=0.0)
+    more = radii * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
+    lo, hi = rays.origins - more[:, None], rays.origins + more[:, None]
+    casts = Casts(lo, hi, rays.directions, rays.t_max, rays.masks, *times, False, EVERY)
+    offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
+    slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(lo)), np.diff(offsets))
+    wanted = held.columns.geometry['shaped'][slots] | (radii[rows] > 0.0)
+    slots, rows, handles = slots[wanted], rows[wanted], handles[wanted]
+    velocities, references = held.tree.velocities(handles)
+    since, count = times.at[rows] - references, len(rows)
+    seen = Rays(
+        rays.origins[rows] - velocities * since[:, None],
+        rays.directions[rows] - velocities * times.pace[rows, None],
+        rays.t_max[rows],
+        rays.masks[rows],
+    )
+    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+    found = Found(np.zeros(1, np.int64), hits, np.zeros((count, 3)), np.zeros((count, 3)))
+    scratch = new_scratch(held.tree.ndim)
+    call(meet_each, world_of(held.tree, held.columns), seen, slots, radii[rows], scratch, found)
+    met = hits.ts < np.inf
+    then = since + np.where(met, hits.ts, 0.0) * times.pace[rows]
+    found.points[:, : held.tree.ndim] += velocities * then[:, None]
+    kept = met & ~(skip & (hits.features == INSIDE))
+    return Met(rows, slots, hits.ts, found.points, found.normals).take(np.flatnonzero(kept))

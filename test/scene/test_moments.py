@@ -1,0 +1,136 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays and swept balls while obstacles move: as each obstacle, alone, sees them from its place."""
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Numbered, Part, Scene, Shapes, slicing
+from bvh_ros.scene.geometry.shapes import BOX, CYLINDER, SPHERE
+
+SECOND = 1_000_000_000
+NOW = 1_790_000_000 * SECOND
+Random = np.random.Generator
+
+
+def some_shapes(rng: Random, count: int) -> Shapes:
+    """Boxes, turned boxes, spheres and cylinders."""
+    places, sizes = rng.uniform(-9, 9, (count, 3)), rng.uniform(0.2, 3, (count, 3))
+    kinds = np.array([BOX, BOX, SPHERE, CYLINDER], np.uint8)[np.arange(count) % 4]
+    sizes[kinds != BOX, 1] = sizes[kinds != BOX, 0]
+    sizes[kinds == SPHERE, 2] = sizes[kinds == SPHERE, 0]
+    quaternions = rng.normal(size=(count, 4))
+    quaternions[::4] = 0.0
+    return Shapes(kinds, places, quaternions, sizes)
+
+
+def alone(shapes: Shapes, row: int, planar: bool) -> Scene:
+    scene = Scene(planar=planar)
+    scene.update('s', ['one'], shapes.take(np.array([row])), stamp=0)
+    return scene
+
+
+@pytest.mark.parametrize('planar', [False, True])
+def test_each_obstacle_is_met_as_it_sees_the_ray(planar: bool):
+    rng, count = np.random.default_rng(7), 16
+    shapes = some_shapes(rng, count)
+    scene, names = Scene(planar=planar), [f'o{i}' for i in range(count)]
+    velocities = rng.normal(size=(count, 3)) * (rng.random((count, 1)) < 0.8) * [3, 3, 0.5]
+    stamps = NOW + rng.integers(0, SECOND, count)
+    assert not scene.update('s', names, shapes, stamp=stamps, velocities=velocities)
+    each = [alone(shapes, row, planar) for row in range(count)]
+    for number in range(40):
+        start, goal = rng.uniform(-9, 9, (2, 3))
+        radius = float(number % 2) * 0.3
+        at = NOW + int(rng.integers(-SECOND, 2 * SECOND))
+        until = None if number % 5 == 0 else at + int(rng.integers(0, 3 * SECOND))
+        wanted = []
+        for row, one in enumerate(each):
+            begin = (at - int(stamps[row])) * 1e-9
+            end = begin if until is None else (until - int(stamps[row])) * 1e-9
+            seen = start - velocities[row] * begin, goal - velocities[row] * end
+            hit = one.raycast(*seen, radius)
+            if hit is not None:
+                when = begin + hit.t * (end - begin)
+                wanted.append((hit.t, names[row], hit.point + velocities[row] * when, hit.normal))
+        wanted.sort(key=lambda hit: hit[0])
+        hits = scene.raycast_all(start, goal, radius, at=at, until=until)
+        assert [hit.name for hit in hits] == [hit[1] for hit in wanted]
+        for hit, (t, _, point, normal) in zip(hits, wanted, strict=True):
+            assert hit.t == pytest.approx(t, abs=1e-9)
+            axes = slice(2 if planar else 3)
+            np.testing.assert_allclose(hit.point[axes], point[axes], atol=1e-6)
+            np.testing.assert_allclose(hit.normal, normal, atol=1e-6)
+        first = scene.raycast(start, goal, radius, at=at, until=until)
+        assert (first is None) == (not hits)
+        many = scene.sweep_many([start] * 3, [goal] * 3, radius, at=at, until=until, threads=2)
+        outside = [hit for hit in hits if hit.t > 0.0 or hit.normal.any()]
+        skipped = scene.raycast_all(start, goal, radius, skip_inside=True, at=at, until=until)
+        assert [hit.name for hit in skipped][:1] in ([hit.name for hit in outside][:1], [])
+        if first is not None:
+            assert (first.handle, first.t) == (hits[0].handle, hits[0].t)
+            assert many.handles.tolist() == [first.handle] * 3
+            assert many.t.tolist() == [first.t] * 3
+            assert many.points[2].tolist() == first.point.tolist()
+
+
+def test_the_world_as_last_told_and_at_rest():
+    scene = Scene()
+    boxes = Shapes.boxes([[10, 0, 0], [0, 10, 0]], [1, 1, 1])
+    still = scene.raycast([0, 0, 0], [20, 0, 0], at=NOW)
+    assert still is None
+    scene.update('s', ['car', 'cart'], boxes, stamp=NOW, velocities=[[-5, 0, 0], [0, 0, 0]])
+    way = [[0, 0, 0]] * 2, [[20, 0, 0]] * 2
+    assert scene.raycast([0, 0, 0], [20, 0, 0]).t == 0.475
+    assert scene.raycast_many(*way).t.tolist() == [0.475] * 2
+    assert scene.sweep_many(*way).t.tolist() == [0.475] * 2
+    times = [NOW, NOW + SECOND]
+    assert scene.sweep_many(*way, at=times).t.tolist() == [0.475, 0.225]
+    assert scene.raycast([0, 0, 0], [20, 0, 0], at=NOW, until=NOW + 4 * SECOND).t == 0.2375
+    # Who is told again without a velocity is at rest.
+    scene.update('s', ['car'], boxes.take([0]), stamp=NOW + SECOND)
+    assert scene.raycast([0, 0, 0], [20, 0, 0], at=NOW + 9 * SECOND).t == 0.475
+    scene.replace('s', '', ['car'], boxes.take([0]), stamp=NOW, velocities=[[5, 0, 0]])
+    assert scene.raycast([0, 0, 0], [20, 0, 0], at=NOW + SECOND).t == 0.725
+    assert len(scene) == 1
+
+
+def test_updates_in_slices_keep_velocities(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
+    monkeypatch.setattr(slicing, 'SLICE', 7)
+    scene, count = Scene(), 50
+    boxes = Shapes.boxes(10.0 * np.arange(3.0 * count).reshape(count, 3), [1, 1, 1])
+    names, speeds = Numbered('b#', np.arange(count)), np.full((count, 3), 2.0)
+    scene.update('s', names, boxes, stamp=NOW, velocities=speeds)
+    moved = boxes._replace(position=boxes.position + 5.0)
+    part, seen = Part(names, moved, NOW + SECOND, velocities=-speeds), []
+    for _ in scene.in_slices('s', '', count, part.cut, whole=True):
+        # Where the first one was told to go before, and where it is now.
+        places = boxes.position[0] + 4.0, moved.position[0] - 2.0
+        hits = [scene.raycast(place, place, at=NOW + 2 * SECOND) for place in places]
+        seen.append([hit and hit.name for hit in hits])
+    assert seen[0] == ['b#0', 'b#0']
+    for row in (0, 17, 49):
+        place = moved.position[row] - 2.0
+        assert scene.raycast(place, place, at=NOW + 2 * SECOND).name == f'b#{row}'
+    assert scene.raycast(places[0], places[0], at=NOW + 2 * SECOND) is None
+
+
+def test_what_is_refused():
+    scene = Scene()
+    boxes = Shapes.boxes([[10, 0, 0]], [1, 1, 1])
+    for wrong in ([[np.nan, 0, 0]], [[1, 2]], [1, 2, 3], [[0, 0, 0]] * 2, 'x'):
+        with pytest.raises(ValueError, match='velocities'):
+            scene.update('s', ['car'], boxes, stamp=NOW, velocities=wrong)
+    assert len(scene) == 0
+    scene.update('s', ['car'], boxes, stamp=NOW, velocities=[[1, 0, 0]])
+    ends = [0, 0, 0], [20, 0, 0]
+    for times in ({'until': 5}, {'at': 6, 'until': 5}, {'at': 1.5}, {'at': 1, 'until': [1, 2]}):
+        with pytest.raises(ValueError, match=r'at|until'):
+            scene.raycast(*ends, **times)
+        with pytest.raises(ValueError, match=r'at|until'):
+            scene.raycast_all(*ends, **times)
+    with pytest.raises(ValueError, match='t_max must end the way of a ball: row 0'):
+        scene.raycast_many(ends[:1], ends[1:], radius=1.0, at=NOW)
+    with pytest.raises(ValueError, match='1 hits, more than 0'):
+        scene.raycast_all(*ends, at=NOW, most=0)
