@@ -242,7 +242,7 @@ def test_an_awaited_answer_that_a_plain_call_took(client, context):
 def test_a_thousand_requests_on_the_way(client):
     replies = [client.raycast_async((0, 0, 0), (1, 0, 0)) for _ in range(1000)]
     for reply in replies:
-        assert client._waiting.until_done(reply, 30.0)
+        assert client.waiting.until_done(reply, 30.0)
 
 
 def test_nothing_can_be_asked_after_a_shutdown(context, server, node):
