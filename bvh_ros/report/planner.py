@@ -117,8 +117,7 @@ TEXT = (
     f'{LONG} m, balls of {RADIUS} m; boxes of {SIZE} m, few of which meet something, and of '
     f'{LARGE} m, turned in any way. Peers are asked in a loop, with objects that are ready, '
     'whether a box meets anything, and how far it, or a ball of 1 nm, is from what is nearest; '
-    'the largest batch is held against them. *otherwise*: answers of theirs that are not ours, '
-    'to 1e-6.'
+    'the largest batch is held against them. *otherwise*: answers that are not ours, to 1e-6.'
 )
 INTRODUCTION = '## Planner'
 SECTIONS = {'batches': batches}

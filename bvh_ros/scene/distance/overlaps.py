@@ -162,7 +162,8 @@ class Overlaps:
         """
         while True:
             found = self._scratch.found
-            given = self._tree.view().tree, *bodies, query, mask, self._columns.node_handle, found
+            asked = *bodies, query, mask, False
+            given = self._tree.view().tree, *asked, self._columns.node_handle, found
             entry = self._entries.get(variant)
             if entry is None:
                 entry = self._entries[variant] = entry_point(kernel, *given)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
 from ...tree.nodes import ALL
-from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
+from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise, different
 from ..geometry.polygon import outlined
 from ..geometry.records import Records
 from ..geometry.shapes import MESH, Floats, Shapes, as_shapes
@@ -77,5 +77,6 @@ def _hulls(given: Shapes, form: Canonical, planar: bool) -> Hulls | None:
         return None
     store, meshes = MeshStore(), outlined(given.mesh, form) if planar else given.mesh
     if meshes is not None:
-        form.records['mesh'][rows] = [store.take(meshes[row]) for row in rows.tolist()]
+        once, which = different(meshes[rows])
+        form.records['mesh'][rows] = np.array([store.take(mesh) for mesh in once])[which]
     return store.hulls

@@ -79,9 +79,10 @@ def within(lo, hi, query):
 
 
 @lean_kernel
-def touching_boxes(tree, query, mask, node_handles, found):
+def touching_boxes(tree, query, mask, enough, node_handles, found):
     """Fill in the boxes that touch an aligned query; return (how many, how many are doubtful).
-    More than fit: none is filled in.
+    More than fit: none is filled in. Where one is `enough`, the first that surely touches is
+    the last, and nothing is filled in.
     """
     nodes, tight, state = tree.nodes, tree.tight, tree.state
     if not begin_query(state, ANY_VERSION):
@@ -98,6 +99,11 @@ def touching_boxes(tree, query, mask, node_handles, found):
             if not (near_by or not sure):
                 continue
             doubtful += not sure
+            if enough:
+                count += 1
+                if sure:
+                    break
+                continue
             found.slots[count], found.doubtful[count] = slot, not sure
             found.points[count, 2] = query.height
             closest_in_box(lo, hi, centre, found.points[count])
@@ -105,13 +111,14 @@ def touching_boxes(tree, query, mask, node_handles, found):
                 found.points[count], centre, lo.shape[0], found.normals[count]
             )
             count += 1
-        order_found(found, count, node_handles)
+        if not enough:
+            order_found(found, count, node_handles)
     end_query(state)
     return (np.int64(total) if total > found.slots.shape[0] else np.int64(count)), doubtful
 
 
 @lean_kernel
-def touching_shapes(tree, bodies, query, mask, node_handles, found):
+def touching_shapes(tree, bodies, query, mask, enough, node_handles, found):
     """`touching_boxes` of any shapes: (how many, how many are doubtful, how many pairs were
     compared, how many of them took more digits).
     """
@@ -136,11 +143,17 @@ def touching_shapes(tree, bodies, query, mask, node_handles, found):
             if not (near_by or not sure):
                 continue
             doubtful += not sure
+            if enough:
+                count += 1
+                if sure:
+                    break
+                continue
             found.slots[count], found.doubtful[count] = slot, not sure
             found.points[count, 2] = query.height
             look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, count)
             count += 1
-        order_found(found, count, node_handles)
+        if not enough:
+            order_found(found, count, node_handles)
     end_query(state)
     count = total if total > found.slots.shape[0] else count
     return np.int64(count), doubtful, compared, more

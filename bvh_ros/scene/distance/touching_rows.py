@@ -78,7 +78,7 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
     `found`, handles written, pairs compared, those of them that took more digits): fewer rows
     than there are where there is no room for the next one, negative if the tree is changed.
     """
-    tree, (row, stop) = view.tree, place
+    tree, (row, stop), enough = view.tree, place, wanted == ANY
     written, compared, more, needed = 0, 0, 0, 0
     if not begin_query(tree.state, view.version):
         return -1, 0, 0, 0, 0
@@ -88,10 +88,10 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
         tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
         query = QueryShape(record, rows.bounds[row], aligned, tolerance, height)
         if bodies is None:
-            count, doubtful = touching_boxes(tree, query, mask, node_handles, found)
+            count, doubtful = touching_boxes(tree, query, mask, enough, node_handles, found)
         else:
             count, doubtful, pairs, digits = touching_shapes(
-                tree, bodies, query, mask, node_handles, found
+                tree, bodies, query, mask, enough, node_handles, found
             )
             compared += pairs
             more += digits

@@ -31,6 +31,8 @@ SNAP = 2.0**-50
 OUTWARD = 2.0**-45
 LEAST = 5e-324
 
+MOST_PLACES = 1 << 18  # of vertices that are turned at once
+
 REASONS = (
     '',
     'its kind is none of BOX, SPHERE, CYLINDER, CAPSULE and MESH',
@@ -241,25 +243,55 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
     """What rows of kind MESH have that others have not."""
     is_mesh = (shapes.kind == MESH) & ((form.faults == FINE) | (form.faults == TOO_LARGE))
     held: Any = np.full(len(shapes.kind), None) if shapes.mesh is None else shapes.mesh
-    for row in np.flatnonzero(is_mesh).tolist():
-        mesh = held[row]
-        if not isinstance(mesh, Mesh) or (mesh.size != shapes.size[row]).any():
-            form.faults[row], is_mesh[row] = NO_MESH, False
     rows = np.flatnonzero(is_mesh)
+    once, which = different(held[rows])
+    sizes = [mesh.size if isinstance(mesh, Mesh) else np.full(3, np.nan) for mesh in once]
+    known = (np.array(sizes).reshape(-1, 3)[which] == shapes.size[rows]).all(axis=1)
+    form.faults[rows[~known]] = NO_MESH
+    rows = rows[known]
+    if not len(rows):
+        return
     records = form.records[rows]
     turns, ndim = rotations(records['orientation']), form.lo.shape[1]
-    centres = np.array([mesh.centre for mesh in held[rows]]).reshape(-1, 3)
+    meshes, which = different(held[rows])
+    centres = np.array([mesh.centre for mesh in meshes]).reshape(-1, 3)[which]
     with np.errstate(over='ignore', invalid='ignore'):
+        low, high = _reaches(meshes, which, turns)
         records['position'] += np.einsum('nij,nj->ni', turns, centres)
-        for row, record, turn in zip(rows.tolist(), records, turns, strict=True):
-            position = record['position']
-            places = held[row].vertices @ turn.T
-            largest = (np.abs(position) + np.abs(turn) @ record['half'])[:ndim].max()
-            if record['orientation'][:2].any():
-                largest = max(largest, record['half'].max())
-            lo = position + places.min(axis=0) - (largest * OUTWARD + LEAST)
-            hi = position + places.max(axis=0) + (largest * OUTWARD + LEAST)
-            finite = np.isfinite(lo).all() and np.isfinite(hi).all()
-            form.faults[row] = FINE if finite else TOO_LARGE
-            form.lo[row], form.hi[row] = lo[:ndim], hi[:ndim]
+        position, half = records['position'], records['half']
+        spread = np.abs(position) + np.einsum('nij,nj->ni', np.abs(turns), half)
+        leans = records['orientation'][:, :2].any(axis=1)
+        largest = np.maximum(
+            spread[:, :ndim].max(axis=1, initial=0.0),
+            np.where(leans, half.max(axis=1, initial=0.0), 0.0),
+        )
+        pad = largest[:, None] * OUTWARD + LEAST
+        lo, hi = position + low - pad, position + high + pad
+    finite = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    form.faults[rows] = np.where(finite, FINE, TOO_LARGE)
+    form.lo[rows], form.hi[rows] = lo[:, :ndim], hi[:, :ndim]
     form.records[rows] = records
+
+
+def different(meshes: NDArray[np.object_]) -> tuple[list[Any], NDArray[np.intp]]:
+    """The meshes of an array (n,), each once, and which of them each row has."""
+    keys = np.fromiter(map(id, meshes), np.int64, len(meshes))
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    return meshes[first].tolist(), which
+
+
+def _reaches(meshes: list[Mesh], which: NDArray[np.intp], turns: Floats) -> tuple[Floats, Floats]:
+    """Lowest and highest corners (n, 3) of turned meshes, seen from their centres."""
+    low, high = np.empty((2, len(which), 3))
+    order = np.argsort(which, kind='stable')
+    for mesh, group in zip(
+        meshes,
+        np.split(order, np.searchsorted(which[order], np.arange(1, len(meshes)))),
+        strict=True,
+    ):
+        step = max(MOST_PLACES // len(mesh.vertices), 1)
+        for begin in range(0, len(group), step):
+            some = group[begin : begin + step]
+            places = mesh.vertices @ turns[some].swapaxes(1, 2)
+            low[some], high[some] = places.min(axis=1), places.max(axis=1)
+    return low, high
