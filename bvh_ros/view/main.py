@@ -81,6 +81,9 @@ def _open(what: str, topic: str, ended: threading.Event) -> ShownWorld:
 def main(args: Sequence[str] | None = None) -> int:
     """Show until Ctrl-C or SIGTERM; return the exit code."""
     options = _arguments(args)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, lambda *_: ended.set())
     try:
         from bvh_ros.view.page import Page
         from bvh_ros.view.server import LocalServer
@@ -89,9 +92,6 @@ def main(args: Sequence[str] | None = None) -> int:
             raise
         print(f'bvh_view: {GET_IT}', file=sys.stderr)
         return 1
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: ended.set())
     server = LocalServer(options.host, options.port)
     world = None
     try:

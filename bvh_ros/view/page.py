@@ -63,6 +63,7 @@ class Page:
         panel = self.panel
         for control in (panel.dark, panel.grid, panel.shadows):
             panel.on(control, self.stage.set_theme)
+        panel.on(panel.dark, self._picking.go_on)
         panel.on(panel.frames, self.stage.draw_frames)
         panel.on(panel.ask, self.ask)
         panel.on_click(panel.all, self.stage.look_at_all)

@@ -132,7 +132,9 @@ def _text(lines: Sequence[str]) -> str:
     Viser's Markdown would draw HTML and pictures that stand in an obstacle's name.
     """
     each = ''.join(f'<div>{line}</div>' for line in lines)
-    return f'<div style="padding:.1em .8em .5em;font-size:.85em;line-height:1.55">{each}</div>'
+    return (
+        f'<div style="padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55">{each}</div>'
+    )
 
 
 def _set(handle: Any, text: str) -> None:

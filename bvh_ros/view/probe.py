@@ -114,5 +114,6 @@ def in_words(answer: Answer) -> str:
 def in_digits(*metres: float) -> str:
     """Millimetres where the largest needs no more and no fewer."""
     largest = max(abs(one) for one in metres)
-    form = '.3f' if largest == 0.0 or 0.01 <= largest < 1e7 else '.6g'
-    return ', '.join(format(one, form) for one in metres)
+    if largest == 0.0 or 0.01 <= largest < 1e7:
+        return ', '.join(f'{round(one, 3) + 0.0:.3f}' for one in metres)  # no -0.000
+    return ', '.join(f'{one:.6g}' for one in metres)

@@ -126,6 +126,31 @@ def test_what_moves_is_heard_at_once_and_the_node_answers(live):
     assert {name: len(shapes.kind) for name, shapes in split.items()} == {'cart': 1, 'early': 4}
 
 
+def test_batches_of_rays_are_shown(live):
+    world, _ = live
+    world.want(Wanted(queries=True))
+    until(world, lambda: world.node.count_publishers(f'{SPACE}/bvh/queries') == 1)
+    asker = BvhClient(world.node, f'{SPACE}/bvh')
+    origins = np.stack((np.arange(5.0), np.zeros(5), np.full(5, 0.5)), axis=1)
+    ways = np.tile((0.0, -1.0, 0.0), (5, 1))
+
+    def shown():
+        hits = asker.raycast_many(origins, ways, 20.0)
+        lines, spots = world.overlay().lines[-5:], world.overlay().spots[-4:]
+        met = np.isfinite(hits.t)
+        wanted = origins[met] + hits.t[met, None] * ways[met]
+        return (
+            met.sum() == 4  # three walls, and the cart
+            and np.array_equal(lines[:, 0], origins)
+            and np.allclose(lines[met, 1], wanted)
+            and np.allclose(spots, wanted)
+        )
+
+    until(world, shown)
+    world.want(Wanted())
+    until(world, lambda: world.node.count_subscribers(f'{SPACE}/bvh/queries') == 0)
+
+
 def test_figures_and_frames(live):
     world, _ = live
     until(world, lambda: 'height of the tree' in world.figures())
@@ -173,3 +198,38 @@ def test_pictures_are_asked_for_only_while_somebody_looks(live):
     world.advance(time.monotonic() + 0.1)
     until(world, lambda: counts() == [0, 0, 0])
     assert len(world.overlay().lines) == len(world.overlay().scan) == 0
+
+
+def test_a_node_that_ends_and_comes_back(ros_context):
+    """What was there stays to be seen, but is not asked; then the new one is shown."""
+    space = f'{SPACE}b'
+    node = rclpy.create_node('others', namespace=space)
+    client = BvhClient(node)
+    boxes = node.create_publisher(MarkerArray, f'{space}/bvh/obstacles', 10)
+    with running_node(space, {}) as process:
+        wait_until_ready(client, process)
+        world = Live(f'{space}/bvh')
+        until(world, lambda: boxes.get_subscription_count() == 2)
+        boxes.publish(MarkerArray(markers=[marker('box', 1, (2, 0, 0))]))
+        until(world, lambda: 'box/1' in world.scene)
+        assert world.raycast(np.zeros(3), np.array((9.0, 0.0, 0.0))).hits[0].name == 'box/1'
+    try:
+        until(world, lambda: 'the node' in world.figures())
+        assert 'box/1' in world.scene
+        with pytest.raises(RuntimeError, match='has ended'):
+            world.raycast(np.zeros(3), np.array((9.0, 0.0, 0.0)))
+        version = world.version()
+        with running_node(space, {'frame_id': 'odom'}) as process:
+            wait_until_ready(client, process)
+            until(world, lambda: world.frame_id == 'odom')
+            assert len(world.scene) == 0
+            assert world.version() != version
+            until(world, lambda: boxes.get_subscription_count() == 2)
+            box = marker('box', 2, (2, 0, 0))
+            box.header.frame_id = 'odom'
+            boxes.publish(MarkerArray(markers=[box]))
+            until(world, lambda: 'box/2' in world.scene)
+            assert world.raycast(np.zeros(3), np.array((9.0, 0.0, 0.0))).hits[0].name == 'box/2'
+    finally:
+        world.close()
+        node.destroy_node()

@@ -4,6 +4,7 @@
 
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -11,20 +12,22 @@ import pytest
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Scene, Shapes
 from bvh_ros.view.grouping import Namespaces, namespace_of
-from bvh_ros.view.main import _is_local
+from bvh_ros.view.main import _is_local, _open
+from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import SavedTree, ShownWorld
 
 RNG = np.random.default_rng(4)
 
 
-@pytest.fixture(params=[2, 3])
+@pytest.fixture(params=[(2, 'tree.npz'), (3, 'tree.npz'), (3, 'tree.mapped')])
 def saved(request, tmp_path):
-    """A tree, and the world that was made of its file."""
-    lo = RNG.uniform(0.0, 50.0, (200, request.param))
+    """A tree, and the world that `bvh_view` makes of its file."""
+    ndim, name = request.param
+    lo = RNG.uniform(0.0, 50.0, (200, ndim))
     tree = DynamicBVH.from_boxes(lo, lo + RNG.uniform(0.1, 3.0, lo.shape))
     tree.remove_many(tree.ids()[::7])
-    tree.save(tmp_path / 'tree.npz')
-    return tree, SavedTree(tmp_path / 'tree.npz')
+    tree.save(tmp_path / name, mapped=name.endswith('mapped'))
+    return tree, _open(str(tmp_path / name), '', threading.Event())
 
 
 def test_a_saved_tree_is_shown_as_it_was(saved):
@@ -53,6 +56,20 @@ def test_questions_are_answered_by_the_saved_tree(saved):
         away = [np.linalg.norm(one.point - (start + goal) / 2) for one in near]
         assert away == sorted(away)
         assert all(one.name in world.scene for one in near)
+
+
+@pytest.mark.parametrize('unit', [1e-290, 1e-12, 1.0, 1e12, 1e290])
+@pytest.mark.parametrize('away', [0.0, 1e3, 1e9])
+def test_a_page_tells_apart_what_a_thousandth_of_the_world_is_apart(unit, away):
+    placing = Placing()
+    lo = np.full(3, away * unit)
+    hi = lo + unit
+    placing.fit(lo, hi)
+    points = lo + np.linspace(0.0, 1.0, 1001)[:, None] * (hi - lo)
+    seen = placing.shown(points).astype(np.float32)
+    assert (np.abs(seen) < 1e6).all()
+    assert (np.diff(seen, axis=0) > 0.0).all()
+    np.testing.assert_allclose(placing.meant(placing.shown(points)), points, rtol=1e-15)
 
 
 def test_a_click_on_a_planar_world_asks_for_what_stands_there():
