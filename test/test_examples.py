@@ -47,6 +47,8 @@ def test_a_sampling_planner(tmp_path):
     assert picture.stat().st_size > 10_000
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(1300)  # seconds: the first node compiles
 def test_through_a_node():
     pytest.importorskip('rclpy')
     assert 'in 0 of them in touch' in run('sampling_planner.py', '--ticks', '2', '--node')
