@@ -126,6 +126,7 @@ def test_the_tunnel_of_viser_stays_shut(page):
     assert page.server._share_tunnel is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('unit', 'at'), FARAWAY[1:])
 def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
     with pages.shown(ShownWorld('five', five(unit, at))) as page:
@@ -134,6 +135,7 @@ def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
         until(lambda: pages.differences(browser, page)[2] == 0, 'something else is seen')
 
 
+@pytest.mark.slow
 def test_a_world_that_is_empty_and_grows(browser):
     scene = Scene()
     with pages.shown(ShownWorld('grows', scene)) as page:

@@ -16,6 +16,8 @@ from view.pages import press, text_of, until
 from bvh_ros import scenarios
 from bvh_ros.view.recorded import Tracks
 
+pytestmark = pytest.mark.slow
+
 MET = re.compile(r'(\S+) at \(([-.\d]+), ([-.\d]+), ([-.\d]+)\) m · [\d,]+ us')
 
 

@@ -23,6 +23,8 @@ from bvh_ros.ros.config.settings import SHARED
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
+pytestmark = pytest.mark.slow
+
 COUNT, ASKED = 80, SHARED + 10
 RNG = np.random.default_rng(17)
 CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
