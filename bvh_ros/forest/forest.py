@@ -131,6 +131,8 @@ class Forest:
         return self._top.bounds
 
     def _asking(self, executor: Executor | None) -> Asking:
+        if executor is not None and not callable(getattr(executor, 'submit', None)):
+            raise ValueError('executor must have the submit of concurrent.futures.Executor')
         return Asking(str(self._folder), self._checksums, executor)
 
     def raycast_many(

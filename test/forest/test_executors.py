@@ -77,6 +77,8 @@ def test_an_error_of_a_worker_is_raised_and_the_rest_is_called_off(world):
     executor = Failing()
     with pytest.raises(OSError, match='the disk is gone'):
         forest.raycast_many(origins, directions, executor=executor)
+    with pytest.raises(ValueError, match='executor must have'):
+        forest.raycast_many(origins, directions, executor=5)  # type: ignore[arg-type]
     assert all(future.done() for future in executor.futures)
 
 
