@@ -81,6 +81,12 @@ class DynamicBVH(RayQueries, Predicates):
 
     def _begin(self, ndim: int, margin: float, sibling_search: str, capacity: int) -> None:
         """Be a new tree, also where a subclass has its own `__init__`."""
+        self._be(ndim, margin, sibling_search)
+        places = checks.capacity('capacity', capacity)
+        self._storage = new_storage(self._ndim, places, self._margin > 0.0)
+
+    def _be(self, ndim: int, margin: float, sibling_search: str) -> None:
+        """Be a tree of this kind whose storage is still to come."""
         self._ndim = checks.whole('ndim', ndim, 2, 3)
         if not isinstance(sibling_search, str) or sibling_search not in SEARCHES:
             shown = checks.shown_short(sibling_search)
@@ -90,8 +96,6 @@ class DynamicBVH(RayQueries, Predicates):
             raise ValueError('margin must be finite')
         self._sibling_search = sibling_search
         self._thorough = sibling_search == 'branch_and_bound'
-        places = checks.capacity('capacity', capacity)
-        self._storage = new_storage(self._ndim, places, self._margin > 0.0)
         self._wide = 0, 0, None, None
         self._motion = None
 

@@ -184,7 +184,7 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
 def attach(tree: Any, path: Path) -> None:
     """Let a new tree be what a file written by `mapped.save` holds, read-only and not copied."""
     header, arrays = mapped.attach(path)
-    tree._begin(header['ndim'], header['margin'], header['sibling_search'], 1)
+    tree._be(header['ndim'], header['margin'], header['sibling_search'])
     state = np.zeros(ALL_PLACES, np.int64)
     _fill_state(state, header, _counters(header['counters'], tree.COUNTERS))
     state[TURN] = 1  # of a query that never ends
@@ -200,7 +200,7 @@ def _fill_state(state: NDArray[np.int64], kept: dict[str, Any], counters: dict[s
 def unpack(tree: Any, packed: Any) -> None:
     """Fill a new tree; ValueError if what was kept is not a sound one."""
     kept = _sound(packed, tree.COUNTERS)
-    tree._begin(kept['ndim'], kept['margin'], kept['sibling_search'], 1)
+    tree._be(kept['ndim'], kept['margin'], kept['sibling_search'])
     storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
     for name in ARRAYS[:-1]:
         getattr(storage.tree, name)[:] = kept[name]
