@@ -131,6 +131,7 @@ def played(*arguments):
     return result.stdout, sum(bool(ROW.match(line)) for line in result.stdout.splitlines())
 
 
+@pytest.mark.slow
 def test_markers_in_their_own_frame_at_another_pace(shared_data, tmp_path):
     frames = traffic(shared_data, 41)
     text = [(t, String(data='x')) for t, _ in frames * 3]
@@ -155,6 +156,7 @@ def test_a_cloud_in_a_bare_file(shared_data, tmp_path):
     assert rows == 3
 
 
+@pytest.mark.slow
 def test_a_latched_map_in_sqlite(shared_data, tmp_path):
     path = write(tmp_path / 'bag', {'/map': floor(shared_data)}, storage=SQLITE, qos=[LATCHED])
     assert bags.find(path).tracks[0].transient_local
@@ -181,6 +183,7 @@ def point_cloud(*points):
     return cloud
 
 
+@pytest.mark.slow
 def test_all_topics_with_obstacles_at_once(tmp_path):
     """Two use the same names. The corners are those of the boxes, not of points on them."""
     topics = {

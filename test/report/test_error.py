@@ -98,6 +98,7 @@ def test_objects_entered_at_the_same_distance_are_both_first():
     assert score(Answer(np.array([1]), np.array([1.0])), truth).wrong == 0
 
 
+@pytest.mark.slow
 def test_rounded_decisions_are_undone_and_are_wrong_where_it_is_close():
     boxes, rays = corner_rays(300, 2000, np.random.default_rng(1))
     truth = boxes_truth(boxes, rays)

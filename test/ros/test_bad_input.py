@@ -236,6 +236,7 @@ def test_bad_grids(filled):
     check(filled, 'floor', before, len(BAD_GRIDS), 'mars')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('source', ['markers', 'points', 'floor'])
 def test_bytes_that_are_no_message(filled, messages, source):
     """Random bytes and torn messages on the wire, as a broken or hostile publisher sends them."""

@@ -151,6 +151,7 @@ def test_a_configuration_that_cannot_be_used_leaves_the_node_unconfigured(
     assert managed.world.end() == 0
 
 
+@pytest.mark.slow
 def test_a_qos_override_that_makes_no_sense_keeps_the_node_unconfigured(manage):
     topic = 'qos_overrides./x.subscription.reliability'
     managed = manage(**{'markers.topic': '/x', topic: 'certainly'})

@@ -60,6 +60,7 @@ def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_t
     assert 'Traceback' not in world.said()
 
 
+@pytest.mark.slow
 def test_a_second_start_compiles_nothing(start_node, monkeypatch):
     start_node().end()  # compiles, if nobody has
     monkeypatch.setenv('NUMBA_DEBUG_CACHE', '1')

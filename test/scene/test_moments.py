@@ -30,6 +30,7 @@ def alone(shapes: Shapes, row: int, planar: bool) -> Scene:
     return scene
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('planar', [False, True])
 def test_each_obstacle_is_met_as_it_sees_the_ray(planar: bool):
     rng, count = np.random.default_rng(7), 16

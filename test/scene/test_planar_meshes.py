@@ -90,6 +90,7 @@ def test_boxes_given_as_triangles_answer_as_boxes():
         assert other.distance == pytest.approx(one.distance, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('radius', [0.0, 0.3])
 def test_rays_and_discs_as_sampling_finds(radius):
     rng = np.random.default_rng([5, int(radius > 0)])

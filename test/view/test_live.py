@@ -200,6 +200,7 @@ def test_pictures_are_asked_for_only_while_somebody_looks(live):
     assert len(world.overlay().lines) == len(world.overlay().scan) == 0
 
 
+@pytest.mark.slow
 def test_a_node_that_ends_and_comes_back(ros_context):
     """What was there stays to be seen, but is not asked; then the new one is shown."""
     space = f'{SPACE}b'

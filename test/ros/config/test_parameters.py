@@ -165,6 +165,7 @@ def test_texts_of_others_fit_into_a_line():
     assert len(as_line(ValueError('x' * 10**6))) < LONGEST_LINE + 30
 
 
+@pytest.mark.slow
 def test_a_huge_frame_is_shortened_where_it_is_told(start_node, messages):
     world = start_node()
     huge = 'f' * 1_000_000

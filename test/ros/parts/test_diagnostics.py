@@ -104,6 +104,7 @@ def test_a_refused_query_is_a_warning_for_a_second(busy, diagnostics):
     busy.until(lambda: seen['queries'].level == OK)
 
 
+@pytest.mark.slow
 def test_a_missing_required_source_is_an_error(start_node, diagnostics):
     world = start_node({'markers.required': True})
     seen = diagnostics(world)
@@ -112,6 +113,7 @@ def test_a_missing_required_source_is_an_error(start_node, diagnostics):
         assert seen[part].message == "required source 'markers' has not spoken yet"
 
 
+@pytest.mark.slow
 def test_publishers_that_are_gone_are_a_warning(start_node, messages, diagnostics):
     world = start_node()
     world.markers(messages.marker(1))

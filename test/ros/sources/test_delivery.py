@@ -134,6 +134,7 @@ def test_a_burst_of_requests(world, messages, clients, each):
         world.node.destroy_client(client)
 
 
+@pytest.mark.slow
 def test_a_gap_is_seen(start_node, messages, publish):
     """With room for one message only, most of a burst is lost."""
     namespace = '/shallow'
@@ -219,6 +220,7 @@ def test_clouds_with_ids_tell_all_by_one_without(start_node, messages, ros):
     ros[0].destroy_publisher(publisher)
 
 
+@pytest.mark.slow
 def test_best_effort_beside_reliable_beside_latched(start_node, messages, publish):
     """All three are heard, each message once, and each publisher's in order."""
     world = start_node()

@@ -105,6 +105,7 @@ def test_lifetimes_and_ages_follow_the_clock(simulate, messages):
     assert answer(world) == ['a/3']
 
 
+@pytest.mark.slow
 def test_a_clock_that_stands_still_is_said_in_diagnostics(simulate, diagnostics):
     simulation = simulate()
     simulation.at(10.0)

@@ -29,7 +29,7 @@ def segment(rng, world):
 
 
 @pytest.mark.parametrize('radius', [0.0, 1e-3, 0.3, 2.0])
-@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('planar', [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_all_hits_equal_brute_force(radius, planar):
     rng = np.random.default_rng(int(radius * 1000) + planar)
     met = 0

@@ -126,6 +126,7 @@ def test_every_pair_of_kinds_as_brute_force():
 NEARLY = [0.0, 1e-15, 1e-12, 1e-8, 1e-3]
 
 
+@pytest.mark.slow
 def test_shapes_that_lie_along_each_other():
     """Needles, plates and equal shapes, one in the other, turned by next to nothing."""
     rng, sizes = np.random.default_rng(12), [1e-12, 1e-6, 0.01, 0.5, 1.0, 2.0]
@@ -155,6 +156,7 @@ def test_shapes_that_lie_along_each_other():
     assert touching > 60
 
 
+@pytest.mark.slow
 def test_seen_from_above_as_brute_force():
     rng, touching = np.random.default_rng(13), 0
     for _ in range(150):

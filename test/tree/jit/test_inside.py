@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
 from tree.jit.alone import run_alone
 
 import bvh_ros
@@ -80,6 +81,7 @@ def run(code: str, *arguments: str, **environment: str) -> tuple[list, str]:
     return json.loads(ended.stdout), ended.stderr
 
 
+@pytest.mark.slow
 def test_without_what_is_not_documented_answers_are_the_same():
     (name, *expected), said = run(ANSWERS)
     assert (name, said) == ('Kernel', '')

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import pytest
 from tree.jit.alone import run_alone
 
 import bvh_ros
@@ -85,6 +86,7 @@ for ndim in map(int, sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 def test_code_from_two_processes_does_not_mix(tmp_path):
     """One compiled for 2D nodes, the other one for 3D nodes, each as its first function."""
     shutil.copytree(Path(bvh_ros.__file__).parent, tmp_path / 'bvh_ros')

@@ -279,6 +279,7 @@ SHORT_OF_MEMORY = """
 """
 
 
+@pytest.mark.slow
 def test_short_of_memory() -> None:
     """Limits of every size on every growth, in a process of its own, which gives all memory back
     to the system: what it had in store would not count.
