@@ -48,6 +48,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return LoadFileScheduling(config, log)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """First those who mostly wait, for a browser: at the end nobody would work beside them."""
+    items.sort(key=lambda item: 'view' not in item.path.parts)
+
+
 @pytest.fixture(scope='session')
 def shared_data() -> Path:
     """Folder of recorded input (traffic, scans, a building); it lies beside the clone."""

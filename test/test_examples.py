@@ -30,7 +30,7 @@ def run(name, *arguments):
     ('name', 'said'),
     [
         ('tree_alone.py', '10000 boxes moved'),
-        ('moving_boxes.py', 'of 1000 meet a moving box'),
+        pytest.param('moving_boxes.py', 'of 1000 meet a moving box', marks=pytest.mark.slow),
         ('virtual_lidar.py', 'of 32768 beams return'),
         ('planner_loop.py', 'at the goal after'),
     ],

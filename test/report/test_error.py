@@ -122,6 +122,7 @@ def test_front(points, expected):
     assert front(points) == expected
 
 
+@pytest.mark.slow
 def test_a_world_that_is_refreshed_at_once_is_right(shared_data):
     path = shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
     traffic = recordings.tracks(path)

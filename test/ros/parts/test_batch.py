@@ -326,6 +326,7 @@ def test_no_rays_no_hits(asker):
     assert len(table(asker.ask(rays_cloud(rays(np.empty((0, 3)), np.empty((0, 3))))))) == 0
 
 
+@pytest.mark.slow
 def test_an_incomplete_world(start_node, messages):
     parameters = {'markers.required': True, 'planar': True}
     asker = Asker(start_node(parameters))

@@ -198,6 +198,7 @@ def test_who_spoke_before_has_to_tell_all(start_node, messages, ros):
         ros[0].destroy_publisher(publisher)
 
 
+@pytest.mark.slow
 def test_clouds_with_ids_tell_all_by_one_without(start_node, messages, ros):
     namespace = '/tracked'
     source = {'type': 'PointCloud2', 'topic': 'tracks', 'required': True}

@@ -111,6 +111,7 @@ def with_meshes(rng, rows):
     return Shapes.of_meshes([mesh], rows.position, rng.normal(size=(1, 4))), triangles
 
 
+@pytest.mark.slow
 def test_every_pair_of_kinds_as_brute_force():
     rng, seen = np.random.default_rng(11), set()
     for _ in range(200):
