@@ -94,6 +94,24 @@ def fill_core(shape, origin, exponent, planar, core):
 
 
 @lean_kernel
+def fill_cores(one, hulls, other, other_hulls, planar, rows):
+    """The cores of two shapes, seen from the place of the first and times 2**-exponent, by which
+    the largest length in play is about 1: (cores, radii, exponent). `rows` is where they are put.
+    """
+    origin = one.position
+    largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
+    exponent = math.frexp(largest)[1]
+    round_one, radius = fill_core(one, origin, exponent, planar, rows[0])
+    round_other, other_radius = fill_core(other, origin, exponent, planar, rows[1])
+    if hulls is None:
+        hull = other_hull = None
+    else:
+        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    cores = Core(rows[0], round_one, hull), Core(rows[1], round_other, other_hull)
+    return cores, (radius, other_radius), exponent
+
+
+@lean_kernel
 def near(one, hulls, other, other_hulls, tolerance, planar):
     """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
     whether that took more digits.
@@ -107,6 +125,7 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
 def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    # As `fill_cores`, but what many boxes need not comes after them: 5 % of a turned overlap.
     origin = one.position
     largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
     exponent = math.frexp(max(largest, tolerance))[1]

@@ -20,7 +20,7 @@ from ..geometry.hull import Hull, hull_of
 from .expanding_polygon import polygon_depth
 from .expanding_polytope import polytope_depth
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
-from .narrow_phase import fill_core, largest_length, ordered
+from .narrow_phase import fill_core, fill_cores, largest_length, ordered
 from .separation import LINES, fill_line
 from .simplex import SECOND, SLACK, WAY_ROOM, dot
 from .sure_gap import set_normal, sure_bounds
@@ -47,18 +47,9 @@ def penetration(one, hulls, other, other_hulls, planar, points, normal):
 def ordered_penetration(one, hulls, other, other_hulls, planar, points, normal):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    origin = one.position
-    largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
-    exponent = math.frexp(largest)[1]
-    round_one, radius = fill_core(one, origin, exponent, planar, first)
-    round_other, other_radius = fill_core(other, origin, exponent, planar, second)
-    if hulls is None:
-        hull = other_hull = None
-    else:
-        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
-    cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
-    depth = core_depth(cores, (radius, other_radius), planar, points, normal)
-    return scaled_back(depth, exponent, origin, points)
+    cores, radii, exponent = fill_cores(*(one, hulls, other, other_hulls), planar, (first, second))
+    depth = core_depth(cores, radii, planar, points, normal)
+    return scaled_back(depth, exponent, one.position, points)
 
 
 @lean_kernel
