@@ -8,7 +8,7 @@ import numpy as np
 
 from ..tree import checks
 from ..tree.store.workers import in_threads
-from .casting.arguments import Rays, require_ends
+from .casting.arguments import Rays, ways_of
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
@@ -84,7 +84,7 @@ class Moments:
     ) -> CastHits:
         """What n rays, or balls, meet first."""
         count = len(rays.origins)
-        require_ends(rays, radii)
+        ways_of(rays, radii)  # refuses balls without an end
         hits = CastHits(
             *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
             *(np.full((count, 3), np.nan), np.zeros((count, 3))),

@@ -12,7 +12,7 @@ from ..tree import checks
 from ..tree.nodes import ALL
 from ..tree.store.workers import in_threads
 from .casting import ball_casting, box_casting, casting, sweeping
-from .casting.arguments import Found, Rays, radii_of, require_ends
+from .casting.arguments import Found, Rays, radii_of, ways_of
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
@@ -209,8 +209,7 @@ class RayQueries:
         thin_rays, others = (Rays(*(rows[part] for rows in rays)) for part in (thin, thick))
         if not len(thick):
             return self._first_of_many(rays, skip, threads)
-        require_ends(rays, radii)
-        ways = others.directions * others.t_max[:, None]
+        ways = ways_of(rays, radii)[thick]
         balls = Balls(others.origins, ways, radii[thick], others.masks)
         found = sweeping.first_of_many(self._held.tree, self._held.columns, balls, skip, threads)
         met = found.handles != NO_NODE

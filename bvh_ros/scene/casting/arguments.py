@@ -97,13 +97,14 @@ def radii_of(radius: ArrayLike, count: int) -> Floats:
     return radii
 
 
-def require_ends(rays: Rays, radii: Floats) -> None:
-    """ValueError where the way of a ball has no end."""
+def ways_of(rays: Rays, radii: Floats) -> Floats:
+    """The way of each ray to its end; ValueError where that of a ball has none."""
     with np.errstate(over='ignore', invalid='ignore'):
         ways = rays.directions * rays.t_max[:, None]
     endless = np.flatnonzero((radii > 0.0) & ~np.isfinite(ways).all(axis=1))
     if len(endless):
         raise ValueError(f't_max must end the way of a ball: row {endless[0]} has none')
+    return np.asarray(ways)
 
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:

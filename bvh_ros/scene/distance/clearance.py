@@ -17,20 +17,20 @@ from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE
+from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import begin_query, end_query
 from ...tree.store.workers import in_threads
-from ..geometry.hull import hull_of
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from .closest import fill_corners, length
-from .gjk import CORE_ROWS, Core
-from .narrow_phase import fill_core, largest_length, ordered
+from .gjk import CORE_ROWS
+from .narrow_phase import fill_cores, ordered
 from .query_rows import QueryRows
 from .simplex import FIRST, SECOND, SLACK, WAY_ROOM, dot
 from .sinking import sink_shape
 from .sure_gap import sure_bounds
-from .touching_rows import RowKernel, Signed, bodies_of, of_row
+from .touching_rows import RowKernel, Signed, bodies_of
 
 ROUNDED = 1.0 + 2.0**-40  # no computed distance is off by as much
 MORE = 4
@@ -72,17 +72,10 @@ def ordered_gap(one, hulls, other, other_hulls, planar, points):
     first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
     way = stack_array(WAY_ROOM, np.float64)
-    origin = one.position
-    largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))
-    exponent = math.frexp(largest)[1]
-    round_one, radius = fill_core(one, origin, exponent, planar, first)
-    round_other, other_radius = fill_core(other, origin, exponent, planar, second)
-    if hulls is None:
-        hull = other_hull = None
-    else:
-        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    cores, (radius, other_radius), exponent = fill_cores(
+        *(one, hulls, other, other_hulls), planar, (first, second)
+    )
     limit = radius + other_radius + SLACK
-    cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
     low, high, _ = sure_bounds(cores[0], cores[1], limit, True, way)
     apart = high if high - low <= SLACK else low
     touching = apart <= limit
@@ -93,7 +86,7 @@ def ordered_gap(one, hulls, other, other_hulls, planar, points):
         points[0, axis] = way[FIRST + axis] - share * way[axis]
         points[1, axis] = way[FIRST + axis] - other_share * way[axis]
         for row in range(2):
-            points[row, axis] = math.ldexp(points[row, axis], exponent) + origin[axis]
+            points[row, axis] = math.ldexp(points[row, axis], exponent) + one.position[axis]
     return 0.0 if touching else math.ldexp(apart - radius - other_radius, exponent)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.nodes import View
+from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import accepted, begin_query, end_query
 from ..results import NO_NODE
 from ..store.columns import Columns
@@ -64,12 +65,6 @@ class Near(NamedTuple):
     distances: Any
     points: Any
     normals: Any
-
-
-@inlined
-def of_row(values, row):
-    """The value of a row, or that of all."""
-    return values[row if values.shape[0] > 1 else 0]
 
 
 @lean_kernel

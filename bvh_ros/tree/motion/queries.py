@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
 from ..nodes import NONE
-from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found
+from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
 from ..results import RayHits
 from ..store.turns import NOT_FINITE
 from ..store.workers import in_threads
 from . import casting, nearest, overlapping
 from .bounds import LONGEST
-from .casting import OUTSIDE, Casts, Places
+from .casting import Casts, Places
 from .motion import Motion
 
 Floats = NDArray[np.float64]
@@ -53,9 +53,9 @@ class MotionQueries(Motion):
 
     def overlap(self, tree: Any, box: tuple[Floats, Floats], mask: np.uint32, at: Any) -> Ids:
         """Handles of what a box touches, ascending."""
-        at, room, kernel = time_checks.moment('at', at), 64, overlapping.one_entry(tree.ndim)
-        swept, count = (*box, np.zeros(tree.ndim)), OUTSIDE
-        found = _room(room)
+        at, kernel = time_checks.moment('at', at), overlapping.one_entry(tree.ndim)
+        swept = *box, np.zeros(tree.ndim)
+        found = room_for_hits(64)
         while True:
             count = kernel(tree.view().tree, self.moving, swept, mask, at, found)
             if count == NOT_FINITE:
@@ -63,7 +63,7 @@ class MotionQueries(Motion):
             if 0 <= count <= len(found.slots):
                 return np.sort(found.slots[:count])
             if count > 0:
-                found = _room(count)
+                found = room_for_hits(count)
             else:
                 self.fit(tree, *_span(at, 0.0, 0.0))
 
@@ -99,7 +99,8 @@ class MotionQueries(Motion):
         """
         count, ndim, begun = len(casts.lo), tree.ndim, tree.view()
         offsets, done = np.zeros(count + 1, np.int64), 0
-        found, kernel = _room(count if casts.mode != EVERY else 64), casting.rows_entry(ndim)
+        found = room_for_hits(count if casts.mode != EVERY else 64)
+        kernel = casting.rows_entry(ndim)
         spans = functools.partial(_spans, casts.at, casts.pace, casts.t_max)
         while done < count:
 
@@ -108,9 +109,7 @@ class MotionQueries(Motion):
 
             done, wanted = self.ask(tree, spans, call)
             if done < count:
-                full, found = found, _room(max(2 * len(found.slots), wanted))
-                for old, new in zip(full, found, strict=True):
-                    new[: len(old)] = old
+                found = more_room(found, wanted)
         total = offsets[-1]
         rows = np.repeat(np.arange(count), np.diff(offsets))
         keys = begun.tree.handles[found.slots[:total]], found.ts[:total], rows
@@ -198,10 +197,6 @@ class MotionQueries(Motion):
 def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
     """`at` and `pace`: each one for all or (n,), finite."""
     return time_checks.moments('at', times[0], count), time_checks.moments('pace', times[1], count)
-
-
-def _room(count: int) -> Found:
-    return Found(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
 
 
 def _part_of(casts: Casts, start: int, stop: int) -> Casts:

@@ -220,14 +220,23 @@ def sort_hits_exactly(tree, ray, rays, offsets, found):
             ts[j] = max(ts[j], ts[j - 1])
 
 
-def _room_for_hits(count: int) -> Found:
+def room_for_hits(count: int) -> Found:
+    """Arrays for so many hits."""
     return Found(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+
+
+def more_room(found: Found, wanted: int) -> Found:
+    """The same in twice as large arrays, or for so many hits."""
+    larger = room_for_hits(max(2 * len(found.slots), wanted))
+    for old, new in zip(found, larger, strict=True):
+        new[: len(old)] = old
+    return larger
 
 
 NO_RAYS = Rays(*(np.empty((0, 3)),) * 2, np.empty(0), np.empty(0, np.uint32), False, CLOSEST)
 _NO_RAY, _NUMBERS = np.empty((RAY_ROWS, 3)), np.empty(0, np.int64)
-every_entry = entry_points(raycast_every_row, 0, _NO_RAY, NO_RAYS, _NUMBERS, _room_for_hits(0), 0)
-sorting_entry = entry_points(sort_hits_exactly, _NO_RAY, NO_RAYS, _NUMBERS, _room_for_hits(0))
+every_entry = entry_points(raycast_every_row, 0, _NO_RAY, NO_RAYS, _NUMBERS, room_for_hits(0), 0)
+sorting_entry = entry_points(sort_hits_exactly, _NO_RAY, NO_RAYS, _NUMBERS, room_for_hits(0))
 
 
 def every_hit(view: Any, rays: Rays) -> tuple[Ids, Found]:
@@ -236,13 +245,11 @@ def every_hit(view: Any, rays: Rays) -> tuple[Ids, Found]:
     """
     count, ndim = rays.origins.shape
     offsets, scratch = np.zeros(count + 1, np.int64), np.empty((RAY_ROWS, ndim))
-    done, found = 0, _room_for_hits(64)
+    done, found = 0, room_for_hits(64)
     while done < count:
         done, wanted = every_entry(ndim)(*view, scratch, rays, offsets, found, done)
         if accepted(done) < count:
-            full, found = found, _room_for_hits(max(2 * len(found.slots), wanted))
-            for old, new in zip(full, found, strict=True):
-                new[: len(old)] = old
+            found = more_room(found, wanted)
     total = offsets[-1]
     found = Found(found.slots[:total], found.ts[:total], found.axes[:total])
     if total > 1:
