@@ -45,7 +45,8 @@ class Nearest:
             )
             for name in kind._fields
         }
-        self.distances = self._told['t' if 't' in self._told else 'distances']
+        self._far = 't' if 't' in self._told else 'distances'
+        self.distances = self._told[self._far]
         self._obstacles, self._points = self._told['obstacles'], self._told['points']
         self._ties: list[tuple[Numbers, dict[str, Any]]] = []
 
@@ -59,7 +60,7 @@ class Nearest:
         if 'counts' in its:
             self._count(rows[hit], its.pop('counts')[hit].astype(np.int64))
         rows, its = rows[hit], {name: column[hit] for name, column in its.items()}
-        distances = its['t' if 't' in its else 'distances']
+        distances = its[self._far]
         known = self._obstacles[rows] != FREE
         nearer = ~known | (distances < self.distances[rows])
         tied = known & (distances == self.distances[rows])
@@ -98,8 +99,7 @@ class Nearest:
             self._put(rows, its, first & self._still(rows, its))
 
     def _still(self, rows: Numbers, its: Mapping[str, Any]) -> NDArray[np.bool_]:
-        distances = its['t' if 't' in its else 'distances']
-        return np.asarray(distances == self.distances[rows])
+        return np.asarray(its[self._far] == self.distances[rows])
 
     def answer(self) -> Any:
         """All rows; those that are unknown as a node says it."""

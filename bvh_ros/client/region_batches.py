@@ -73,7 +73,7 @@ class RegionBatches:
         *,
         timeout: float | None = None,
     ) -> Touched:
-        """As `BvhClient.overlap_many`, but for `counts`: see above."""
+        """As `BvhClient.overlap_many`, but for `counts`, see `RegionClient`."""
         asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
         return self._nearest_of(lambda _: region_rows.of_boxes(asked), timeout)
 
