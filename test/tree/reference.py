@@ -98,10 +98,18 @@ def _entry(
     lo: list[int], hi: list[int], origin: list[int], direction: list[int]
 ) -> tuple[Fraction, int] | None:
     """Where the ray enters the closed box, as (t, axis entered last)."""
+    return latest_entry(
+        [(a - at, b - at, way) for a, b, at, way in zip(lo, hi, origin, direction, strict=True)]
+    )
+
+
+def latest_entry(gaps: list[tuple[int, int, int]]) -> tuple[Fraction, int] | None:
+    """Of axes (near, far, way), sides at distances near / way and far / way: the latest entry, not
+    before 0, and its axis, unless it is after the earliest leave.
+    """
     entry, entry_over, entered = 0, 1, INSIDE
     leave, leave_over = 1, 0  # infinity
-    for axis, way in enumerate(direction):
-        near, far = lo[axis] - origin[axis], hi[axis] - origin[axis]
+    for axis, (near, far, way) in enumerate(gaps):
         if way == 0:
             if near > 0 or far < 0:
                 return None

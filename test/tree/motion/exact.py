@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tree.reference import INSIDE, ExactHit
+from tree.reference import INSIDE, ExactHit, latest_entry
 
 Floats = NDArray[np.float64]
 
@@ -62,31 +62,12 @@ def meetings(world: World, course: Course) -> list[ExactHit]:
             )
             for k in range(len(lo))
         ]
-        found = _meeting(gaps)
+        found = latest_entry(gaps)
         if found is not None:
-            hits.append(ExactHit(found[0], row, found[1]))
+            t, axis = found
+            face = INSIDE if axis == INSIDE else 2 * axis + (gaps[axis][2] < 0)
+            hits.append(ExactHit(t, row, face))
     return sorted(hits)
-
-
-def _meeting(gaps: list[tuple[int, int, int]]) -> tuple[Fraction, int] | None:
-    """The latest entry, and its face of `meet`, unless it is after the earliest leave."""
-    entry, entry_over, entered = 0, 1, INSIDE
-    leave, leave_over = 1, 0  # infinity
-    for axis, (near, far, rate) in enumerate(gaps):
-        if rate == 0:
-            if near > 0 or far < 0:
-                return None
-            continue
-        face = 2 * axis + (rate < 0)
-        if rate < 0:
-            near, far, rate = -far, -near, -rate
-        if near * entry_over > entry * rate:
-            entry, entry_over, entered = near, rate, face
-        if far * leave_over < leave * rate:
-            leave, leave_over = far, rate
-    if entry * leave_over > leave * entry_over:
-        return None
-    return Fraction(entry, entry_over), entered
 
 
 def squared_distances(world: World, low: Floats, high: Floats, at: float) -> list[Fraction]:
