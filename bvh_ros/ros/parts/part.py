@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 
+from bvh_ros.ros.parts.replies import Replies
 from bvh_ros.ros.qos import REQUESTS
 
 if TYPE_CHECKING:
@@ -32,7 +33,10 @@ class NodePart:
     def service(self, kind: type, name: str, callback: Callable[..., Any], **given: Any) -> Any:
         """Create a service that lives as long as this part."""
         service = self.node.create_service(kind, name, callback, qos_profile=REQUESTS, **given)
-        self._close.append(partial(self.node.destroy_service, service))
+        self._close += [
+            partial(self.node.destroy_service, service),
+            Replies(self.node, service).close,
+        ]
         return service
 
     def publisher(self, kind: type, topic: str, qos: Any, **given: Any) -> Any:
