@@ -46,7 +46,7 @@ def warm_up(*arguments, code=ONE):
     )
 
 
-@pytest.mark.parametrize('cpu', ['native', 'x86-64-v2'])
+@pytest.mark.parametrize('cpu', [pytest.param('native', marks=pytest.mark.slow), 'x86-64-v2'])
 def test_it_leaves_kernels_for_a_processor(tmp_path, cpu):
     if shipped.missing_features(shipped.LEVELS.get(cpu, ())):
         pytest.skip(f'this is no {cpu}')

@@ -97,6 +97,7 @@ def cluster():
         yield client
 
 
+@pytest.mark.slow
 def test_a_dask_cluster(world, cluster):
     check(world, cluster.get_executor(pure=False))
 
@@ -154,6 +155,7 @@ def test_dask_arrays_in_and_out(world, cluster):
         np.testing.assert_array_equal(lazy.compute(), known)
 
 
+@pytest.mark.slow
 def test_dask_arrays_that_do_not_fit_are_refused_at_once(world):
     da = pytest.importorskip('dask.array', reason='extra [cluster] is not installed')
     forest, _, origins, directions = world

@@ -83,7 +83,7 @@ def answers(world: Any, rng: np.random.Generator, at: Any, **how: Any) -> list[A
     return out
 
 
-@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('ndim', [pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize('scene', [lattice, far, decades, one_place, anywhere])
 def test_a_forest_answers_as_one_tree(tmp_path, monkeypatch, ndim, scene):
     monkeypatch.setattr(asking, 'ROWS_AT_ONCE', 1000)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ros import forking
 
 START_TIMEOUT = 240.0  # seconds: the very first start compiles
 TIMEOUT = 10.0
@@ -37,7 +38,7 @@ EVERY_NODE = {  # the services that rclpy opens for each node
 class World:
     """One running node, and the means to talk to it."""
 
-    def __init__(self, ros: Any, process: subprocess.Popen, namespace: str, log: Path) -> None:
+    def __init__(self, ros: Any, process: Any, namespace: str, log: Path) -> None:
         self.node, self.executor = ros
         self.process = process
         self.name = f'{namespace}/bvh'
@@ -198,7 +199,9 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         script: Sequence[Any] = (),
         remap: str = '',
         namespace: str = '',
+        fresh: bool = False,
     ) -> World:
+        """A `fresh` one is started as its command does it, and not forked."""
         folder = tmp_path_factory.mktemp('node')
         own = f'/t{os.getpid()}_{folder.name}_{next(counter)}'.replace('-', '_')
         namespace = namespace or own
@@ -206,13 +209,18 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         # JSON is YAML, but for infinity
         given = json.dumps({'/**': {'ros__parameters': parameters or {}}})
         file.write_text(given.replace('Infinity', '.inf'))
-        program = script or ('-m', f'bvh_ros.ros.{module}')
-        command = [sys.executable, *program, '--ros-args']
-        command += ['-r', f'__ns:={namespace}', *(['--params-file', file] if parameters else [])]
-        command += ['-r', remap] if remap else []
+        arguments = ['--ros-args', '-r', f'__ns:={namespace}']
+        arguments += ['--params-file', str(file)] if parameters else []
+        arguments += ['-r', remap] if remap else []
         log = folder / 'log.txt'
-        with log.open('wb') as output:
-            process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+        process: Any
+        if fresh or script or module != 'node' or forking.settings() != forking.SETTINGS:
+            program = [sys.executable, *(script or ('-m', f'bvh_ros.ros.{module}'))]
+            with log.open('wb') as output:
+                process = subprocess.Popen([*program, *arguments], stdout=output, stderr=output)
+        else:
+            log.touch()
+            process = forking.Fork(arguments, log)
         world = World(ros, process, namespace, log)
         worlds.append(world)
         if wait:

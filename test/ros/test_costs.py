@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from array import array
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,12 @@ PARAMETERS = {
     'max_obstacles': MOST,
     'max_hits': 5,
 }
+
+
+@pytest.fixture(scope='module')
+def start_node(start_node):
+    """Processes that did not begin as forks."""
+    return partial(start_node, fresh=True)
 
 
 def octets(count):

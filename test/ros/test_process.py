@@ -5,6 +5,7 @@
 import re
 import signal
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,12 @@ from bvh_ros.ros.config.option import ConfigurationError
 
 OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
 GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}
+
+
+@pytest.fixture(scope='module')
+def start_node(start_node):
+    """Processes that did not begin as forks."""
+    return partial(start_node, fresh=True)
 
 
 def end_of(world):
@@ -69,6 +76,7 @@ def test_a_second_start_compiles_nothing(start_node, monkeypatch):
     assert '[cache] data saved to' not in said
 
 
+@pytest.mark.slow
 def test_start_up_line_says_what_is_on(start_node):
     world = start_node({'planar': True, 'margin': 0.5, 'frame_id': 'odom'})
     line = next(line for line in world.said().splitlines() if 'ready' in line)

@@ -39,7 +39,7 @@ def lattice_shapes(rng, count):
     return Shapes.boxes(rng.integers(-8, 9, (count, 3)) * 0.5, size)
 
 
-SCENES = [(False, 'boxes'), (False, 'mixed'), (True, 'mesh')]
+SCENES = [(False, 'boxes'), (False, 'mixed'), pytest.param((True, 'mesh'), marks=pytest.mark.slow)]
 
 
 @pytest.fixture(scope='module', params=SCENES, ids=str)

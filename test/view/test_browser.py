@@ -16,6 +16,8 @@ from view.pages import text_of, until
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 from bvh_ros.view.worlds import ShownWorld
 
+pytestmark = pytest.mark.slow
+
 EVIL = '<img src="http://127.0.0.1:9/" onerror="document.title = 1">![](http://127.0.0.1:9/)**'
 KINDS = {
     'crate': (ShapeKind.BOX, (0.0, 0.0, 0.5), (1.0, 2.0, 1.0), (0.0, 0.0, 0.38, 0.92)),
@@ -126,7 +128,6 @@ def test_the_tunnel_of_viser_stays_shut(page):
     assert page.server._share_tunnel is None
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(('unit', 'at'), FARAWAY[1:])
 def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
     with pages.shown(ShownWorld('five', five(unit, at))) as page:
@@ -135,7 +136,6 @@ def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
         until(lambda: pages.differences(browser, page)[2] == 0, 'something else is seen')
 
 
-@pytest.mark.slow
 def test_a_world_that_is_empty_and_grows(browser):
     scene = Scene()
     with pages.shown(ShownWorld('grows', scene)) as page:

@@ -110,6 +110,7 @@ def test_a_bag_is_read_as_the_node_reads_it(ros_context, bag):
         recording.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('source', ['warehouse', 'bag'])
 def test_a_still_shows_rays_and_hits(ros_context, source, bag, tmp_path, monkeypatch):
     pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')

@@ -192,6 +192,7 @@ def test_lifetime_in_simulated_time(start_node, messages):
     world.node.destroy_publisher(publisher)
 
 
+@pytest.mark.slow
 def test_planar(start_node, messages):
     world = start_node({'planar': True})
     world.markers(messages.marker(1, (5, 0, 100)), messages.marker(2, (5, 9, 0), type=3))

@@ -219,6 +219,7 @@ def exact_square(boxes):
     return min(squares)
 
 
+@pytest.mark.slow
 def test_turned_boxes_as_rationals():
     rng, touching = np.random.default_rng(14), 0
     for _ in range(200):

@@ -131,7 +131,7 @@ QUERIES = (
 
 
 @pytest.mark.parametrize('queries', QUERIES)
-@pytest.mark.parametrize('margin', [0.0, 0.2])
+@pytest.mark.parametrize('margin', [0.0, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_queries_while_others_change(queries: str, margin: float) -> None:
     seconds = str(effort(2, 60))
     ended = subprocess.run(
