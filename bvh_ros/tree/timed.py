@@ -80,12 +80,11 @@ class Timed(Arrays):
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         rows, times = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
-            kept, known = self._motion.kept, np.flatnonzero(slots < len(self._motion.kept.owners))
-            known = known[kept.owners[slots[known]] == view.tree.handles[slots[known]]]
-            rows[known], times[known] = (
-                kept.velocities[slots[known]],
-                kept.references[slots[known]],
-            )
+            kept = self._motion.kept
+            known = np.flatnonzero(slots < len(kept) - 1)
+            known = known[kept['owner'][slots[known]] == view.tree.handles[slots[known]]]
+            told = kept[slots[known]]
+            rows[known], times[known] = told['velocity'], told['reference']
         self.check_unchanged(view)
         return rows, times
 

@@ -63,10 +63,9 @@ def binary_kernel() -> Any:
 def wide_kernel() -> Any:
     """`wide.raycasting.cast_rows` without the exact decision."""
     better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
-    visit = rewired(wide_raycasting.visit_leaf, is_better=better)
     return rewired(
         wide_raycasting.cast_rows,
-        traverse=rewired(wide_raycasting.traverse, visit_leaf=visit),
+        is_first=rewired(wide_raycasting.is_first, is_better=better),
         write_hit=rewired(wide_raycasting.write_hit, exact_entry_axis=_plain_axis),
     )
 

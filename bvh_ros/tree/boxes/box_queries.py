@@ -37,7 +37,9 @@ class BoxQueries(Timed):
         ndim, room = self._ndim, FEW_OVERLAPS
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         seen = checks.mask(mask)
-        motion = self._motion if at is NOW else self._motion_at(at)
+        motion = self._motion
+        if at is None or (motion is None and at is not NOW):
+            motion = self._motion_at(at)
         if motion is not None:
             return motion.overlap(self, (low, high), seen, at)
         kernel = overlapping.one_entry(ndim)
@@ -159,7 +161,9 @@ class BoxQueries(Timed):
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         translation, place = checks.vector('translation', translation, ndim), np.empty((2, ndim))
         seen = checks.mask(mask)
-        motion = self._motion if at is pace is NOW else self._motion_at(at, pace)
+        motion = self._motion
+        if at is None or (motion is None and not at is pace is NOW):
+            motion = self._motion_at(at, pace)
         if motion is not None:
             asked = Asked(1.0, seen, False, CLOSEST)
             handle, t = motion.cast(self, (low, high, translation), asked, (at, pace), place)
@@ -199,7 +203,9 @@ class BoxQueries(Timed):
         if k > FEW_NEAREST:  # not more room than for all
             k = min(k, max(len(self), 1))
         limit, seen = checks.limit('max_distance', max_distance), checks.mask(mask)
-        motion = self._motion if at is NOW else self._motion_at(at)
+        motion = self._motion
+        if at is None or (motion is None and at is not NOW):
+            motion = self._motion_at(at)
         if motion is not None:
             return motion.nearest(self, (low, high, at, k, limit, seen))
         ids, distances = np.empty(k, np.int64), np.empty(k)

@@ -27,6 +27,7 @@ from ..rays.slab import (
     set_swept_box,
 )
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
+from . import velocities
 from .bounds import covers, enter_node, moving_dtype
 from .meeting import Course, Moving, box_of, is_before, meet
 
@@ -249,7 +250,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
 def no_motion(ndim: int) -> Moving:
     """To tell a compiler the types."""
     nodes = np.empty(0, moving_dtype(ndim))
-    return Moving(np.empty(0, np.int64), np.empty((1, 3)), np.empty(1), nodes, 0.0, 0.0, 0)
+    return Moving(velocities.room_for(0, ndim), nodes, 0.0, 0.0, 0)
 
 
 _IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))

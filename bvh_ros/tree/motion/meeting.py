@@ -26,12 +26,8 @@ from .wide_numbers import compare_products, magnitude
 class Moving(NamedTuple):
     """What kernels know of the motion of a tree's boxes."""
 
-    owners: NDArray[np.int64]
-    """By slot: the handle of the box whose velocity it is. Who has the slot since has none."""
-    velocities: NDArray[np.float64]
-    """By slot, shape (n + 1, ndim), m/s; the last is zero, for who has none."""
-    references: NDArray[np.float64]
-    """By slot, shape (n + 1,), s: when boxes are where they were told to be."""
+    kept: NDArray[Any]
+    """Of `velocities.velocity_dtype`, by slot."""
     nodes: NDArray[Any]
     """Of `bounds.moving_dtype`: nodes of the tree, from `start` to `stop`."""
     start: float
@@ -55,10 +51,10 @@ class Course(NamedTuple):
 def box_of(tree, moving, slot):
     """The box of a slot as (lo, hi, velocity, reference)."""
     lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-    row = moving.owners.shape[0]
-    if slot < row and moving.owners[slot] == tree.handles[slot]:
+    row = moving.kept.shape[0] - 1
+    if slot < row and moving.kept[slot].owner == tree.handles[slot]:
         row = slot
-    return lo, hi, moving.velocities[row], moving.references[row]
+    return lo, hi, moving.kept[row].velocity, moving.kept[row].reference
 
 
 @inlined
@@ -152,6 +148,15 @@ def meet(box, course, t_max):
     if not math.isinf(t_max) and _compare(course, t, near, t_max, (t_max, 0.0, 0.0, 0.0, 1.0)) > 0:
         return False, np.inf, np.int64(INSIDE)
     return True, t, entered
+
+
+@lean_kernel
+def distance_of(box, course, face):
+    """t of `meet`, which has told the face."""
+    if face == INSIDE:
+        return 0.0
+    side = _side(box, course, face >> 1, _is_lower(face))
+    return quotient(_gap(course, side), _rate(course, side))
 
 
 @lean_kernel

@@ -5,25 +5,42 @@ asked for.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..entries import entry_points
-from ..nodes import CHANGES, TURN, aligned_empty
+from ..nodes import CHANGES, COUNT, TURN, View, aligned_empty
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from . import velocities
 from .bounds import fit_nodes, moving_dtype
 from .casting import no_motion
 from .meeting import Moving
+from .sweeping import Sweep, swept
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
 HORIZON = 1.0  # s: from one time on bounds are fitted to so many more
+# Batches for which sweeping a snapshot pays: so many rays a box.
+RAYS_PER_BOX = 0.05
+# How many times as long as what is asked for its span may be for a large batch.
+LONGER = 1.5
 fit_entry = entry_points(fit_nodes, no_motion, np.empty(0, np.int64))
+
+
+class Wanted(NamedTuple):
+    """How many rays wanted a sweep of a span of time, and the sweep, once it is made."""
+
+    version: int
+    """Of the tree."""
+    start: float
+    stop: float
+    rays: int
+    made: bool = False
+    sweep: Sweep | None = None
 
 
 class Motion:
@@ -32,11 +49,12 @@ class Motion:
     def __init__(self, ndim: int) -> None:
         self.kept = velocities.room_for(0, ndim)
         self.moving = no_motion(ndim)._replace(version=NOT_FITTED)
+        self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
         """Call `velocities.write`, with room for all slots."""
         capacity = len(tree.handles)
-        if len(self.kept.owners) < capacity:
+        if len(self.kept) <= capacity:
             self.kept = velocities.room_for(capacity, rows.shape[1], self.kept)
         kernel = velocities.write_entry(rows.shape[1])
         done: int = kernel(tree, version, self.kept, handles, rows, times)
@@ -48,9 +66,11 @@ class Motion:
 
     # ---- bounds
 
-    def ask(self, tree: Any, spans: Callable[[], tuple[float, float]], call: Any) -> Any:
+    def ask(
+        self, tree: Any, spans: Callable[[], tuple[tuple[float, float], bool]], call: Any
+    ) -> Any:
         """What call(arrays, moving) returns, it or its first value not negative, with bounds that
-        hold for what is asked. `spans` tells the times: (first, last).
+        hold for what is asked. `spans` tells the times: ((first, last), ...).
         """
         while True:
             done = call(tree.view().tree, self.moving)
@@ -59,7 +79,7 @@ class Motion:
                 return done
             if why == NOT_FINITE:
                 raise ValueError('a row was changed while it was read')
-            self.fit(tree, *spans())
+            self.fit(tree, *spans()[0])
 
     def fit(self, tree: Any, first: float, last: float) -> None:
         """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
@@ -78,12 +98,44 @@ class Motion:
             last = first + max(HORIZON, 2.0**-40 * abs(first))
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim))
         order = np.empty(len(arrays.nodes), np.int64)
-        moving = Moving(*self.kept, nodes, float(first), float(last), version)
+        moving = Moving(self.kept, nodes, float(first), float(last), version)
         if fit_entry(ndim)(arrays, moving, order) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         self.moving = moving
 
+    def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
+        """What is swept for rays, so many, whose times lie in a span; None while that does not pay
+        or would not help. The rays of small batches wait until they are enough for one together.
+        """
+        rest, (first, last), wanted = tree.snapshot_for(count, view), span, self._wanted
+        if rest is None:
+            return None
+        enough = RAYS_PER_BOX * view.tree.state.item(COUNT)
+        known = wanted.version == view.version
+        covered = known and wanted.start <= first and last <= wanted.stop
+        if covered and wanted.made:
+            if count < enough or wanted.stop - wanted.start <= LONGER * (last - first):
+                return wanted.sweep
+            known = False
+        if not known or (wanted.made and not covered):
+            wanted = Wanted(view.version, first, last, 0)
+        rays, start, stop = wanted.rays + count, first, last
+        if count < enough:
+            start, stop = min(first, wanted.start), max(last, wanted.stop)
+        sweep, made = None, rays >= enough
+        if made:
+            sweep = swept(view.tree, self.known(view, start, stop), rest)
+        self._wanted = Wanted(view.version, start, stop, rays, made, sweep)
+        return sweep
+
+    def known(self, view: View, start: float, stop: float) -> Moving:
+        """What is known of the motion of a tree, for a span, without bounds."""
+        nodes = np.empty(0, self.moving.nodes.dtype)
+        return Moving(self.kept, nodes, start, stop, view.version)
+
     @property
     def nbytes(self) -> int:
         """Memory of all."""
-        return sum(array.nbytes for array in (*self.kept, self.moving.nodes))
+        sweep = self._wanted.sweep
+        more = 0 if sweep is None else sweep.nbytes
+        return self.kept.nbytes + self.moving.nodes.nbytes + more

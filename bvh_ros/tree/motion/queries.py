@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
 from ..nodes import NONE
+from ..rays import ray_batches
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
 from ..results import RayHits
 from ..store.turns import NOT_FINITE
 from ..store.workers import in_threads
-from . import casting, nearest, overlapping
+from ..wide.ray_streams import RAYS_AT_ONCE
+from . import casting, nearest, overlapping, wide_casting
 from .bounds import LONGEST
 from .casting import Casts, Places
 from .motion import Motion
+from .wide_casting import NO_LEAVES, UNSUITED, MovingRays
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -135,25 +138,45 @@ class MotionQueries(Motion):
         """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
         which the ids tell it.
         """
-        origins, directions, *others = rays
-        count = len(origins)
-        checks.finite('origins', origins)
-        checks.finite('directions', directions)
-        more = *others, *_times(times, count), skip_inside, mode
-        casts = Casts(origins, origins, directions, *more)
-        hits = RayHits(
-            np.full(count, NONE, np.int64), np.full(count, np.inf), np.zeros((count, tree.ndim))
-        )
+        count = len(rays[0])
+        when, view = _times(times, count), tree.view()
+        span, every = _spans(*when, rays[2])
+        sweep = self.swept_for(tree, view, count, span) if every and count else None
+        leaves = NO_LEAVES[tree.ndim] if sweep is None else sweep.leaves
+        moving = self.known(view, 0.0, 0.0)
+        asked = MovingRays(*rays, skip_inside, mode, *when, moving, leaves)
+        hits = ray_batches.room_for(count, tree.ndim, mode)
 
         def work(start: int, stop: int) -> None:
-            offsets, handles, found, places = self.every(tree, _part_of(casts, start, stop))
-            rows = start + np.flatnonzero(np.diff(offsets))
-            hits.ids[rows] = handles
-            if mode == CLOSEST:
-                hits.t[rows], hits.normals[rows] = found.ts, places.normals
+            part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
+            if sweep is None:
+                self._one_by_one(tree, part, into)
+            else:
+                wide_casting.cast(view, sweep.snapshot, part, into)
 
-        in_threads(work, count, threads)
+        if sweep is None:
+            _check_finite(asked)
+        in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
+        others = np.flatnonzero(hits.ids == UNSUITED)
+        if len(others):
+            _check_finite(asked)
+            some = rows_of(hits, count, others)
+            self._one_by_one(tree, rows_of(asked, count, others), some)
+            for column, part in zip(hits, some, strict=True):
+                column[others[: len(part)]] = part
         return hits
+
+    def _one_by_one(self, tree: Any, rays: MovingRays, hits: RayHits) -> None:
+        """Answer rays by the tree's own nodes."""
+        times = rays.at, rays.pace
+        casts = Casts(rays.origins, *rays[:4], *times, rays.skip_inside, rays.mode)
+        offsets, handles, found, places = self.every(tree, casts)
+        rows = np.flatnonzero(np.diff(offsets))
+        hits.ids[:] = NONE
+        hits.ids[rows] = handles
+        if rays.mode == CLOSEST:
+            hits.t[:], hits.normals[:] = np.inf, 0.0
+            hits.t[rows], hits.normals[rows] = found.ts, places.normals
 
     def overlap_many(
         self,
@@ -169,7 +192,7 @@ class MotionQueries(Motion):
         casts = Casts(*boxes, np.zeros_like(boxes[0]), STILL, masks, *times, False, EVERY)
 
         def work(start: int, stop: int) -> tuple[Ids, Ids]:
-            offsets, handles, _, _ = self.every(tree, _part_of(casts, start, stop))
+            offsets, handles, _, _ = self.every(tree, rows_of(casts, count, slice(start, stop)))
             return np.diff(offsets), handles
 
         sizes, handles = zip(*in_threads(work, count, threads), strict=True)
@@ -199,15 +222,19 @@ def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
     return time_checks.moments('at', times[0], count), time_checks.moments('pace', times[1], count)
 
 
-def _part_of(casts: Casts, start: int, stop: int) -> Casts:
-    """The rows [start, stop); what stands for all rows stays as it is."""
-    if stop - start == len(casts.lo):
-        return casts
-    cut: list[Any] = [
-        rows[start:stop] if isinstance(rows, np.ndarray) and len(rows) == len(casts.lo) else rows
-        for rows in casts
-    ]
-    return Casts(*cut)
+def _check_finite(rays: MovingRays) -> None:
+    checks.finite('origins', rays.origins)
+    checks.finite('directions', rays.directions)
+
+
+def rows_of(table: Any, count: int, rows: Any) -> Any:
+    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
+    return type(table)(
+        *(
+            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
+            for column in table
+        )
+    )
 
 
 def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
@@ -218,11 +245,15 @@ def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
     return min(at, last), max(at, last)
 
 
-def _spans(at: Floats, pace: Floats, t_max: Floats) -> tuple[float, float]:
-    """`_span` of all rows for which there can be bounds."""
+def _spans(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
+    """`_span` of all rows for which there can be bounds, and whether that is all rows."""
+    if len(at) == len(pace) == len(t_max) == 1:
+        one = at.item(), pace.item(), t_max.item()
+        return _span(*one), one[1] == 0.0 or one[2] < np.inf
     with np.errstate(invalid='ignore', over='ignore'):
         last = np.where(pace == 0.0, at, at + t_max * pace)
         at = np.broadcast_to(at, last.shape)
         good = (np.abs(at) < LONGEST) & (np.abs(last) < LONGEST)
     moments = np.concatenate((at[good], last[good]))
-    return (moments.min(), moments.max()) if len(moments) else (0.0, 0.0)
+    span = (moments.min(), moments.max()) if len(moments) else (0.0, 0.0)
+    return span, bool(good.all())

@@ -6,7 +6,8 @@ Each stands at the slot of its box together with the box's handle: so those of b
 are nobody's, and no change of the tree has to know of them.
 """
 
-from typing import Any, NamedTuple
+import functools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +18,23 @@ from ..nodes import NONE, SLOT_MASK
 from ..store.turns import begin_change, end_change
 
 
-class Velocities(NamedTuple):
-    """Arrays by slot; the last row of two of them is zero, see `meeting.Moving`."""
+@functools.cache
+def velocity_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of a slot: whose velocity it is, m/s, and when the box is where it was told to be,
+    s. Who has the slot since has none.
+    """
+    velocity = 'velocity', np.float64, (ndim,)
+    return np.dtype([('owner', np.int64), ('reference', np.float64), velocity])
 
-    owners: NDArray[np.int64]
-    velocities: NDArray[np.float64]
-    references: NDArray[np.float64]
 
-
-def room_for(capacity: int, ndim: int, old: Velocities | None = None) -> Velocities:
-    """Arrays for so many slots, with what smaller ones hold."""
-    new = Velocities(
-        np.full(capacity, NONE, np.int64), np.zeros((capacity + 1, ndim)), np.zeros(capacity + 1)
-    )
+def room_for(capacity: int, ndim: int, old: NDArray[Any] | None = None) -> NDArray[Any]:
+    """Records for so many slots, and a last one for who has no velocity, with what smaller ones
+    hold.
+    """
+    new = np.zeros(capacity + 1, velocity_dtype(ndim))
+    new['owner'] = NONE
     if old is not None:
-        for there, here in zip(old, new, strict=True):
-            here[: len(old.owners)] = there[: len(old.owners)]
+        new[: len(old) - 1] = old[:-1]
     return new
 
 
@@ -46,27 +48,24 @@ def write(tree, version, kept, handles, velocities, references):
         return np.int64(refused)
     for i in range(handles.shape[0]):
         slot = handles[i] & SLOT_MASK
-        kept.owners[slot] = handles[i]
-        kept.references[slot] = references[i if references.shape[0] > 1 else 0]
+        here = kept[slot]
+        here.owner, here.reference = handles[i], references[i if references.shape[0] > 1 else 0]
         for axis in range(velocities.shape[1]):
-            kept.velocities[slot, axis] = velocities[i, axis]
+            here.velocity[axis] = velocities[i, axis]
     end_change(tree.state, True)
     return np.int64(0)
 
 
-def packed(kept: Velocities, handles: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+def packed(kept: NDArray[Any], handles: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     """What a file holds: those of living boxes."""
-    count = min(len(kept.owners), len(handles))
-    owners = kept.owners[:count]
-    live = np.flatnonzero((owners == handles[:count]) & (owners >= 0))
-    return {
-        'moving': kept.owners[live],
-        'velocities': kept.velocities[live],
-        'references': kept.references[live],
-    }
+    count = min(len(kept) - 1, len(handles))
+    owners = kept['owner'][:count]
+    live = kept[np.flatnonzero((owners == handles[:count]) & (owners >= 0))]
+    names = {'moving': 'owner', 'velocities': 'velocity', 'references': 'reference'}
+    return {name: np.ascontiguousarray(live[field]) for name, field in names.items()}
 
 
 _IDS, _ROWS = np.empty(0, np.int64), np.empty((0, 3))
 write_entry = entry_points(
-    write, 0, Velocities(_IDS, _ROWS, np.empty(0)), _IDS, _ROWS, np.empty(0)
+    *(write, 0, lambda ndim: np.empty(0, velocity_dtype(ndim)), _IDS, _ROWS, np.empty(0))
 )

@@ -40,7 +40,9 @@ class RayAsking(Timed):
         direction = checks.vector('direction', direction, ndim)
         place, skip = np.empty((2, ndim)), checks.flag('skip_inside', skip_inside)
         limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
-        motion = self._motion if at is pace is NOW else self._motion_at(at, pace)
+        motion = self._motion
+        if at is None or (motion is None and not at is pace is NOW):
+            motion = self._motion_at(at, pace)
         if motion is not None:
             # As Asked(...), which would take one more call of a function of Python's.
             asked = tuple.__new__(Asked, (limit, seen, skip, mode))

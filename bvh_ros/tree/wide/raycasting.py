@@ -23,7 +23,7 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
+from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
 from .ray_streams import (
@@ -72,10 +72,12 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
                 # Those that are not suited come last in the list.
                 for place in scratch.lists[alive : rows.shape[0]]:
                     done = raycast_row(tree, scratch.ray, rays, rows[place], one, hits)
-                    tally[DECIDED_EXACTLY if done >= 0 else BAD] += abs(done)
+                    tally[BAD] = min(tally[BAD], done)
+                    tally[DECIDED_EXACTLY] += done
                 tally[FOUND] = 0
                 if alive > 0:
-                    traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally)
+                    group = octant, rows, scratch.lists[:alive]
+                    traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_first)
                 for i in scratch.found[: tally[FOUND]]:
                     best, row = scratch.records[i], rows[i]
                     set_inverse(scratch.ray, rays.origins[row], rays.directions[row])
@@ -86,7 +88,14 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     if rays.counted and tally[BAD] == 0:
         count_rays(tree.state, count, tally[DECIDED_EXACTLY])
     end_query(tree.state)
-    return tally[DECIDED_EXACTLY] if tally[BAD] == 0 else np.int64(NOT_FINITE)
+    return tally[DECIDED_EXACTLY] if tally[BAD] == 0 else tally[BAD]
+
+
+@inlined
+def is_first(tree, ray, rays, row, slot, best):
+    """`best_hit.is_better` of a ray that is still to be set."""
+    set_inverse(ray, rays.origins[row], rays.directions[row])
+    return is_better(tree, ray, of_row(rays.t_max, row), rays.skip_inside, slot, best)
 
 
 @inlined
@@ -111,11 +120,12 @@ def start_group(snapshot, rays, rows, scratch):
 
 
 @inlined
-def traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally):
-    """Find the best hits of the rays lists[:alive], all of one octant, and note them in their
-    records.
+def traverse(snapshot, tree, group, rays, scratch, tally, fetch, better):
+    """Find the best hits of the rays of a group, (octant, rows, places of those that are asked),
+    and note them in their records.
     """
-    lists, stack, masks = scratch.lists, scratch.stack, rays.masks
+    (octant, rows, asked), lists, stack, masks = group, scratch.lists, scratch.stack, rays.masks
+    alive = asked.shape[0]
     all_seen = masks.shape[0] == 1 and masks[0] == ALL32
     nearest, ends = stack_array(WIDTH, np.int32), stack_array(LISTS, np.uint64)
     keys = stack_array(WIDTH, np.int64)
@@ -129,8 +139,8 @@ def traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally):
         node, start = np.int64(stack[top, NODE]), np.int64(stack[top, START])
         count, free = np.int64(stack[top, COUNT]), np.int64(stack[top, FREE])
         if node < 0:
-            listed = lists[start : start + count]
-            visit_leaf(tree, ~node, patched, rows, listed, rays, scratch, tally)
+            listed = rows, lists[start : start + count]
+            visit_leaf(tree, ~node, patched, listed, rays, scratch, tally, better)
             continue
         here = lists[start : start + count]
         met = stream16(snapshot.planes, node, octant, scratch.records, here, scratch.met, nearest)
@@ -147,30 +157,31 @@ def traverse(snapshot, tree, octant, alive, rows, rays, scratch, tally):
         for i in range(farthest_first(met, nearest, keys)):
             lane = keys[i] & (WIDTH - 1)
             child, begin = snapshot.children[node * WIDTH + lane], first + lane * step
-            fetch_ahead(snapshot, tree, np.int64(child))
+            if child >= 0:
+                fetch_node(snapshot, np.int64(child))
+            else:
+                fetch(tree, rays, ~np.int64(child))
             stack[top, NODE], stack[top, START] = child, begin
             stack[top, COUNT], stack[top, FREE] = np.int64(ends[lane]) - begin, free
             top += 1
 
 
 @inlined
-def visit_leaf(tree, slot, patched, rows, places, rays, scratch, tally):
-    """See for each ray of `places` whether the leaf is its best hit."""
-    ray = scratch.ray
+def visit_leaf(tree, slot, patched, group, rays, scratch, tally, better):
+    """See for each ray of a group whether the leaf is its best hit."""
+    (rows, places), ray = group, scratch.ray
     for place in places:
         best, row = scratch.records[place], rows[place]
         if rays.mode == ANY and best.slot != NONE:
             continue
         if patched and is_stale(tree, slot, of_row(rays.masks, row), best.slot):
             continue
-        set_inverse(ray, rays.origins[row], rays.directions[row])
         before = np.int64(best.slot), best.best_t, np.int64(best.axis)
-        t_max = of_row(rays.t_max, row)
-        better, t, axis = is_better(tree, ray, t_max, rays.skip_inside, slot, before)
+        first, t, axis = better(tree, ray, rays, row, slot, before)
         if ray[EXACT, 0] != 0.0 and not best.exact:
             best.exact = True
             tally[DECIDED_EXACTLY] += 1
-        if better:
+        if first:
             if best.slot == NONE:
                 scratch.found[tally[FOUND]] = place
                 tally[FOUND] += 1
@@ -198,17 +209,19 @@ def apply_masks(wide_masks, node, masks, rows, places, met):
 
 
 @inlined
-def fetch_ahead(snapshot, tree, child):
-    """Ask for the memory of a child that will be visited soon."""
-    nodes, tight = tree.nodes, tree.tight
-    if child >= 0:
-        planes = child * (2 * nodes[0].lo.shape[0] * WIDTH)
-        prefetch(snapshot.planes, planes, LINES_OF_PLANES)
-        prefetch(snapshot.children, child * WIDTH, 1)
-    elif tight.shape[0] > 0:
-        prefetch(tight, ~child, 1)
+def fetch_node(snapshot, child):
+    """Ask for the memory of a wide node that will be visited soon."""
+    prefetch(snapshot.planes, child * (2 * snapshot.center.shape[0] * WIDTH), LINES_OF_PLANES)
+    prefetch(snapshot.children, child * WIDTH, 1)
+
+
+@inlined
+def fetch_leaf(tree, rays, slot):
+    """Ask for the memory of a leaf."""
+    if tree.tight.shape[0] > 0:
+        prefetch(tree.tight, slot, 1)
     else:
-        prefetch(nodes, 2 * ~child, 1)
+        prefetch(tree.nodes, 2 * slot, 1)
 
 
 @inlined

@@ -109,7 +109,7 @@ def take_snapshot(view: View) -> Snapshot | None:
     order = np.empty(max(inner, 1), np.int64)
     count = accepted(planning_entry(ndim)(tree, version, least, shares, order))
     places = count + LOOSE_NODES
-    planes = _on_cache_lines(places * 2 * WIDTH * ndim)
+    planes = on_cache_lines(places * 2 * WIDTH * ndim)
     children, masks = np.empty(places * WIDTH, np.int32), np.empty(places * WIDTH, np.uint32)
     sizes, record = (count, 0, written, 0), np.empty(0, ray_dtype(ndim))
     snapshot = Snapshot(planes, children, masks, center, per_length, *sizes, record)
@@ -132,7 +132,7 @@ def patched(snapshot: Snapshot, view: View) -> Snapshot | None:
     return None if nodes == BEYOND else snapshot._replace(loose=accepted(nodes))
 
 
-def _on_cache_lines(count: int) -> NDArray[np.float32]:
+def on_cache_lines(count: int) -> NDArray[np.float32]:
     """Floats that begin where a cache line of 64 bytes does, as numpy's need not: sixteen that lie
     across two lines take two reads, a tenth of a ray among 1,000 boxes.
     """
@@ -171,18 +171,28 @@ def _up32(x):
 
 
 @inlined
+def outwards(lo, hi, center, per_length):
+    """Planes in units of a snapshot, as float32."""
+    return _down32((lo - center) * per_length), _up32((hi - center) * per_length)
+
+
+@inlined
+def write_planes(planes, lane, axis, ndim, sides):
+    """Write both planes of one axis of a lane, counted through all wide nodes."""
+    place = lane // WIDTH * (2 * ndim * WIDTH) + lane % WIDTH
+    planes[place + axis * WIDTH], planes[place + (axis + ndim) * WIDTH] = sides
+
+
+@inlined
 def write_lane(snapshot, nodes, node, lane, child):
     """Let a lane, counted through all wide nodes, hold a node of the tree, or NONE."""
     ndim = snapshot.center.shape[0]
-    place = lane // WIDTH * (2 * ndim * WIDTH) + lane % WIDTH
     for axis in range(ndim):
-        lo, hi = np.float32(np.inf), np.float32(-np.inf)
+        sides = np.float32(np.inf), np.float32(-np.inf)
         if node != NONE:
-            center = snapshot.center[axis]
-            lo = _down32((nodes[node].lo[axis] - center) * snapshot.per_length)
-            hi = _up32((nodes[node].hi[axis] - center) * snapshot.per_length)
-        snapshot.planes[place + axis * WIDTH] = lo
-        snapshot.planes[place + (axis + ndim) * WIDTH] = hi
+            lo, hi = nodes[node].lo[axis], nodes[node].hi[axis]
+            sides = outwards(lo, hi, snapshot.center[axis], snapshot.per_length)
+        write_planes(snapshot.planes, lane, axis, ndim, sides)
     snapshot.masks[lane] = nodes[node].mask if node != NONE else np.uint32(0)
     snapshot.children[lane] = child
 

@@ -1,0 +1,247 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A wide snapshot of all places where boxes are within a span of time.
+
+Nodes and children are those of the snapshot of boxes at rest; the planes of each leaf bound it
+from the start of the span to its stop, those of an inner node its children. It only prunes, so it
+serves every ray whose times lie within the span; the shorter that is, the better.
+
+Most leaves that a ray meets so are elsewhere when it is there. To tell that, a record of each
+holds what a rounded test needs, in one cache line: bounds at the start, a velocity as a float32,
+with which they hold over the span, and how loose they are.
+"""
+
+import functools
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..entries import entry_points
+from ..jit.compiling import inlined, lean_kernel
+from ..jit.intrinsics import CACHE_LINE, WIDTH, stack_array
+from ..nodes import Tree, aligned_empty
+from ..store.turns import REFUSED, accepted, begin_query, end_query
+from ..wide.snapshot import (
+    BLURRED,
+    LARGEST_SCENE,
+    SMALLEST_SCENE,
+    Snapshot,
+    blurred_entry,
+    no_snapshot,
+    on_cache_lines,
+    outwards,
+    write_planes,
+)
+from .bounds import LEAST, WIDER
+from .casting import no_motion
+from .meeting import Moving, box_of
+
+USELESS = -2  # why there is no such snapshot
+# Boxes swept for so long that a line across the scene would meet so many of them, and so many
+# times as many as at rest, are left to the binary tree, whose bounds move.
+MOST_MET, MOST_TIMES = 16.0, 4.0
+MARGIN, FASTEST = 2.0**-38, 1e30
+WIDER_32, LEAST_32 = 2.0**-22, np.float32(1e-37)
+
+
+@functools.cache
+def leaf_dtype(ndim: int) -> np.dtype[Any]:
+    """Record of a leaf, by slot."""
+    wide, narrow = (np.float64, (ndim,)), (np.float32, (ndim,))
+    return np.dtype(
+        {
+            'names': ['lo', 'hi', 'velocity', 'loose'],
+            'formats': [wide, wide, narrow, np.float32],
+            'offsets': [0, 8 * ndim, 16 * ndim, 20 * ndim],
+            'itemsize': CACHE_LINE,
+        }
+    )
+
+
+class Leaves(NamedTuple):
+    """What a rounded test needs."""
+
+    records: NDArray[Any]
+    """Of `leaf_dtype`."""
+    start: float
+    """When boxes are where they say, s."""
+
+
+class Sweep(NamedTuple):
+    """What `wide_casting` asks."""
+
+    snapshot: Snapshot
+    leaves: Leaves
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that is not that of the snapshot at rest."""
+        return self.snapshot.planes.nbytes + self.leaves.records.nbytes
+
+
+@inlined
+def _swept_side(box, axis, moving):
+    """The bounds of a box on an axis over the span, surely not too narrow."""
+    first, last, more = _ways(box, axis, moving)
+    lo, hi = box[0][axis], box[1][axis]
+    return lo + min(first, last) - more, hi + max(first, last) + more
+
+
+@inlined
+def _ways(box, axis, moving):
+    """How far a box has gone at the start and at the stop, and how wrong its place may be then."""
+    lo, hi, velocity, reference = box
+    speed = velocity[axis]
+    first, last = speed * (moving.start - reference), speed * (moving.stop - reference)
+    extent = abs(lo[axis]) + abs(hi[axis])
+    extent += abs(speed) * (abs(moving.start) + abs(moving.stop) + abs(reference))
+    return first, last, extent * WIDER + LEAST
+
+
+@inlined
+def _set_leaf(leaf, box, axis, moving, per_length):
+    """Write an axis of a leaf's record.
+
+    It is wider by MARGIN of the scene. That is more than all that `wide_casting.quick_decision`
+    loses: with its origin within 2**10 scenes and within the span, a ray goes no further than that
+    along an axis, relative to a box.
+    """
+    first, last, more = _ways(box, axis, moving)
+    speed = np.float32(box[2][axis] if abs(box[2][axis]) < FASTEST else 0.0)
+    last -= np.float64(speed) * (moving.stop - moving.start)
+    margin = MARGIN / per_length
+    more += margin
+    leaf.velocity[axis] = speed
+    leaf.lo[axis] = box[0][axis] + min(first, last) - more
+    leaf.hi[axis] = box[1][axis] + max(first, last) + more
+    loose = abs(first - last) + 2.0 * more + margin
+    leaf.loose = max(leaf.loose, np.float32(loose * (1.0 + WIDER_32)) + LEAST_32)
+
+
+@inlined
+def _leaf_of(tree, snapshot, lane):
+    """Slot of the leaf that a lane holds, negative if it holds none or one that is gone."""
+    slot = ~np.int64(snapshot.children[lane])
+    holds = snapshot.masks[lane] != 0 and slot >= 0 and tree.nodes[2 * slot].mask != 0
+    return slot if holds else np.int64(-1)
+
+
+@inlined
+def _half_area(sides):
+    """Of a box, or of a rectangle half its perimeter."""
+    if sides.shape[0] == 2:
+        return sides[0] + sides[1]
+    return sides[0] * sides[1] + sides[1] * sides[2] + sides[2] * sides[0]
+
+
+@inlined
+def _set_frame(tree, moving, snapshot, frame):
+    """Write the centre of all that is swept, and units in which it lies within [-1, 1]; return
+    its half area, -1 if there are no such, as in `wide.snapshot.take_snapshot`.
+    """
+    ndim, half, farthest = frame.shape[0] - 1, 0.0, 0.0
+    low, high = stack_array(3, np.float64), stack_array(3, np.float64)
+    low[:], high[:] = np.inf, -np.inf
+    for lane in range((snapshot.size + snapshot.loose) * WIDTH):
+        slot = _leaf_of(tree, snapshot, lane)
+        if slot >= 0:
+            box = box_of(tree, moving, slot)
+            for axis in range(ndim):
+                lo, hi = _swept_side(box, axis, moving)
+                # Written such that what is not a number makes the scene too large.
+                low[axis] = low[axis] if low[axis] <= lo else lo
+                high[axis] = high[axis] if high[axis] >= hi else hi
+    for axis in range(ndim):
+        frame[axis] = low[axis] * 0.5 + high[axis] * 0.5
+        half = max(half, high[axis] * 0.5 - low[axis] * 0.5)
+        far = max(abs(low[axis]), abs(high[axis]))
+        farthest = farthest if farthest >= far else far
+    if not (SMALLEST_SCENE < half < LARGEST_SCENE and farthest < LARGEST_SCENE):
+        return -1.0
+    frame[ndim] = math.ldexp(1.0, -math.frexp(half)[1])
+    for axis in range(ndim):
+        high[axis] = (high[axis] - low[axis]) * frame[ndim]
+    return _half_area(high[:ndim])
+
+
+@inlined
+def _sweep_leaf(box, lane, moving, frame, planes, leaf, sides):
+    """Write the planes and the record of a leaf; its half area at rest, and swept."""
+    ndim = frame.shape[0] - 1
+    for axis in range(ndim):
+        sides[axis] = (box[1][axis] - box[0][axis]) * frame[ndim]
+    rest, leaf.loose = _half_area(sides[:ndim]), np.float32(0.0)
+    for axis in range(ndim):
+        lo, hi = _swept_side(box, axis, moving)
+        sides[axis] = (hi - lo) * frame[ndim]
+        _set_leaf(leaf, box, axis, moving, frame[ndim])
+        write_planes(planes, lane, axis, ndim, outwards(lo, hi, frame[axis], frame[ndim]))
+    return rest, _half_area(sides[:ndim])
+
+
+@inlined
+def _unite_child(planes, lane, child, ndim):
+    """Write the planes of a lane that holds a wide node."""
+    for axis in range(ndim):
+        lower = (child * 2 * ndim + axis) * WIDTH
+        upper = lower + ndim * WIDTH
+        lo, hi = np.float32(np.inf), np.float32(-np.inf)
+        for k in range(WIDTH):
+            lo, hi = min(lo, planes[lower + k]), max(hi, planes[upper + k])
+        write_planes(planes, lane, axis, ndim, (lo, hi))
+
+
+@lean_kernel
+def sweep(tree, moving, snapshot, planes, leaves, frame):
+    """Fill `planes`, as those of a snapshot of the tree at rest, and `leaves` for the span of
+    `moving`, and `frame`, (ndim + 1,): its centre, and its units per length. Returns 0; USELESS
+    if it would be; REFUSED if the tree is of another version than `moving`.
+    """
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED)
+    ndim, sides = frame.shape[0] - 1, stack_array(3, np.float64)
+    at_rest, swept, whole = 0.0, 0.0, _set_frame(tree, moving, snapshot, frame)
+    if whole >= 0.0:
+        # From the last to the first: children have greater numbers than their parents.
+        for lane in range((snapshot.size + snapshot.loose) * WIDTH - 1, -1, -1):
+            slot, child = _leaf_of(tree, snapshot, lane), np.int64(snapshot.children[lane])
+            if slot >= 0:
+                box = box_of(tree, moving, slot)
+                areas = _sweep_leaf(box, lane, moving, frame, planes, leaves[slot], sides)
+                at_rest, swept = at_rest + areas[0], swept + areas[1]
+            elif child >= 0:
+                _unite_child(planes, lane, child, ndim)
+            else:
+                for axis in range(ndim):
+                    empty = np.float32(np.inf), np.float32(-np.inf)
+                    write_planes(planes, lane, axis, ndim, empty)
+    end_query(tree.state)
+    few = whole >= 0.0 and swept <= max(MOST_MET * whole, MOST_TIMES * at_rest)
+    return np.int64(0 if few else USELESS)
+
+
+_PLANES, _FRAME = np.empty(0, np.float32), np.empty(0)
+_entry = entry_points(
+    *(sweep, no_motion, no_snapshot, _PLANES),
+    *(lambda ndim: np.empty(0, leaf_dtype(ndim)), _FRAME),
+)
+
+
+def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> Sweep | None:
+    """A snapshot for the span of `moving`, made of that of the tree at rest; None where it would
+    prune too little; RuntimeError if the tree is of another version than `moving`.
+    """
+    ndim = len(snapshot.center)
+    planes, frame = on_cache_lines(len(snapshot.planes)), np.empty(ndim + 1)
+    leaves = aligned_empty(len(tree.handles), leaf_dtype(ndim))
+    done = _entry(ndim)(tree, moving, snapshot, planes, leaves, frame)
+    if done == USELESS:
+        return None
+    accepted(done)
+    center, per_length = frame[:ndim], float(frame[ndim])
+    if accepted(blurred_entry(ndim)(tree, moving.version, BLURRED / per_length)):
+        return None
+    snapshot = snapshot._replace(planes=planes, center=center, per_length=per_length)
+    return Sweep(snapshot, Leaves(leaves, moving.start))

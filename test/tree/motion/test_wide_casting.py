@@ -1,0 +1,123 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of rays among boxes that move, through a snapshot that is swept."""
+
+import math
+
+import numpy as np
+import pytest
+from tree.motion.exact import World, meetings
+from tree.motion.test_moving_boxes import normal_of, tree_of
+from tree.motion.worlds import Random, worlds
+from tree.reference import effort, is_within_2_ulp, seen
+
+from bvh_ros import DynamicBVH
+
+pytestmark = pytest.mark.slow  # kernels of its own
+RAYS = 64  # as many are worth a snapshot of few boxes
+
+
+def is_swept(tree: DynamicBVH) -> bool:
+    return tree.motion._wanted.sweep is not None
+
+
+def test_rows_are_those_of_exact_arithmetic():
+    """Rays beside one that is hard to decide about, each with a limit and a mask of its own."""
+    swept = 0
+    for number, (world, course, rng) in enumerate(worlds(6, effort(60, 6000))):
+        tree, ndim = tree_of(world, margin=0.1 if number % 7 == 0 else 0.0), world.lo.shape[1]
+        ids, masks = tree.ids(), rng.integers(1, 8, RAYS).astype(np.uint32)
+        box_masks = rng.integers(1, 8, len(ids)).astype(np.uint32)
+        tree.set_masks(ids, box_masks)
+        origins = np.repeat(course.low[None], RAYS, axis=0)
+        ways = np.repeat(course.direction[None], RAYS, axis=0)
+        origins[1:32] *= rng.choice([1.0, 1.0 + 2.0**-52, 1.5, -1.0], (31, ndim))
+        ways[16:48] *= rng.choice([1.0, -1.0, 0.0, 0.5], (32, ndim))
+        limits = rng.choice([1.0, 0.0, 0.5, 2.0], RAYS)
+        paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
+        every = [
+            meetings(world, course._replace(low=o, high=o, direction=w, pace=float(p)))
+            for o, w, p in zip(origins, ways, paces, strict=True)
+        ]
+        for row, hits in enumerate(every):  # contact exactly at the end
+            ends = [float(hit.t) for hit in hits if 0 < hit.t < 1e300]
+            if ends and row % 2:
+                limits[row] = ends[row % len(ends)]
+        for skip in (False, True):
+            asked = origins, ways, limits, masks, skip
+            hits = tree.raycast_many(*asked, threads=1 + number % 2, at=course.at, pace=paces)
+            met = tree.occluded_many(*asked, at=course.at, pace=paces)
+            for row, exact in enumerate(every):
+                visible = box_masks & masks[row] != 0
+                right = seen(exact, ids, float(limits[row]), skip, visible)
+                assert met[row] == bool(right)
+                assert hits.ids[row] == (ids[right[0].row] if right else -1)
+                if right:
+                    assert is_within_2_ulp(float(hits.t[row]), right[0].t)
+                    assert hits.normals[row].tolist() == normal_of(right[0].axis, ndim)
+        swept += is_swept(tree)
+    assert swept >= 20
+
+
+def crowd(rng: Random, count: int, speed: float) -> World:
+    lo = rng.uniform(0, 40, (count, 2))
+    velocities = speed * rng.normal(size=lo.shape)
+    return World(lo, lo + rng.uniform(0, 1, lo.shape), velocities, rng.uniform(-1, 1, count))
+
+
+def one_by_one(tree: DynamicBVH, origins, ways, times) -> list[tuple]:
+    hits = [tree.raycast(*ray, 1.0, **times) for ray in zip(origins, ways, strict=True)]
+    return [(-1, math.inf) if hit is None else (hit.id, hit.t) for hit in hits]
+
+
+def test_bounds_follow_the_tree_and_the_times():
+    """One tree that changes, in small batches and large ones, against single rays."""
+    rng = np.random.default_rng(7)
+    world = crowd(rng, 300, 1.5)
+    tree, swept = tree_of(world), []
+    origins, ways = rng.uniform(0, 40, (200, 2)), rng.normal(0, 8, (200, 2))
+    origins[:3], ways[3:6], ways[6:9] = 1e6, 0.0, 1e-250  # which are not suited
+    for turn in range(16):
+        for times in (
+            {'at': 0.1 * turn, 'pace': 1.0},
+            {'at': 3.0},
+            {'at': -1e3},
+            {'at': 0.0, 'pace': 1e4},
+        ):
+            hits = tree.raycast_many(origins, ways, 1.0, **times)
+            found = list(zip(hits.ids.tolist(), hits.t.tolist(), strict=True))
+            assert found == one_by_one(tree, origins, ways, times)
+            swept.append(is_swept(tree))
+        ids = tree.ids()
+        some = rng.choice(ids, 40, replace=False)
+        if turn % 4 == 0:
+            tree.set_velocities(some, rng.normal(size=(40, 2)), 0.1 * turn)
+        elif turn % 4 == 1:
+            lo = rng.uniform(0, 40, (3, 2))
+            tree.move_many(some[:3], lo, lo + 1)
+        elif turn % 4 == 2:
+            tree.remove_many(some[:5])
+            tree.insert_many(np.full((2, 2), 20.0 + turn), np.full((2, 2), 21.0 + turn))
+    assert 16 <= sum(swept) < len(swept)
+
+
+def test_what_cannot_be_swept_is_asked_one_by_one():
+    """Boxes that go beyond all bounds, rays without an end, and rows that are no rays."""
+    rng = np.random.default_rng(8)
+    origins, ways = rng.uniform(0, 40, (200, 2)), rng.normal(0, 8, (200, 2))
+    for speed in (1e250, 1e9, 1e-250):
+        tree = tree_of(crowd(rng, 80, speed))
+        for _ in range(3):
+            hits = tree.raycast_many(origins, ways, 1.0, pace=1.0)
+        expected = one_by_one(tree, origins, ways, {'pace': 1.0})
+        assert list(zip(hits.ids.tolist(), hits.t.tolist(), strict=True)) == expected
+        assert is_swept(tree) == (speed < 1)
+    endless = tree.raycast_many(origins, ways, pace=1.0)
+    assert endless.ids.tolist() == [
+        hit.id if (hit := tree.raycast(o, w, pace=1.0)) else -1
+        for o, w in zip(origins, ways, strict=True)
+    ]
+    ways[7, 1] = np.nan
+    with pytest.raises(ValueError, match='directions must be finite: row 7'):
+        tree.raycast_many(origins, ways, 1.0, pace=1.0)
+    assert len(tree.raycast_many(origins[:0], ways[:0], 1.0, pace=1.0).ids) == 0
