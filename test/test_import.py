@@ -25,3 +25,14 @@ def test_a_view_that_is_off_is_not_imported(module):
     program = f'import sys, {module}; print(*{parts} & {{*sys.modules}})'
     result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
     assert (result.returncode, result.stdout.split()) == (0, []), result.stderr
+
+
+def test_a_node_starts_without_the_library_of_meshes():
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    program = (
+        'import sys; from bvh_ros.report.speed import entries\n'
+        'for job in entries.default_jobs(): job.run()\n'
+        'print("scipy.spatial" in sys.modules)'
+    )
+    result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert (result.returncode, result.stdout.split()) == (0, ['False']), result.stderr

@@ -72,18 +72,21 @@ def surface_of(triangles: Floats) -> Surface:
             raise reason from None
     vertices, rows = points[closed.used], closed.corners
     normals, heights, middle = _planes(vertices, rows)
-    lies = lying(points, closed.used[rows], noise)
-    worst = int(np.argmax(lies.depths))
-    if lies.depths[worst] > noise:
-        depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
-        raise ValueError(
-            f'the mesh is not convex at triangle {int(closed.row[worst])}: it lies {depth:.3g} m '
-            f'within the hull of all corners, and {allowed:.3g} m are allowed'
-        )
+    sliver = heights <= noise
+    # Else a tetrahedron, which is convex. Every node makes one when it starts, and need not import
+    # a library for that.
+    if len(points) > 4 or sliver.any():
+        lies = lying(points, closed.used[rows], noise)
+        worst = int(np.argmax(lies.depths))
+        if lies.depths[worst] > noise:
+            depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
+            raise ValueError(
+                f'the mesh is not convex at triangle {int(closed.row[worst])}: it lies '
+                f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
+            )
+        normals[sliver] = lies.normals[sliver]
     if not goes_around(vertices[rows] - middle, heights):
         raise ValueError('the mesh is not the surface of one convex solid')
-    sliver = heights <= noise
-    normals[sliver] = lies.normals[sliver]
     return Surface(places[closed.used], rows, normals, closed.edges)
 
 
