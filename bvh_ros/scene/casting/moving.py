@@ -79,7 +79,7 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     handles = held.columns.node_handle[met.slots]
     order = np.lexsort((handles, met.ts, met.rows))
     first = len(parts[0].rows)
-    _keep_exact_order(order, met, first)
+    _keep_exact_order(order, first)
     return met.take(order) if count else met
 
 
@@ -87,16 +87,11 @@ def _motion_of(held: Obstacles) -> Any:
     return held.tree.motion
 
 
-def _keep_exact_order(order: NDArray[np.int64], met: Met, first: int) -> None:
-    """The first so many hits are in exact order, which their t, as doubles, may not tell."""
-    same = met.rows[order[1:]] == met.rows[order[:-1]]
-    same &= met.ts[order[1:]] == met.ts[order[:-1]]
-    while True:
-        wrong = same & (order[:-1] < first) & (order[1:] < first) & (order[:-1] > order[1:])
-        if not wrong.any():
-            return
-        place = int(np.argmax(wrong))
-        order[place], order[place + 1] = order[place + 1], order[place]
+def _keep_exact_order(order: NDArray[np.int64], first: int) -> None:
+    """The first so many hits are in exact order, which their t, as doubles, may not tell: they
+    keep it in the places that are theirs.
+    """
+    order[order < first] = np.arange(first)
 
 
 def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, times: Times) -> Met:
