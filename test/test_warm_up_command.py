@@ -22,7 +22,7 @@ def one():
     from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.tree import checks
     rows = np.array([[0.0, 1.0], [2.0, np.nan]])
-    yield Job('one', 'one', 1.0, partial(checks._first_not_finite, rows))
+    yield Job('one', 'one', 1.0, partial(checks.first_not_finite, rows))
 
 warm_up._everything = one
 sys.exit(warm_up.main())

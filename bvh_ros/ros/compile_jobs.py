@@ -129,6 +129,7 @@ def _boxes_asked(needs: Needs) -> None:
 def _points(needs: Needs) -> None:
     for scene in _scenes(needs):
         scene.nearest_many([START])
+        scene.nearest_many([START] * 1000)  # are asked in the order of neighbours
 
 
 def _paths(needs: Needs) -> None:

@@ -136,7 +136,8 @@ class DistanceQueries:
         where = checks.points('points', points, 3)
         count, many = len(where), checks.whole('k', k, 1)
         reaches = checks.limits_or_one('max_distance', max_distance, count)
-        asked = Points(where, reaches, checks.masks_or_one(mask, count))
+        masks = checks.masks_or_one(mask, count)
+        asked = Points(where, reaches, masks, self._nearness.order_of(where))
         sign: Signed = True if signed else None
         near = self._nearness.find_rows(asked, many, sign, checks.whole('threads', threads, 1))
         return near.handles, near.distances, near.points

@@ -3,20 +3,18 @@
 """What rays and swept balls meet in a scene. Each method checks its input and asks a kernel."""
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.nodes import ALL
-from ..tree.store.workers import in_threads
-from .casting import ball_casting, box_casting, casting, sweeping
-from .casting.arguments import Found, Rays, radii_of, ways_of
-from .casting.sweeping import Balls
-from .geometry.shapes import Floats, along_axes
+from .casting import ball_casting, box_casting
+from .casting.arguments import WHOLE_WAY, Rays, radii_of
+from .geometry.shapes import Floats
 from .moments import Moments
-from .results import NO_NODE, CastHits, SceneHit, require_few
+from .ray_batches import RayBatches
+from .results import CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 
 
@@ -26,6 +24,7 @@ class RayQueries:
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._moments = Moments(held)
+        self._batches = RayBatches(held, self._moments)
 
     def raycast(
         self,
@@ -144,20 +143,19 @@ class RayQueries:
         CastHits
             `t` in units of the directions.
         """
-        origins = checks.points('origins', origins, 3)
-        directions = checks.points('directions', directions, 3, len(origins))
+        origins = checks.rows('origins', origins, 3)
+        count, skip = len(origins), bool(skip_inside)
+        directions = checks.rows('directions', directions, 3, count)
+        checks.finite('origins', origins)
+        checks.finite('directions', directions)
         limits, masks = (
-            checks.limits('t_max', t_max, len(origins)),
-            checks.masks(mask, len(origins)),
+            checks.limits_or_one('t_max', t_max, count),
+            checks.masks_or_one(mask, count),
         )
-        skip, threads = bool(skip_inside), checks.whole('threads', threads, 1)
         rays = Rays(origins, directions, limits, masks)
-        if self._moments.meant(at, until, len(origins)):
-            radii = radii_of(0.0 if radius is None else radius, len(origins))
-            return self._moments.first_of_many(rays, radii, skip, at, until, threads)
-        if radius is None:
-            return self._first_of_many(rays, skip, threads)
-        return self._balls(rays, radii_of(radius, len(origins)), skip, threads)
+        threads = checks.whole('threads', threads, 1)
+        radii = None if radius is None else radii_of(radius, count)
+        return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def sweep_many(
         self,
@@ -190,58 +188,19 @@ class RayQueries:
         ValueError
             As `raycast`; the message names the first bad row.
         """
-        origins = checks.points('starts', starts, 3)
+        origins = checks.rows('starts', starts, 3)
         count, skip = len(origins), bool(skip_inside)
-        with np.errstate(over='ignore'):
-            directions = checks.points('goals', goals, 3, count) - origins
-        far = np.flatnonzero(~np.isfinite(directions).all(axis=1))
-        if len(far):
-            raise ValueError(f'the segment of row {far[0]} is longer than the largest double')
-        rays = Rays(origins, directions, np.ones(count), checks.masks(mask, count))
+        ends = checks.rows('goals', goals, 3, count)
+        with np.errstate(over='ignore', invalid='ignore'):
+            ways = ends - origins
+        far = checks.first_not_finite(ways)
+        if far >= 0:
+            checks.finite('starts', origins)
+            checks.finite('goals', ends)
+            raise ValueError(f'the segment of row {far} is longer than the largest double')
+        rays = Rays(origins, ways, WHOLE_WAY, checks.masks_or_one(mask, count))
         threads, radii = checks.whole('threads', threads, 1), radii_of(radius, count)
-        if self._moments.meant(at, until, count):
-            return self._moments.first_of_many(rays, radii, skip, at, until, threads)
-        return self._balls(rays, radii, skip, threads)
-
-    def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
-        """First hits of balls that go along rays, and of those that are thin."""
-        thin, thick = np.flatnonzero(radii == 0.0), np.flatnonzero(radii > 0.0)
-        thin_rays, others = (Rays(*(rows[part] for rows in rays)) for part in (thin, thick))
-        if not len(thick):
-            return self._first_of_many(rays, skip, threads)
-        ways = ways_of(rays, radii)[thick]
-        balls = Balls(others.origins, ways, radii[thick], others.masks)
-        found = sweeping.first_of_many(self._held.tree, self._held.columns, balls, skip, threads)
-        met = found.handles != NO_NODE
-        found.t[met] *= others.t_max[met]
-        if not len(thin):
-            return found
-        order = np.argsort(np.concatenate((thin, thick)))
-        both: Any = zip(self._first_of_many(thin_rays, skip, threads), found, strict=True)
-        return CastHits(*(np.concatenate(columns)[order] for columns in both))
-
-    def _first_of_many(self, rays: Rays, skip_inside: bool, threads: int) -> CastHits:
-        """First hits of thin rays."""
-        held, count = self._held, len(rays.origins)
-        if not held.columns.shaped:
-            handles = held.columns.node_handle
-            return box_casting.first_of_many(held.tree, handles, rays, skip_inside, threads)
-        hits = CastHits(
-            *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
-            *(np.full((count, 3), np.nan), np.zeros((count, 3))),
-        )
-
-        def work(start: int, stop: int) -> None:
-            found = self._cast(Rays(*(rows[start:stop] for rows in rays)), skip_inside, False)
-            rows = start + np.flatnonzero(np.diff(found.offsets))
-            hits.handles[rows] = held.columns.node_handle[found.hits.slots]
-            hits.t[rows], hits.points[rows] = found.hits.ts, found.points
-            hits.normals[rows] = found.normals
-            if held.planar:
-                hits.points[rows, 2] = rays.origins[rows, 2]
-
-        in_threads(work, count, threads)
-        return hits
+        return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def _segment(
         self, start: ArrayLike, goal: ArrayLike, radius: float
@@ -256,13 +215,6 @@ class RayQueries:
         if not math.isfinite(way[0] * 0.0 + way[1] * 0.0 + way[2] * 0.0):  # each of them is
             raise box_casting.too_long(origin, end)
         return origin, np.array(way), radius
-
-    def _cast(self, rays: Rays, skip_inside: bool, every: bool) -> Found:
-        """Thin rays against the true shapes."""
-        held = self._held
-        origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
-        flat = Rays(origins, directions, rays.t_max, rays.masks)
-        return casting.cast_all(held.tree, held.columns, flat, skip_inside, every)
 
     def _cast_one(
         self,
@@ -281,7 +233,7 @@ class RayQueries:
         else:
             masks = np.full(1, checks.mask(mask))
             rays = Rays(origin[None], direction[None], np.ones(1), masks)
-            found = self._cast(rays, skip, every)
+            found = self._batches.cast(rays, skip, every)
             hits, points, normals = found.hits, found.points, found.normals
             require_few(len(points), most)
             order = np.lexsort((held.columns.node_handle[hits.slots], hits.ts)).tolist()

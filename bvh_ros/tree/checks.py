@@ -30,7 +30,7 @@ FOREIGN: tuple[type[Exception], ...] = (
 
 
 @kernel
-def _first_not_finite(values):
+def first_not_finite(values):
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             if not np.isfinite(values[i, j]):
@@ -151,7 +151,7 @@ def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:
 
 def finite(name: str, array: Floats) -> None:
     """Refuse rows that are not finite."""
-    row = _first_not_finite(array)
+    row = first_not_finite(array)
     if row >= 0:
         raise ValueError(f'{name} must be finite: row {row} is {array[row].tolist()}')
 

@@ -159,6 +159,14 @@ def test_overlaps_of_one_shape(world):
             )
 
 
+def test_many_points_are_answered_in_their_places(world):
+    scene, rng = world
+    points = points_of(rng, 1200)  # asked in the order of neighbours
+    parts = [scene.nearest_many(some, 2) for some in np.split(points, 4)]
+    for told, few in zip(scene.nearest_many(points, 2), zip(*parts, strict=True), strict=True):
+        same(told, np.concatenate(few))
+
+
 @pytest.mark.parametrize('k', [1, 3, 100])
 @pytest.mark.parametrize('signed', [False, True])
 def test_nearest(world, k, signed):

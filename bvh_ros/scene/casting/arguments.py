@@ -11,7 +11,7 @@ shapes, and a scene without meshes nothing of theirs.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
@@ -20,6 +20,8 @@ from ...tree.nodes import DEEPEST
 from ...tree.rays.slab import RAY_ROWS
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
+
+WHOLE_WAY = np.ones(1)  # where t goes no farther than the directions
 
 
 class CastWorld(NamedTuple):
@@ -59,7 +61,9 @@ class Rays(NamedTuple):
     origins: Any
     directions: Any
     t_max: Any
+    """One for all, or (n,)."""
     masks: Any
+    """The same."""
 
 
 class Hits(NamedTuple):
@@ -90,11 +94,23 @@ class Scratch(NamedTuple):
 
 
 def radii_of(radius: ArrayLike, count: int) -> Floats:
-    """Finite radii, one a row."""
-    radii = checks.limits('radius', radius, count)
+    """Finite radii, one for all or one a row."""
+    radii = checks.limits_or_one('radius', radius, count)
     if np.isinf(radii).any():
         raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
     return radii
+
+
+def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
+    """What is one for all, or one a row, as one a row."""
+    return values if len(values) == count else np.full(count, values[0])
+
+
+def row_by_row(rays: Rays) -> Rays:
+    """The same rays, each with its t_max and mask."""
+    count = len(rays.origins)
+    t_max, masks = every_row(rays.t_max, count), every_row(rays.masks, count)
+    return Rays(rays.origins, rays.directions, t_max, masks)
 
 
 def ways_of(rays: Rays, radii: Floats) -> Floats:

@@ -36,12 +36,11 @@ from ..store.columns import Columns
 from ..store.registry import Slots
 from . import exact_balls
 from .arguments import Asked, Ball, Hits, Scratch, call, new_scratch, world_of
-from .casting import cast, enter_obstacle, plain, touch
+from .casting import AT, EARLY, LATE, cast, course_of, enter_thrice, touch
 from .exact_balls import START, Root
 
 SWEEP_SLACK = 2.0**-46
 LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
-EARLY, AT, LATE = range(3)
 
 
 @lean_kernel
@@ -69,21 +68,12 @@ def find(world, ball, mask, skip_inside, every, scratch, hits):
 
 
 @lean_kernel
-def bracket(world, ball, scratch, hits, times, features):
-    """Fill in the times and features, shape (3, n), of larger (known from `hits`), right and
-    smaller balls.
-    """
-    slots = hits.slots
+def bracket(world, ball, course, scratch, slots, brackets):
+    """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
+    times, features = brackets
     for i in range(times.shape[1]):
-        doubt = ball.slack if plain(world.geometry, world.footprints, slots[i]) else 0.0
-        times[EARLY, i], features[EARLY, i] = hits.ts[i], hits.features[i]
-        for row in range(AT, LATE + 1):
-            radius = ball.radius - doubt if row == LATE else ball.radius
-            times[row, i], features[row, i] = np.inf, ROUND
-            if radius > 0.0:
-                times[row, i], features[row, i] = enter_obstacle(
-                    world, slots[i], scratch.ray, radius, 1.0, scratch.work
-                )
+        found = times[:, i], features[:, i]
+        enter_thrice(world, slots[i], scratch.ray, course, ball, scratch.work, found)
 
 
 @lean_kernel
@@ -106,8 +96,10 @@ def sweep_ball(world, radius, way, asked, hits, brackets, place):
     slack = slack_of(world, scratch.ray, radius) if world.root != NONE else 0.0
     larger = Ball(radius, slack)
     count = find(world, larger, mask, skip_inside, every, scratch, hits)
-    if count <= hits.slots.shape[0]:
-        bracket(world, larger, scratch, hits, times[:, :count], features[:, :count])
+    if 0 < count <= hits.slots.shape[0]:
+        course = course_of(world, scratch.ray, radius, stack_array(3, np.float64))
+        some = times[:, :count], features[:, :count]
+        bracket(world, larger, course, scratch, hits.slots, some)
     sure = count == 1 and is_sure(times, features)
     if sure:
         one = Hits(hits.slots, times[AT], features[AT])

@@ -21,7 +21,7 @@ from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import slot_of
 from ...tree.rays import ray_hits, raycasting
-from ...tree.rays.ray_hits import locate
+from ...tree.rays.ray_hits import NO_HITS, locate
 from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..geometry.shapes import Floats, along_axes
@@ -100,10 +100,12 @@ def first_of_many(
     """First hits of n rays."""
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    hits = tree.raycast_many(*flat, rays.t_max, rays.masks, skip_inside, threads, at=None)
-    told = Told(np.empty(count, np.uint32), np.empty((count, 3)), np.zeros((count, 3)))
-    nodes, tight = tree.arrays()[:2]
-    describe(nodes, tight, node_handles, rays, hits, told)
+    asked = *flat, rays.t_max, rays.masks, skip_inside, raycasting.CLOSEST, threads == 1
+    hits = tree.first_hits(raycasting.Rays(*asked), threads)
+    told = Told(np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))
+    _describe_entry(ndim)(
+        tree.view().tree, node_handles, rays.origins, rays.directions, hits, told
+    )
     return CastHits(told.handles, hits.t, told.points, told.normals)
 
 
@@ -116,25 +118,29 @@ class Told(NamedTuple):
 
 
 @lean_kernel
-def describe(nodes, tight, node_handles, rays, hits, told):
-    """Fill in what is told of hits; `normals` are zero before."""
+def describe(tree, node_handles, origins, directions, hits, told):
+    """Fill in what is told of hits."""
     place = stack_array(6, np.float64).reshape(2, 3)
-    for i in range(rays.origins.shape[0]):
+    for i in range(origins.shape[0]):
+        for k in range(3):
+            told.points[i, k], told.normals[i, k] = np.nan, 0.0
         if hits.ids[i] < 0:
             told.handles[i] = NO_NODE
-            told.points[i] = np.nan
             continue
         slot, axis = slot_of(hits.ids[i]), INSIDE
         for k in range(hits.normals.shape[1]):
             if hits.normals[i, k] != 0.0:
                 told.normals[i, k], axis = hits.normals[i, k], k
-        origin, direction = rays.origins[i], rays.directions[i]
+        origin, direction = origins[i], directions[i]
         place[0, 2] = origin[2]
-        locate(nodes, tight, origin, direction, slot, hits.t[i], axis, place)
+        locate(tree.nodes, tree.tight, origin, direction, slot, hits.t[i], axis, place)
         told.handles[i] = node_handles[slot]
         for k in range(3):
             told.points[i, k] = place[0, k]
 
 
 _POINT = np.empty(3)
+_ROWS = np.empty((0, 3))
+_TOLD = Told(np.empty(0, np.uint32), _ROWS, _ROWS)
+_describe_entry = entry_points(describe, np.empty(0, np.int64), _ROWS, _ROWS, NO_HITS, _TOLD)
 _first_entry = entry_points(first_between, _POINT, _POINT, np.uint32(0), False, np.empty((2, 3)))

@@ -7,10 +7,13 @@ thin rays among boxes are the tree's own. A ball of radius r can touch an obstac
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE, is_leaf, leaf_box
 from ...tree.rays.slab import (
     INSIDE,
@@ -23,11 +26,16 @@ from ...tree.rays.slab import (
     set_ray,
     traversal_distance,
 )
+from ..geometry.lengths import LARGE, SMALL
+from ..geometry.rim import ROUND
 from ..store.columns import Columns
 from .arguments import Asked, Ball, Found, Hits, Rays, call, new_scratch, world_of
 from .contact import contact, enter_shape
-from .frame import COORDINATES, FRAME_SLACK, Met
+from .frame import COORDINATES, FRAME_SLACK, Met, point_along, time_of
 from .ray_footprint import enter_footprint, touch_footprint
+from .ray_shapes import enter_rounded_boxes
+
+EARLY, AT, LATE = range(3)  # of a ball that is larger, itself, smaller, see `ball_casting`
 
 
 @lean_kernel
@@ -106,6 +114,51 @@ def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
     return enter_any(world.geometry, world.footprints, slot, Met(ray, lo, hi), radius, t_max, work)
+
+
+class Course(NamedTuple):
+    """A ball's way, where no length needs a scale, see `frame`: the same for all boxes."""
+
+    unit: Any
+    """(3,)"""
+    pace: Any
+    simple: Any
+    """Whether it is so."""
+
+
+@lean_kernel
+def course_of(world, ray, radius, unit):
+    """The `Course` of a ray; `unit` is filled in."""
+    largest, here = radius, world.nodes[world.root]
+    for axis in range(ray.shape[1]):
+        largest = max(largest, abs(ray[ORIGIN, axis]), abs(here.lo[axis]), abs(here.hi[axis]))
+    pace = point_along(ray, 1.0, unit[: ray.shape[1]])
+    return Course(unit, pace, radius > SMALL and largest < LARGE)
+
+
+@lean_kernel
+def enter_thrice(world, slot, ray, course, ball, work, found):
+    """When a ball that is larger by its slack, the ball itself and a smaller one meet an obstacle
+    up to t = 1, to the rows EARLY, AT and LATE of `found`, (ts, features). Only axis-aligned boxes
+    tell them apart.
+    """
+    ts, features = found
+    if not plain(world.geometry, world.footprints, slot):
+        ts[:], features[:] = enter_obstacle(world, slot, ray, ball.radius, 1.0, work)
+        return
+    radii = stack_array(3, np.float64)
+    radii[EARLY], radii[AT] = ball.radius + ball.slack, ball.radius
+    radii[LATE] = ball.radius - ball.slack
+    if world.geometry is not None and course.simple:
+        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+        enter_rounded_boxes(ray[ORIGIN], course.unit, lo, hi, radii, course.pace, found)
+        for i in range(3):
+            ts[i] = time_of(ts[i], course.pace, 1.0)
+        return
+    for i in range(3):
+        ts[i], features[i] = np.inf, np.int64(ROUND)
+        if radii[i] > 0.0:
+            ts[i], features[i] = enter_obstacle(world, slot, ray, radii[i], 1.0, work)
 
 
 @lean_kernel

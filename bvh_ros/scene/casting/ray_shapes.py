@@ -18,11 +18,14 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
 from ...tree.rays.slab import INSIDE
-from ..geometry.lengths import length
+from ..geometry.lengths import hypot, length
 from ..geometry.rim import ROUND
 from .approach import ROUNDING, approach_by
+
+BEYOND = -1.0  # entered after the reach
 
 
 @lean_kernel
@@ -73,56 +76,81 @@ def enter_box(origin, direction, lo, hi, reach):
     return (entry if entry <= leave else np.inf), entered
 
 
-@lean_kernel
-def slab_offset(origin, direction, lo, hi, s):
-    """How a coordinate lies to its slab just after s: (offset, outside, until).
-
-    While `outside`, it is offset + s * direction beyond the slab; that holds until s = `until`.
+@inlined
+def slab_times(origin, direction, lo, hi):
+    """How a coordinate lies to its slab: (offset from the plane that it meets first, until when it
+    is before that, offset from the other plane, until when it is before that).
     """
     below, above = origin - lo, origin - hi
-    if direction == 0.0:
-        return (below if below < 0.0 else above), below < 0.0 or above > 0.0, np.inf
+    if direction == 0.0:  # beside the slab, or in it, for ever
+        beside = below < 0.0 or above > 0.0
+        return (below if below < 0.0 else above), (np.inf if beside else -np.inf), 0.0, np.inf
     first, second = (below, above) if direction > 0.0 else (above, below)
-    if s < -first / direction:
-        return first, True, -first / direction
-    if s < -second / direction:
-        return 0.0, False, -second / direction
-    return second, True, np.inf
+    return first, -first / direction, second, -second / direction
 
 
 @lean_kernel
 def enter_rounded_box(origin, direction, lo, hi, radius, reach):
-    """The squared distance to a box is a sum, over the axes, of squared distances to slabs.
+    """The box grown by one radius."""
+    radii, ts = stack_array(1, np.float64), stack_array(1, np.float64)
+    features, radii[0] = stack_array(1, np.int64), radius
+    enter_rounded_boxes(origin, direction, lo, hi, radii, reach, (ts, features))
+    return ts[0], features[0]
 
-    Between two crossings of face planes it is one quadratic in s, and the whole is convex: of at
-    most seven pieces the first in which it falls to radius^2 holds the entry.
+
+@lean_kernel
+def enter_rounded_boxes(origin, direction, lo, hi, radii, reach, found):
+    """(s, feature) of the box grown by each radius, to the rows of `found`; those that are not
+    positive meet nothing.
+
+    The squared distance to a box is a sum, over the axes, of squared distances to slabs. Between
+    two crossings of face planes it is one quadratic in s, and the whole is convex: of at most
+    seven pieces the first in which it falls to radius^2 holds the entry.
     """
-    if box_distance(origin, lo, hi) <= radius:
-        return 0.0, INSIDE
-    begin = 0.0
-    while begin <= reach:
-        end, square, product, across = np.inf, 0.0, 0.0, 0.0
-        for axis in range(lo.shape[0]):
-            offset, outside, until = slab_offset(
-                origin[axis], direction[axis], lo[axis], hi[axis], begin
-            )
-            end = min(end, until)
-            if outside:
-                square += direction[axis] * direction[axis]
-                product += offset * direction[axis]
-        along = -product / square if square > 0.0 else 0.0
-        for axis in range(lo.shape[0]):
-            offset, outside, _ = slab_offset(
-                origin[axis], direction[axis], lo[axis], hi[axis], begin
-            )
-            if outside:
-                across = math.hypot(across, offset + along * direction[axis])
-        entry, leave = disc_interval(along, square, across, radius)
-        if entry <= end and leave >= begin:
-            entry = max(entry, begin)
-            return (entry if entry <= reach else np.inf), ROUND
+    ss, features = found
+    distance, left = box_distance(origin, lo, hi), 0
+    for i in range(radii.shape[0]):
+        ss[i], features[i] = np.inf, ROUND
+        if radii[i] > 0.0 and distance <= radii[i]:
+            ss[i], features[i] = 0.0, INSIDE
+        elif radii[i] > 0.0:
+            left += 1
+    planes, begin = stack_array(12, np.float64).reshape(3, 4), 0.0
+    for axis in range(lo.shape[0]):
+        crossing = slab_times(origin[axis], direction[axis], lo[axis], hi[axis])
+        planes[axis, 0], planes[axis, 1], planes[axis, 2], planes[axis, 3] = crossing
+    while begin <= reach and left > 0:
+        end, square, along, across = next_piece(direction, planes[: lo.shape[0]], begin)
+        for i in range(radii.shape[0]):
+            if radii[i] > 0.0 and ss[i] == np.inf and features[i] == ROUND:
+                entry, leave = disc_interval(along, square, across, radii[i])
+                if entry <= end and leave >= begin:
+                    entry, left = max(entry, begin), left - 1
+                    ss[i] = entry if entry <= reach else BEYOND
         begin = end
-    return np.inf, ROUND
+    for i in range(radii.shape[0]):
+        ss[i] = np.inf if ss[i] == BEYOND else ss[i]
+
+
+@inlined
+def next_piece(direction, planes, begin):
+    """The piece from s = `begin` on, as `disc_interval` wants it: (its end, square, along,
+    across).
+    """
+    end, square, product, across = np.inf, 0.0, 0.0, 0.0
+    offsets = stack_array(3, np.float64)
+    for axis in range(planes.shape[0]):
+        enters, leaves = planes[axis, 1], planes[axis, 3]
+        before, after = begin < enters, begin >= leaves
+        offsets[axis] = planes[axis, 0] if before else planes[axis, 2]
+        end = min(end, enters if before else (np.inf if after else leaves))
+        square += direction[axis] * direction[axis] if before or after else 0.0
+        product += offsets[axis] * direction[axis] if before or after else 0.0
+    along = -product / square if square > 0.0 else 0.0
+    for axis in range(planes.shape[0]):
+        if begin < planes[axis, 1] or begin >= planes[axis, 3]:
+            across = hypot(across, offsets[axis] + along * direction[axis])
+    return end, square, along, across
 
 
 @lean_kernel
@@ -193,7 +221,7 @@ def enter_rounded_cylinder(radius, half_height, ball, reach, slack, work):
 def box_distance(point, lo, hi):
     total = 0.0
     for axis in range(lo.shape[0]):
-        total = math.hypot(total, max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]))
+        total = hypot(total, max(lo[axis] - point[axis], 0.0, point[axis] - hi[axis]))
     return total
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE
+from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
 from ...tree.store.turns import accepted, begin_query, end_query
 from ...tree.store.workers import in_threads
@@ -18,9 +20,9 @@ from ...tree.wide.snapshot import no_snapshot
 from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Ball, Hits, call, new_scratch, world_of
-from .ball_casting import AT, EARLY, LATE, Sweep, bracket, cast_ball, find, slack_of
-from .casting import plain, touch
+from .arguments import Ball, Hits, call, every_row, new_scratch, world_of
+from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
+from .casting import AT, EARLY, LATE, course_of, plain, touch
 from .wide_sweeps import UNSUITED, find_wide
 
 FEW = 64  # obstacles that a ball may touch before more room is made
@@ -33,7 +35,9 @@ class Balls(NamedTuple):
     """(n, 3), or (n, ndim) for the kernel."""
     directions: Any
     radii: Any
+    """One for all, or (n,)."""
     masks: Any
+    """The same."""
 
 
 class Told(NamedTuple):
@@ -92,31 +96,37 @@ def first_of(world, node_handles, hits, brackets, count, skip_inside):
 def sweep_balls(world, through, node_handles, balls, skip_inside, place, room, told):
     """Fill in what the balls of the rows [start, stop) meet; through = (the tree's state, version,
     snapshot), place = (start, stop). Returns (rows done, room wanted): fewer than there are where
-    there is no room for what the next one may touch, negative if the tree is changed.
+    there is no room for what the next one may touch, negative if the tree is changed; and how many
+    of them are open.
     """
     (state, version, snapshot), (start, stop) = through, place
     scratch, hits, times, features = room
     if not begin_query(state, version):
-        return -1, 0
-    count, row = 0, start
+        return -1, 0, 0
+    count, row, unsure = 0, start, 0
     while row < stop:
-        way, ball = (balls.origins[row], balls.directions[row]), Ball(balls.radii[row], 0.0)
+        way = balls.origins[row], balls.directions[row]
+        ball = Ball(of_row(balls.radii, row), 0.0)
         set_ray(scratch.ray, way[0], way[1])
-        count = may_touch(world, snapshot, way, ball, (balls.masks[row], skip_inside), room)
+        count = may_touch(
+            world, snapshot, way, ball, (of_row(balls.masks, row), skip_inside), room
+        )
         if count > hits.slots.shape[0]:
             break
         first, sure = first_of(world, node_handles, hits, (times, features), count, skip_inside)
-        told.open[row] = not sure
-        if sure and first != NONE:
+        met = sure and first != NONE
+        told.open[row], unsure = not sure, unsure + (not sure)
+        told.handles[row], told.ts[row] = NO_NODE, np.inf
+        for axis in range(3):
+            told.points[row, axis], told.normals[row, axis] = 0.0 if met else np.nan, 0.0
+        if met:
             hits.ts[first], hits.features[first] = times[AT, first], features[AT, first]
-            for axis in range(3):
-                told.points[row, axis] = 0.0
             touch(world, scratch, ball.radius, hits, first, told.points[row], told.normals[row])
             told.handles[row] = node_handles[hits.slots[first]]
             told.ts[row] = times[AT, first]
         row += 1
     end_query(state)
-    return row, count
+    return row, count, unsure
 
 
 @lean_kernel
@@ -129,46 +139,56 @@ def may_touch(world, snapshot, way, ball, asked, room):
     larger = Ball(ball.radius, slack_of(world, scratch.ray, ball.radius))
     count = np.int64(UNSUITED)
     if snapshot.size > 0:
-        count = find_wide(world, snapshot, way, larger, asked, scratch, hits)
+        count = find_wide(world, snapshot, way, larger, asked, room)
     if count == UNSUITED:
         count = find(world, larger, mask, skip_inside, False, scratch, hits)
-    if count <= hits.slots.shape[0]:
-        bracket(world, larger, scratch, hits, times[:, :count], features[:, :count])
+        if count <= hits.slots.shape[0]:
+            some = times[:, :count], features[:, :count]
+            course = course_of(world, scratch.ray, ball.radius, stack_array(3, np.float64))
+            bracket(world, larger, course, scratch, hits.slots, some)
     return count
+
+
+def tell_open_ones(
+    tree: DynamicBVH, columns: Columns, balls: Balls, skip_inside: bool, told: Told
+) -> None:
+    """Fill in what exact arithmetic tells."""
+    radii, masks = (every_row(column, len(told.open)) for column in balls[2:])
+    for row in np.flatnonzero(told.open).tolist():
+        way = balls.origins[row], balls.directions[row]
+        one = Sweep(*way, radii.item(row), masks[row], skip_inside, False)
+        for slot, t, point, normal in cast_ball(tree, columns, one):
+            told.handles[row] = columns.node_handle[slot]
+            told.ts[row], told.points[row], told.normals[row] = t, point, normal
 
 
 def first_of_many(
     tree: DynamicBVH, columns: Columns, balls: Balls, skip_inside: bool, threads: int
 ) -> CastHits:
     """First hits of n balls."""
-    world, count, ndim, view = world_of(tree, columns), len(balls.radii), tree.ndim, tree.view()
+    world, count, ndim, view = world_of(tree, columns), len(balls.origins), tree.ndim, tree.view()
     origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
     flat = balls._replace(origins=origins, directions=directions)
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
     through = view.tree.state, view.version, snapshot
     told = Told(
-        *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
-        *(np.full((count, 3), np.nan), np.zeros((count, 3)), np.zeros(count, np.bool_)),
+        *(np.empty(count, np.uint32), np.empty(count), np.empty((count, 3))),
+        *(np.empty((count, 3)), np.empty(count, np.bool_)),
     )
 
-    def work(start: int, stop: int) -> None:
-        scratch, wanted = new_scratch(ndim), FEW
+    def work(start: int, stop: int) -> int:
+        scratch, wanted, unsure = new_scratch(ndim), FEW, 0
         while start < stop:
             hits = Hits(np.empty(wanted, np.int64), np.empty(wanted), np.empty(wanted, np.int64))
             room = scratch, hits, np.empty((3, wanted)), np.empty((3, wanted), np.int64)
             given = through, columns.node_handle, flat, skip_inside, (start, stop), room, told
-            start, wanted = call(sweep_balls, world, *given)
+            start, wanted, more = call(sweep_balls, world, *given)
             accepted(start)
+            unsure += more
+        return unsure
 
-    in_threads(work, count, threads)
-    for row in np.flatnonzero(told.open).tolist():
-        one = Sweep(
-            *(flat.origins[row], flat.directions[row], flat.radii[row], flat.masks[row]),
-            *(skip_inside, False),
-        )
-        for slot, t, point, normal in cast_ball(tree, columns, one):
-            told.handles[row] = columns.node_handle[slot]
-            told.ts[row], told.points[row], told.normals[row] = t, point, normal
+    if sum(in_threads(work, count, threads)):
+        tell_open_ones(tree, columns, flat, skip_inside, told)
     if ndim == 2:
         met = told.handles != NO_NODE
         told.points[met, 2] = balls.origins[met, 2]

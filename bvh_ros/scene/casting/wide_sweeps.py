@@ -20,7 +20,7 @@ from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ra
 from ...tree.wide.raycasting import ALL32
 from ...tree.wide.snapshot import LOOSE_NODES
 from .ball_casting import SMALL, SWEEP_SLACK
-from .casting import doubt_of, enter_obstacle, plain
+from .casting import EARLY, LATE, Course, course_of, doubt_of, enter_thrice
 
 UNSUITED = -1
 PAD = 2.0**-20  # far above the rounding of a float32
@@ -29,12 +29,13 @@ _CHILD = np.int64(0xFFFFFFFF)
 
 
 @lean_kernel
-def find_wide(world, snapshot, way, ball, asked, scratch, hits):
-    """As `ball_casting.find` of the first hit: how many obstacles may be it. way = (origin,
-    direction), asked = (mask, skip_inside). UNSUITED: the snapshot is not for this ball.
+def find_wide(world, snapshot, way, ball, asked, room):
+    """As `ball_casting.find` and `bracket` of the first hit: how many obstacles may be it. way =
+    (origin, direction), asked = (mask, skip_inside), room as of `sweeping.sweep_balls`. UNSUITED:
+    the snapshot is not for this ball.
     """
-    origin, direction = way
-    mask, skip_inside = asked
+    (origin, direction), (mask, skip_inside) = way, asked
+    scratch, hits, times, features = room
     records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     reach = (ball.radius + ball.slack + doubt_of(scratch.ray, ball.radius)) * snapshot.per_length
@@ -48,27 +49,29 @@ def find_wide(world, snapshot, way, ball, asked, scratch, hits):
         stack[top] = snapshot.size + loose
         top += 1
     count, soonest, latest = np.int64(0), np.inf, 1.0
+    ts, course = stack_array(3, np.float64), Course(stack_array(3, np.float64), -1.0, False)
+    found = ts, stack_array(3, np.int64)
     while top > 0:
         slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
         if slot == NONE or (snapshot.loose > 0 and is_known(world, slot, mask, hits, count)):
             continue
-        doubt = ball.slack if plain(world.geometry, world.footprints, slot) else 0.0
-        t, feature = enter_obstacle(
-            world, slot, scratch.ray, ball.radius + doubt, 1.0, scratch.work
-        )
-        if t > latest:
+        if course.pace < 0.0:  # many balls meet no leaf
+            course = course_of(world, scratch.ray, ball.radius, course.unit)
+        enter_thrice(world, slot, scratch.ray, course, ball, scratch.work, found)
+        if ts[EARLY] > latest:
             continue
         if count < hits.slots.shape[0]:
-            hits.slots[count], hits.ts[count], hits.features[count] = slot, t, feature
+            hits.slots[count] = slot
+            for i in range(3):
+                times[i, count], features[i, count] = ts[i], found[1][i]
         count += 1
-        if t < soonest and ball.radius > doubt and not (skip_inside and feature == INSIDE):
-            soonest = t
-            late, _ = enter_obstacle(
-                world, slot, scratch.ray, ball.radius - doubt, 1.0, scratch.work
-            )
-            latest = min(late * (1.0 + SWEEP_SLACK) + SMALL, latest)
+        if ts[EARLY] < soonest and not (skip_inside and found[1][EARLY] == INSIDE):
+            soonest = ts[EARLY]
+            latest = min(ts[LATE] * (1.0 + SWEEP_SLACK) + SMALL, latest)
             record.limit = limits[0] = limit32(latest, record.unit)
-    return count if count > hits.slots.shape[0] else keep_until(hits, count, latest)
+    if count > hits.slots.shape[0]:
+        return count
+    return keep_until(hits.slots, (times, features), count, latest)
 
 
 @inlined
@@ -119,12 +122,13 @@ def is_known(world, slot, mask, hits, count):
 
 
 @inlined
-def keep_until(hits, count, latest):
+def keep_until(slots, brackets, count, latest):
     """Forget what is not met until then; return how many are left."""
-    kept = np.int64(0)
+    kept, (times, features) = np.int64(0), brackets
     for j in range(count):
-        if hits.ts[j] <= latest:
-            hits.slots[kept], hits.ts[kept] = hits.slots[j], hits.ts[j]
-            hits.features[kept] = hits.features[j]
+        if times[EARLY, j] <= latest:
+            slots[kept] = slots[j]
+            for i in range(3):
+                times[i, kept], features[i, kept] = times[i, j], features[i, j]
             kept += 1
     return kept

@@ -22,10 +22,15 @@ from .hull_gap import closest_on_hull
 
 @lean_kernel
 def length(vector):
-    """Euclidean length, scaled by a power of two: squares neither overflow nor vanish."""
-    largest = 0.0
+    """Euclidean length; where squares would overflow or vanish scaled by a power of two, which
+    changes no digit elsewhere.
+    """
+    largest, square = 0.0, 0.0
     for axis in range(vector.shape[0]):
         largest = max(largest, abs(vector[axis]))
+        square += vector[axis] * vector[axis]
+    if 1e-140 < largest < 1e140:
+        return math.sqrt(square)
     exponent, square = math.frexp(largest)[1], 0.0
     for axis in range(vector.shape[0]):
         scaled = math.ldexp(vector[axis], -exponent)

@@ -9,17 +9,21 @@ until the next box is farther than the k-th nearest shape among those it has nam
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ...tree.boxes.ordering import neighbour_order
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.store.turns import IS_CHANGED
 from ...tree.store.workers import in_threads
-from ..geometry.shapes import Floats
+from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
 from .touching import REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
 from .touching_rows import Near, Points, RowKernel, Signed, bodies_of, nearest_rows
 
 MORE = 4
+# From so many points on their order counts: as they stand 10,000 points take 1.2 times as long.
+MANY, NO_ORDER = 1000, np.empty(0, np.int64)
 
 
 class Nearness:
@@ -41,7 +45,9 @@ class Nearness:
         max_distance, mask = limits
         everybody = len(self._tree)
         reach = max(max_distance * ROUNDED, max_distance)
-        asked = k + MORE  # so that most know at once that no other is nearer
+        in_order = signed is None and not (self._columns.shaped or self._columns.shadows)
+        # Some more, so that most know at once that no other is nearer.
+        asked = k if in_order else k + MORE
         while True:
             asked = min(asked, everybody + 1)
             if asked > len(self._scratch.found.slots):
@@ -51,9 +57,13 @@ class Nearness:
             distances = found.distances[:count].tolist()
             order = [row for row in found.order[:count].tolist() if distances[row] <= max_distance]
             order = self._different(found, order)[:k]
-            if count < asked or (
-                len(order) == k
-                and found.bounds.item(count - 1) > max(distances[order[-1]], 0.0) * ROUNDED
+            if (
+                in_order
+                or count < asked
+                or (
+                    len(order) == k
+                    and found.bounds.item(count - 1) > max(distances[order[-1]], 0.0) * ROUNDED
+                )
             ):
                 return found, order
             asked *= MORE
@@ -74,6 +84,16 @@ class Nearness:
         if count == REFUSED:
             raise RuntimeError(IS_CHANGED)
         return count
+
+    def order_of(self, points: Floats) -> NDArray[np.int64]:
+        """The order in which many points are asked: neighbours load the same nodes."""
+        if len(points) < MANY or not len(self._tree):
+            return NO_ORDER
+        nodes, _, _, root = self._tree.arrays()
+        keys, order, spare = np.empty((3, len(points)), np.int64)
+        here, bounds = along_axes(points, self._tree.ndim), nodes[root]
+        neighbour_order(here, bounds['lo'], bounds['hi'], keys, order, spare)
+        return order
 
     def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near:
         """The k obstacles nearest to each of n points, as `find` has them."""

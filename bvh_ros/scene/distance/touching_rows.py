@@ -56,6 +56,8 @@ class Points(NamedTuple):
     """The largest distance, one for all or (n,)."""
     masks: Any
     """One for all, or (n,)."""
+    order: Any
+    """In which they are asked, (n,); without any as they stand."""
 
 
 class Near(NamedTuple):
@@ -125,14 +127,16 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
     (rows done, room wanted in `found`) as `overlap_rows`.
     """
     k, everybody, twice, signed = asked
-    tree, (row, stop) = view.tree, place
+    tree, (done, stop) = view.tree, place
+    in_order = bodies is None and signed is None and not twice  # as the tree has them
     if not begin_query(tree.state, view.version):
         return -1, 0
     wanted = 0
-    while row < stop:
+    while done < stop:
+        row = points.order[done] if points.order.shape[0] > 0 else done
         reach, mask = of_row(points.reaches, row), of_row(points.masks, row)
         point, limit = points.points[row], max(reach * ROUNDED, reach)
-        wanted, kept = min(k + 1, everybody + 1), 0
+        wanted, kept = min(k if in_order else k + 1, everybody + 1), 0
         while wanted <= found.slots.shape[0]:
             question = (wanted, limit, mask)
             if bodies is None:
@@ -140,18 +144,22 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
             else:
                 count = nearest_shapes(tree, bodies, point, question, signed, node_handles, found)
             kept = keep(found, count, (k, reach, twice), node_handles, near, row)
-            if count < wanted or (
-                kept == k
-                and found.bounds[count - 1] > max(near.distances[row, k - 1], 0.0) * ROUNDED
+            if (
+                in_order
+                or count < wanted
+                or (
+                    kept == k
+                    and found.bounds[count - 1] > max(near.distances[row, k - 1], 0.0) * ROUNDED
+                )
             ):
                 break
             wanted = min(wanted * 4, everybody + 1)
         if wanted > found.slots.shape[0]:
             break
         pad(near, row, kept)
-        row += 1
+        done += 1
     end_query(tree.state)
-    return row, wanted
+    return done, wanted
 
 
 @lean_kernel

@@ -98,8 +98,15 @@ class RayAsking(Timed):
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
         # As Rays(...), which would take one more call of a function of Python's.
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        rays = tuple.__new__(Rays, asked)
-        hits = ray_batches.room_for(count, ndim, mode)
+        return self.first_hits(tuple.__new__(Rays, asked), threads)
+
+    def first_hits(self, rays: Rays, threads: int) -> RayHits:
+        """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked
+        for by one thread.
+        """
+        origins, directions = rays.origins, rays.directions
+        count, ndim = origins.shape
+        hits = ray_batches.room_for(count, ndim, rays.mode)
         view = self.view()
         snapshot = self.snapshot_for(count, view)
         if threads == 1:

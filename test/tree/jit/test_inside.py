@@ -31,7 +31,7 @@ origins, directions = random.uniform(0, 100, (200, 2)), random.normal(size=(200,
 hits = tree.raycast_many(origins, directions)
 assert tree.stats()['wide_snapshot']
 print(json.dumps([
-    type(checks._first_not_finite).__name__,
+    type(checks.first_not_finite).__name__,
     [array.tolist() for array in hits],
     tree.overlap([10, 10], [40, 40]).tolist(),
     tree.cost(),
@@ -102,7 +102,7 @@ from bvh_ros.tree import checks
 from bvh_ros.tree.jit import kernel_cache
 
 folder = kernel_cache.cache_folder()
-print(json.dumps([type(checks._first_not_finite).__name__, folder, kernel_cache.is_noted('')]))
+print(json.dumps([type(checks.first_not_finite).__name__, folder, kernel_cache.is_noted('')]))
 """
 
 

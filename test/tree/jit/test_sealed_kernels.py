@@ -32,7 +32,7 @@ def cache(tmp_path, monkeypatch):
     kernel_cache._find_folder.cache_clear()
 
 
-def misses(function=checks._first_not_finite.py_func):
+def misses(function=checks.first_not_finite.py_func):
     """How often this kernel is compiled in what is a new process to numba, and that it works."""
     kernel = compiling.lean_kernel(function)
     assert kernel(ROWS) == 1
@@ -163,7 +163,7 @@ from bvh_ros.tree import box_checks, checks
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), -1))
 rows = np.array([[0.0, 1.0], [2.0, np.nan]])
-assert checks._first_not_finite(rows) == 1
+assert checks.first_not_finite(rows) == 1
 assert box_checks._first_reversed(rows, rows - [0.0, 1.0]) == 0
 """
 

@@ -21,8 +21,8 @@ import numpy as np
 from bvh_ros.tree import checks
 
 with warnings.catch_warnings(record=True) as said:
-    assert checks._first_not_finite(np.array([[0.0, 1.0], [2.0, np.nan]])) == 1
-kernel = checks._first_not_finite
+    assert checks.first_not_finite(np.array([[0.0, 1.0], [2.0, np.nan]])) == 1
+kernel = checks.first_not_finite
 if sys.argv[1:] == ['ship']:
     from bvh_ros.tree.jit import kernel_cache
     kernel_cache.note('a job')
@@ -87,7 +87,7 @@ def start_from(tmp_path, monkeypatch):
         forget()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter('always')
-            kernel = compiling.lean_kernel(checks._first_not_finite.py_func)
+            kernel = compiling.lean_kernel(checks.first_not_finite.py_func)
             assert kernel(ROWS) == 1
         return sum(kernel.stats.cache_misses.values()), [str(line.message) for line in said]
 

@@ -1,0 +1,87 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which kernels answer a batch of rays and swept balls."""
+
+from typing import Any
+
+import numpy as np
+
+from ..tree.store.workers import in_threads
+from .casting import box_casting, casting, sweeping
+from .casting.arguments import WHOLE_WAY, Found, Rays, every_row, row_by_row, ways_of
+from .casting.sweeping import Balls
+from .geometry.shapes import Floats, along_axes
+from .moments import Moments
+from .results import NO_NODE, CastHits
+from .store.obstacles import Obstacles
+
+
+class RayBatches:
+    """Answers batches of good input."""
+
+    def __init__(self, held: Obstacles, moments: Moments) -> None:
+        self._held = held
+        self._moments = moments
+
+    def first(
+        self, rays: Rays, radii: Floats | None, skip: bool, times: tuple[Any, Any], threads: int
+    ) -> CastHits:
+        """First hits of rays, or of balls that go along them; times = (at, until)."""
+        count = len(rays.origins)
+        if self._moments.meant(*times, count):
+            radii = every_row(np.zeros(1) if radii is None else radii, count)
+            return self._moments.first_of_many(row_by_row(rays), radii, skip, *times, threads)
+        thick = 0 if radii is None else np.count_nonzero(radii)
+        if radii is None or not thick:
+            return self._thin(rays, skip, threads)
+        ways = rays.directions if rays.t_max is WHOLE_WAY else ways_of(rays, radii)
+        balls = Balls(rays.origins, ways, radii, rays.masks)
+        if thick == len(radii):
+            return self._balls(balls, rays.t_max, skip, threads)
+        each, both = row_by_row(rays), (np.flatnonzero(radii == 0.0), np.flatnonzero(radii))
+        thin, rows = both
+        some = Balls(*(column[rows] for column in balls._replace(masks=each.masks)))
+        found = self._balls(some, each.t_max[rows], skip, threads)
+        others = self._thin(Rays(*(column[thin] for column in each)), skip, threads)
+        columns: Any = zip(others, found, strict=True)
+        order = np.argsort(np.concatenate(both))
+        return CastHits(*(np.concatenate(column)[order] for column in columns))
+
+    def _balls(self, balls: Balls, t_max: Floats, skip: bool, threads: int) -> CastHits:
+        """First hits of balls, at t from 0 to `t_max`."""
+        held = self._held
+        found = sweeping.first_of_many(held.tree, held.columns, balls, skip, threads)
+        if t_max is not WHOLE_WAY:
+            np.multiply(found.t, t_max, out=found.t, where=found.handles != NO_NODE)
+        return found
+
+    def _thin(self, rays: Rays, skip: bool, threads: int) -> CastHits:
+        """First hits of thin rays."""
+        held, count = self._held, len(rays.origins)
+        if not held.columns.shaped:
+            handles = held.columns.node_handle
+            return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
+        rays = row_by_row(rays)
+        hits = CastHits(
+            *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
+            *(np.full((count, 3), np.nan), np.zeros((count, 3))),
+        )
+
+        def work(start: int, stop: int) -> None:
+            found = self.cast(Rays(*(rows[start:stop] for rows in rays)), skip, False)
+            rows = start + np.flatnonzero(np.diff(found.offsets))
+            hits.handles[rows] = held.columns.node_handle[found.hits.slots]
+            hits.t[rows], hits.points[rows] = found.hits.ts, found.points
+            hits.normals[rows] = found.normals
+            if held.planar:
+                hits.points[rows, 2] = rays.origins[rows, 2]
+
+        in_threads(work, count, threads)
+        return hits
+
+    def cast(self, rays: Rays, skip: bool, every: bool) -> Found:
+        """Thin rays against the true shapes."""
+        held = self._held
+        origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
+        flat = Rays(origins, directions, rays.t_max, rays.masks)
+        return casting.cast_all(held.tree, held.columns, flat, skip, every)
