@@ -68,6 +68,20 @@ def test_an_arm_at_a_shelf(tmp_path):
 
 
 @pytest.mark.slow
+def test_predicted_traffic(tmp_path):
+    tracks = EXAMPLES.parents[1] / 'shared/data/commonroad_ngsim/USA_US101-4_1_T-1.csv'
+    if not tracks.exists():
+        pytest.skip('the recorded traffic is not there')
+    picture = tmp_path / 'traffic.png'
+    said = run('predicted_traffic.py', str(tracks), '--plot', str(picture)).splitlines()
+    for line in said[-5:]:  # at every rate the predicted world is nearer, and misses less
+        _, _, place, predicted, missed, still_missed, *_ = line.replace('%', '').split('|')
+        assert float(predicted) < 0.2 * float(place)
+        assert float(still_missed) < 0.5 * float(missed)
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_many_machines():
     pytest.importorskip('distributed', reason='extra [cluster] is not installed')
     few = '--boxes', '2e4', '--rays', '1e4', '--part', '5e3'
