@@ -76,7 +76,7 @@ class Channel:
         executor runs.
         """
         asked.header.frame_id = frame_id
-        asked.header.stamp = Time(nanoseconds=self._stamp() if stamp is None else stamp).to_msg()
+        asked.header.stamp = Time(nanoseconds=self.stamp() if stamp is None else stamp).to_msg()
         answer = Future(executor=executor)
         self._waiting[_key(asked)] = answer, _rows_of(asked)
         self._publisher.publish(asked)
@@ -88,7 +88,7 @@ class Channel:
             if other is answer:
                 self._waiting.pop(key, None)
 
-    def _stamp(self) -> int:
+    def stamp(self) -> int:
         """Now, or up to a millisecond ago: clients that ask in one tick of a simulated clock must
         not take each other's answers for their own.
         """
@@ -176,6 +176,33 @@ def as_rays(
         np.dtype(np.float32 if narrow else np.float64),
         None if radius is None else column('radius', np.asarray(radius, np.float64), count),
     )
+
+
+def with_times(rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp: int) -> Rays:
+    """Return rays that begin at `at` and are at t = 1 at `until`, ns; `stamp` is their cloud's.
+    ValueError if these are no times.
+    """
+    if at is None:
+        raise ValueError('until needs at')
+    count = len(rays.t_max)
+    begin = _times('at', at, count)
+    given = rays._replace(since=(begin - stamp) / 1e9)
+    if until is None:
+        return given
+    takes = _times('until', until, count) - begin
+    if (takes < 0).any():
+        raise ValueError(f'until must not be before at: row {int(np.argmax(takes < 0))} is')
+    if ((takes > 0) & np.isinf(rays.t_max)).any():
+        raise ValueError('t_max must end a ray that takes time')
+    durations = np.where(takes > 0, takes / 1e9 * np.where(takes > 0, rays.t_max, 0.0), 0.0)
+    return given._replace(durations=durations)
+
+
+def _times(name: str, given: ArrayLike, count: int) -> NDArray[np.int64]:
+    values = np.asarray(given)
+    if values.dtype.kind != 'i':
+        raise ValueError(f'{name} must be integers (ns), not {values.dtype}')
+    return column(name, values.astype(np.int64), count)
 
 
 def as_rows(name: str, values: ArrayLike, count: int | None = None, width: int = 3) -> NDArray:

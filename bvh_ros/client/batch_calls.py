@@ -12,11 +12,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import volumes
-from bvh_ros.client.batch import as_rays
+from bvh_ros.client.batch import as_rays, with_times
 from bvh_ros.client.channels import Channels
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Near, Touched
-from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
+from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits, Rays
 
 
 class BatchCalls:
@@ -34,6 +34,8 @@ class BatchCalls:
         mask: ArrayLike = EVERYTHING,
         *,
         radius: ArrayLike | None = None,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
         frame_id: str = '',
         stamp: int | None = None,
         timeout: float | None = None,
@@ -51,6 +53,8 @@ class BatchCalls:
             Only obstacles whose own mask has a bit in common are seen.
         radius : float or (n,) array_like, optional
             Of balls that go along the rays, m; where it is above 0, t_max ends the way.
+        at, until : int or (n,) array_like, optional
+            ns: when t is 0 and 1, see `raycast`. Where `until` is after `at`, t_max ends the ray.
         frame_id : str
             Frame of rays and hits, by default the node's.
         stamp : int, optional
@@ -72,8 +76,10 @@ class BatchCalls:
         ValueError
             If the arrays do not fit together.
         """
-        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask, radius))
-        return self._ask('rays', cloud, frame_id, stamp, timeout)
+        rays, stamp = self._timed(
+            as_rays(origins, directions, t_max, mask, radius), at, until, stamp
+        )
+        return self._ask('rays', ray_clouds.rays_cloud(rays), frame_id, stamp, timeout)
 
     def nearest_many(
         self,
@@ -175,6 +181,8 @@ class BatchCalls:
         mask: ArrayLike = EVERYTHING,
         *,
         radius: ArrayLike | None = None,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
         frame_id: str = '',
         stamp: int | None = None,
     ) -> Future:
@@ -182,8 +190,20 @@ class BatchCalls:
 
         `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
         """
-        cloud = ray_clouds.rays_cloud(as_rays(origins, directions, t_max, mask, radius))
+        rays, stamp = self._timed(
+            as_rays(origins, directions, t_max, mask, radius), at, until, stamp
+        )
+        cloud = ray_clouds.rays_cloud(rays)
         return self.channels.open('rays').ask(cloud, frame_id, stamp, self.node.executor)
+
+    def _timed(
+        self, rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp: int | None
+    ) -> tuple[Rays, int | None]:
+        """Rays with their times, and the stamp of their cloud, which these count from."""
+        if at is None and until is None:
+            return rays, stamp
+        stamp = self.channels.open('rays').stamp() if stamp is None else stamp
+        return with_times(rays, at, until, stamp), stamp
 
     def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""

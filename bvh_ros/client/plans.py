@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
 
@@ -24,7 +25,7 @@ class Hit(NamedTuple):
     name: str
     point: Vector  # on the obstacle, in the node's frame, m
     normal: Vector  # outward, unit length; +x where the node has no direction to give
-    stamp: int  # last update of the obstacle, ns
+    stamp: int  # last update of the obstacle, ns; where `until` was told, the time of contact
 
 
 def request(
@@ -33,13 +34,27 @@ def request(
     tolerance: float,
     frame_id: str,
     orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+    times: tuple[int | None, int | None] = (None, None),
 ) -> GetPlan.Request:
-    """Return a request; ValueError if a place or an orientation has the wrong length."""
+    """Return a request; `times` (ns) are those of start and goal. ValueError if a place or an
+    orientation has the wrong length.
+    """
     asked = GetPlan.Request()
     asked.start = _pose(start, orientation, frame_id)
     asked.goal = _pose(goal, (0.0, 0.0, 0.0, 1.0), frame_id)
+    for stamped, stamp in zip((asked.start, asked.goal), times, strict=True):
+        if stamp is not None:
+            stamped.header.stamp = _time(stamp)
     asked.tolerance = float(tolerance)
     return asked
+
+
+def _time(stamp: int) -> Time:
+    """A time of a request; ValueError if none can be written so."""
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    if not (stamp > 0 and seconds < 1 << 31):
+        raise ValueError(f'a time must be above 0 and below 2^31 s, not {stamp} ns')
+    return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def _pose(place: Sequence[float], orientation: Sequence[float], frame_id: str) -> PoseStamped:

@@ -27,6 +27,8 @@ class SingleCalls:
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Hit | None:
@@ -38,6 +40,10 @@ class SingleCalls:
             Metres; z is 0 if left out.
         radius : float
             Of a ball swept along the way; 0 is a thin ray.
+        at, until : int, optional
+            ns: `start` is left at `at`, and `end` reached at `until`, while obstacles move whose
+            source predicts; without `until` the world is asked for as it is at that time. None: as
+            last told.
         frame_id : str
             Frame of the coordinates, by default the node's.
         timeout : float, optional
@@ -48,7 +54,7 @@ class SingleCalls:
         BvhError
             If the node cannot answer, with its reason; BvhTimeoutError if it does not.
         """
-        request = plans.request(start, end, radius, frame_id)
+        request = plans.request(start, end, radius, frame_id, times=(at, until))
         return plans.first_hit(self._call(self.services.raycast, request, timeout))
 
     def raycast_all(
@@ -57,11 +63,13 @@ class SingleCalls:
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
         """Return every obstacle on the way, nearest first; otherwise like `raycast`."""
-        request = plans.request(start, end, radius, frame_id)
+        request = plans.request(start, end, radius, frame_id, times=(at, until))
         return plans.all_hits(self._call(self.services.raycast_all, request, timeout))
 
     def overlap(
@@ -71,6 +79,7 @@ class SingleCalls:
         orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         tolerance: float = 0.0,
         *,
+        at: int | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
@@ -84,7 +93,7 @@ class SingleCalls:
             Directions of the box's axes as a quaternion x, y, z, w.
         tolerance : float
             Metres by which the box is grown all round, its corners rounded.
-        frame_id, timeout
+        at, frame_id, timeout
             As for `raycast`.
 
         Raises
@@ -92,7 +101,7 @@ class SingleCalls:
         BvhError
             If the node cannot answer, with its reason; BvhTimeoutError if it does not.
         """
-        request = plans.request(corner, opposite, tolerance, frame_id, orientation)
+        request = plans.request(*(corner, opposite, tolerance, frame_id, orientation), (at, None))
         return plans.all_hits(self._call(self.services.overlap, request, timeout))
 
     def nearest(
@@ -100,6 +109,7 @@ class SingleCalls:
         point: Sequence[float],
         max_distance: float = 0.0,
         *,
+        at: int | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
@@ -109,7 +119,7 @@ class SingleCalls:
         Otherwise like `raycast`. The first question of all makes the node compile, and is
         answered by an error that begins with ``compiling``.
         """
-        request = plans.request(point, point, max_distance, frame_id)
+        request = plans.request(point, point, max_distance, frame_id, times=(at, None))
         return plans.all_hits(self._call(self.services.nearest, request, timeout))
 
     def raycast_async(
@@ -118,10 +128,12 @@ class SingleCalls:
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast` does; return a future of its result, for use inside callbacks."""
-        request = plans.request(start, end, radius, frame_id)
+        request = plans.request(start, end, radius, frame_id, times=(at, until))
         return self.services.ask(self.services.raycast, request, plans.first_hit)
 
     def raycast_all_async(
@@ -130,10 +142,12 @@ class SingleCalls:
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast_all` does; return a future of its result."""
-        request = plans.request(start, end, radius, frame_id)
+        request = plans.request(start, end, radius, frame_id, times=(at, until))
         return self.services.ask(self.services.raycast_all, request, plans.all_hits)
 
     def overlap_async(
@@ -143,10 +157,11 @@ class SingleCalls:
         orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         tolerance: float = 0.0,
         *,
+        at: int | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `overlap` does; return a future of its result."""
-        request = plans.request(corner, opposite, tolerance, frame_id, orientation)
+        request = plans.request(*(corner, opposite, tolerance, frame_id, orientation), (at, None))
         return self.services.ask(self.services.overlap, request, plans.all_hits)
 
     def _call(

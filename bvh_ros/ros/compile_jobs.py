@@ -30,6 +30,7 @@ MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
 BOXES_ASKED, PATHS = 'batches of boxes', 'paths'
+NEAREST_THEN = 'nearest at other times'
 
 
 class Needs(NamedTuple):
@@ -45,6 +46,8 @@ class Needs(NamedTuple):
         Whether rays come in batches.
     threads : int
         That share a batch.
+    moving : bool
+        Whether obstacles have velocities.
     """
 
     planar: bool
@@ -52,6 +55,7 @@ class Needs(NamedTuple):
     kinds: Sequence[ShapeKind]
     batch: bool
     threads: int = 1
+    moving: bool = False
 
 
 class Job(NamedTuple):
@@ -86,9 +90,10 @@ def jobs(needs: Needs) -> list[Job]:
         ('true shapes', 28.0, _true_shapes),
         *([('batches of rays', 7.0, _batches)] if needs.batch else []),
         *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
+        *_moving(needs)[:1],
         ('checks', 1.5, _checks),
     ]
-    tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
+    tells_apart = _tells_apart(needs)
     return [
         Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
         for name, seconds, call in calls
@@ -102,38 +107,54 @@ def later_jobs(needs: Needs) -> list[Job]:
         *([(BALLS, 12.0, _balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
         *([(POINTS, 10.0, _points)] if needs.batch else []),
         (PATHS, 20.0, _paths),
+        *_moving(needs)[1:],
     ]
-    tells_apart = needs.planar, needs.margin > 0.0, *map(int, needs.kinds)
+    tells_apart = _tells_apart(needs)
     return [
         Job(name, f'{name} {tells_apart}', seconds, partial(call, needs))
         for name, seconds, call in calls
     ]
 
 
+def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
+    """What is called at the start, and once somebody asks, where obstacles have velocities."""
+    if not needs.moving:
+        return []
+    from bvh_ros.ros.moving_jobs import nearest_then, other_times
+
+    return [('other times', 60.0, other_times), (NEAREST_THEN, 30.0, nearest_then)]
+
+
+def _tells_apart(needs: Needs) -> tuple[int, ...]:
+    """What other kernels are compiled by."""
+    kinds = map(int, needs.kinds)
+    return needs.planar, needs.margin > 0.0, *kinds, *([-1] if needs.moving else [])
+
+
 def _nearest(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.nearest(START, 2)
 
 
 def _balls(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.sweep_many([START], [GOAL], RADIUS)
 
 
 def _boxes_asked(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.overlap_many([START], EDGE, want='hits')
         scene.overlap_many([START], EDGE, [ABOUT_Z], RADIUS, want='hits')
 
 
 def _points(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.nearest_many([START])
         scene.nearest_many([START] * 1000)  # are asked in the order of neighbours
 
 
 def _paths(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
 
 
@@ -166,7 +187,7 @@ def _with_shapes(needs: Needs) -> Scene:
     return scene
 
 
-def _scenes(needs: Needs) -> Iterator[Scene]:
+def scenes(needs: Needs) -> Iterator[Scene]:
     """The empty one first: while another process compiles how boxes get there, what is asked of it
     can be compiled here.
     """
@@ -184,6 +205,9 @@ def _obstacles(needs: Needs) -> None:
     _replace(scene, 1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
     _replace(scene, 3.0 * margin + 7.0)
     scene.remove('markers', ['one/0', 'one/1'])
+    if needs.moving:
+        place = Shapes.boxes(MIDDLE[0], EDGE)
+        scene.update('markers', ['moving'], place, stamp=1, velocities=[EDGE])
     scene.rebuild()
     scene.stats()
     _with_shapes(needs)
@@ -203,13 +227,13 @@ def _true_shapes(needs: Needs) -> None:
 
 
 def _rays_at_shapes(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.raycast_all(START, GOAL)
         scene.raycast(START, GOAL)
 
 
 def _swept_balls(needs: Needs) -> None:
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.raycast_all(START, GOAL, RADIUS)
         scene.raycast(START, GOAL, RADIUS)
 
@@ -217,7 +241,7 @@ def _swept_balls(needs: Needs) -> None:
 def _overlaps(needs: Needs) -> None:
     """Of a box, a turned one with round corners, and a ball."""
     far = (9.0, 9.0, 9.0)
-    for scene in _scenes(needs):
+    for scene in scenes(needs):
         scene.overlap(START, far)
         scene.overlap(START, far, ABOUT_Z, RADIUS)
         scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0)

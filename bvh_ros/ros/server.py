@@ -29,7 +29,8 @@ from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
 from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
-from bvh_ros.ros.world.views import Categoriser, View, create_views
+from bvh_ros.ros.world.known_times import KnownTimes
+from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
 from bvh_ros.ros.world.world import World
 from bvh_ros.scene import Scene, ShapeKind
 
@@ -94,10 +95,12 @@ class BvhServer:
             categorise=Categoriser(settings.views) if settings.views else None,
             meshes=ShapeKind.MESH in kinds,
             region=settings.region,
+            max_prediction=settings.max_prediction,
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
-        return World(settings, scene, frames, sources, self._create_views())
+        times = KnownTimes(scene, settings.max_prediction) if settings.predicts else None
+        return World(settings, scene, frames, sources, self._create_views(), times)
 
     def _topics(self) -> Iterator[str]:
         """The topics that this configuration subscribes and whose QoS can be overridden."""
@@ -141,6 +144,7 @@ class BvhServer:
             kinds=sorted(self._kinds()),
             batch=self.settings.batch or bool(self._scan.pose_topic),
             threads=self.settings.threads,
+            moving=self.settings.predicts,
         )
 
     def serve(self) -> None:
@@ -208,21 +212,13 @@ class BvhServer:
             from bvh_ros.ros.parts.virtual_scan import VirtualScan
 
             try:
-                yield VirtualScan(node, world, self._scan, self._scanning_view())
+                yield VirtualScan(
+                    node, world, self._scan, view_of_scan(world.views, self._scan.view)
+                )
             except (RuntimeError, InvalidTopicNameException, ParameterException) as error:
                 raise ConfigurationError(
                     f"parameter 'virtual_scan.pose_topic': {as_line(error)}"
                 ) from error
-
-    def _scanning_view(self) -> View:
-        """Return the view that the virtual scan is configured with."""
-        for view in self.world.views:
-            if view.name == self._scan.view:
-                return view
-        raise ConfigurationError(
-            f"parameter 'virtual_scan.view' is '{shortened(self._scan.view)}', "
-            'no view of this node'
-        )
 
     def stop(self) -> None:
         """End all parts: no topic is heard and no service offered. The world stays as it is."""
@@ -265,6 +261,7 @@ class BvhServer:
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
             f'{threads} threads' if threads > 1 else 'threads': threads > 1,
+            'other times than now': self.world.times is not None,
             'virtual scan': bool(self._scan.pose_topic),
             'tf2': self._tf2 is not None,
             'narrow phase'

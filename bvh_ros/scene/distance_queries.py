@@ -2,17 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far obstacles are, by their true shapes."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
-from .distance.query_rows import query_rows
-from .distance.touching_rows import Points, Signed
+from .distance.clearance import Neighbours
+from .distance.query_rows import QueryRows, query_rows
+from .distance.touching_rows import Near, Points, Signed
 from .geometry.shapes import Floats, Shapes
+from .moments import Moments
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
+from .store.places import boxes_at, ways_in_space
+from .store.registry import Slots
 
 
 class DistanceQueries:
@@ -22,6 +28,7 @@ class DistanceQueries:
         self._held = held
         self._nearness = nearness.Nearness(held.tree, held.columns)
         self._clearances = clearance.Clearances(held.tree, held.columns)
+        self._moments = Moments(held)
 
     def nearest(
         self,
@@ -30,6 +37,7 @@ class DistanceQueries:
         max_distance: float = np.inf,
         mask: int = ALL,
         signed: bool = False,
+        at: int | None = None,
     ) -> list[SceneHit]:
         """Return the up to k obstacles nearest to a point, nearest first, ties by handle.
 
@@ -47,6 +55,9 @@ class DistanceQueries:
             Within an obstacle the distance is minus the depth, the point the closest one of its
             surface, and the normal leads out there. So the first is that in which the given point
             lies deepest.
+        at : int, optional
+            ns: the world is asked for as it is then, with obstacles that have velocities where
+            they are at that time. None: it is as last told.
 
         Returns
         -------
@@ -64,10 +75,31 @@ class DistanceQueries:
         where = checks.point('point', point, 3)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
+        if self._moments.meant(at, None, 1):
+            points = Points(where[None], np.full(1, limits[0]), np.full(1, limits[1]))
+            return self._hits(*self._near(points, many, signed, at))
         found, rows = self._nearness.find(where, many, limits, True if signed else None)
         return self._held.hits(found, rows)
 
-    def clearance(self, name: str, signed: bool = False) -> Clearance | None:
+    def _near(self, points: Points, k: int, signed: bool, at: Any) -> tuple[Near, Slots]:
+        """What is nearest to points at a time each, and its slots."""
+        from .distance.timed import nearest_then  # no scene without velocities needs it
+
+        times = self._moments.seconds(at, len(points.points))
+        k = min(k, max(len(self._held.tree), 1))
+        return nearest_then(self._held, points, k, True if signed else None, times)
+
+    def _hits(self, near: Near, slots: Slots) -> list[SceneHit]:
+        """The first row of `_near`."""
+        told = zip(
+            *(slots[0].tolist(), near.distances[0].tolist(), near.points[0], near.normals[0]),
+            strict=True,
+        )
+        return [self._held.hit(slot, *rest) for slot, *rest in told if slot != NONE]
+
+    def clearance(
+        self, name: str, signed: bool = False, at: int | None = None
+    ) -> Clearance | None:
         """Return how far an obstacle is from the nearest other one, ties by handle; None if there
         is no other.
 
@@ -77,14 +109,21 @@ class DistanceQueries:
 
         Both by their true shapes; in a planar scene seen from above, the points at the height of
         the obstacle's centre. Two shapes that are no farther apart than their positions are
-        rounded touch, see `narrow_phase`. KeyError if there is no obstacle of this name.
+        rounded touch, see `narrow_phase`. `at` (ns): both where they are at that time. KeyError if
+        there is no obstacle of this name.
         """
         slot = self._held.slot(name)
+        timed = self._moments.meant(at, None, 1)
         slots, handles = [slot], self._held.columns.node_handle
         if self._held.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
         sign: Signed = True if signed else None
-        every = [self._clearances.nearest_other(place, sign) for place in slots]
+        every = [
+            self._other_then(place, sign, at)
+            if timed
+            else self._clearances.nearest_other(place, sign)
+            for place in slots
+        ]
         found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
         if found.slots[0] == NONE:
             return None
@@ -95,6 +134,20 @@ class DistanceQueries:
             *found.points[0],
         )
 
+    def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
+        """What is nearest to the obstacle of a slot at a time."""
+        from .distance.timed import clearances_then  # no scene without velocities needs it
+
+        times, columns, here = self._moments.seconds(at, 1), self._held.columns, np.full(1, slot)
+        records, bounds = columns.geometry[here], np.zeros((1, 2, 3))
+        records['position'] += ways_in_space(self._held, here, times)
+        sides = boxes_at(self._held, here, times)
+        for side, corner in enumerate(sides):
+            bounds[:, side, : corner.shape[1]] = corner
+        rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
+        asked = checks.FOREVER, columns.node_handle.item(slot), signed
+        return clearances_then(self._held, rows, columns.hulls(), asked, times)
+
     def nearest_many(
         self,
         points: ArrayLike,
@@ -103,6 +156,7 @@ class DistanceQueries:
         mask: ArrayLike = ALL,
         signed: bool = False,
         threads: int = 1,
+        at: ArrayLike | None = None,
     ) -> tuple[NDArray[np.uint32], Floats, Floats]:
         """Return the obstacles nearest to each of n points; a row is what `nearest` says.
 
@@ -112,7 +166,7 @@ class DistanceQueries:
             m; z is ignored in a planar scene.
         k : int
             How many of each at most.
-        max_distance, mask : one for all points, or array_like of shape (n,)
+        max_distance, mask, at : one for all points, or array_like of shape (n,)
             As in `nearest`.
         signed : bool
             As in `nearest`: within an obstacle the distance is minus the depth.
@@ -138,6 +192,9 @@ class DistanceQueries:
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         asked = Points(where, reaches, masks, self._nearness.order_of(where))
+        if self._moments.meant(at, None, count):
+            near, _ = self._near(asked, many, signed, at)
+            return _padded(near, many)
         sign: Signed = True if signed else None
         near = self._nearness.find_rows(asked, many, sign, checks.whole('threads', threads, 1))
         return near.handles, near.distances, near.points
@@ -149,6 +206,7 @@ class DistanceQueries:
         mask: ArrayLike = ALL,
         signed: bool = False,
         threads: int = 1,
+        at: ArrayLike | None = None,
     ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
         """Return how far each of n shapes is from the nearest obstacle, ties by handle.
 
@@ -161,6 +219,8 @@ class DistanceQueries:
             n rows.
         max_distance, mask : one for all shapes, or array_like of shape (n,)
             Obstacles that are farther away (m), or are not seen, are left out.
+        at : one for all shapes, or array_like of shape (n,), optional
+            As in `nearest`.
         signed : bool
             As in `clearance`: where they touch the distance is minus the depth.
         threads : int
@@ -185,9 +245,25 @@ class DistanceQueries:
         reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
         threads = checks.whole('threads', threads, 1)
         asked: tuple[Floats, int, Signed] = reaches, NONE, True if signed else None
-        found = self._clearances.find_rows(rows, hulls, asked, threads)
+        if self._moments.meant(at, None, len(rows.records)):
+            from .distance.timed import clearances_then
+
+            times = self._moments.seconds(at, len(rows.records))
+            found = clearances_then(self._held, rows, hulls, asked, times)
+        else:
+            found = self._clearances.find_rows(rows, hulls, asked, threads)
         handles = self._held.columns.node_handle
         near = found.slots != NONE
         named = np.full(len(near), NO_NODE, np.uint32)
         named[near] = handles[found.slots[near]]
         return named, found.distances, found.points[:, 0], found.points[:, 1]
+
+
+def _padded(near: Near, k: int) -> tuple[NDArray[np.uint32], Floats, Floats]:
+    """The columns with k places a row."""
+    more = ((0, 0), (0, k - near.handles.shape[1]))
+    return (
+        np.pad(near.handles, more, constant_values=NO_NODE),
+        np.pad(near.distances, more, constant_values=np.inf),
+        np.pad(near.points, (*more, (0, 0)), constant_values=np.nan),
+    )

@@ -12,6 +12,7 @@ from .casting.arguments import Rays, ways_of
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
+from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
@@ -38,9 +39,13 @@ class Moments:
                 raise ValueError(f'until must not be before at: row {early[0]} is')
         return self._held.moves
 
+    def seconds(self, at: Any, count: int) -> Floats:
+        """`at` as the tree has it, (count,)."""
+        return self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
+
     def _times(self, at: Any, until: Any, count: int) -> tuple[Floats, Floats]:
         """(at, pace) in seconds."""
-        start = self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
+        start = self.seconds(at, count)
         if until is None:
             return start, np.zeros(count)
         stop = self._held.seconds(column('until', until, count, LAST_TIME, FIRST_TIME))
@@ -49,10 +54,11 @@ class Moments:
     def first(self, way: Way, mask: int, skip: bool, at: Any, until: Any) -> SceneHit | None:
         """What a ray, or ball, meets first."""
         held, (origin, direction, radius) = self._held, way
-        if radius > 0.0 or held.columns.shaped:
+        (start,), (pace,) = self._times(at, until, 1)
+        if radius > 0.0 or held.columns.shaped or len(at_rest(held, float(start + pace))):
             hits = self.every(way, mask, skip, at, until)
             return hits[0] if hits else None
-        ndim, ((start,), (pace,)) = held.tree.ndim, self._times(at, until, 1)
+        ndim = held.tree.ndim
         flat = origin[:ndim], direction[:ndim]
         hit = held.tree.raycast(*flat, 1.0, mask, skip, at=float(start), pace=float(pace))
         if hit is None:
@@ -75,7 +81,8 @@ class Moments:
         return self._held.each_once(hits)
 
     def _met(self, rays: Rays, radii: Floats, skip: bool, times: tuple[Floats, Floats]) -> Any:
-        from .casting.moving import Times, cast_then  # no scene without velocities needs it
+        from .casting.moving import cast_then  # no scene without velocities needs it
+        from .casting.seen import Times
 
         return cast_then(self._held, rays, radii, bool(skip), Times(*times))
 

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import query_rows, shape_query
-from .distance.query_shape import NO_TURN, box_query
+from .distance.query_rows import QueryRows, query_rows, shape_query
+from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
-from .geometry.shapes import BOX, Shapes, as_shapes
-from .results import SceneHit
+from .geometry.shapes import BOX, Floats, Shapes, as_shapes
+from .moments import Moments
+from .results import NO_NODE, BoxHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 
 
@@ -24,6 +25,7 @@ class OverlapQueries:
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._overlaps = overlaps.Overlaps(held.tree, held.columns)
+        self._moments = Moments(held)
 
     def overlap(
         self,
@@ -33,6 +35,7 @@ class OverlapQueries:
         tolerance: float = 0.0,
         mask: int = ALL,
         most: int | None = None,
+        at: int | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles that touch a box, nearest to its centre first, ties by handle.
 
@@ -50,6 +53,9 @@ class OverlapQueries:
             Only obstacles with ``categories & mask != 0`` are seen.
         most : int, optional
             More than so many are refused: an answer is never cut short.
+        at : int, optional
+            ns: the world is asked for as it is then, with obstacles that have velocities where
+            they are at that time. None: it is as last told.
 
         Returns
         -------
@@ -65,11 +71,32 @@ class OverlapQueries:
             TooManyHitsError) there are more hits than `most`.
         """
         query = box_query(start, goal, orientation, tolerance, self._held.planar)
+        if self._moments.meant(at, None, 1):
+            return self._then(query, None, mask, most, at)
         found, rows = self._overlaps.find(query, None, checks.mask(mask), most)
         return self._held.each_once(self._held.hits(found, rows))
 
+    def _then(
+        self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
+    ) -> list[SceneHit]:
+        """What a query touches at a time."""
+        rows = QueryRows(
+            *(query.record, query.bounds[None], np.full(1, query.tolerance)),
+            np.full(1, checks.mask(mask)),
+        )
+        touched = self._touched(rows, hulls, np.full(1, query.height), at)
+        require_few(len(touched.pairs.rows), most)
+        found = touched.found._replace(slots=touched.pairs.slots)
+        return self._held.hits(found, list(range(len(found.slots))))
+
+    def _touched(self, rows: QueryRows, hulls: Any, heights: Floats, at: Any) -> Any:
+        from .distance.timed import touching_then  # no scene without velocities needs it
+
+        times = self._moments.seconds(at, len(heights))
+        return touching_then(self._held, rows, hulls, heights, times)
+
     def overlap_shape(
-        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL
+        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL, at: int | None = None
     ) -> list[SceneHit]:
         """Return all obstacles that touch a shape of any kind; otherwise as `overlap`.
 
@@ -77,10 +104,12 @@ class OverlapQueries:
         ----------
         shape : Shapes
             One row. A planar scene sees it from above too.
-        tolerance, mask
+        tolerance, mask, at
             As in `overlap`.
         """
         query, hulls = shape_query(shape, tolerance, self._held.planar)
+        if self._moments.meant(at, None, 1):
+            return self._then(query, hulls, mask, None, at)
         found, rows = self._overlaps.find(query, hulls, checks.mask(mask), None)
         return self._held.each_once(self._held.hits(found, rows))
 
@@ -93,6 +122,7 @@ class OverlapQueries:
         mask: ArrayLike = ALL,
         want: str = 'any',
         threads: int = 1,
+        at: ArrayLike | None = None,
     ) -> Any:
         """Return what touches each of n boxes; a row is what `overlap_shape` says of a box.
 
@@ -104,7 +134,7 @@ class OverlapQueries:
             Edge lengths, m. A box without any is a point, with `tolerance` a ball.
         orientations : array_like, shape (n, 4), optional
             Quaternions x, y, z, w of the boxes' axes; zero is the identity, as is None.
-        tolerance, mask : one for all boxes, or array_like of shape (n,)
+        tolerance, mask, at : one for all boxes, or array_like of shape (n,)
             As in `overlap`.
         want : {'any', 'count', 'first', 'all', 'hits'}
             What is asked of each box.
@@ -139,7 +169,9 @@ class OverlapQueries:
         if orientations is not None:
             turns = checks.points('orientations', orientations, 4, len(places))
         kinds = np.full(len(places), BOX, np.uint8)
-        return self._answer(Shapes(kinds, places, turns, edges), tolerance, mask, want, threads)
+        return self._answer(
+            Shapes(kinds, places, turns, edges), (tolerance, mask), want, threads, at
+        )
 
     def overlap_shape_many(
         self,
@@ -150,6 +182,7 @@ class OverlapQueries:
         mask: ArrayLike = ALL,
         want: str = 'any',
         threads: int = 1,
+        at: ArrayLike | None = None,
     ) -> Any:
         """Return what touches one shape at n poses; a row is what `overlap_shape` says of it.
 
@@ -161,7 +194,7 @@ class OverlapQueries:
             m.
         orientations : array_like, shape (n, 4), optional
             Quaternions x, y, z, w; zero is the identity. None: that of the shape.
-        tolerance, mask, want, threads
+        tolerance, mask, want, threads, at
             As in `overlap_many`, which see for what is returned and raised.
         """
         one = as_shapes(shape)
@@ -172,17 +205,38 @@ class OverlapQueries:
         if orientations is not None:
             turns = checks.points('orientations', orientations, 4, len(places))
             rows = rows._replace(orientation=turns)
-        return self._answer(rows, tolerance, mask, want, threads)
+        return self._answer(rows, (tolerance, mask), want, threads, at)
 
     def _answer(
-        self, shapes: Shapes, tolerance: ArrayLike, mask: ArrayLike, want: str, threads: int
+        self, shapes: Shapes, limits: tuple[ArrayLike, ArrayLike], want: str, threads: int, at: Any
     ) -> Any:
-        """What `overlap_many` returns of any shapes."""
+        """What `overlap_many` returns of any shapes; limits = (tolerance, mask)."""
         if not isinstance(want, str) or want not in WANTED:
             raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
-        rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar)
-        threads = checks.whole('threads', threads, 1)
+        rows, hulls = query_rows(shapes, *limits, self._held.planar)
+        threads, count = checks.whole('threads', threads, 1), len(rows.records)
+        if self._moments.meant(at, None, count):
+            heights = np.ascontiguousarray(rows.records['position'][:, 2])
+            return self._told(self._touched(rows, hulls, heights, at), count, want)
         return self._overlaps.answer(rows, hulls, WANTED[want], threads)
+
+    def _told(self, touched: Any, count: int, want: str) -> Any:
+        """What is wanted of the obstacles that touch each row."""
+        rows, handles = touched.pairs.rows, self._held.columns.node_handle[touched.pairs.slots]
+        handles = handles.astype(np.uint32)
+        counts = np.bincount(rows, minlength=count).astype(np.int64)
+        offsets = np.concatenate(([0], np.cumsum(counts)))
+        if want in ('any', 'count', 'all'):
+            return {'any': counts > 0, 'count': counts, 'all': (offsets, handles)}[want]
+        met = np.flatnonzero(counts)
+        first = np.full(count, NO_NODE, np.uint32)
+        first[met] = handles[offsets[met]]
+        if want == 'first':
+            return first
+        distances, points = np.full(count, np.inf), np.full((count, 3), np.nan)
+        distances[met] = touched.found.distances[offsets[met]]
+        points[met] = touched.found.points[offsets[met]]
+        return BoxHits(first, counts, distances, points)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
         """Return the names of all obstacles that touch each other.

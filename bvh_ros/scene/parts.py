@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree import checks
 from ..tree.nodes import ALL
 from .geometry.shapes import Shapes, as_shapes
+from .speeds import Follow, velocity_rows
 from .store.names import Families, Names, as_families
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
@@ -23,7 +23,9 @@ class Part(NamedTuple):
     stamp: ArrayLike
     expires: ArrayLike = 0
     categories: ArrayLike | None = None
-    velocities: ArrayLike | None = None
+    velocities: ArrayLike | Follow | None = None
+    latest: int | None = None
+    """Rows with later stamps are refused, ns."""
 
     def cut(self, length: int) -> Iterator['Part']:
         """The same in parts of at most so many rows."""
@@ -41,13 +43,15 @@ class Part(NamedTuple):
         ]
         if self.categories is not None:
             columns[2] = column('categories', self.categories, total, ALL)
-        if self.velocities is not None:
-            columns[3] = checks.points('velocities', self.velocities, 3, total)
+        follow = self.velocities if callable(self.velocities) else None
+        if self.velocities is not None and not follow:
+            columns[3] = velocity_rows(self.velocities, total)
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
             shapes = given.take(rows)
             rest: list[Any] = [None if each is None else each[rows] for each in columns]
-            yield Part(names.take(rows), shapes, *rest)
+            rest[3] = follow or rest[3]
+            yield Part(names.take(rows), shapes, *rest)._replace(latest=self.latest)
 
 
 def require_a_name_each(names: Families, count: int) -> None:

@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
+import math
+
 from numpy.typing import ArrayLike
 
+from ..tree import checks
 from .delegation import method_of
 from .distance_queries import DistanceQueries
 from .geometry.shapes import Floats
@@ -42,6 +45,8 @@ class Scene:
     region : (lo, hi), optional
         Corners of a box, shape (2,) or (3,) as the scene is planar or not; may be infinite. Only
         obstacles whose bounds touch it are kept: one that leaves it is removed.
+    max_prediction : float
+        Who has a velocity moves on for so many seconds after its stamp, and then stays there.
 
     Examples
     --------
@@ -66,8 +71,10 @@ class Scene:
         categorise: Categorise | None = None,
         meshes: bool = False,
         region: tuple[ArrayLike, ArrayLike] | None = None,
+        max_prediction: float = math.inf,
     ) -> None:
         held = Obstacles(bool(planar), margin, meshes, max_obstacles)
+        held.max_prediction = checks.limit('max_prediction', max_prediction)
         self._held = held
         self._updates = Updates(held, categorise, as_region(region, 2 if planar else 3))
         self._slices = SlicedUpdates(held, self._updates)
@@ -81,6 +88,7 @@ class Scene:
 
     update = method_of('_updates', Updates.update)
     replace = method_of('_updates', Updates.replace)
+    rest = method_of('_updates', Updates.rest)
     in_slices = method_of('_slices', SlicedUpdates.in_slices)
     is_long = method_of('_slices', SlicedUpdates.is_long)
     remove = method_of('_removals', Removals.remove)
@@ -155,6 +163,11 @@ class Scene:
     def max_obstacles(self) -> int:
         """New obstacles beyond this number are refused."""
         return self._held.most
+
+    @property
+    def max_prediction(self) -> float:
+        """How long obstacles with velocities move on, s."""
+        return self._held.max_prediction
 
     @property
     def newest(self) -> int:

@@ -10,10 +10,10 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import checks
 from .geometry.shapes import Shapes, as_shapes
 from .parts import Part, require_a_name_each
 from .refusals import Refusals
+from .speeds import Follow, none_later, speeds_of
 from .store import updating
 from .store.names import Families, Names, as_families
 from .store.obstacles import Obstacles
@@ -85,7 +85,7 @@ class Updates:
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
+        velocities: ArrayLike | Follow | None = None,
     ) -> Refusals:
         """Add or modify obstacles.
 
@@ -104,9 +104,10 @@ class Updates:
         categories : int or (n,) array, optional
             32-bit masks; a query sees an obstacle if its own mask has a bit in common. None: known
             obstacles keep theirs, new ones get what the scene's `categorise` says.
-        velocities : (n, 3) array, optional
+        velocities : (n, 3) array or Tracks, optional
             m/s, from the stamp on: what queries with `at` count on. Only places move, nothing
-            turns. None: the rows' obstacles are at rest.
+            turns. A row whose velocity is not finite is refused. `tracking.Tracks` tells them from
+            the updates before. None: the rows' obstacles are at rest.
 
         Returns
         -------
@@ -132,7 +133,7 @@ class Updates:
         stamp: ArrayLike,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
-        velocities: ArrayLike | None = None,
+        velocities: ArrayLike | Follow | None = None,
     ) -> Refusals:
         """`update`, and remove the obstacles of this group that are not named. The group '' is all
         that the source owns.
@@ -154,8 +155,8 @@ class Updates:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         held = self._held
         updating.text('source', source), updating.text('group', group)
-        speeds = self._speeds(part)
         names, slots, valid = self._validated(source, part)
+        speeds, valid = speeds_of(held, part.velocities, none_later(valid, part.latest))
         added, known, outside = self._within_region(valid.added, valid.known)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
         stale = held.members(source, group, present) if whole else slots[:0]
@@ -202,13 +203,6 @@ class Updates:
             updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar),
         )
 
-    def _speeds(self, part: Part) -> NDArray[np.float64] | None:
-        """Velocities of the rows along the tree's axes; None if none are told."""
-        if part.velocities is None:
-            return None
-        rows = checks.points('velocities', part.velocities, 3, len(as_shapes(part.shapes).kind))
-        return np.ascontiguousarray(rows[:, : self._held.tree.ndim])
-
     def _within_region(self, added: Rows, known: Rows) -> tuple[Rows, Rows, Slots]:
         """New and known obstacles whose bounds touch the region, and slots of those that leave."""
         if self._region is None:
@@ -224,6 +218,17 @@ class Updates:
         if added.categories is None and self._categorise is not None:
             return added._replace(categories=self._categorise(names.take(added.row)))
         return added
+
+    def rest(self) -> None:
+        """Let all obstacles stand where they were told to be: their stamps say nothing any more,
+        as the clock was set.
+        """
+        held = self._held
+        held.change.require_none()
+        handles = held.tree.ids() if held.moves else NONE
+        if len(handles):
+            still = np.zeros((len(handles), held.tree.ndim))
+            held.tree.set_velocities(handles, still, held.tree.velocities(handles)[1])
 
     def require_memory(self, rows: int) -> None:
         """Raise MemoryError now, and not when half of the rows are applied."""

@@ -120,7 +120,7 @@ def test_updates_in_slices_keep_velocities(monkeypatch: pytest.MonkeyPatch):
 def test_what_is_refused():
     scene = Scene()
     boxes = Shapes.boxes([[10, 0, 0]], [1, 1, 1])
-    for wrong in ([[np.nan, 0, 0]], [[1, 2]], [1, 2, 3], [[0, 0, 0]] * 2, 'x'):
+    for wrong in ([[1, 2]], [1, 2, 3], [[0, 0, 0]] * 2, 'x'):
         with pytest.raises(ValueError, match='velocities'):
             scene.update('s', ['car'], boxes, stamp=NOW, velocities=wrong)
     assert len(scene) == 0

@@ -57,6 +57,20 @@ NODE_OPTIONS = (
         'Only obstacles whose bounds touch the box from the first three to the last three numbers '
         '(m, in frame_id) are kept, and queries are answered about these.',
     ),
+    Option(
+        'max_prediction',
+        1.0,
+        'So far ahead of the newest data (s) there are answers, where a source predicts; who was '
+        'not told for longer stays where it is predicted last.',
+        minimum=0.0,
+        maximum=1e6,
+    ),
+    Option(
+        'history',
+        0.0,
+        'So much of the past (s) can be asked about. Only 0 is possible: nothing is kept.',
+        minimum=0.0,
+    ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option(
         'batch',
@@ -150,6 +164,8 @@ def read_settings(
     values = {option.name: read(node, '', option) for option in NODE_OPTIONS}
     if not values['frame_id']:
         raise ConfigurationError("parameter 'frame_id' is empty")
+    if values.pop('history'):
+        raise ConfigurationError("parameter 'history' must be 0: the past is not kept")
     names, views, transforms = (values.pop(key) for key in ('sources', 'views', 'transforms'))
     reserved = (*RESERVED_NAMES, *groups)
     _check_names('sources', names, reserved)

@@ -23,6 +23,11 @@ class SourceSettings:
     max_age: float  # s, 0 = unlimited
     options: Mapping[str, Any]  # those of its type
 
+    @property
+    def predicts(self) -> bool:
+        """Whether it tells velocities."""
+        return bool(self.options.get('predict', 'none') != 'none')
+
 
 @dataclass(frozen=True)
 class ViewSettings:
@@ -55,6 +60,7 @@ class Settings:
     max_hits: int
     region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
     nearest_limit: int
+    max_prediction: float  # s
     batch: bool
     footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
     threads: int  # that share the rows of a batch
@@ -63,6 +69,11 @@ class Settings:
     views: tuple[ViewSettings, ...]
     transforms: tuple[TransformSettings, ...]
     groups: Mapping[str, Mapping[str, Any]]  # options of parts: group -> option -> value
+
+    @property
+    def predicts(self) -> bool:
+        """Whether a source does."""
+        return any(source.predicts for source in self.sources)
 
     def threads_for(self, rows: int) -> int:
         """How many threads share so many rows."""

@@ -16,6 +16,7 @@ from bvh_ros.scene import Block, Refusals, ShapeKind, Shapes
 CENTRE = ('x', 'y', 'z')
 SIZE = ('sx', 'sy', 'sz')
 ORIENTATION = ('qx', 'qy', 'qz', 'qw')
+VELOCITY = ('vx', 'vy', 'vz')
 
 
 class Boxes(NamedTuple):
@@ -25,6 +26,7 @@ class Boxes(NamedTuple):
     shapes: Shapes  # (n,)
     deleted: NDArray[np.int64]  # ids whose size is NaN
     skipped: int  # points with a NaN coordinate
+    velocities: NDArray[np.float64] | None  # (n, 3) m/s, finite or not; None: not asked for
 
 
 class BoxCloud:
@@ -37,6 +39,8 @@ class BoxCloud:
         qw and id, each of any numeric type.
     voxel : float
         Edge length of every box where the cloud has no sizes.
+    moving : bool
+        Read the fields vx, vy, vz (m/s), too.
 
     Raises
     ------
@@ -44,11 +48,13 @@ class BoxCloud:
         If the cloud contradicts itself; nothing of it can be trusted then.
     """
 
-    def __init__(self, cloud: Any, *, voxel: float) -> None:
-        points = structured(cloud, (*CENTRE, *SIZE, *ORIENTATION, 'id'))
+    def __init__(self, cloud: Any, *, voxel: float, moving: bool = False) -> None:
+        wanted = *CENTRE, *SIZE, *ORIENTATION, 'id', *(VELOCITY if moving else ())
+        points = structured(cloud, wanted)
         names = points.dtype.names or ()
         self._points = points.ravel()
         self._voxel = voxel
+        self._moving = moving
         self.total = len(self._points)
         self.by_id = 'id' in names
         """Updates these ids; otherwise replaces everything."""
@@ -62,14 +68,18 @@ class BoxCloud:
         self._has_orientation = all_or_none(names, ORIENTATION)
         if not all_or_none(names, CENTRE):
             raise ValueError('the cloud has no fields x, y, z')
+        if moving and not all_or_none(names, VELOCITY):
+            raise ValueError('the cloud has no fields vx, vy, vz')
         if self.by_id:
             self._ids, self._good, self.refusals = _ids(self._points['id'])
 
     def parts(self, length: int) -> Iterator[Boxes]:
         """Read the boxes in parts of at most `length` rows; at least one part."""
         if not self.total:
-            nothing = np.empty(0, dtype=np.int64)
-            yield Boxes(nothing, Shapes.boxes(np.empty((0, 3)), np.empty((0, 3))), nothing, 0)
+            nothing, rows = np.empty(0, dtype=np.int64), np.empty((0, 3))
+            yield Boxes(
+                nothing, Shapes.boxes(rows, rows), nothing, 0, rows if self._moving else None
+            )
         for begin in range(0, self.total, length):
             yield self._rows(begin, min(begin + length, self.total))
 
@@ -90,9 +100,11 @@ class BoxCloud:
         skipped = int((usable & ~known).sum())
         usable = usable & known
         shapes = Shapes(np.full(n, ShapeKind.BOX, dtype=np.uint8), centre, turn, size)
+        velocities = columns(points, VELOCITY) if self._moving else None
         if not usable.all():
             numbers, shapes = numbers[usable], shapes.take(usable)
-        return Boxes(numbers, shapes, deleted, skipped)
+            velocities = None if velocities is None else velocities[usable]
+        return Boxes(numbers, shapes, deleted, skipped, velocities)
 
 
 def _ids(values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_], Refusals]:

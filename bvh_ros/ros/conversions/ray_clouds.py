@@ -18,6 +18,7 @@ from bvh_ros.ros.conversions.cloud_fields import DATATYPES, all_or_none, columns
 
 ORIGIN = ('x', 'y', 'z')
 DIRECTION = ('dx', 'dy', 'dz')
+OPTIONAL = ('t_max', 'radius', 't0', 'duration')
 NORMAL = ('nx', 'ny', 'nz')
 FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
 UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
@@ -37,17 +38,14 @@ class Rays(NamedTuple):
     masks: NDArray[np.uint32]  # (n,)
     real: np.dtype[Any]  # float32 or float64: the widest type among the cloud's fields
     radii: Floats | None = None  # (n,) m, of balls that go along the rays; None: thin rays
+    since: Floats | None = None  # (n,) s after the header's stamp, when rays begin; None: now
+    durations: Floats | None = None  # (n,) s until t_max; None: the world stands still meanwhile
 
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Rays:
         """Return some of the rows."""
-        return Rays(
-            self.origins[rows],
-            self.directions[rows],
-            self.t_max[rows],
-            self.masks[rows],
-            self.real,
-            None if self.radii is None else self.radii[rows],
-        )
+        given = self._asdict()
+        some: Any = {n: c[rows] for n, c in given.items() if isinstance(c, np.ndarray)}
+        return self._replace(**some)
 
     def fault(self, number: int = 0) -> tuple[NDArray[np.bool_], str]:
         """Return which rows (n,) cannot be answered, and of the first of them why.
@@ -70,6 +68,14 @@ class Rays(NamedTuple):
             faults['it has a radius, and no end by t_max'] = (self.radii > 0.0) & np.logical_not(
                 np.isfinite(ways).all(axis=1)
             )
+        if self.durations is not None:
+            with np.errstate(over='ignore', invalid='ignore'):
+                ways = self.directions * self.t_max[:, None]
+            ends = (self.durations == 0.0) | np.isfinite(ways).all(axis=1)
+            faults['its duration is not finite, or negative'] = np.logical_not(
+                np.isfinite(self.durations) & (self.durations >= 0.0)
+            )
+            faults['it has a duration, and no end by t_max'] = np.logical_not(ends)
         return first_fault(faults, number)
 
 
@@ -107,9 +113,9 @@ class RayCloud:
     Parameters
     ----------
     cloud : sensor_msgs/PointCloud2
-        Fields x, y, z (origin, m), dx, dy, dz (direction) and optionally t_max and radius (m),
-        each float32 or float64, and mask, an unsigned integer of up to 32 bits. Other fields are
-        left alone.
+        Fields x, y, z (origin, m), dx, dy, dz (direction) and optionally t_max, radius (m), t0 (s
+        after the header's stamp) and duration (s until t_max), each float32 or float64, and mask,
+        an unsigned integer of up to 32 bits. Other fields are left alone.
 
     Raises
     ------
@@ -118,7 +124,7 @@ class RayCloud:
     """
 
     def __init__(self, cloud: PointCloud | PointCloud2) -> None:
-        points = structured(cloud, (*ORIGIN, *DIRECTION, 't_max', 'radius', 'mask'))
+        points = structured(cloud, (*ORIGIN, *DIRECTION, *OPTIONAL, 'mask'))
         self._points = points.ravel()
         self.real = np.dtype(np.float32)
         """float32 or float64: the widest type among the fields."""
@@ -144,6 +150,11 @@ class RayCloud:
         """Whether balls go along the rays."""
         return 'radius' in (self._points.dtype.names or ())
 
+    @property
+    def has_times(self) -> bool:
+        """Whether the rays are about other times than now."""
+        return not {'t0', 'duration'}.isdisjoint(self._points.dtype.names or ())
+
     def rows(self, begin: int, end: int) -> Rays:
         """Return some of the rays."""
         points = self._points[begin:end]
@@ -154,9 +165,13 @@ class RayCloud:
         masks = np.full(len(points), EVERYTHING, np.uint32)
         if 'mask' in names:
             masks[:] = points['mask']
-        radii = columns(points, ['radius'])[:, 0] if 'radius' in names else None
+        radii, since, durations = (
+            columns(points, [name])[:, 0] if name in names else None for name in OPTIONAL[1:]
+        )
+        if durations is not None and since is None:
+            since = np.zeros(len(points))
         origins, directions = columns(points, ORIGIN), columns(points, DIRECTION)
-        return Rays(origins, directions, t_max, masks, self.real, radii)
+        return Rays(origins, directions, t_max, masks, self.real, radii, since, durations)
 
 
 def rays_cloud(given: Rays) -> PointCloud2:
@@ -166,6 +181,8 @@ def rays_cloud(given: Rays) -> PointCloud2:
     names = [*ORIGIN, *DIRECTION, *(['t_max'] if t_max else [])]
     names += [] if given.radii is None else ['radius']
     kinds: list[tuple[str, DTypeLike]] = [(name, given.real) for name in names]
+    times = (('t0', given.since), ('duration', given.durations))
+    kinds += [(name, np.float64) for name, column in times if column is not None]
     if masks:
         kinds.append(('mask', np.uint32))
     table = np.empty(len(given.t_max), kinds)
@@ -175,6 +192,9 @@ def rays_cloud(given: Rays) -> PointCloud2:
         table['t_max'] = given.t_max
     if given.radii is not None:
         table['radius'] = given.radii
+    for name, column in times:
+        if column is not None:
+            table[name] = column
     if masks:
         table['mask'] = given.masks
     return _cloud(table, 1, len(table))

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.parts.on_demand import OnDemand
     from bvh_ros.ros.parts.query_drawing import QueryDrawing
+    from bvh_ros.ros.parts.timed_rays import Spans
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
@@ -180,33 +181,57 @@ class RayBatch(Batch):
         self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         cloud = RayCloud(request)
-        if cloud.has_radii:
+        if cloud.has_radii and not cloud.has_times:
             self._kernels.require(BALLS)
+        stamp = request.stamp or self.node.get_clock().now().nanoseconds
         table = ray_clouds.hits_table(len(cloud), cloud.real)
         for begin in range(0, len(cloud), PIECE):
             if begin:
                 yield
             rows = begin, begin + PIECE
-            hits = self._answer(cloud.rows(*rows), begin, transform)
+            hits = self._answer(cloud.rows(*rows), begin, transform, stamp)
             ray_clouds.write_hits(table[slice(*rows)], hits)
         return ray_clouds.table_cloud(table, request.height, request.width, table['t'])
 
-    def _answer(self, rays: Rays, number: int, transform: Transform | None) -> Hits:
-        """Hits of some rays, the first of which has this number."""
+    def _answer(self, rays: Rays, number: int, transform: Transform | None, stamp: int) -> Hits:
+        """Hits of some rays, the first of which has this number; `stamp` is their cloud's, ns."""
         scene = self._now()
         if transform is not None:
             rays = moved(transform, rays)
-        good = self._count(*rays.fault(number))
-        if good.all():
-            hits = self._cast(scene, rays)
+        bad, reason = rays.fault(number)
+        if rays.since is None:
+            spans = None
         else:
-            hits = Hits.unanswered(len(good)).put(good, self._cast(scene, rays.take(good)))
+            spans, unknown = self._spans(rays, stamp)
+            reason = reason or 'its time is not known, see history and max_prediction'
+            bad = bad | unknown
+        good = self._count(bad, reason)
+        if good.all():
+            hits = self._cast(scene, rays, spans)
+        else:
+            some = None if spans is None else spans.take(good)
+            hits = self._cast(scene, rays.take(good), some)
+            hits = Hits.unanswered(len(good)).put(good, hits)
         if self._drawing.is_watched:
             self._drawing.add_rays(rays, hits)
         return hits if transform is None else moved_back(transform, hits)
 
-    def _cast(self, scene: Scene, rays: Rays) -> Hits:
+    def _spans(self, rays: Rays, stamp: int) -> tuple[Spans, NDArray[np.bool_]]:
+        """When rays begin and end, and which of them cannot be answered."""
+        from bvh_ros.ros.parts.timed_rays import spans_of
+
+        if self._world.times is None:
+            raise ValueError('no source predicts, so t0 and duration have no meaning')
+        now = self.node.get_clock().now().nanoseconds
+        return spans_of(rays, stamp, self._world.times, now)
+
+    def _cast(self, scene: Scene, rays: Rays, spans: Spans | None) -> Hits:
         masks = self._masks(rays.masks)
+        if spans is not None:
+            from bvh_ros.ros.parts.timed_rays import cast
+
+            threads = self._world.settings.threads_for(len(masks))
+            return cast(scene, rays, masks, self.view.skip_inside, threads, spans)
         return Hits(
             *scene.raycast_many(
                 *(rays.origins, rays.directions, rays.t_max, masks, self.view.skip_inside),

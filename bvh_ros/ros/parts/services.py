@@ -15,11 +15,12 @@ from nav_msgs.srv import GetPlan
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from std_srvs.srv import Trigger
 
-from bvh_ros.ros.compile_jobs import NEAREST
+from bvh_ros.ros.compile_jobs import NEAREST, NEAREST_THEN
 from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.world.known_times import NOW, Span, span_of
 from bvh_ros.scene import TooManyHitsError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Scene, SceneHit
 
 Acting = Generator[None, None, str]  # pauses, and returns the reply
-Answer = Callable[['Scene', plans.Query], 'Sequence[SceneHit]']
+Answer = Callable[['Scene', plans.Query, Span], 'Sequence[SceneHit]']
 
 
 class QueryServices(NodePart):
@@ -81,40 +82,50 @@ class QueryServices(NodePart):
 
         self.service(GetPlan, self.view.topic(name), callback)
 
-    def _raycast(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+    def _raycast(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        hit = scene.raycast(query.start, query.goal, query.tolerance, view.mask, view.skip_inside)
+        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        hit = scene.raycast(*way, *span)
         return () if hit is None else (hit,)
 
-    def _raycast_all(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
+    def _raycast_all(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        return scene.raycast_all(
-            *(query.start, query.goal, query.tolerance, view.mask, view.skip_inside),
-            most=self._most,
-        )
+        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        return scene.raycast_all(*way, self._most, *span)
 
-    def _overlap(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
-        return scene.overlap(
-            *(query.start, query.goal, query.orientation, query.tolerance, self.view.mask),
-            most=self._most,
-        )
+    def _overlap(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+        box = query.start, query.goal, query.orientation, query.tolerance, self.view.mask
+        return scene.overlap(*box, self._most, span.at)
 
-    def _nearest(self, scene: Scene, query: plans.Query) -> Sequence[SceneHit]:
-        self._kernels.require(NEAREST)
+    def _nearest(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+        self._kernels.require(NEAREST if span.at is None else NEAREST_THEN)
         reach = query.tolerance or math.inf
-        return scene.nearest(query.start, self._nearest_limit, reach, self.view.mask)
+        return scene.nearest(
+            *(query.start, self._nearest_limit, reach, self.view.mask), at=span.at
+        )
+
+    def _span(self, request: Any, answer: Answer, now: int) -> Span:
+        """The times that a request is about; ValueError if they are not known."""
+        times = self._world.times
+        if times is None:
+            return NOW
+        moves = answer in (self._raycast, self._raycast_all)
+        return times.require(span_of(request, moves=moves), now)
 
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         began = time.perf_counter_ns()
         now = self._clock.now().nanoseconds
         plan, frames = response.plan, self._world.frames
         try:
+            span = self._span(request, answer, now)
             thin_ray = not oriented and answer == self._raycast and request.tolerance == 0.0
-            scene = self._world.at(now, thin_ray=thin_ray)
+            scene = self._world.at(now, thin_ray=thin_ray and span.at is None)
             query = plans.query(request, frames.into_node, oriented=oriented)
             if answer == self._nearest:
                 query = plans.of_point(request, query)
-            hits = answer(scene, query)
+            hits = answer(scene, query, span)
+            if span.at is not None and span.until is not None:
+                hits = _when_met(hits, span.at, span.until)
             self._replies.fill(plan, hits, frames.frame_id, scene.newest)
             if self._drawing.is_watched:
                 self._drawing.add_query(query, hits, is_box=oriented)
@@ -128,6 +139,11 @@ class QueryServices(NodePart):
             reason = explain(error)
         self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)
+
+
+def _when_met(hits: Sequence[SceneHit], at: int, until: int) -> Sequence[SceneHit]:
+    """Hits whose stamps are the times of contact."""
+    return [hit._replace(stamp=at + round(hit.t * (until - at))) for hit in hits]
 
 
 @coroutine

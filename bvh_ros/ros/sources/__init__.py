@@ -23,6 +23,28 @@ if TYPE_CHECKING:
 
 
 REACH = (-FARTHEST, FARTHEST)
+NONE, GIVEN, CONSTANT_VELOCITY = 'none', 'given', 'constant_velocity'
+FOLLOWING = (
+    Option(
+        'max_speed',
+        50.0,
+        'With constant_velocity: who is faster (m/s) from one update to the next has jumped, and '
+        'is at rest until the one after.',
+        minimum=0.0,
+    ),
+    Option(
+        'smoothing',
+        0.3,
+        'With constant_velocity: after so many seconds a step counts 1/e. 0: only the last one '
+        'counts.',
+        minimum=0.0,
+    ),
+)
+
+
+def _predict(*choices: str) -> Option:
+    text = 'Where velocities come from, for questions about other times than now.'
+    return Option('predict', NONE, text, choices=(NONE, *choices))
 
 
 class SourceType(NamedTuple):
@@ -39,7 +61,7 @@ SOURCE_TYPES = {
         'bvh_ros.ros.sources.marker_array',
         'MarkerArraySource',
         (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH),
-        (),
+        (_predict(CONSTANT_VELOCITY), *FOLLOWING),
     ),
     'PointCloud2': SourceType(
         'bvh_ros.ros.sources.point_cloud2',
@@ -53,6 +75,8 @@ SOURCE_TYPES = {
                 minimum=0.0,
                 maximum=FARTHEST,
             ),
+            _predict(GIVEN, CONSTANT_VELOCITY),
+            *FOLLOWING,
         ),
     ),
     'OccupancyGrid': SourceType(

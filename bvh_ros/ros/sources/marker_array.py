@@ -57,6 +57,7 @@ class MarkerArraySource(Source):
         )
         self.tells_all = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)
+        part = part._replace(velocities=self.follow, latest=self._latest(now))
         count, refusals = len(change.names), change.refusals
         removed = self._with_elements(change.removed)
         gone = self.scene.find(self.name, removed, change.namespaces)

@@ -36,12 +36,14 @@ class PointCloud2Source(Source):
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes, or update and delete by id."""
         given = decoder.read(message)
-        cloud = point_cloud2.BoxCloud(given, voxel=self.settings.options['voxel'])
+        options = self.settings.options
+        moving = options['predict'] == 'given'
+        cloud = point_cloud2.BoxCloud(given, voxel=options['voxel'], moving=moving)
         self.tells_all = not cloud.by_id
         stamp = given.stamp
         transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'
-        items = skipped = 0
+        latest, items, skipped = self._latest(now), 0, 0
 
         def parts(length: int) -> Iterator[Part]:
             nonlocal items, skipped
@@ -52,7 +54,11 @@ class PointCloud2Source(Source):
                 if len(boxes.deleted):
                     self.scene.remove(self.name, Numbered(prefix, boxes.deleted))
                 names = Numbered(prefix, boxes.numbers)
-                yield Part(names, moved(boxes.shapes, transform), stamp or now)
+                speeds: Any = boxes.velocities if moving else self.follow
+                if moving and transform is not None:
+                    speeds = transform.vectors(speeds)
+                part = Part(names, moved(boxes.shapes, transform), stamp or now)
+                yield part._replace(velocities=speeds, latest=latest)
 
         whole = not cloud.by_id
         refusals = yield from self._in_slices('', cloud.total, parts, whole=whole)

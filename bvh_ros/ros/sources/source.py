@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
     from bvh_ros.scene.slicing import Parts
+    from bvh_ros.scene.speeds import Follow
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]
@@ -69,6 +70,7 @@ class Source(ABC):
         self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
         self.tells_all = False  # whether the message that is being applied says everything
         self.raw = False  # whether `apply` takes a message as its serialised bytes
+        self.follow = _follower(settings)
         self._node = node
         self._clock = node.get_clock()
         self.longest_slice = 0.0  # s that nobody else had a turn
@@ -237,6 +239,11 @@ class Source(ABC):
             If the whole message is refused; the scene is unchanged.
         """
 
+    def _latest(self, now: int) -> int | None:
+        """No later stamp is believed, ns; None where it does not matter."""
+        most = self.scene.max_prediction
+        return now + round(most * 1e9) if self.settings.predicts and math.isfinite(most) else None
+
     def forget(self) -> None:
         """Start over, after the scene was cleared: a required source must speak again."""
         self._work = None
@@ -267,3 +274,13 @@ def _advance(slices: Slices) -> Refusals | None:
         refusals: Refusals = end.value
         return refusals
     return None
+
+
+def _follower(settings: SourceSettings) -> Follow | None:
+    """What makes velocities of successive updates; None, and not imported, where none are."""
+    options = settings.options
+    if options.get('predict') != 'constant_velocity':
+        return None
+    from bvh_ros.scene.tracking import Tracks
+
+    return Tracks(options['smoothing'], options['max_speed'])

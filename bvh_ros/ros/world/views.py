@@ -16,7 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.settings import ViewSettings
+from bvh_ros.ros.texts import shortened
 from bvh_ros.ros.world.number_patterns import Automaton, Digits, digits_of
 from bvh_ros.scene import Families
 from bvh_ros.scene.store.names import BARE
@@ -47,6 +49,18 @@ def create_views(settings: Sequence[ViewSettings]) -> list[View]:
     """Return the view of everything and the configured ones; the k-th of these has bit k."""
     named = (View(given.name, 1 << k, given.skip_inside) for k, given in enumerate(settings, 1))
     return [WHOLE, *named]
+
+
+def view_of_scan(views: Sequence[View], name: str) -> View:
+    """Return the view that the virtual scan is configured with; ConfigurationError if there is
+    none.
+    """
+    for view in views:
+        if view.name == name:
+            return view
+    raise ConfigurationError(
+        f"parameter 'virtual_scan.view' is '{shortened(name)}', no view of this node"
+    )
 
 
 class Patterns:

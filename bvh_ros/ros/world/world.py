@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.config.settings import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
+    from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.ros.world.views import View
     from bvh_ros.scene import Scene
 
@@ -30,6 +31,8 @@ class World:
 
     Attributes
     ----------
+    times : KnownTimes, optional
+        The times that can be asked about; None: stamps of requests say nothing.
     compiling : str
         Says how far compiling has come, while not every question can be answered.
     """
@@ -39,6 +42,7 @@ class World:
     frames: Frames
     sources: Sequence[Source]
     views: Sequence[View]  # that of everything first
+    times: KnownTimes | None = None
     compiling: str = ''
 
     def at(self, now: int, *, thin_ray: bool = False) -> Scene:
@@ -78,8 +82,11 @@ class World:
         return ''
 
     def shift(self, by: int, now: int) -> None:
-        """Follow the clock, which jumped by so many ns to `now`: ages and remaining lives stay."""
+        """Follow the clock, which jumped by so many ns to `now`: ages and remaining lives stay. Who
+        moved is at rest until it is told again.
+        """
         self.scene.shift_expiries(by)
+        self.scene.rest()
         self.scene.newest = min(self.scene.newest, now)
         for source in self.sources:
             source.spoke_at += by

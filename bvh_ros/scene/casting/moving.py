@@ -7,59 +7,21 @@ boxes may be met, and each of these obstacles is asked by the ray that it sees. 
 boxes thin rays are decided by the tree alone, as real arithmetic does.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.jit.compiling import lean_kernel
 from ...tree.motion.casting import Casts
 from ...tree.rays.raycasting import EVERY
-from ...tree.rays.slab import INSIDE, set_ray
+from ...tree.rays.slab import INSIDE
 from ..geometry.shapes import Floats, along_axes
 from ..store.obstacles import Obstacles
-from ..store.registry import Slots
-from .arguments import Found, Hits, Rays, call, new_scratch, world_of
-from .casting import enter_obstacle, touch
+from ..store.places import at_rest, motions
+from . import resting
+from .arguments import Rays
 from .frame import COORDINATES, FRAME_SLACK
-
-
-class Met(NamedTuple):
-    """Hits, by ray and in the order in which they are met."""
-
-    rows: Slots
-    slots: Slots
-    ts: Floats
-    points: Floats
-    """Shape (m, 3)."""
-    normals: Floats
-
-    def take(self, which: NDArray[np.int64]) -> 'Met':
-        """Some of them."""
-        columns: Any = (column[which] for column in self)
-        return Met(*columns)
-
-
-class Times(NamedTuple):
-    """When rays start, s, and how many seconds pass a unit of t; shape (n,) each."""
-
-    at: Floats
-    pace: Floats
-
-
-@lean_kernel
-def meet_each(world, rays, slots, radii, scratch, found):
-    """Ray i, or a ball of radii[i] that goes along it, against the obstacle at slots[i]; t is inf
-    where it is missed.
-    """
-    hits = found.hits
-    for i in range(slots.shape[0]):
-        set_ray(scratch.ray, rays.origins[i], rays.directions[i])
-        t_max, work = rays.t_max[i], scratch.work
-        t, feature = enter_obstacle(world, slots[i], scratch.ray, radii[i], t_max, work)
-        hits.slots[i], hits.ts[i], hits.features[i] = slots[i], t, feature
-        if t < np.inf:
-            touch(world, scratch, radii[i], hits, i, found.points[i], found.normals[i])
+from .seen import Met, Times, meet_pairs
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -72,6 +34,10 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     parts = [_plain(held, flat, np.flatnonzero(thin), skip, times)]
     if held.columns.shaped or not thin.all():
         parts.append(_shaped(held, flat, radii, skip, times))
+    still = at_rest(held, times.last(rays.t_max))
+    if len(still):
+        parts = [met.take(np.flatnonzero(~np.isin(met.slots, still))) for met in parts]
+        parts.append(resting.met(held, flat, radii, skip, times, still))
     columns: Any = zip(*parts, strict=True)
     met = Met(*(np.concatenate(column) for column in columns))
     if ndim == 2:
@@ -117,19 +83,17 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
     offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
     slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(lo)), np.diff(offsets))
     wanted = held.columns.geometry['shaped'][slots] | (radii[rows] > 0.0)
-    slots, rows, handles = slots[wanted], rows[wanted], handles[wanted]
-    velocities, references = held.tree.velocities(handles)
-    since, count = times.at[rows] - references, len(rows)
+    slots, rows = slots[wanted], rows[wanted]
+    velocities, references = motions(held, slots)
+    since = times.at[rows] - references
     seen = Rays(
         rays.origins[rows] - velocities * since[:, None],
         rays.directions[rows] - velocities * times.pace[rows, None],
         rays.t_max[rows],
         rays.masks[rows],
     )
-    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
-    found = Found(np.zeros(1, np.int64), hits, np.zeros((count, 3)), np.zeros((count, 3)))
-    scratch = new_scratch(held.tree.ndim)
-    call(meet_each, world_of(held.tree, held.columns), seen, slots, radii[rows], scratch, found)
+    found = meet_pairs(held, seen, slots, radii[rows])
+    hits = found.hits
     met = hits.ts < np.inf
     then = since + np.where(met, hits.ts, 0.0) * times.pace[rows]
     found.points[:, : held.tree.ndim] += velocities * then[:, None]

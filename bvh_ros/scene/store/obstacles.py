@@ -71,6 +71,10 @@ class Obstacles:
         """Whether any obstacle was told a velocity so far."""
         self.epoch = 0
         """Time 0 of the tree, ns."""
+        self.max_prediction = np.inf
+        """Nobody moves on for longer than so many seconds after the last update, see places."""
+        self.first_rest = -1, np.inf
+        """In this version of the tree, when the first one is at rest again, s."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""

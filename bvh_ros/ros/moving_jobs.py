@@ -1,0 +1,35 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is called besides, see `compile_jobs`, where a source predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bvh_ros.ros.compile_jobs import ABOUT_Z, EDGE, GOAL, RADIUS, START, Needs, scenes
+from bvh_ros.scene import Scene, Shapes
+
+
+def _moving_scenes(needs: Needs) -> Iterator[Scene]:
+    """Some that hold obstacles, one of which has a velocity."""
+    for scene in scenes(needs):
+        shape = Shapes.boxes(GOAL, EDGE)
+        scene.update('moving', ['one'], shape, stamp=1, velocities=[EDGE])
+        yield scene
+
+
+def other_times(needs: Needs) -> None:
+    """Rays, balls and overlaps at a time, and while it passes."""
+    for scene in _moving_scenes(needs):
+        for radius in (0.0, RADIUS):
+            scene.raycast(START, GOAL, radius, at=2, until=3)
+            scene.raycast_all(START, GOAL, radius, at=2)
+        if needs.batch:
+            scene.raycast_many([START], [GOAL], 1.0, at=2, until=3)
+        scene.overlap(START, GOAL, ABOUT_Z, RADIUS, at=2)
+
+
+def nearest_then(needs: Needs) -> None:
+    """What is nearest at a time."""
+    for scene in _moving_scenes(needs):
+        scene.nearest(START, 2, at=2)

@@ -1,0 +1,55 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rays of a cloud that are about other times than now."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+
+if TYPE_CHECKING:
+    from bvh_ros.ros.world.known_times import KnownTimes
+    from bvh_ros.scene import Scene
+
+Times = NDArray[np.int64]
+LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
+
+
+class Spans(NamedTuple):
+    """When n rays begin and end, ns."""
+
+    at: Times
+    until: Times
+
+    def take(self, rows: NDArray[np.bool_]) -> Spans:
+        """Some of the rows."""
+        return Spans(self.at[rows], self.until[rows])
+
+
+def spans_of(
+    rays: Rays, stamp: int, known: KnownTimes, now: int
+) -> tuple[Spans, NDArray[np.bool_]]:
+    """When rays begin and end whose cloud has this stamp, and which of them cannot be answered."""
+    begin = np.zeros(len(rays.t_max)) if rays.since is None else rays.since * 1e9
+    length = 0.0 * begin if rays.durations is None else rays.durations * 1e9
+    sane = (np.abs(begin) < LONGEST) & (length < LONGEST) & (length >= 0.0)
+    at, more = (np.rint(np.where(sane, c, 0.0)).astype(np.int64) for c in (begin, length))
+    spans = Spans(at + stamp, at + stamp + more)
+    return spans, np.logical_not(sane & known.known(*spans, now))
+
+
+def cast(
+    scene: Scene, rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans
+) -> Hits:
+    """First hits of rays; who takes time goes to its t_max in that time."""
+    takes = spans.until > spans.at
+    whole = np.where(takes, rays.t_max, 1.0)  # the scene's rays end at t = 1 then
+    ways, limits = rays.directions * whole[:, None], np.where(takes, 1.0, rays.t_max)
+    asked: Any = rays.origins, ways, limits, masks, skip, threads, rays.radii, *spans
+    found = scene.raycast_many(*asked)
+    hits = Hits(*found)
+    return hits._replace(t=np.where(np.isfinite(hits.t), hits.t * whole, hits.t))

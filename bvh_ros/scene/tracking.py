@@ -1,0 +1,109 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Velocities of obstacles from where they were told to be, one update after the other.
+
+Of each obstacle two sums are kept, the way and the time between its updates, in which older ones
+count ever less; one divided by the other is its velocity (a ratio of exponentially weighted means,
+Brown 1963). Where stamps jitter, what one step is too short the next one is too long, so that most
+of it cancels.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..tree import checks
+from .geometry.shapes import Floats
+from .speeds import Sighting
+
+Ids = NDArray[np.int64]
+NOBODY = -1
+JITTER = 0.02  # s that a stamp may be wrong by: no jump is seen in what that explains
+LATE = 1.0  # s that an older update may come too late; what is older still begins anew
+
+
+class State(NamedTuple):
+    """What is known, by slot."""
+
+    owners: Ids
+    """Node handles: whoever has the slot now may not be who had it before."""
+    stamps: Ids
+    places: Floats
+    ways: Floats
+    """Sums of ways, m, (n, 3); of times, s, (n,)."""
+    times: Floats
+
+
+class Tracks:
+    """Velocities from successive updates, for `Scene.update` and `replace` as `velocities`.
+
+    An obstacle that is told for the first time, or after a jump, is at rest until its next update.
+    An update with the stamp of the one before changes no velocity, nor does one that comes up to
+    1 s too late; one that is older begins anew, as after a clock that was set back.
+
+    Parameters
+    ----------
+    smoothing : float
+        A step counts 1/e after so many seconds; 0: only the last one counts.
+    max_speed : float
+        m/s; faster ones are jumps.
+    """
+
+    def __init__(self, smoothing: float = 0.3, max_speed: float = 50.0) -> None:
+        self._smoothing = checks.limit('smoothing', smoothing)
+        self._max_speed = checks.limit('max_speed', max_speed)
+        self._state = _room_for(0)
+
+    def __call__(self, slots: Ids, handles: Ids, before: Sighting, now: Sighting) -> Floats:
+        """Return velocities, (n, 3) m/s, of n obstacles that are told again, each once: their
+        slots, node handles, where they were told to be before, and where they are.
+        """
+        if len(slots):
+            self._grow(int(slots.max()) + 1)
+        columns: Any = (column[slots] for column in self._state)
+        known = State(*columns)
+        new = known.owners != handles
+        known.owners[:] = handles
+        known.stamps[new], known.places[new] = before.stamps[new], before.places[new]
+        known.ways[new], known.times[new] = 0.0, 0.0
+        with np.errstate(all='ignore'):  # what overflows is a jump
+            velocities = self._note(known, now)
+        for kept, column in zip(self._state, known, strict=True):
+            kept[slots] = column
+        return velocities
+
+    def _note(self, known: State, now: Sighting) -> Floats:
+        """Update what is known; return velocities."""
+        elapsed = (now.stamps.astype(np.float64) - known.stamps) * 1e-9
+        near = np.abs(elapsed) < 1e6  # s: so far the difference is exact
+        elapsed[near] = (now.stamps[near] - known.stamps[near]) * 1e-9
+        step = now.places - known.places
+        late = (elapsed < 0.0) & (elapsed >= -LATE)
+        faded = np.exp(-elapsed / self._smoothing) if self._smoothing else 0.0 * elapsed
+        on = elapsed > 0.0
+        known.ways[on] = (known.ways * faded[:, None] + step)[on]
+        known.times[on] = (known.times * faded + elapsed)[on]
+        velocities = known.ways / np.where(known.times > 0.0, known.times, 1.0)[:, None]
+        reach = self._max_speed * (elapsed + JITTER)
+        jumps = ~(np.linalg.norm(step, axis=1) <= reach)
+        jumps |= ~(np.linalg.norm(velocities, axis=1) <= self._max_speed)
+        jumps &= ~late
+        known.ways[jumps], known.times[jumps], velocities[jumps] = 0.0, 0.0, 0.0
+        known.stamps[~late], known.places[~late] = now.stamps[~late], now.places[~late]
+        return velocities
+
+    def _grow(self, count: int) -> None:
+        old = self._state
+        if count <= len(old.owners):
+            return
+        self._state = _room_for(max(count, 2 * len(old.owners)))
+        for new, column in zip(self._state, old, strict=True):
+            new[: len(column)] = column
+
+
+def _room_for(count: int) -> State:
+    return State(
+        *(np.full(count, NOBODY, np.int64), np.zeros(count, np.int64), np.zeros((count, 3))),
+        *(np.zeros((count, 3)), np.zeros(count)),
+    )

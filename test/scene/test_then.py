@@ -1,0 +1,227 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Questions about a scene at a time: as to a scene in which everybody stands where it is then."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene.geometry.shapes import BOX, CYLINDER, SPHERE
+
+SECOND = 1_000_000_000
+NOW = 1_790_000_000 * SECOND
+
+CORNERS = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 1.0]])
+FACES = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]
+COUNT = 24
+
+
+def some_shapes(rng, count):
+    """Boxes, turned boxes, spheres and cylinders."""
+    kinds = np.array([BOX, BOX, SPHERE, CYLINDER], np.uint8)[np.arange(count) % 4]
+    sizes, turns = rng.uniform(0.2, 3, (count, 3)), rng.normal(size=(count, 4))
+    sizes[kinds == CYLINDER, 1] = sizes[kinds == CYLINDER, 0]
+    sizes[kinds == SPHERE] = sizes[kinds == SPHERE, :1]
+    turns[::4] = 0.0
+    return Shapes(kinds, rng.uniform(-9, 9, (count, 3)), turns, sizes)
+
+
+class Moving:
+    """A scene of obstacles that move, and the same standing where they are at some time."""
+
+    def __init__(self, rng, planar, max_prediction=np.inf):
+        shapes = some_shapes(rng, COUNT)
+        mesh = Shapes.of_meshes([Mesh(FACES)], rng.uniform(-9, 9, (1, 3)), [[0, 0, 0.6, 0.8]])
+        self.shapes, self.mesh, self.planar = shapes, mesh, planar
+        self.names = [*(f'o{i}' for i in range(COUNT)), 'mesh']
+        self.speeds = rng.normal(size=(COUNT + 1, 3)) * (rng.random((COUNT + 1, 1)) < 0.8) * 3
+        self.stamps = NOW + rng.integers(0, SECOND, COUNT + 1)
+        self.masks = (np.arange(COUNT + 1) % 3 + 1).astype(np.uint32)
+        self.most = max_prediction
+        self.scene = Scene(planar=planar, max_prediction=max_prediction)
+        self._tell(self.scene, np.zeros((COUNT + 1, 3)), self.speeds)
+
+    def _tell(self, scene, gone, speeds):
+        for names, shapes, rows in (
+            (self.names[:-1], self.shapes, slice(0, COUNT)),
+            (self.names[-1:], self.mesh, slice(COUNT, None)),
+        ):
+            placed = shapes._replace(position=shapes.position + gone[rows])
+            assert not scene.update(
+                's',
+                names,
+                placed,
+                stamp=self.stamps[rows],
+                categories=self.masks[rows],
+                velocities=None if speeds is None else speeds[rows],
+            )
+
+    def at(self, time):
+        """The standing scene."""
+        since = np.minimum((time - self.stamps) / SECOND, self.most)
+        scene = Scene(planar=self.planar)
+        self._tell(scene, self.speeds * since[:, None], None)
+        return scene
+
+
+def same_hits(hits, wanted, planar):
+    assert [hit.name for hit in hits] == [hit.name for hit in wanted]
+    for hit, other in zip(hits, wanted, strict=True):
+        assert hit[1:3] == (other.handle, pytest.approx(other.t, abs=1e-9))
+        np.testing.assert_allclose(hit.point, other.point, atol=1e-6)
+        np.testing.assert_allclose(hit.normal, other.normal, atol=1e-5)
+        assert hit.stamp == other.stamp
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('most', [np.inf, 0.7])
+def test_everything_is_as_where_all_stand_there(planar, most):
+    rng = np.random.default_rng(11)
+    moving = Moving(rng, planar, most)
+    scene = moving.scene
+    for number in range(12):
+        time = NOW + int(rng.integers(-SECOND, 3 * SECOND))
+        there, mask = moving.at(time), int(rng.choice([1, 2, 0xFFFFFFFF]))
+        start, goal = np.sort(rng.uniform(-9, 9, (2, 3)), axis=0)
+        turn = [0, 0, 0.6, 0.8] if number % 2 else [0, 0, 0, 1]
+        reach = float(number % 3) * 0.7
+        box = start, goal, turn, reach, mask
+        same_hits(scene.overlap(*box, at=time), there.overlap(*box), planar)
+        for shape in (moving.mesh, moving.shapes.take([number]), moving.shapes.take([2])):
+            placed = shape._replace(position=rng.uniform(-9, 9, (1, 3)))
+            hits = scene.overlap_shape(placed, reach, mask, at=time)
+            same_hits(hits, there.overlap_shape(placed, reach, mask), planar)
+        centers, sizes = rng.uniform(-9, 9, (9, 3)), rng.uniform(0, 5, (9, 3))
+        tolerances, masks = rng.uniform(0, 1, 9), np.full(9, mask)
+        asked = centers, sizes, None, tolerances, masks
+        for want in ('any', 'count', 'first'):
+            found = scene.overlap_many(*asked, want=want, at=time, threads=2)
+            assert found.dtype == there.overlap_many(*asked, want=want).dtype
+            assert found.tolist() == there.overlap_many(*asked, want=want).tolist()
+        for want in ('all', 'hits'):
+            found = scene.overlap_many(*asked, want=want, at=[time] * 9)
+            for one, other in zip(found, there.overlap_many(*asked, want=want), strict=True):
+                assert one.dtype == other.dtype
+                np.testing.assert_allclose(one, other, atol=1e-6)
+        found = scene.overlap_shape_many(moving.mesh, centers, want='all', at=time)
+        wanted = there.overlap_shape_many(moving.mesh, centers, want='all')
+        assert [part.tolist() for part in found] == [part.tolist() for part in wanted]
+        for signed in (False, True):
+            for k, limit in ((1, np.inf), (4, 3.0), (40, np.inf)):
+                hits = scene.nearest(centers[0], k, limit, mask, signed, at=time)
+                same_hits(hits, there.nearest(centers[0], k, limit, mask, signed), planar)
+                found = scene.nearest_many(centers, k, limit, masks, signed, at=time)
+                wanted = there.nearest_many(centers, k, limit, masks, signed)
+                for one, other in zip(found, wanted, strict=True):
+                    assert one.dtype == other.dtype
+                    np.testing.assert_allclose(one, other, atol=1e-6)
+            found = scene.clearance_many(
+                moving.shapes.take(np.arange(9)), 4.0, mask, signed, at=time
+            )
+            wanted = there.clearance_many(moving.shapes.take(np.arange(9)), 4.0, mask, signed)
+            assert found[0].tolist() == wanted[0].tolist()
+            np.testing.assert_allclose(found[1], wanted[1], atol=1e-9)
+            name = moving.names[number]
+            one, other = (
+                s.clearance(name, signed, **t) for s, t in ((scene, {'at': time}), (there, {}))
+            )
+            assert (one.name, one.handle) == (other.name, other.handle)
+            assert one.distance == pytest.approx(other.distance, abs=1e-9)
+        for radius in (0.0, 0.4):
+            way = start, goal, radius, mask
+            for skip in (False, True):
+                hits = scene.raycast_all(*way, skip, at=time)
+                same_hits(hits, there.raycast_all(*way, skip), planar)
+                first = scene.raycast(*way, skip, at=time)
+                assert [first.name if first else None] == [*(hit.name for hit in hits), None][:1]
+
+
+def test_who_drives_meets_where_they_stand_from_some_time_on():
+    rng, most = np.random.default_rng(12), 0.7
+    for planar in (False, True):
+        moving = Moving(rng, planar, most)
+        for number in range(30):
+            start, goal = rng.uniform(-9, 9, (2, 3))
+            at = NOW + int(rng.integers(-SECOND, 2 * SECOND))
+            until = at + int(rng.integers(0, 3 * SECOND))
+            radius = 0.4 * (number % 2)
+            hits = moving.scene.raycast_all(start, goal, radius, at=at, until=until)
+            met = {hit.name: hit.t for hit in hits}
+            assert [hit.t for hit in hits] == sorted(met.values())
+            # Standing where it is when it is met: there the ball touches, and not before.
+            for t in np.linspace(0.0, 1.0, 60):
+                time = at + round(t * (until - at))
+                there, place = moving.at(time), start + t * (goal - start)
+                touched = {hit.name for hit in there.overlap(place, place, tolerance=radius)}
+                assert touched <= {name for name, first in met.items() if first <= t + 1e-6}
+            for hit in hits:
+                there = moving.at(at + round(hit.t * (until - at)))
+                place = start + hit.t * (goal - start)
+                near = {h.name: h for h in there.nearest(place, COUNT + 1)}[hit.name]
+                assert near.t == pytest.approx(radius, abs=1e-6) or (
+                    near.t < radius and hit.t == 0
+                )
+                axes = slice(2 if planar else 3)
+                assert np.linalg.norm((hit.point - place)[axes]) < radius + 1e-6
+            ways = [start] * 2, [goal] * 2, radius
+            many = moving.scene.sweep_many(*ways, at=at, until=until)
+            assert many.t.tolist() == [hits[0].t if hits else np.inf] * 2
+
+
+def test_boxes_are_decided_exactly():
+    rng = np.random.default_rng(13)
+    places, speeds = rng.uniform(-1, 1, (300, 3)), rng.uniform(-1, 1, (300, 3))
+    scene = Scene()
+    boxes = Shapes.boxes(places, rng.choice([0.25, 0.5, 0.1], (300, 3)))
+    scene.update('s', [str(i) for i in range(300)], boxes, stamp=0, velocities=speeds)
+    lo, hi = scene._held.tree.boxes(scene._held.columns.tree_handle[:300])
+    names = [scene._held.registry.name(slot) for slot in range(300)]
+    time = 3 * SECOND // 7
+    seconds = float(np.longdouble(time) / 10**9)
+    speeds = speeds[[int(name) for name in names]]
+    for row in range(300):
+        # A corner of the query as near to the box's as doubles go, on either side.
+        corner = hi[row] + speeds[row] * seconds
+        for bits in range(-1, 2):
+            start = corner + bits * np.spacing(corner)
+            hit = {h.name for h in scene.overlap(start, start + 0.1, at=time)}
+            touches = all(
+                Fraction(hi[row][a]) + Fraction(speeds[row][a]) * Fraction(seconds)
+                >= Fraction(start[a])
+                and Fraction(lo[row][a]) + Fraction(speeds[row][a]) * Fraction(seconds)
+                <= Fraction((start + 0.1)[a])
+                for a in range(3)
+            )
+            assert (names[row] in hit) == touches
+
+
+def test_what_is_refused_and_what_nothing_moves():
+    scene = Scene()
+    with pytest.raises(ValueError, match='max_prediction'):
+        Scene(max_prediction=-1.0)
+    box = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
+    for moving in (False, True):
+        scene.update('s', ['one'], box, stamp=NOW, velocities=[[float(moving), 0, 0]])
+        assert [h.name for h in scene.overlap([4, 0, 0], [5, 1, 1], at=NOW)] == ['one']
+        assert scene.nearest([0, 0, 0], at=NOW + SECOND)[0].t == 4.5 + moving
+        assert scene.clearance('one', at=NOW) is None
+        assert scene.overlap_many(np.empty((0, 3)), [1, 1, 1], want='count', at=NOW).shape == (0,)
+        assert scene.nearest_many(np.empty((0, 3)), 3, at=NOW)[0].shape == (0, 3)
+        assert scene.nearest_many([[0, 0, 0]], 3, at=NOW)[0].shape == (1, 3)
+        for wrong in (1.5, 'x', [1, 2], 1 << 70):
+            for ask in (
+                lambda t: scene.overlap([0, 0, 0], [1, 1, 1], at=t),
+                lambda t: scene.nearest([0, 0, 0], at=t),
+                lambda t: scene.overlap_many([[0, 0, 0]], [1, 1, 1], at=t),
+                lambda t: scene.clearance('one', at=t),
+                lambda t: scene.clearance_many(box, at=t),
+            ):
+                with pytest.raises(ValueError, match='at must be'):
+                    ask(wrong)
+    scene.update('s', ['fast'], box, stamp=NOW, velocities=[[1e300, -1e300, 0]])
+    far = 1 << 62
+    assert scene.nearest([0, 0, 0], 2, at=far)[0].name == 'one'
+    assert scene.overlap([4, -1, -1], [6, 1, 1], at=far) == []
