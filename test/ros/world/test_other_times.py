@@ -283,11 +283,11 @@ def test_the_client_asks_about_times(clean):
         with pytest.raises(ValueError, match='a time must be'):
             client.raycast(*ends, at=wrong)
     starts, ways = np.zeros((3, 3)), np.full((3, 3), [20.0, 0, 0])
-    asked = {'at': [now, now + SECOND, now + 9 * SECOND], 'until': now + 9 * SECOND}
-    hits = client.raycast_many(starts, ways, 1.0, at=asked['at'][:2])
-    assert hits.t.tolist() == pytest.approx([9.5 / 20, 4.5 / 20])
+    hits = client.raycast_many(starts, ways, 1.0, at=[now, now + SECOND, now + 9 * SECOND])
+    assert hits.t[:2].tolist() == pytest.approx([9.5 / 20, 4.5 / 20])
+    assert hits.obstacles[2] == UNANSWERED
     hits = client.raycast_many(
-        starts, ways, 1.0, at=now, until=[now, now + 2 * SECOND, asked['until']]
+        starts, ways, 1.0, at=now, until=[now, now + 2 * SECOND, now + 9 * SECOND]
     )
     assert hits.t[:2].tolist() == pytest.approx([9.5 / 20, 9.5 / 30], abs=1e-6)
     assert hits.obstacles[2] == UNANSWERED
@@ -309,6 +309,12 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
             (pose,) = ask(world, name, *way, **given)
             assert pose.header.frame_id == 'a/1'
             assert when(pose) > SECOND
+    from bvh_ros.client import BvhClient, BvhError
+
+    client = BvhClient(world.node, world.name, timeout=20.0)
+    client.wait_until_ready()
+    with pytest.raises(BvhError, match='cannot answer'):
+        client.raycast_many(np.zeros((1, 3)), np.ones((1, 3)), at=time.time_ns())
     assert 'other times than now' in world.status('world').values['off']
 
 
