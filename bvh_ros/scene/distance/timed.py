@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.jit.compiling import lean_kernel
+from ...tree.rays.raycasting import of_row
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE
 from ..store.mesh_store import Hulls
@@ -26,7 +27,7 @@ from .query_rows import QueryRows
 from .query_shape import LARGEST
 from .sinking import sink_in_obstacle
 from .touching import ROUNDED, Bodies, Found, look_at
-from .touching_rows import Near, Points, Signed, bodies_of, of_row
+from .touching_rows import Near, Points, Signed, bodies_of
 
 MORE = 4
 PAIRS = 1 << 17  # that are looked at in one go
