@@ -29,7 +29,7 @@ from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
 from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
-from bvh_ros.ros.world.known_times import KnownTimes
+from bvh_ros.ros.world.known_times import known_times
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
 from bvh_ros.ros.world.world import World
 from bvh_ros.scene import Scene, ShapeKind
@@ -99,7 +99,7 @@ class BvhServer:
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
-        times = KnownTimes(scene, settings.max_prediction) if settings.predicts else None
+        times = known_times(scene, sources, settings)
         return World(settings, scene, frames, sources, self._create_views(), times)
 
     def _topics(self) -> Iterator[str]:

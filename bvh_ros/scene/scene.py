@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
+import copy
 import math
 
 from numpy.typing import ArrayLike
@@ -75,14 +76,25 @@ class Scene:
     ) -> None:
         held = Obstacles(bool(planar), margin, meshes, max_obstacles)
         held.max_prediction = checks.limit('max_prediction', max_prediction)
+        self._begin(held, Updates(held, categorise, as_region(region, 2 if planar else 3)))
+
+    def _begin(self, held: Obstacles, updates: Updates) -> None:
         self._held = held
-        self._updates = Updates(held, categorise, as_region(region, 2 if planar else 3))
+        self._updates = updates
         self._slices = SlicedUpdates(held, self._updates)
         self._removals = Removals(held)
         self._rays = RayQueries(held)
         self._overlaps = OverlapQueries(held)
         self._distances = DistanceQueries(held)
         self._inspection = Inspection(held)
+
+    def copy(self) -> 'Scene':
+        """Return a scene that holds what this one does, and goes its own way from now on."""
+        self._held.change.require_none()
+        other = object.__new__(type(self))
+        held = copy.deepcopy(self._held)
+        other._begin(held, self._updates.of(held))
+        return other
 
     # ---- changes
 

@@ -76,6 +76,10 @@ class Updates:
         self._region = region
         self.under_way: WeakSet[Sliced] = WeakSet()  # who forgets one has ended it
 
+    def of(self, held: Obstacles) -> 'Updates':
+        """The same for other obstacles."""
+        return Updates(held, self._categorise, self._region)
+
     def update(
         self,
         source: str,

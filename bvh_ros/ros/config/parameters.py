@@ -68,8 +68,10 @@ NODE_OPTIONS = (
     Option(
         'history',
         0.0,
-        'So much of the past (s) can be asked about. Only 0 is possible: nothing is kept.',
+        'So much before the newest data (s) can be asked about: the world is copied after each '
+        'message.',
         minimum=0.0,
+        maximum=1e6,
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option(
@@ -164,8 +166,6 @@ def read_settings(
     values = {option.name: read(node, '', option) for option in NODE_OPTIONS}
     if not values['frame_id']:
         raise ConfigurationError("parameter 'frame_id' is empty")
-    if values.pop('history'):
-        raise ConfigurationError("parameter 'history' must be 0: the past is not kept")
     names, views, transforms = (values.pop(key) for key in ('sources', 'views', 'transforms'))
     reserved = (*RESERVED_NAMES, *groups)
     _check_names('sources', names, reserved)

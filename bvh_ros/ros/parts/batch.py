@@ -221,7 +221,9 @@ class RayBatch(Batch):
         from bvh_ros.ros.parts.timed_rays import spans_of
 
         if self._world.times is None:
-            raise ValueError('no source predicts, so t0 and duration have no meaning')
+            raise ValueError(
+                't0 and duration have no meaning: no source predicts, and there is no history'
+            )
         now = self.node.get_clock().now().nanoseconds
         return spans_of(rays, stamp, self._world.times, now)
 
@@ -231,7 +233,7 @@ class RayBatch(Batch):
             from bvh_ros.ros.parts.timed_rays import cast
 
             threads = self._world.settings.threads_for(len(masks))
-            return cast(scene, rays, masks, self.view.skip_inside, threads, spans)
+            return cast(rays, masks, self.view.skip_inside, threads, spans)
         return Hits(
             *scene.raycast_many(
                 *(rays.origins, rays.directions, rays.t_max, masks, self.view.skip_inside),

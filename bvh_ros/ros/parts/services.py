@@ -112,6 +112,11 @@ class QueryServices(NodePart):
         moves = answer in (self._raycast, self._raycast_all)
         return times.require(span_of(request, moves=moves), now)
 
+    def _scene_of(self, scene: Scene, span: Span, now: int) -> Scene:
+        """The scene, or what was known at an earlier time."""
+        times = self._world.times
+        return scene if times is None or span.at is None else times.state(span.at, now)
+
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         began = time.perf_counter_ns()
         now = self._clock.now().nanoseconds
@@ -123,6 +128,7 @@ class QueryServices(NodePart):
             query = plans.query(request, frames.into_node, oriented=oriented)
             if answer == self._nearest:
                 query = plans.of_point(request, query)
+            scene = self._scene_of(scene, span, now)
             hits = answer(scene, query, span)
             if span.at is not None and span.until is not None:
                 hits = _when_met(hits, span.at, span.until)
@@ -192,6 +198,7 @@ class TriggerServices(NodePart):
 
     def _clear(self) -> Acting:
         removed = self._scene.clear()
+        self._world.forget()
         for source in self._sources:
             source.forget()
         yield

@@ -20,14 +20,16 @@ LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bit
 
 
 class Spans(NamedTuple):
-    """When n rays begin and end, ns."""
+    """When n rays begin and end, ns, and what was known when they begin."""
 
     at: Times
     until: Times
+    which: Times
+    states: list[Scene]
 
     def take(self, rows: NDArray[np.bool_]) -> Spans:
         """Some of the rows."""
-        return Spans(self.at[rows], self.until[rows])
+        return Spans(self.at[rows], self.until[rows], self.which[rows], self.states)
 
 
 def spans_of(
@@ -38,18 +40,29 @@ def spans_of(
     length = 0.0 * begin if rays.durations is None else rays.durations * 1e9
     sane = (np.abs(begin) < LONGEST) & (length < LONGEST) & (length >= 0.0)
     at, more = (np.rint(np.where(sane, c, 0.0)).astype(np.int64) for c in (begin, length))
-    spans = Spans(at + stamp, at + stamp + more)
-    return spans, np.logical_not(sane & known.known(*spans, now))
+    at += stamp
+    states, which = known.states(at, now)
+    good = sane & (which >= 0) & known.within(at, at + more, now)
+    return Spans(at, at + more, which, states), np.logical_not(good)
 
 
-def cast(
+def cast(rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans) -> Hits:
+    """First hits of rays; who takes time goes to its t_max in that time."""
+    hits = Hits.unanswered(len(masks))
+    for number in np.unique(spans.which).tolist():
+        rows = spans.which == number
+        some = rays.take(rows), masks[rows], skip, threads, spans.take(rows)
+        hits = hits.put(rows, _cast(spans.states[number], *some))
+    return hits
+
+
+def _cast(
     scene: Scene, rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans
 ) -> Hits:
-    """First hits of rays; who takes time goes to its t_max in that time."""
     takes = spans.until > spans.at
     whole = np.where(takes, rays.t_max, 1.0)  # the scene's rays end at t = 1 then
     ways, limits = rays.directions * whole[:, None], np.where(takes, 1.0, rays.t_max)
-    asked: Any = rays.origins, ways, limits, masks, skip, threads, rays.radii, *spans
+    asked: Any = rays.origins, ways, limits, masks, skip, threads, rays.radii, *spans[:2]
     found = scene.raycast_many(*asked)
     hits = Hits(*found)
     return hits._replace(t=np.where(np.isfinite(hits.t), hits.t * whole, hits.t))

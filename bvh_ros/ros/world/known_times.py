@@ -1,21 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The times that a node can be asked about: from its newest data on, so far as it may predict.
+"""The times that a node can be asked about: as much of the past as it keeps, and then so far as it
+may predict.
 
-A node of which no source predicts has none of this: the stamps of its requests say nothing.
+A node that does neither has none of this: the stamps of its requests say nothing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.world.past import Past
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from bvh_ros.ros.config.settings import Settings
+    from bvh_ros.ros.sources.source import Source
     from bvh_ros.scene import Scene
 
 NOTHING = 'nothing has been told yet that could be predicted'
@@ -39,10 +44,13 @@ class KnownTimes:
     scene : Scene
     max_prediction : float
         So long (s) after the newest data.
+    history : float
+        So long (s) before the newest data.
     """
 
-    def __init__(self, scene: Scene, max_prediction: float) -> None:
+    def __init__(self, scene: Scene, max_prediction: float, history: float) -> None:
         self._scene = scene
+        self.past = Past(scene, history)
         self._ahead = round(max_prediction * 1e9)
 
     def require(self, span: Span, now: int) -> Span:
@@ -58,8 +66,13 @@ class KnownTimes:
         first, last = self._ends(now)
         stop = span.at if span.until is None else span.until
         if span.at < first:
-            ago = (first - span.at) / 1e9
-            raise ValueError(f'the time asked for is {ago:.9g} s before the newest data (history)')
+            kept = self.past.length / 1e9
+            ago = (first - span.at) / 1e9 + kept
+            raise ValueError(
+                f'the time asked for is {ago:.9g} s before the newest data, '
+                f'more than history ({kept:g} s)'
+            )
+        self.state(span.at, now)
         if stop > last:
             ahead = (stop - last) / 1e9 + self._ahead / 1e9
             raise ValueError(
@@ -68,19 +81,46 @@ class KnownTimes:
             )
         return span
 
-    def known(
+    def states(self, at: NDArray[np.int64], now: int) -> tuple[list[Scene], NDArray[np.int64]]:
+        """What was known at some time, and which of these at the times (n,); -1: not any more."""
+        stamps, states = self.past.states()
+        which = np.searchsorted(stamps, at, 'right') - 1
+        which[at >= self._newest(now)] = len(states)
+        return [*states, self._scene], which
+
+    def state(self, at: int, now: int) -> Scene:
+        """What was known at a time; ValueError if it is not any more."""
+        states, (which,) = self.states(np.array([at]), now)
+        if which < 0:
+            raise ValueError('what was known at the time asked for is not kept any more')
+        return states[which]
+
+    def within(
         self, at: NDArray[np.int64], until: NDArray[np.int64], now: int
     ) -> NDArray[np.bool_]:
-        """Which rows (n,) ask about known times, ns."""
+        """Which rows (n,) are about times that may be known, ns."""
         first, last = self._ends(now)
         return np.asarray((at >= first) & (until <= last))
 
+    def _newest(self, now: int) -> int:
+        return min(self._scene.newest, now)  # no data are newer than now, whatever they say
+
     def _ends(self, now: int) -> tuple[int, int]:
-        """First and last time that is known, ns."""
-        newest = min(self._scene.newest, now)  # no data are newer than now, whatever they say
+        """First and last time that may be known, ns."""
         if not self._scene.newest:
             raise ValueError(NOTHING)
-        return newest, newest + self._ahead
+        newest = self._newest(now)
+        return newest - self.past.length, newest + self._ahead
+
+
+def known_times(scene: Scene, sources: Sequence[Source], settings: Settings) -> KnownTimes | None:
+    """Return the times that there are besides now; None if there are none."""
+    if not (settings.predicts or settings.history):
+        return None
+    times = KnownTimes(scene, settings.max_prediction, settings.history)
+    for source in sources:
+        source.on_applied = times.past.note
+    return times
 
 
 def span_of(request: Any, *, moves: bool) -> Span:

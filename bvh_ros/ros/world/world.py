@@ -81,12 +81,18 @@ class World:
                 return problem
         return ''
 
+    def forget(self) -> None:
+        """Forget the past."""
+        if self.times is not None:
+            self.times.past.forget()
+
     def shift(self, by: int, now: int) -> None:
-        """Follow the clock, which jumped by so many ns to `now`: ages and remaining lives stay. Who
-        moved is at rest until it is told again.
+        """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Who
+        moved is at rest until it is told again, and the past is forgotten.
         """
         self.scene.shift_expiries(by)
         self.scene.rest()
+        self.forget()
         self.scene.newest = min(self.scene.newest, now)
         for source in self.sources:
             source.spoke_at += by

@@ -309,11 +309,12 @@ def random_marker(random):
 def source_of():
     """A source of markers without a node."""
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from bvh_ros.ros.config.settings import SourceSettings
     from bvh_ros.ros.sources.marker_array import MarkerArraySource
 
     def make(scene):
         node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-        settings = SimpleNamespace(name='test', prefix='')
+        settings = SourceSettings('test', 'MarkerArray', 'test', '', False, 0.0, {})
         source = MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
         source.raw = False
         return source

@@ -318,12 +318,49 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
     assert 'other times than now' in world.status('world').values['off']
 
 
-def test_history_is_not_kept(configure):
+def test_which_parameters_are_refused(configure):
     from bvh_ros.ros.config.option import ConfigurationError
 
-    with pytest.raises(ConfigurationError, match='history'):
-        configure({'history': 1.0})
-    with pytest.raises(ConfigurationError, match='predict'):
-        configure({'markers.predict': 'given'})
+    for given in ({'history': -1.0}, {'markers.predict': 'given'}, {'max_prediction': -1.0}):
+        with pytest.raises(ConfigurationError, match=next(iter(given))):
+            configure(given)
     server = configure({'markers.predict': 'constant_velocity', 'markers.max_speed': 3})
     assert server.world.times is not None
+    assert configure({}).world.times is None
+
+
+def test_a_clock_that_is_set_back(start_node):
+    from rosgraph_msgs.msg import Clock
+
+    world = start_node({**SOURCES, 'use_sim_time': True, 'history': 2.0}, remap='/clock:=clock')
+    world.until(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)), 400.0)
+    clock = world.node.create_publisher(Clock, f'{world.namespace}/clock', 1)
+    way = (-99, 0, 0), (99, 0, 0)
+
+    def set_to(seconds):
+        message = Clock(clock=stamp(round(seconds * SECOND)))
+
+        def arrived():  # error replies have the node's time
+            clock.publish(message)
+            header = world.plan('raycast', (math.nan, 0, 0), (1, 0, 0)).header
+            return header.stamp == message.clock
+
+        world.until(arrived)
+
+    set_to(100.0)
+    tell(world, [[1, 0, 0, 0, 4, 0, 0]], 100 * SECOND)
+    set_to(101.0)
+    tell(world, [[1, 4, 0, 0, 4, 0, 0]], 101 * SECOND)
+    for at, place in ((100.5, 1.5), (101.0, 3.5), (102.0, 7.5)):
+        (hit,) = ask(world, 'raycast', *way, at=round(at * SECOND))
+        assert hit.pose.position.x == pytest.approx(place)
+    tell(world, [[1, 9, 0, 0, 4, 0, 0]], 104 * SECOND)  # ahead of the clock
+    assert ask(world, 'raycast', *way)[0].pose.position.x == 3.5
+    set_to(10.0)  # a simulation starts over: all stand until they are told again
+    assert ask(world, 'raycast', *way)[0].pose.position.x == 3.5
+    assert ask(world, 'raycast', *way, at=11 * SECOND)[0].pose.position.x == 3.5
+    assert errors(world, 'raycast', *way, at=9 * SECOND)
+    assert 'max_prediction' in errors(world, 'raycast', *way, at=101 * SECOND)
+    tell(world, [[1, 0, 0, 0, 4, 0, 0]], 10 * SECOND)
+    assert ask(world, 'raycast', *way, at=11 * SECOND)[0].pose.position.x == pytest.approx(3.5)
+    world.node.destroy_publisher(clock)

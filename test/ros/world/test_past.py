@@ -1,0 +1,132 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Questions about the past of a node: what was known then."""
+
+import time
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from bvh_ros.client import BvhClient, BvhError
+from bvh_ros.ros.world.known_times import KnownTimes, Span
+from bvh_ros.scene import Scene, Shapes
+
+SECOND = 1_000_000_000
+TICK = SECOND // 10
+NOW = 1_790_000_000 * SECOND
+UNANSWERED = 0xFFFFFFFE
+
+
+def told(times, scene, place, at, speed=None):
+    """Tell where the only box is, at some tick."""
+    box = Shapes.boxes([[place, 0, 0]], [1, 1, 1])
+    speeds = None if speed is None else [[speed, 0, 0]]
+    scene.replace('s', '', ['one'], box, stamp=NOW + at * TICK, velocities=speeds)
+    times.past.note()
+
+
+def place_at(times, ticks, now=100):
+    """Where the box is known to be; None where that is an error."""
+    at, now = NOW + round(ticks * TICK), NOW + now * TICK
+    try:
+        span = times.require(Span(at), now)
+    except ValueError:
+        return None
+    hit = times.state(span.at, now).raycast([-99, 0, 0], [99, 0, 0], at=at)
+    return round(float(hit.point[0]) + 0.5, 6)
+
+
+def test_each_time_has_what_was_known_then():
+    scene = Scene(max_prediction=1.0)
+    times = KnownTimes(scene, 1.0, 1.0)
+    with pytest.raises(ValueError, match='nothing has been told'):
+        times.require(Span(NOW), NOW)
+    for tick in range(31):
+        told(times, scene, float(tick), tick, 10.0 if tick < 25 else 0.0)
+    # 1 m a tick, seen until tick 25; from then on it stands where it is told to be.
+    wanted = {19.9: None, 20: 20, 20.5: 20.5, 24.9: 24.9, 25: 25, 25.5: 25, 26: 26, 29.5: 29}
+    wanted |= {30: 30, 40: 30, 40.1: None}
+    assert {tick: place_at(times, tick) for tick in wanted} == wanted
+    stamps, _ = times.past.states()
+    assert (np.diff(stamps) > 0).all()
+    assert stamps[0] == NOW + 20 * TICK  # no more than is needed
+    # Late data belong to what is known since the newest.
+    told(times, scene, 7.0, 28)
+    assert place_at(times, 29) == 29
+    assert place_at(times, 30) == 7
+    times.past.forget()
+    assert place_at(times, 29) is None
+    assert place_at(times, 30) == 7
+    told(times, scene, 8.0, 30)
+    assert place_at(times, 30) == 8
+
+
+def test_a_copy_is_the_same_and_goes_its_own_way():
+    rng, scene = np.random.default_rng(3), Scene(max_obstacles=60)
+    names = [f'b{i}' for i in range(50)]
+    boxes = Shapes.boxes(rng.uniform(-9, 9, (50, 3)), rng.uniform(0.1, 2, (50, 3)))
+    speeds = rng.normal(size=(50, 3))
+    scene.update('s', names, boxes, stamp=NOW, velocities=speeds)
+    scene.remove('s', names[::7])
+    other, asked = scene.copy(), ([-9, -9, -9], [9, 9, 9])
+    for at in (None, NOW + SECOND):
+        for one, two in zip(
+            scene.overlap(*asked, at=at), other.overlap(*asked, at=at), strict=True
+        ):
+            assert one[:3] == two[:3]
+            assert one.stamp == two.stamp
+    other.validate()
+    scene.clear()
+    assert len(other) == 42
+    other.update('s', names, boxes, stamp=NOW)
+    other.validate()
+    assert (len(scene), len(other)) == (0, 50)
+
+
+@pytest.fixture(scope='module')
+def keeping(start_node):
+    """A node that keeps the past, and predicts nothing."""
+    return start_node(
+        {
+            'sources': ['tracks'],
+            'tracks': {'type': 'PointCloud2', 'topic': 'tracks', 'voxel': 1.0},
+            'history': 5.0,
+        }
+    )
+
+
+def test_a_node_answers_about_its_past(keeping, messages):
+    world, now = keeping, time.time_ns()
+    client = BvhClient(world.node, world.name, timeout=20.0)
+    client.wait_until_ready()
+    world.trigger('clear')
+    for tick in range(4):
+        cloud = messages.cloud({'x': [10.0 + tick], 'y': [0], 'z': [0]})
+        stamp = now + (tick - 4) * SECOND
+        cloud.header.stamp = Time(sec=stamp // SECOND, nanosec=stamp % SECOND)
+        world.publish('tracks', cloud)
+        world.until(
+            lambda x=9.5 + tick: (hit := client.raycast((0, 0), (99, 0))) and hit.point[0] == x
+        )
+    way = (0, 0), (99, 0)
+    for late, place in ((-4.0, 9.5), (-3.5, 9.5), (-3.0, 10.5), (-1.5, 11.5), (-0.5, 12.5)):
+        at = now + round(late * SECOND)
+        hit = client.raycast(*way, at=at)
+        assert (hit.point[0], hit.stamp) == (place, now + int(np.floor(late)) * SECOND)
+        assert client.raycast(*way, at=at, until=at).stamp == at
+        assert client.overlap((9, -1), (place, 1), at=at)
+        assert client.overlap((9, -1), (place - 0.01, 1), at=at) == []
+    late = np.array([-4.5, -4.0, -3.5, -3.0, -1.5, -0.5, 9.0])
+    origins, ways = np.zeros((7, 3)), np.tile([1.0, 0, 0], (7, 1))
+    hits = client.raycast_many(origins, ways, at=now + (late * SECOND).astype(np.int64))
+    assert np.flatnonzero(hits.obstacles == UNANSWERED).tolist() == [0, 6]
+    assert hits.t[1:6].tolist() == [9.5, 9.5, 10.5, 11.5, 12.5]
+    for at, why in ((now - 4 * SECOND - 1, 'not kept'), (now - 9 * SECOND, 'history')):
+        with pytest.raises(BvhError, match=why):
+            client.raycast(*way, at=at)
+    world.trigger('clear')
+    with pytest.raises(BvhError, match='nothing has been told'):
+        client.raycast(*way, at=now - SECOND)
