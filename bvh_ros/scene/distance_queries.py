@@ -76,7 +76,8 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
-            points = Points(where[None], np.full(1, limits[0]), np.full(1, limits[1]))
+            given = np.full(1, limits[0]), np.full(1, limits[1]), np.empty(0, np.int64)
+            points = Points(where[None], *given)
             return self._hits(*self._near(points, many, signed, at))
         found, rows = self._nearness.find(where, many, limits, True if signed else None)
         return self._held.hits(found, rows)
