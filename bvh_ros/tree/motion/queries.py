@@ -27,6 +27,9 @@ from .wide_casting import NO_LEAVES, UNSUITED, MovingRays
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STILL = np.zeros(1)
+FEW = 64  # boxes that there is room for at first
+UNREAD = np.empty(FEW), np.empty(FEW, np.int64)  # any thread may write there
+NOWHERE = {ndim: np.zeros(ndim) for ndim in (2, 3)}
 
 
 class MotionQueries(Motion):
@@ -56,15 +59,18 @@ class MotionQueries(Motion):
 
     def overlap(self, tree: Any, box: tuple[Floats, Floats], mask: np.uint32, at: Any) -> Ids:
         """Handles of what a box touches, ascending."""
-        at, kernel = time_checks.moment('at', at), overlapping.one_entry(tree.ndim)
-        swept = *box, np.zeros(tree.ndim)
-        found = room_for_hits(64)
+        at, ndim = time_checks.moment('at', at), tree._ndim
+        swept, kernel = (*box, NOWHERE[ndim]), overlapping.one_entry(ndim)
+        found = Found(np.empty(FEW, np.int64), *UNREAD)
         while True:
-            count = kernel(tree.view().tree, self.moving, swept, mask, at, found)
+            count = kernel(tree._settled().tree, self.moving, swept, mask, at, found)
             if count == NOT_FINITE:
-                box_checks.box(*box, tree.ndim)
+                box_checks.box(*box, ndim)
             if 0 <= count <= len(found.slots):
-                return np.sort(found.slots[:count])
+                handles = found.slots[:count]
+                if count > 1:
+                    handles.sort()
+                return handles
             if count > 0:
                 found = room_for_hits(count)
             else:
@@ -79,7 +85,9 @@ class MotionQueries(Motion):
         found, distances = np.empty(k, np.int64), np.empty(k)
         asked = low, high, at, k, reach, mask
         while True:
-            count = kernel(tree.view().tree, self.moving, asked, found, distances)
+            count = kernel(tree._settled().tree, self.moving, asked, found, distances)
+            if count == k:
+                return found, distances
             if count == NOT_FINITE:
                 checks.finite('point', np.array((low, high)))
             if count >= 0:
