@@ -163,7 +163,8 @@ class OverlapQueries:
         places = checks.points('centers', centers, 3)
         edges = checks.floats('sizes', sizes)
         if edges.shape == (3,):
-            edges = np.broadcast_to(checks.point('sizes', edges, 3), places.shape)
+            one, edges = checks.point('sizes', edges, 3), np.empty(places.shape)
+            edges[:] = one
         edges = checks.points('sizes', edges, 3, len(places))
         turns = np.zeros((len(places), 4))
         if orientations is not None:

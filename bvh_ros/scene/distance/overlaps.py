@@ -72,7 +72,7 @@ class Overlaps:
         if wanted == ALL:
             return self._every(rows, hulls, threads)
         told, _ = self._find_rows(rows, hulls, wanted, threads)
-        for row in np.flatnonzero(told.open).tolist():
+        for row in np.flatnonzero(told.open).tolist() if told.open.any() else ():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
             told.numbers[row] = len(order)
             handles = self._columns.node_handle[found.slots[order]]
@@ -121,9 +121,10 @@ class Overlaps:
         hits = count if wanted == HITS else 0
         told = Answers(
             *(np.empty(count, np.int64), np.empty(count, np.bool_)),
-            *(np.full(hits, NO_NODE, np.uint32), np.full(hits, np.inf)),
-            np.full((hits, 3), np.nan),
+            *(np.empty(hits, np.uint32), np.empty(hits), np.empty((hits, 3))),
         )
+        if hits:
+            told.handles[:], told.distances[:], told.points[:] = NO_NODE, np.inf, np.nan
 
         def work(start: int, stop: int) -> tuple[NDArray[np.uint32], int, int]:
             parts, compared, more, room = [NOBODY], 0, 0, FEW

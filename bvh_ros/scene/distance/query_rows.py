@@ -48,15 +48,16 @@ def query_rows(
     """Check arguments; the rows, and the arrays of their meshes if they have any."""
     given = as_shapes(shapes)
     form, count = canonicalise(given), len(given.kind)
-    bad = np.flatnonzero(form.faults != FINE)
-    if len(bad):
-        reason = REASONS[form.faults[bad[0]]]
-        raise ValueError(f'the shape of row {bad[0]} cannot be used: {reason}')
-    bounds = np.stack((form.lo, form.hi), axis=1)
+    if (form.faults != FINE).any():
+        bad = int(np.argmax(form.faults != FINE))
+        reason = REASONS[form.faults[bad]]
+        raise ValueError(f'the shape of row {bad} cannot be used: {reason}')
+    bounds = np.empty((count, 2, 3))  # filled: np.stack takes eight times as long
+    bounds[:, 0], bounds[:, 1] = form.lo, form.hi
     tolerances = checks.limits_or_one('tolerance', tolerance, count)
-    infinite = np.flatnonzero(np.isinf(tolerances))
-    if len(infinite):
-        raise ValueError(f'tolerance must be finite: row {infinite[0]} is inf')
+    if (tolerances == np.inf).any():
+        row = np.argmax(tolerances == np.inf)
+        raise ValueError(f'tolerance must be finite: row {row} is inf')
     hulls = _hulls(given, form, planar)
     return QueryRows(form.records, bounds, tolerances, checks.masks_or_one(mask, count)), hulls
 
@@ -72,9 +73,10 @@ def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QuerySha
 
 def _hulls(given: Shapes, form: Canonical, planar: bool) -> Hulls | None:
     """The arrays of the rows' meshes, whose numbers the records get."""
-    rows = np.flatnonzero(form.records['kind'] == MESH)
-    if not len(rows):
+    meshed = form.records['kind'] == MESH
+    if not meshed.any():
         return None
+    rows = np.flatnonzero(meshed)
     store, meshes = MeshStore(), outlined(given.mesh, form) if planar else given.mesh
     if meshes is not None:
         once, which = different(meshes[rows])
