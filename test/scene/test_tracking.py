@@ -124,6 +124,17 @@ def test_who_vanishes_begins_anew_and_many_are_followed_at_once(monkeypatch):
             np.testing.assert_allclose(velocity(scene, 'b#8'), speeds[8], atol=1e-6)
 
 
+def test_a_slot_that_another_one_has_now():
+    scene, tracks = Scene(), Tracks()
+    for name, speed in (('first', 5.0), ('second', -2.0)):
+        for tick in range(4):
+            box = Shapes.boxes([[speed * 0.1 * tick, 0, 0]], [1, 1, 1])
+            stamp = NOW + tick * SECOND // 10
+            scene.replace('s', '', [name], box, stamp=stamp, velocities=tracks)
+        np.testing.assert_allclose(velocity(scene, name), [speed, 0, 0], rtol=1e-9)
+        scene.remove('s', [name])
+
+
 def test_rows_whose_velocity_is_not_finite_are_refused():
     scene, boxes = Scene(), Shapes.boxes([[10, 0, 0], [20, 0, 0]], [1, 1, 1])
     scene.replace('s', '', ['a', 'b'], boxes, stamp=NOW, velocities=[[1, 0, 0]] * 2)

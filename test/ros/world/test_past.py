@@ -55,6 +55,7 @@ def test_each_time_has_what_was_known_then():
     assert stamps[0] == NOW + 20 * TICK  # no more than is needed
     # Late data belong to what is known since the newest.
     told(times, scene, 7.0, 28)
+    assert (np.diff(times.past.states()[0]) > 0).all()
     assert place_at(times, 29) == 29
     assert place_at(times, 30) == 7
     times.past.forget()
