@@ -88,7 +88,7 @@ def with_a_point_off(answer):
 SPOILT = [with_one_missing, with_one_too_much, with_one_twice, backwards, with_a_point_off]
 
 
-@pytest.mark.parametrize('kind', ['ray', 'box', 'ball'])
+@pytest.mark.parametrize('kind', ['ray', pytest.param('box', marks=pytest.mark.slow), 'ball'])
 def test_right_answers_pass_and_wrong_ones_do_not(told, kind):
     scene, rng = scene_at(FRAME), np.random.default_rng(3)
     several = 0

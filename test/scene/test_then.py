@@ -139,6 +139,7 @@ def test_everything_is_as_where_all_stand_there(planar, most):
                 assert [first.name if first else None] == [*(hit.name for hit in hits), None][:1]
 
 
+@pytest.mark.slow
 def test_who_drives_meets_where_they_stand_from_some_time_on():
     rng, most = np.random.default_rng(12), 0.7
     for planar in (False, True):

@@ -99,6 +99,7 @@ def keeping(start_node):
     )
 
 
+@pytest.mark.slow
 def test_a_node_answers_about_its_past(keeping, messages):
     world, now = keeping, time.time_ns()
     client = BvhClient(world.node, world.name, timeout=20.0)

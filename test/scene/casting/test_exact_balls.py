@@ -137,6 +137,7 @@ def ask(scene, sweep, **options):
     return hits, sweep._replace(way=way)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('scale', [1.0, 1e-3, 1e8, 1e-160, 1e150], ids='{:g}'.format)
 @pytest.mark.parametrize('planar', [False, True], ids=['3D', '2D'])
 def test_balls_are_decided_exactly(planar, scale):

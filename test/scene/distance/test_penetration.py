@@ -240,6 +240,7 @@ def test_turned_boxes_as_rationals():
     assert touching > 50
 
 
+@pytest.mark.slow
 def test_boxes_along_the_axes_exactly():
     inner = shape(BOX, [2, 2, 2], [0.5, 0.25, 3])
     distance, point, other_point = depth(inner, shape(BOX, [4, 6, 8]))
