@@ -143,13 +143,11 @@ def enter_thrice(world, slot, ray, course, ball, work, found):
     tell them apart.
     """
     ts, features = found
-    if not plain(world.geometry, world.footprints, slot):
-        ts[:], features[:] = enter_obstacle(world, slot, ray, ball.radius, 1.0, work)
-        return
+    is_plain = plain(world.geometry, world.footprints, slot)
+    slack = ball.slack if is_plain else 0.0
     radii = stack_array(3, np.float64)
-    radii[EARLY], radii[AT] = ball.radius + ball.slack, ball.radius
-    radii[LATE] = ball.radius - ball.slack
-    if world.geometry is not None and course.simple:
+    radii[EARLY], radii[AT], radii[LATE] = ball.radius + slack, ball.radius, ball.radius - slack
+    if is_plain and world.geometry is not None and course.simple:
         lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
         enter_rounded_boxes(ray[ORIGIN], course.unit, lo, hi, radii, course.pace, found)
         for i in range(3):
@@ -157,7 +155,9 @@ def enter_thrice(world, slot, ray, course, ball, work, found):
         return
     for i in range(3):
         ts[i], features[i] = np.inf, np.int64(ROUND)
-        if radii[i] > 0.0:
+        if i > 0 and not is_plain:
+            ts[i], features[i] = ts[0], features[0]
+        elif radii[i] > 0.0:
             ts[i], features[i] = enter_obstacle(world, slot, ray, radii[i], 1.0, work)
 
 
