@@ -47,7 +47,7 @@ def test_nothing_is_compiled_once_the_services_are_there(parameters):
         capture_output=True,
         text=True,
         timeout=300,  # seconds: the very first start compiles
-        env={**os.environ, 'PYTHONPATH': str(script.parent)},
+        env={**os.environ, 'PYTHONPATH': f'{script.parent}{os.pathsep}{script.parents[1]}'},
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
