@@ -76,6 +76,11 @@ class World:
         """Ask, and return only who was hit."""
         return [pose.header.frame_id for pose in self.plan(name, start, goal, **given).poses]
 
+    def hits(self, *question: Any) -> list[str]:
+        """Names, too, but nobody where the node cannot answer yet: `names` has its error then."""
+        names = self.names(*question)
+        return [] if names[:1] and names[0].startswith('error: ') else names
+
     def everything(self) -> set[str]:
         """Return the names of all obstacles."""
         return set(self.names('overlap', (-1e6, -1e6, -1e6), (1e6, 1e6, 1e6)))

@@ -186,7 +186,7 @@ def test_freiburg_building(start_node, messages, shared_data):
     )
     columns = dict(zip(FIELDS, occupied[:, (0, 1, 2, 3, 3, 3)].T, strict=True))
     world.publish('b', messages.cloud(columns))
-    world.until(lambda: world.names('raycast', *through(occupied[0])), timeout=30)
+    world.until(lambda: world.hits('raycast', *through(occupied[0])))
     assert f'{len(occupied)} obstacles' in world.trigger('validate').message
     for x, y, z, size in free[::SPARSE]:
         half = size / 2 - 0.001
@@ -232,7 +232,7 @@ def test_willow_garage_map(start_node, shared_data):
     world.publish('map', grid, qos=latched)
     cells = np.loadtxt(folder / 'occupied_cells.csv', delimiter=',', skiprows=1)
     assert len(cells) == (values == 100).sum()
-    world.until(lambda: len(world.names('raycast', *above(cells[0]))) == 1)
+    world.until(lambda: world.hits('raycast', *above(cells[0])))
     for cell in cells[::4]:
         (name,) = world.names('raycast', *above(cell))
         assert name.startswith('floor#')

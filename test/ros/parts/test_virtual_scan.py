@@ -19,7 +19,7 @@ from bvh_ros.ros.config.part_settings import SCAN_OPTIONS, scan_settings
 from bvh_ros.ros.conversions import scans
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
 
-BOXES, TIMEOUT = 60, 30.0
+BOXES, TIMEOUT = 60, 60.0
 RNG = np.random.default_rng(3)
 CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
 SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))

@@ -82,7 +82,7 @@ def node(ros_context):
 def client(request, world, node):
     """A client, and what of the world it sees."""
     view = request.param == 'even'
-    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=30.0)
+    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=120.0)
     client.mask = 2 if view else 1
     return client
 
@@ -184,7 +184,7 @@ def test_paths(client, scene):
 
 
 def test_in_another_frame(world, scene, node):
-    client = BvhClient(node, world.name, timeout=30.0)
+    client = BvhClient(node, world.name, timeout=120.0)
     points = RNG.uniform(-8, 8, (50, 3))
     local, turns = FACING.inv().apply(points - PLACE), FACING.inv().as_quat()[None]
     near = answered(lambda: client.nearest_many(local, frame_id='lidar'))
@@ -261,7 +261,7 @@ def test_nearest_as_a_service(client, scene, world):
 
 def test_an_incomplete_world(start_node, node):
     world = start_node({'markers.required': True, 'footprint': [0.3]})
-    client = BvhClient(node, world.name, timeout=30.0)
+    client = BvhClient(node, world.name, timeout=120.0)
     for ask in (
         lambda: client.nearest([0, 0, 0]),
         lambda: client.nearest_many([[0, 0, 0]]),

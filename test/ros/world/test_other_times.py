@@ -263,7 +263,7 @@ def test_rays_with_times_meet_as_brute_force_says(clean):
 def test_the_client_asks_about_times(clean):
     from bvh_ros.client import BvhClient, BvhError
 
-    client = BvhClient(clean.node, clean.name, timeout=20.0)
+    client = BvhClient(clean.node, clean.name, timeout=60.0)
     client.wait_until_ready()
     now = time.time_ns()
     tell(clean, [[1, 10, 0, 0, -5, 0, 0]], now)
@@ -303,7 +303,7 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
     world = start_node({'markers': {'predict': 'none'}})
     world.markers(messages.marker(1, (5, 0, 0)))
     way = (0, 0, 0), (9, 0, 0)
-    world.until(lambda: world.names('raycast', *way))
+    world.until(lambda: world.hits('raycast', *way))
     for given in ({'at': 1}, {'until': 1}, {'at': 5, 'until': 1}, {'at': time.time_ns()}):
         for name in ('raycast', 'raycast_all', 'overlap'):
             (pose,) = ask(world, name, *way, **given)
@@ -311,7 +311,7 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
             assert when(pose) > SECOND
     from bvh_ros.client import BvhClient, BvhError
 
-    client = BvhClient(world.node, world.name, timeout=20.0)
+    client = BvhClient(world.node, world.name, timeout=60.0)
     client.wait_until_ready()
     with pytest.raises(BvhError, match='cannot answer'):
         client.raycast_many(np.zeros((1, 3)), np.ones((1, 3)), at=time.time_ns())

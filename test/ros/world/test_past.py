@@ -102,7 +102,7 @@ def keeping(start_node):
 @pytest.mark.slow
 def test_a_node_answers_about_its_past(keeping, messages):
     world, now = keeping, time.time_ns()
-    client = BvhClient(world.node, world.name, timeout=20.0)
+    client = BvhClient(world.node, world.name, timeout=60.0)
     client.wait_until_ready()
     world.trigger('clear')
     for tick in range(4):
