@@ -20,7 +20,12 @@ from bvh_ros import DynamicBVH
 SIDES = st.sampled_from([0.0, 0.1, 1 / 3, 1.0, 2.0, -0.3, -1.0, -2.5, 1e6, 1e-9])
 SPEEDS = st.sampled_from([0.0, 0.0, 1.0, -1.0, 1 / 3, 0.1, -2.0, 1e-9, 1e4])
 TIMES = st.sampled_from([0.0, 0.0, 1.0, -1.0, 0.1, 1 / 3, 2.5])
+CALM_SIDES = st.sampled_from([0.0, 0.1, 1 / 3, 1.0, 2.0, -0.3, -1.0, -2.5])
+CALM_SPEEDS = st.sampled_from([0.0, 1.0, -1.0, 1 / 3, 0.1, 2.0])
 PACES = st.sampled_from([0.0, 1.0, -1.0, 0.1, 1 / 3])
+
+
+FAN = 5
 
 
 class Told(NamedTuple):
@@ -35,11 +40,16 @@ class Told(NamedTuple):
 class VelocityMachine(RuleBasedStateMachine):
     """A tree, and beside it what it was told."""
 
-    @initialize(ndim=st.sampled_from([2, 3]), margin=st.sampled_from([0.0, 0.5]))
-    def begin(self, ndim: int, margin: float) -> None:
+    @initialize(
+        ndim=st.sampled_from([2, 3]), margin=st.sampled_from([0.0, 0.5]), calm=st.booleans()
+    )
+    def begin(self, ndim: int, margin: float, calm: bool) -> None:
         self.tree, self.told = DynamicBVH(ndim, margin=margin), dict[int, Told]()
+        self.calm = calm  # such that boxes can be swept
 
     def row(self, data: Any, values: Any) -> Floats:
+        if self.calm:
+            values = CALM_SIDES if values is SIDES else CALM_SPEEDS
         return np.array(data.draw(st.tuples(*[values] * self.tree.ndim)))
 
     def box(self, data: Any) -> tuple[Floats, Floats]:
@@ -117,6 +127,24 @@ class VelocityMachine(RuleBasedStateMachine):
         if not boxes:
             return []
         return ask(World(*map(np.array, zip(*boxes, strict=True))), *arguments)
+
+    @invariant()
+    def the_same_rays_meet_what_is_there_now(self) -> None:
+        """Again and again at the same times: what was swept for them before the last change says
+        nothing any more.
+        """
+        if not (self.calm and self.told):
+            return
+        ndim, handles = self.tree.ndim, np.array(sorted(self.told), np.int64)
+        origins = np.full((FAN, ndim), -3.0)
+        ways = np.linspace([0.25] * ndim, [1.75, *[1.0] * (ndim - 1)], FAN)
+        many = self.tree.raycast_many(
+            np.tile(origins, (16, 1)), np.tile(ways, (16, 1)), 4.0, at=0.5, pace=0.25
+        )
+        for row, (origin, way) in enumerate(zip(origins, ways, strict=True)):
+            exact = self.exact(meetings, Course(origin, origin, way, 0.5, 0.25))
+            first = [int(handles[hit.row]) for hit in seen(exact, handles, 4.0)][:1]
+            assert set(many.ids[row::FAN].tolist()) == set(first or [-1])
 
     @invariant()
     def velocities_are_kept(self) -> None:
