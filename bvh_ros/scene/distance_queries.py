@@ -11,14 +11,14 @@ from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours
+from .distance.nearness import NO_ORDER
 from .distance.query_rows import QueryRows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.shapes import Floats, Shapes
 from .moments import Moments
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
-from .store.places import boxes_at, ways_in_space
-from .store.registry import Slots
+from .store.places import growths, ways
 
 
 class DistanceQueries:
@@ -76,27 +76,12 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
-            given = np.full(1, limits[0]), np.full(1, limits[1]), np.empty(0, np.int64)
-            points = Points(where[None], *given)
-            return self._hits(*self._near(points, many, signed, at))
-        found, rows = self._nearness.find(where, many, limits, True if signed else None)
+            given = np.full(1, limits[0]), np.full(1, limits[1]), NO_ORDER
+            asked = Points(where[None], *given), min(many, max(len(self._held.tree), 1))
+            times, sign = self._moments.seconds(at, 1), sign_of(signed)
+            return self._held.hits(*self._moments.distances().find_near(*asked, sign, times))
+        found, rows = self._nearness.find(where, many, limits, sign_of(signed))
         return self._held.hits(found, rows)
-
-    def _near(self, points: Points, k: int, signed: bool, at: Any) -> tuple[Near, Slots]:
-        """What is nearest to points at a time each, and its slots."""
-        from .distance.timed import nearest_then  # no scene without velocities needs it
-
-        times = self._moments.seconds(at, len(points.points))
-        k = min(k, max(len(self._held.tree), 1))
-        return nearest_then(self._held, points, k, True if signed else None, times)
-
-    def _hits(self, near: Near, slots: Slots) -> list[SceneHit]:
-        """The first row of `_near`."""
-        told = zip(
-            *(slots[0].tolist(), near.distances[0].tolist(), near.points[0], near.normals[0]),
-            strict=True,
-        )
-        return [self._held.hit(slot, *rest) for slot, *rest in told if slot != NONE]
 
     def clearance(
         self, name: str, signed: bool = False, at: int | None = None
@@ -118,7 +103,7 @@ class DistanceQueries:
         slots, handles = [slot], self._held.columns.node_handle
         if self._held.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
-        sign: Signed = True if signed else None
+        sign: Signed = sign_of(signed)
         every = [
             self._other_then(place, sign, at)
             if timed
@@ -137,17 +122,17 @@ class DistanceQueries:
 
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
-        from .distance.timed import clearances_then  # no scene without velocities needs it
-
         times, columns, here = self._moments.seconds(at, 1), self._held.columns, np.full(1, slot)
-        records, bounds = columns.geometry[here], np.zeros((1, 2, 3))
-        records['position'] += ways_in_space(self._held, here, times)
-        sides = boxes_at(self._held, here, times)
-        for side, corner in enumerate(sides):
-            bounds[:, side, : corner.shape[1]] = corner
+        records, bounds, gone = columns.geometry[here], np.zeros((1, 2, 3)), np.zeros((1, 3))
+        ndim = self._held.tree.ndim
+        gone[:, :ndim] = ways(self._held, here, times)
+        records['position'] += gone
+        for side, corner in enumerate(self._held.tree.boxes(columns.tree_handle[here])):
+            bounds[:, side, :ndim] = corner + gone[:, :ndim]
         rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
-        asked = checks.FOREVER, columns.node_handle.item(slot), signed
-        return clearances_then(self._held, rows, columns.hulls(), asked, times)
+        (grown,) = growths(self._held, here, times, times)
+        asked = checks.FOREVER, columns.node_handle.item(slot), float(grown), signed
+        return self._moments.distances().clearances(rows, columns.hulls(), asked, times, 1)
 
     def nearest_many(
         self,
@@ -193,11 +178,12 @@ class DistanceQueries:
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         asked = Points(where, reaches, masks, self._nearness.order_of(where))
+        sign: Signed = sign_of(signed)
+        threads = checks.whole('threads', threads, 1)
         if self._moments.meant(at, None, count):
-            near, _ = self._near(asked, many, signed, at)
-            return _padded(near, many)
-        sign: Signed = True if signed else None
-        near = self._nearness.find_rows(asked, many, sign, checks.whole('threads', threads, 1))
+            times, k = self._moments.seconds(at, count), min(many, max(len(self._held.tree), 1))
+            return _padded(self._moments.distances().nearest(asked, k, sign, times, threads), many)
+        near = self._nearness.find_rows(asked, many, sign, threads)
         return near.handles, near.distances, near.points
 
     def clearance_many(
@@ -245,19 +231,22 @@ class DistanceQueries:
         rows, hulls = query_rows(shapes, 0.0, mask, self._held.planar)
         reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
         threads = checks.whole('threads', threads, 1)
-        asked: tuple[Floats, int, Signed] = reaches, NONE, True if signed else None
+        sign: Signed = sign_of(signed)
         if self._moments.meant(at, None, len(rows.records)):
-            from .distance.timed import clearances_then
-
-            times = self._moments.seconds(at, len(rows.records))
-            found = clearances_then(self._held, rows, hulls, asked, times)
+            times, more = self._moments.seconds(at, len(rows.records)), (reaches, NONE, 0.0, sign)
+            found = self._moments.distances().clearances(rows, hulls, more, times, threads)
         else:
-            found = self._clearances.find_rows(rows, hulls, asked, threads)
+            found = self._clearances.find_rows(rows, hulls, (reaches, NONE, sign), threads)
         handles = self._held.columns.node_handle
         near = found.slots != NONE
         named = np.full(len(near), NO_NODE, np.uint32)
         named[near] = handles[found.slots[near]]
         return named, found.distances, found.points[:, 0], found.points[:, 1]
+
+
+def sign_of(signed: bool) -> Signed:
+    """The same for kernels."""
+    return True if signed else None
 
 
 def _padded(near: Near, k: int) -> tuple[NDArray[np.uint32], Floats, Floats]:

@@ -2,18 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions about a scene whose obstacles have velocities, at a time or while it passes."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..tree import checks
 from ..tree.store.workers import in_threads
-from .casting.arguments import Rays, ways_of
+from .casting.arguments import Rays, every_row, row_by_row, ways_of
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
+
+if TYPE_CHECKING:
+    from .casting.seen import Times
+    from .distance.timed import TimedDistances
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 
@@ -23,6 +27,15 @@ class Moments:
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
+        self._distances: TimedDistances | None = None
+
+    def distances(self) -> 'TimedDistances':
+        """Overlaps and distances at other times."""
+        if self._distances is None:
+            from .distance.timed import TimedDistances  # no scene without velocities needs it
+
+            self._distances = TimedDistances(self._held)
+        return self._distances
 
     def meant(self, at: Any, until: Any, count: int) -> bool:
         """Whether it matters when: a time is asked for, and something moves. ValueError if these
@@ -32,9 +45,10 @@ class Moments:
             if until is not None:
                 raise ValueError('until needs at')
             return False
-        start = column('at', at, count, LAST_TIME, FIRST_TIME)
+        start = column('at', at, rows_needed(at, until, count), LAST_TIME, FIRST_TIME)
         if until is not None:
-            early = np.flatnonzero(column('until', until, count, LAST_TIME, FIRST_TIME) < start)
+            stop = column('until', until, len(start), LAST_TIME, FIRST_TIME)
+            early = np.flatnonzero(stop < start)
             if len(early):
                 raise ValueError(f'until must not be before at: row {early[0]} is')
         return self._held.moves
@@ -43,24 +57,35 @@ class Moments:
         """`at` as the tree has it, (count,)."""
         return self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
 
-    def _times(self, at: Any, until: Any, count: int) -> tuple[Floats, Floats]:
-        """(at, pace) in seconds."""
-        start = self.seconds(at, count)
+    def _times(self, at: Any, until: Any, count: int) -> 'Times':
+        """Times in seconds, one for all or (count,)."""
+        from .casting.seen import Times  # no scene without velocities needs it
+
+        rows = rows_needed(at, until, count)
+        start = self.seconds(at, rows)
         if until is None:
-            return start, np.zeros(count)
-        stop = self._held.seconds(column('until', until, count, LAST_TIME, FIRST_TIME))
-        return start, stop - start
+            return Times(start, np.zeros(rows))
+        stop = self._held.seconds(column('until', until, rows, LAST_TIME, FIRST_TIME))
+        return Times(start, stop - start)
+
+    def _tree_knows(self, rays: Rays, radii: Floats, times: 'Times') -> bool:
+        """Whether the tree alone decides: boxes and thin rays, while nobody rests or grows."""
+        held = self._held
+        if held.columns.shaped or held.uncertainty or radii.any():
+            return False
+        return not len(at_rest(held, times.last(rays.t_max)))
 
     def first(self, way: Way, mask: int, skip: bool, at: Any, until: Any) -> SceneHit | None:
         """What a ray, or ball, meets first."""
         held, (origin, direction, radius) = self._held, way
-        (start,), (pace,) = self._times(at, until, 1)
-        if radius > 0.0 or held.columns.shaped or len(at_rest(held, float(start + pace))):
+        (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
+        looks = held.columns.shaped or held.uncertainty or radius > 0.0
+        if looks or len(at_rest(held, start + pace)):
             hits = self.every(way, mask, skip, at, until)
             return hits[0] if hits else None
         ndim = held.tree.ndim
         flat = origin[:ndim], direction[:ndim]
-        hit = held.tree.raycast(*flat, 1.0, mask, skip, at=float(start), pace=float(pace))
+        hit = held.tree.raycast(*flat, 1.0, mask, skip, at=start, pace=pace)
         if hit is None:
             return None
         place = np.zeros((2, 3))
@@ -80,27 +105,31 @@ class Moments:
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
         return self._held.each_once(hits)
 
-    def _met(self, rays: Rays, radii: Floats, skip: bool, times: tuple[Floats, Floats]) -> Any:
+    def _met(self, rays: Rays, radii: Floats, skip: bool, times: 'Times') -> Any:
         from .casting.moving import cast_then  # no scene without velocities needs it
-        from .casting.seen import Times
 
-        return cast_then(self._held, rays, radii, bool(skip), Times(*times))
+        return cast_then(self._held, rays, radii, bool(skip), times)
 
     def first_of_many(
-        self, rays: Rays, radii: Floats, skip: bool, at: Any, until: Any, threads: int
+        self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
     ) -> CastHits:
-        """What n rays, or balls, meet first."""
-        count = len(rays.origins)
+        """What n rays, or balls, meet first; when = (at, until)."""
+        count, times = len(rays.origins), self._times(*when, len(rays.origins))
         ways_of(rays, radii)  # refuses balls without an end
+        if self._tree_knows(rays, radii, times):
+            from .casting.moving import first_boxes
+
+            return first_boxes(self._held, rays, skip, times, threads)
+        rays = row_by_row(rays)
         hits = CastHits(
             *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
             *(np.full((count, 3), np.nan), np.zeros((count, 3))),
         )
-        columns = *rays, radii, *self._times(at, until, count)
+        columns = *rays, *(every_row(one, count) for one in (radii, *times))
 
         def work(start: int, stop: int) -> None:
             *some, balls, begin, pace = (column[start:stop] for column in columns)
-            met = self._met(Rays(*some), balls, skip, (begin, pace))
+            met = self._met(Rays(*some), balls, skip, times._replace(at=begin, pace=pace))
             rows, first = np.unique(met.rows, return_index=True)
             rows += start
             hits.handles[rows] = self._held.columns.node_handle[met.slots[first]]
@@ -109,3 +138,8 @@ class Moments:
 
         in_threads(work, count, threads)
         return hits
+
+
+def rows_needed(at: Any, until: Any, count: int) -> int:
+    """How many rows say when: 1 where one time is for all."""
+    return 1 if type(at) is int and (until is None or type(until) is int) else count

@@ -13,7 +13,7 @@ from .distance import overlaps
 from .distance.query_rows import QueryRows, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
-from .geometry.shapes import BOX, Floats, Shapes, as_shapes
+from .geometry.shapes import BOX, Shapes, as_shapes
 from .moments import Moments
 from .results import NO_NODE, BoxHits, SceneHit, require_few
 from .store.obstacles import Obstacles
@@ -80,20 +80,14 @@ class OverlapQueries:
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        rows = QueryRows(
-            *(query.record, query.bounds[None], np.full(1, query.tolerance)),
-            np.full(1, checks.mask(mask)),
-        )
-        touched = self._touched(rows, hulls, np.full(1, query.height), at)
-        require_few(len(touched.pairs.rows), most)
-        found = touched.found._replace(slots=touched.pairs.slots)
-        return self._held.hits(found, list(range(len(found.slots))))
-
-    def _touched(self, rows: QueryRows, hulls: Any, heights: Floats, at: Any) -> Any:
-        from .distance.timed import touching_then  # no scene without velocities needs it
-
-        times = self._moments.seconds(at, len(heights))
-        return touching_then(self._held, rows, hulls, heights, times)
+        limits = np.full(1, query.tolerance), np.full(1, checks.mask(mask))
+        rows = QueryRows(query.record, query.bounds[None], *limits)
+        found, order = self._moments.distances().find(rows, hulls, self._moments.seconds(at, 1))
+        if self._held.planar:
+            found.points[: len(order), 2] = query.height
+        hits = self._held.each_once(self._held.hits(found, order))
+        require_few(len(hits), most)
+        return hits
 
     def overlap_shape(
         self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL, at: int | None = None
@@ -217,13 +211,14 @@ class OverlapQueries:
         rows, hulls = query_rows(shapes, *limits, self._held.planar)
         threads, count = checks.whole('threads', threads, 1), len(rows.records)
         if self._moments.meant(at, None, count):
-            heights = np.ascontiguousarray(rows.records['position'][:, 2])
-            return self._told(self._touched(rows, hulls, heights, at), count, want)
+            times = self._moments.seconds(at, count)
+            touched = self._moments.distances().touching(rows, hulls, times, threads)
+            return self._told(touched, count, want)
         return self._overlaps.answer(rows, hulls, WANTED[want], threads)
 
     def _told(self, touched: Any, count: int, want: str) -> Any:
         """What is wanted of the obstacles that touch each row."""
-        rows, handles = touched.pairs.rows, self._held.columns.node_handle[touched.pairs.slots]
+        rows, handles = touched.rows, self._held.columns.node_handle[touched.slots]
         handles = handles.astype(np.uint32)
         counts = np.bincount(rows, minlength=count).astype(np.int64)
         offsets = np.concatenate(([0], np.cumsum(counts)))
@@ -235,8 +230,8 @@ class OverlapQueries:
         if want == 'first':
             return first
         distances, points = np.full(count, np.inf), np.full((count, 3), np.nan)
-        distances[met] = touched.found.distances[offsets[met]]
-        points[met] = touched.found.points[offsets[met]]
+        distances[met] = touched.distances[offsets[met]]
+        points[met] = touched.points[offsets[met]]
         return BoxHits(first, counts, distances, points)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..tree.store.workers import in_threads
 from .casting import box_casting, casting, sweeping
-from .casting.arguments import WHOLE_WAY, Found, Rays, every_row, row_by_row, ways_of
+from .casting.arguments import WHOLE_WAY, Found, Rays, row_by_row, ways_of
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
@@ -29,8 +29,8 @@ class RayBatches:
         """First hits of rays, or of balls that go along them; times = (at, until)."""
         count = len(rays.origins)
         if self._moments.meant(*times, count):
-            radii = every_row(np.zeros(1) if radii is None else radii, count)
-            return self._moments.first_of_many(row_by_row(rays), radii, skip, *times, threads)
+            radii = np.zeros(1) if radii is None else radii
+            return self._moments.first_of_many(rays, radii, skip, times, threads)
         thick = 0 if radii is None else np.count_nonzero(radii)
         if radii is None or not thick:
             return self._thin(rays, skip, threads)

@@ -48,6 +48,11 @@ class Scene:
         obstacles whose bounds touch it are kept: one that leaves it is removed.
     max_prediction : float
         Who has a velocity moves on for so many seconds after its stamp, and then stays there.
+    uncertainty : float
+        Who has a velocity other than zero is, at another time than its stamp, so much larger all
+        round (m) for each second between. Rays and sweeps meet it as large as it is at the end of
+        their way, rounded corners and all: sooner than it may be there, never later. Its points
+        and distances are those of what has grown.
 
     Examples
     --------
@@ -73,9 +78,13 @@ class Scene:
         meshes: bool = False,
         region: tuple[ArrayLike, ArrayLike] | None = None,
         max_prediction: float = math.inf,
+        uncertainty: float = 0.0,
     ) -> None:
         held = Obstacles(bool(planar), margin, meshes, max_obstacles)
         held.max_prediction = checks.limit('max_prediction', max_prediction)
+        held.uncertainty = checks.limit('uncertainty', uncertainty)
+        if math.isinf(held.uncertainty):
+            raise ValueError('uncertainty must be finite')
         self._begin(held, Updates(held, categorise, as_region(region, 2 if planar else 3)))
 
     def _begin(self, held: Obstacles, updates: Updates) -> None:

@@ -5,6 +5,9 @@
 Seen from an obstacle that moves on a straight line, a ray is another ray. So the tree says whose
 boxes may be met, and each of these obstacles is asked by the ray that it sees. Among axis-aligned
 boxes thin rays are decided by the tree alone, as real arithmetic does.
+
+Who grows, see `store.places`, is met by a ball that is as much larger, as he has grown at the end
+of its way: too early rather than too late.
 """
 
 from typing import Any
@@ -13,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.motion.casting import Casts
-from ...tree.rays.raycasting import EVERY
+from ...tree.rays.raycasting import CLOSEST, EVERY
 from ...tree.rays.slab import INSIDE
 from ..geometry.shapes import Floats, along_axes
+from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, motions
+from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Rays
 from .frame import COORDINATES, FRAME_SLACK
@@ -27,12 +31,15 @@ from .seen import Met, Times, meet_pairs
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
     """All that rays, or balls, meet; `rays` as Scene.raycast_many has them."""
     ndim, count = held.tree.ndim, len(rays.origins)
+    if held.uncertainty and np.isinf(rays.t_max).any():
+        row = np.flatnonzero(np.isinf(rays.t_max))[0]
+        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
     flat = rays._replace(
         origins=along_axes(rays.origins, ndim), directions=along_axes(rays.directions, ndim)
     )
     thin = radii == 0.0
     parts = [_plain(held, flat, np.flatnonzero(thin), skip, times)]
-    if held.columns.shaped or not thin.all():
+    if held.columns.shaped or held.uncertainty or not thin.all():
         parts.append(_shaped(held, flat, radii, skip, times))
     still = at_rest(held, times.last(rays.t_max))
     if len(still):
@@ -47,6 +54,24 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     first = len(parts[0].rows)
     _keep_exact_order(order, first)
     return met.take(order) if count else met
+
+
+def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: int) -> CastHits:
+    """First hits of thin rays where the tree alone decides."""
+    tree, count, ndim = held.tree, len(rays.origins), held.tree.ndim
+    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
+    asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
+    when: Any = (column.item() if len(column) == 1 else column for column in times)
+    found = motion.first_many(tree, asked, skip, CLOSEST, tuple(when), threads)
+    rows, slots, places = motion.places(tree, (*asked, skip), times, found)
+    hits = CastHits(
+        *(np.full(count, NO_NODE, np.uint32), found.t),
+        *(np.full((count, 3), np.nan), np.zeros((count, 3))),
+    )
+    hits.handles[rows] = held.columns.node_handle[slots]
+    hits.points[rows, 2] = rays.origins[rows, 2] if ndim == 2 else 0.0
+    hits.points[rows, :ndim], hits.normals[rows, :ndim] = places
+    return hits
 
 
 def _motion_of(held: Obstacles) -> Any:
@@ -67,10 +92,12 @@ def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, tim
     casts = Casts(some.origins, some.origins, some.directions, *asked)
     offsets, handles, found, places = _motion_of(held).every(held.tree, casts)
     slots = held.tree.slots(handles)
-    plain = np.flatnonzero(~held.columns.geometry['shaped'][slots])
+    of = np.repeat(rows, np.diff(offsets))
+    ends = times.ends(rays.t_max)
+    grown = growths(held, slots, times.at[of], ends[of])
+    plain = np.flatnonzero(~held.columns.geometry['shaped'][slots] & (grown == 0.0))
     points, normals = (np.zeros((len(slots), 3)) for _ in range(2))
     points[:, : held.tree.ndim], normals[:, : held.tree.ndim] = places
-    of = np.repeat(rows, np.diff(offsets))
     return Met(of, slots, found.ts, points, normals).take(plain)
 
 
@@ -78,12 +105,15 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
     """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
     largest = np.abs(rays.origins).max(axis=1, initial=0.0)
     more = radii * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
+    ends = times.ends(rays.t_max)
+    more = more + most_growth(held, times.at, ends)
     lo, hi = rays.origins - more[:, None], rays.origins + more[:, None]
     casts = Casts(lo, hi, rays.directions, rays.t_max, rays.masks, *times, False, EVERY)
     offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
     slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(lo)), np.diff(offsets))
-    wanted = held.columns.geometry['shaped'][slots] | (radii[rows] > 0.0)
-    slots, rows = slots[wanted], rows[wanted]
+    grown = growths(held, slots, times.at[rows], ends[rows])
+    wanted = held.columns.geometry['shaped'][slots] | (radii[rows] + grown > 0.0)
+    slots, rows, grown = slots[wanted], rows[wanted], grown[wanted]
     velocities, references = motions(held, slots)
     since = times.at[rows] - references
     seen = Rays(
@@ -92,10 +122,11 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
         rays.t_max[rows],
         rays.masks[rows],
     )
-    found = meet_pairs(held, seen, slots, radii[rows])
+    found = meet_pairs(held, seen, slots, radii[rows] + grown)
     hits = found.hits
     met = hits.ts < np.inf
     then = since + np.where(met, hits.ts, 0.0) * times.pace[rows]
     found.points[:, : held.tree.ndim] += velocities * then[:, None]
+    found.points[:] += found.normals * grown[:, None]
     kept = met & ~(skip & (hits.features == INSIDE))
     return Met(rows, slots, hits.ts, found.points, found.normals).take(np.flatnonzero(kept))

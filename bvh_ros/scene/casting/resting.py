@@ -11,7 +11,7 @@ import numpy as np
 from ...tree.rays.slab import INSIDE
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
-from ..store.places import motions, seen
+from ..store.places import growths, motions, seen
 from ..store.registry import Slots
 from .arguments import Rays
 from .seen import Met, Times, meet_pairs
@@ -39,8 +39,10 @@ def _of_pairs(
 ) -> Met:
     rows, slots = (column[seen(held, pairs[1], rays.masks[pairs[0]])] for column in pairs)
     velocities, references = motions(held, slots)
-    some, balls = Rays(*(column[rows] for column in rays)), radii[rows]
+    some = Rays(*(column[rows] for column in rays))
     at, pace, left = times.at[rows], times.pace[rows], held.max_prediction
+    grown = growths(held, slots, at, Times(at, pace).ends(some.t_max))
+    balls = radii[rows] + grown
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         stop = (references + left - at) / pace
     stop = np.where(pace > 0.0, stop, np.where(references + left >= at, np.inf, 0.0))
@@ -63,6 +65,7 @@ def _of_pairs(
     points = np.where(early[:, None], first.points, second.points)
     points[:, : held.tree.ndim] += velocities * gone[:, None]
     normals = np.where(early[:, None], first.normals, second.normals)
+    points += normals * grown[:, None]
     inside = early & (first.hits.features == INSIDE)
     inside |= late & (stop == 0.0) & (second.hits.features == INSIDE)
     kept = np.flatnonzero((early | late) & ~(skip & inside))

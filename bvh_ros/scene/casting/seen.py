@@ -38,11 +38,14 @@ class Times(NamedTuple):
     at: Floats
     pace: Floats
 
+    def ends(self, t_max: Floats) -> Floats:
+        """When rays end, s; inf where they never do."""
+        with np.errstate(over='ignore', invalid='ignore'):
+            return np.where(self.pace > 0.0, self.at + self.pace * t_max, self.at)
+
     def last(self, t_max: Floats) -> float:
         """When the last ray ends."""
-        with np.errstate(over='ignore', invalid='ignore'):
-            ends = np.where(self.pace > 0.0, self.at + self.pace * t_max, self.at)
-        return float(ends.max(initial=-np.inf))
+        return float(self.ends(t_max).max(initial=-np.inf))
 
 
 @lean_kernel

@@ -158,6 +158,19 @@ def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
 
 
 @lean_kernel
+def apart(one, other, bodies, signed, points):
+    """Distance of a shape from an obstacle; minus the depth, if it is `signed`."""
+    planar = bodies.footprints is not None
+    if one.shaped or other.shaped:
+        distance = gap(one, bodies.query_hulls, other, bodies.hulls, planar, points)
+    else:
+        distance = box_gap(one, other, 2 if planar else 3, points)
+    if signed is not None:
+        distance = sink_shape(one, other, bodies, distance, points)
+    return distance
+
+
+@lean_kernel
 def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
     reach, besides = asked
@@ -167,13 +180,7 @@ def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
         slot, best = slots[i], told.slots[row]
         if node_handles[slot] == besides:
             continue
-        other = bodies.shapes[slot]
-        if one.shaped or other.shaped:
-            distance = gap(one, bodies.query_hulls, other, bodies.hulls, planar, points)
-        else:
-            distance = box_gap(one, other, 2 if planar else 3, points)
-        if signed is not None:
-            distance = sink_shape(one, other, bodies, distance, points)
+        distance = apart(one, bodies.shapes[slot], bodies, signed, points)
         if distance > reach or distance > told.distances[row]:
             continue
         tied = distance == told.distances[row] and best != NONE

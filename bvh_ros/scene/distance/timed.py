@@ -1,271 +1,226 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlaps and distances at a time, among obstacles that have velocities.
-
-The tree says whose boxes are there at the time, as real arithmetic does; who is more than an
-axis-aligned box, or is asked by more than one, is then compared where it stands. Scenes without
-velocities need none of this.
+"""Overlaps and distances at a time, among obstacles that have velocities: how `moving` is called.
+Scenes without velocities need none of this.
 """
 
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.rays.raycasting import of_row
-from ..geometry.shapes import Floats, along_axes
-from ..results import NO_NODE
+from ...tree.jit.compiling import entry_point
+from ...tree.motion.queries import rows_of
+from ...tree.rays.raycasting import room_for_hits
+from ...tree.store.workers import in_threads
+from ..geometry.footprint import FOOTPRINT
+from ..geometry.records import GEOMETRY
+from ..geometry.shapes import Floats
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
-from ..store.places import NOBODY, at_rest, boxes_at, seen, ways_in_space
+from ..store.places import at_rest, movers
 from ..store.registry import Slots
-from . import clearance
 from .clearance import Neighbours
-from .narrow_phase import near
+from .moving import Room, Then, touch_rows
+from .moving_neighbours import clear_rows, near_rows
 from .query_rows import QueryRows
-from .query_shape import LARGEST
-from .sinking import sink_in_obstacle
-from .touching import ROUNDED, Bodies, Found, look_at
+from .touching import Found
 from .touching_rows import Near, Points, Signed, bodies_of
 
-MORE = 4
-PAIRS = 1 << 17  # that are looked at in one go
-
-
-class Pairs(NamedTuple):
-    """Rows of queries, and obstacles that each may concern."""
-
-    rows: NDArray[np.int64]
-    slots: Slots
-
-    def take(self, which: NDArray[Any]) -> 'Pairs':
-        """Some of them."""
-        return Pairs(self.rows[which], self.slots[which])
+FEW = 64  # obstacles that there is room for at first
 
 
 class Touched(NamedTuple):
     """What n queries touch, by row and in the order in which it is told."""
 
-    pairs: Pairs
-    found: Found
+    rows: NDArray[np.int64]
+    slots: Slots
+    distances: Floats
+    points: Floats
 
 
-@lean_kernel
-def touch_pairs(bodies, queries, rows, touches, found):
-    """Fill in which pairs touch, those besides that `touches` is sure of, and how each lies to the
-    centre of its query.
-    """
-    planar = bodies.footprints is not None
-    for i in range(rows.shape[0]):
-        solid, shape = queries.records[rows[i]], bodies.shapes[i]
-        found.slots[i] = i
-        if not touches[i]:
-            reach = of_row(queries.tolerances, rows[i])
-            touches[i], _ = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
-        if touches[i]:
-            look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, i)
+_NONE = np.empty(0, np.int64)
+NOTHING = Touched(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
 
 
-@lean_kernel
-def lie_pairs(bodies, points, rows, signed, found):
-    """Fill in how the obstacles of pairs lie to their points."""
-    for i in range(rows.shape[0]):
-        point, shape = points[rows[i]], bodies.shapes[i]
-        found.slots[i], found.points[i, 2] = i, point[2]
-        look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
-        if signed is not None:
-            sink_in_obstacle(shape, bodies, point, found, i)
+class Scratch(threading.local):
+    """What a thread's kernels write to; the room for it is kept."""
+
+    def __init__(self) -> None:
+        self.make_room(FEW)
+
+    def make_room(self, count: int) -> None:
+        """Have room for at least so many."""
+        rows = 2 * count
+        self.met = room_for_hits(rows)
+        self.handles, self.gaps = np.empty(rows, np.int64), np.empty(rows)
+        self.found = Found(
+            *(np.empty(rows, np.int64), np.empty(rows), np.zeros((rows, 3)), np.zeros((rows, 3))),
+            *(np.empty(0, np.bool_), np.empty(0), np.empty(rows, np.int64)),
+        )
+        self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
+
+    def have_room(self, count: int) -> None:
+        """`make_room` if there is less."""
+        if count > len(self.gaps):
+            self.make_room(count)
 
 
-def touching_then(
-    held: Obstacles, queries: QueryRows, hulls: Hulls | None, heights: Floats, at: Floats
-) -> Touched:
-    """What n query shapes touch at times (n,), each obstacle once a row, nearest to the centre
-    first, ties by node handle. In a planar scene points are at the `heights`.
-    """
-    reach = np.broadcast_to(queries.tolerances, len(at))[:, None]
-    lo, hi = (along_axes(np.ascontiguousarray(c), held.tree.ndim) for c in _sides(queries.bounds))
-    with np.errstate(over='ignore'):
-        lower, upper = np.nextafter(lo - reach, -np.inf), np.nextafter(hi + reach, np.inf)
-    lo = np.where(reach > 0.0, np.maximum(lower, -LARGEST), lo)
-    hi = np.where(reach > 0.0, np.minimum(upper, LARGEST), hi)
-    masks = np.broadcast_to(queries.masks, len(at))
-    offsets, handles = held.tree.overlap_many(lo, hi, np.ascontiguousarray(masks), at=at)
-    rows = np.repeat(np.arange(len(at)), np.diff(offsets))
-    still = at_rest(held, at.max(initial=-np.inf))
-    pairs = _with_resting(
-        Pairs(rows, held.tree.slots(handles)), still, (lo, hi), masks, (held, at)
-    )
-    found = room(len(pairs.rows))
-    sure = ~(held.columns.geometry['shaped'][pairs.slots] | queries.records['shaped'][pairs.rows])
-    sure &= reach[pairs.rows, 0] == 0.0
-    bodies = _placed(held, pairs, at, hulls)
-    touch_pairs(bodies, queries, pairs.rows, sure, found)
-    held.columns.pairs_compared += len(sure)
-    if held.planar:
-        found.points[:, 2] = heights[pairs.rows]
-    return _in_order(held, pairs, found, np.flatnonzero(sure))
+class TimedDistances:
+    """Overlaps and distances of one scene at other times."""
+
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
+        self._scratch = Scratch()
+        self._entries: dict[tuple[Any, ...], Any] = {}
+
+    # ---- one query: what is known until the next one of this thread, and its rows, in order
+
+    def find(self, query: QueryRows, hulls: Hulls | None, at: Floats) -> tuple[Found, list[int]]:
+        """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
+        then, offsets, done = self._then(at, hulls), np.zeros(2, np.int64), 0
+        while not done:
+            found = self._scratch.found
+            given = query, 0, offsets, self._room(then), found
+            done, wanted, compared = self._call(touch_rows, then, given, None)
+            self._scratch.have_room(wanted)
+        self._held.columns.pairs_compared += compared
+        return found, found.order[: offsets.item(1)].tolist()
+
+    def find_near(
+        self, point: Points, k: int, signed: Signed, at: Floats
+    ) -> tuple[Found, list[int]]:
+        """What is nearest to a point at a time, as `nearness.Nearness.find` has it."""
+        then, told, done, held = self._then(at, None), _no_rows(1, k), 0, self._held
+        while not done:
+            found = self._scratch.found
+            asked = 0, 1, k, len(held.tree), held.columns.shadows > 0, signed
+            given = point, asked, self._room(then), found, told
+            done, wanted, count = self._call(near_rows, then, given, signed)
+            self._scratch.have_room(wanted)
+        reach, distances = point.reaches.item(0), found.distances[:count].tolist()
+        order = [row for row in found.order[:count].tolist() if distances[row] <= reach]
+        if held.columns.shadows:
+            handles = held.columns.node_handle[found.slots[order]]
+            first = np.sort(np.unique(handles, return_index=True)[1])
+            order = [order[place] for place in first]
+        return found, order[:k]
+
+    # ---- batches
+
+    def touching(
+        self, queries: QueryRows, hulls: Hulls | None, at: Floats, threads: int
+    ) -> Touched:
+        """What n queries touch at times (n,), each obstacle once a row."""
+        then, columns = self._then(at, hulls), self._held.columns
+
+        def work(start: int, stop: int) -> tuple[list[Touched], int]:
+            some = rows_of(queries, len(at), slice(start, stop))
+            when, begin, compared = then._replace(at=at[start:stop]), 0, 0
+            parts = [NOTHING]
+            while begin < stop - start:
+                offsets, found = np.zeros(stop - start + 1, np.int64), self._scratch.found
+                given = some, begin, offsets, self._room(then), found
+                done, wanted, pairs = self._call(touch_rows, when, given, None)
+                parts.append(_taken(found, offsets, begin, done, start))
+                begin, compared = done, compared + pairs
+                self._scratch.have_room(wanted)
+            return parts, compared
+
+        each = in_threads(work, len(at), threads)
+        columns.pairs_compared += sum(compared for _, compared in each)
+        parts = [NOTHING, *(part for some, _ in each for part in some)]
+        every: Any = zip(*parts, strict=True)
+        touched = Touched(*(np.concatenate(column) for column in every))
+        if columns.shadows:
+            keys = np.stack((touched.rows, columns.node_handle[touched.slots]))
+            once = np.sort(np.unique(keys, axis=1, return_index=True)[1])
+            every = (column[once] for column in touched)
+            touched = Touched(*every)
+        return touched
+
+    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Near:
+        """The k obstacles nearest to n points at times (n,)."""
+        then, told, held = self._then(at, None), _no_rows(len(at), k), self._held
+
+        def work(start: int, stop: int) -> None:
+            while start < stop:
+                asked = start, stop, k, len(held.tree), held.columns.shadows > 0, signed
+                given = points, asked, self._room(then), self._scratch.found, told
+                start, wanted, _ = self._call(near_rows, then, given, signed)
+                self._scratch.have_room(wanted)
+
+        in_threads(work, len(at), threads)
+        return told
+
+    def clearances(
+        self,
+        queries: QueryRows,
+        hulls: Hulls | None,
+        asked: tuple[Floats, int, float, Signed],
+        at: Floats,
+        threads: int,
+    ) -> Neighbours:
+        """The obstacles nearest to n shapes at times (n,); asked = (reaches, the node handle that
+        is not looked at, by how much the shapes have grown, whether distances have a sign).
+        """
+        reaches, besides, grown, signed = asked
+        count, then = len(at), self._then(at, hulls)
+        told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
+
+        def work(start: int, stop: int) -> None:
+            while start < stop:
+                question = start, stop, reaches, len(self._held.tree), besides, grown, signed
+                given = queries, question, self._room(then), told
+                start, wanted = self._call(clear_rows, then, given, signed)
+                self._scratch.have_room(wanted)
+
+        in_threads(work, count, threads)
+        return told
+
+    # ---- kernels
+
+    def _then(self, at: Floats, hulls: Hulls | None) -> Then:
+        held = self._held
+        still, ends = at_rest(held, at.max(initial=-np.inf)), (0.0, 0.0)
+        if held.uncertainty:
+            ends = movers(held)[1:3]
+        places = bodies_of(held.columns, hulls), held.columns.node_handle
+        return Then(*places, at, held.max_prediction, held.uncertainty, *ends, still)
+
+    def _room(self, then: Then) -> Room:
+        scratch, planar = self._scratch, then.bodies.footprints is not None
+        footprint = scratch.footprint if planar else None
+        spare = then.bodies._replace(shapes=scratch.shape, footprints=footprint)
+        return Room(scratch.met, scratch.handles, scratch.gaps, spare)
+
+    def _call(self, kernel: Any, then: Then, given: tuple[Any, ...], signed: Signed) -> Any:
+        tree, motion = self._held.tree, self._held.tree.motion
+        variant = kernel, signed, then.bodies.hulls is not None
+        if motion is None:
+            raise RuntimeError('no obstacle of this scene has a velocity')
+        entry = self._entries.get(variant)
+        if entry is None:
+            entry = entry_point(kernel, tree.view().tree, motion.moving, then, *given)
+            self._entries[variant] = entry
+        done = entry(tree.view().tree, motion.moving, then, *given)
+        if done[0] >= 0:
+            return done
+        span = (then.at.min(), then.at.max()), True
+        return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
 
 
-def nearest_then(
-    held: Obstacles, asked: Points, k: int, signed: Signed, at: Floats
-) -> tuple[Near, Slots]:
-    """The k obstacles nearest to n points at times (n,), and their slots (n, k)."""
-    count = len(at)
-    near_by = Near(
-        *(np.full((count, k), NO_NODE, np.uint32), np.full((count, k), np.inf)),
-        *(np.full((count, k, 3), np.nan), np.zeros((count, k, 3))),
-    )
-    slots = np.full((count, k), -1, np.int64)
-    still, everybody = at_rest(held, at.max(initial=-np.inf)), len(held.tree)
-    wanted, left = min(k + MORE, everybody + 1), np.arange(count)
-    while len(left):
-        step = max(PAIRS // (wanted + len(still)), 1)
-        open_rows = []
-        for begin in range(0, len(left), step):
-            rows = left[begin : begin + step]
-            settled = _look(held, asked, (k, wanted, signed), (rows, at, still), (near_by, slots))
-            open_rows.append(rows[~settled])
-        left, wanted = np.concatenate(open_rows), min(wanted * 4, everybody + 1)
-    return near_by, slots
-
-
-def _look(
-    held: Obstacles,
-    asked: Points,
-    want: tuple[int, int, Signed],
-    when: tuple[Slots, Floats, Slots],
-    told: tuple[Near, Slots],
-) -> NDArray[np.bool_]:
-    """Ask the tree for some boxes nearest to some points; fill in their rows, and return which of
-    them are settled: no other box can be nearer.
-    """
-    (k, wanted, signed), (rows, at, still) = want, when
-    points = asked.points[rows]
-    reaches = np.broadcast_to(asked.reaches, len(asked.points))[rows]
-    masks = np.broadcast_to(asked.masks, len(asked.points))[rows]
-    limits = np.maximum(reaches * ROUNDED, reaches)
-    flat = along_axes(points, held.tree.ndim)
-    ids, gaps = held.tree.nearest_many(flat, wanted, limits, masks, at=at[rows])
-    known = ids.ravel() >= 0
-    pairs = Pairs(
-        np.repeat(np.arange(len(rows)), wanted)[known], held.tree.slots(ids.ravel()[known])
-    )
-    pairs = _with_resting(pairs, still, None, masks, (held, at[rows]))
-    found = room(len(pairs.rows))
-    lie_pairs(_placed(held, pairs, at[rows], None), points, pairs.rows, signed, found)
-    close = np.flatnonzero(found.distances <= reaches[pairs.rows])
-    kept, found = _in_order(held, pairs, found, close)
-    first = np.searchsorted(kept.rows, np.arange(len(rows)))
-    place = np.arange(len(kept.rows)) - first[kept.rows]
-    some = place < k
-    target = rows[kept.rows[some]], place[some]
-    near_by, slots = told
-    near_by.handles[target] = held.columns.node_handle[kept.slots[some]]
-    near_by.distances[target], near_by.points[target] = found.distances[some], found.points[some]
-    near_by.normals[target], slots[target] = found.normals[some], kept.slots[some]
-    farthest = np.maximum(near_by.distances[rows, k - 1], 0.0)
-    return np.asarray((ids[:, -1] < 0) | (gaps[:, -1] > farthest * ROUNDED))
-
-
-def clearances_then(
-    held: Obstacles,
-    queries: QueryRows,
-    hulls: Hulls | None,
-    asked: tuple[Floats, int, Signed],
-    at: Floats,
-) -> Neighbours:
-    """The obstacles nearest to n shapes at times (n,); asked as in `clearance.find_rows`."""
-    reaches, besides, signed = asked
-    count, ndim, everybody = len(at), held.tree.ndim, len(held.tree)
-    told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
-    still = at_rest(held, at.max(initial=-np.inf))
-    lows, highs = (along_axes(side, ndim) for side in _sides(queries.bounds))
-    for row in range(count):
-        reach = reaches.item(row if len(reaches) > 1 else 0)
-        limit, wanted, mask = max(reach * clearance.ROUNDED, reach), 2, queries.mask(row)
-        while True:
-            wanted = min(wanted, everybody + 1)
-            ids, gaps = held.tree.nearest(
-                np.stack((lows[row], highs[row])), wanted, limit, int(mask), at=float(at[row])
-            )
-            pairs = Pairs(np.zeros(len(ids), np.int64), held.tree.slots(ids))
-            pairs = _with_resting(pairs, still, None, np.full(1, mask), (held, at[row : row + 1]))
-            told.slots[row], told.distances[row], told.points[row] = -1, np.inf, np.nan
-            clearance.look_at(
-                _placed(held, pairs, at[row : row + 1], hulls),
-                *(queries, row, (reach, besides), signed),
-                *(held.columns.node_handle[pairs.slots], np.arange(len(pairs.slots)), told),
-            )
-            distance = max(told.distances.item(row), 0.0)
-            if len(ids) < wanted or gaps[-1] > distance * clearance.ROUNDED:
-                break
-            wanted *= MORE
-        if told.slots[row] >= 0:
-            told.slots[row] = pairs.slots[told.slots[row]]
-    return told
-
-
-def _sides(bounds: Floats) -> tuple[Floats, Floats]:
-    return np.ascontiguousarray(bounds[:, 0]), np.ascontiguousarray(bounds[:, 1])
-
-
-def room(count: int) -> Found:
-    """For what is found of so many pairs."""
-    return Found(
-        *(np.empty(count, np.int64), np.empty(count), np.zeros((count, 3)), np.zeros((count, 3))),
-        *(np.empty(0, np.bool_), np.empty(0), np.empty(0, np.int64)),
-    )
-
-
-def _with_resting(
-    pairs: Pairs,
-    still: Slots,
-    boxes: tuple[Floats, Floats] | None,
-    masks: NDArray[np.uint32],
-    when: tuple[Obstacles, Floats],
-) -> Pairs:
-    """Pairs with those that are at rest by then where these rest, not where the tree has them; if
-    `boxes` (lo, hi) are given, those that touch them.
-    """
-    if not len(still):
-        return pairs
-    held, at = when
-    resting = np.zeros(len(held.columns.tree_handle), np.bool_)
-    resting[still] = True
-    rows, slots = [], []
-    for row in range(len(at)):
-        some = still[seen(held, still, masks[row])]
-        if boxes is not None:
-            lo, hi = boxes_at(held, some, np.full(len(some), at[row]))
-            some = some[((lo <= boxes[1][row]) & (hi >= boxes[0][row])).all(axis=1)]
-        rows.append(np.full(len(some), row))
-        slots.append(some)
-    pairs = pairs.take(~resting[pairs.slots])
-    return Pairs(
-        np.concatenate((pairs.rows, *rows, NOBODY)), np.concatenate((pairs.slots, *slots, NOBODY))
+def _no_rows(count: int, k: int) -> Near:
+    return Near(
+        *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
+        np.empty((count, k, 3)),
     )
 
 
-def _placed(held: Obstacles, pairs: Pairs, at: Floats, hulls: Hulls | None) -> Bodies:
-    """The obstacles of pairs, where they are at the times (n,) of their rows."""
-    columns, gone = held.columns, ways_in_space(held, pairs.slots, at[pairs.rows])
-    bodies = bodies_of(columns, hulls)
-    shapes, footprints = columns.geometry[pairs.slots], None
-    shapes['position'] += gone
-    if columns.footprint is not None:
-        footprints = columns.footprint[pairs.slots]
-        footprints['centre'] += gone[:, :2]
-    return bodies._replace(shapes=shapes, footprints=footprints)
-
-
-def _in_order(held: Obstacles, pairs: Pairs, found: Found, some: NDArray[np.int64]) -> Touched:
-    """Some of the pairs by row, distance and node handle; each obstacle once a row."""
-    handles = held.columns.node_handle[pairs.slots[some]]
-    some = some[np.lexsort((handles, found.distances[some], pairs.rows[some]))]
-    if held.columns.shadows:
-        keys = np.stack((pairs.rows[some], held.columns.node_handle[pairs.slots[some]]))
-        some = some[np.sort(np.unique(keys, axis=1, return_index=True)[1])]
-    columns: Any = (c[some] if len(c) else c for c in found)
-    return Touched(pairs.take(some), Found(*columns))
+def _taken(found: Found, offsets: Slots, begin: int, done: int, start: int) -> Touched:
+    """What a kernel found of the rows from `begin` on, in order; rows count from `start`."""
+    counts, filled = np.diff(offsets[begin : done + 1]), offsets.item(done)
+    which = found.order[:filled] + np.repeat(offsets[begin:done], counts)
+    rows = np.repeat(np.arange(start + begin, start + done), counts)
+    return Touched(rows, found.slots[which], found.distances[which], found.points[which])

@@ -73,8 +73,10 @@ class Obstacles:
         """Time 0 of the tree, ns."""
         self.max_prediction = np.inf
         """Nobody moves on for longer than so many seconds after the last update, see places."""
-        self.first_rest = -1, np.inf
-        """In this version of the tree, when the first one is at rest again, s."""
+        self.uncertainty = 0.0
+        """Those that move grow by so much all round, m/s, since their last update."""
+        self.movers: Any = None
+        """`places.Movers`, once somebody asks."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""
@@ -192,6 +194,8 @@ class Obstacles:
         """Times in ns as the tree has them: since the first velocity was told, so that no digit of
         the nanoseconds is lost in 100 days.
         """
+        if len(stamps) == 1:  # the same numbers in a quarter of the time
+            return np.full(1, np.longdouble(stamps.item() - self.epoch) / 10**9, np.float64)
         since = stamps.astype(np.longdouble) - np.longdouble(self.epoch)
         return np.asarray(since / 10**9, np.float64)
 

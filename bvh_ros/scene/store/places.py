@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where obstacles are at other times than that of their last update.
 
-They go on as they were told, for `max_prediction` seconds, and then stay where they are.
+They go on as they were told, for `max_prediction` seconds, and then stay where they are. Nobody
+knows that for sure: by `uncertainty`, m/s, those that move grow all round while time goes by.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +16,38 @@ from .obstacles import Obstacles
 from .registry import Slots
 
 NOBODY = np.empty(0, np.int64)
+WIDER = 1.0 + 2.0**-40  # no computed distance is off by as much
+
+
+class Movers(NamedTuple):
+    """Those that have a velocity, in one version of the tree."""
+
+    version: int
+    earliest: float
+    latest: float
+    """When the first and the last of them were told, s."""
+    ends: Floats
+    """When they come to rest, ascending; none where nobody ever does."""
+    slots: Slots
+    """Of those."""
+
+
+def movers(held: Obstacles) -> Movers:
+    """Who moves now."""
+    version, known = held.tree.view().version, held.movers
+    if known is not None and known.version == version:
+        return known
+    slots = np.flatnonzero(held.columns.tree_handle >= 0)
+    velocities, references = motions(held, slots)
+    moving = np.flatnonzero(velocities.any(axis=1))
+    slots, told = slots[moving], references[moving]
+    ends, order = told[:0], NOBODY
+    if not np.isinf(held.max_prediction):
+        order = np.argsort(told)
+        ends = told[order] + held.max_prediction
+    first, last = (told.min(), told.max()) if len(told) else (np.inf, -np.inf)
+    known = held.movers = Movers(version, float(first), float(last), ends, slots[order])
+    return known
 
 
 def motions(held: Obstacles, slots: Slots) -> tuple[Floats, Floats]:
@@ -29,37 +64,35 @@ def ways(held: Obstacles, slots: Slots, at: Floats) -> Floats:
     return np.clip(gone, -most, most)
 
 
-def ways_in_space(held: Obstacles, slots: Slots, at: Floats) -> Floats:
-    """`ways` of shape (m, 3)."""
-    gone = ways(held, slots, at)
-    return gone if held.tree.ndim == 3 else np.pad(gone, ((0, 0), (0, 1)))
-
-
 def at_rest(held: Obstacles, last: float) -> Slots:
     """Slots of obstacles that have moved until some time before `last`, s: the tree knows no such
     end, so who asks it has to look at these alone.
     """
     if not held.moves or np.isinf(held.max_prediction):
         return NOBODY
-    version, first = held.first_rest
-    if version == held.tree.view().version and last <= first:
-        return NOBODY
-    version = held.tree.view().version
-    slots = np.flatnonzero(held.columns.tree_handle >= 0)
-    velocities, references = motions(held, slots)
-    ends = np.where(velocities.any(axis=1), references + held.max_prediction, np.inf)
-    held.first_rest = version, float(ends.min(initial=np.inf))
-    return slots[ends < last]
-
-
-def boxes_at(held: Obstacles, slots: Slots, at: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest corners, (m, ndim), of obstacles' boxes at times (m,) in s."""
-    lo, hi = held.tree.boxes(held.columns.tree_handle[slots])
-    gone = ways(held, slots, at)
-    return lo + gone, hi + gone
+    known = movers(held)
+    return known.slots[: np.searchsorted(known.ends, last)]
 
 
 def seen(held: Obstacles, slots: Slots, mask: np.uint32 | NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Which obstacles have a bit of the mask."""
     found: NDArray[np.bool_] = (held.columns.categories[slots] & mask) != 0
     return found
+
+
+def growths(held: Obstacles, slots: Slots, at: Floats, until: Floats) -> Floats:
+    """By how much obstacles have grown from some times (m,) to others at most, m."""
+    if not held.uncertainty:
+        return np.zeros(len(slots))
+    velocities, references = motions(held, slots)
+    longest = np.maximum(np.abs(at - references), np.abs(until - references))
+    return np.where(velocities.any(axis=1), held.uncertainty * longest, 0.0)
+
+
+def most_growth(held: Obstacles, at: Floats, until: Floats) -> Floats | float:
+    """What no growth exceeds in these spans of time (n,), m."""
+    if not held.uncertainty:
+        return 0.0
+    known = movers(held)
+    longest = np.maximum(until - known.earliest, known.latest - at)
+    return np.asarray(held.uncertainty * np.maximum(longest, 0.0) * WIDER)

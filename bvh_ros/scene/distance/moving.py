@@ -1,0 +1,214 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Overlaps and distances among obstacles that move: `touching` and `clearance` at a time a row.
+
+The tree says whose boxes are there at the time, as real arithmetic does. Each obstacle is then
+written down where it stands (`place`) and looked at as one at rest. Who has come to rest meanwhile
+the tree expects elsewhere: these, `Then.still`, are looked at one by one.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.motion.bounds import covers
+from ...tree.motion.casting import OUTSIDE, cast
+from ...tree.motion.meeting import Course, box_of
+from ...tree.rays.raycasting import EVERY, Asked, of_row
+from ...tree.rays.slab import RAY_FLOATS, RAY_ROWS, set_swept_box
+from ...tree.store.turns import REFUSED, begin_query, end_query
+from ..store.places import WIDER
+from .narrow_phase import near
+from .query_shape import LARGEST, QueryShape, grow
+from .touching import Found, look_at, order_found
+
+
+class Then(NamedTuple):
+    """When rows are asked about, and what becomes of obstacles."""
+
+    bodies: Any
+    """`Bodies`, as obstacles were told."""
+    node_handles: Any
+    at: Any
+    """(n,) s"""
+    left: float
+    """Obstacles go on for so long, s, and then rest."""
+    growth: float
+    """Those that move grow by so much all round, m/s, since they were told, or until then."""
+    earliest: float
+    latest: float
+    """When the first and the last of them were told, s."""
+    still: Any
+    """(m,) slots of those that are at rest by some of these times."""
+
+
+class Room(NamedTuple):
+    """For the boxes that the tree names."""
+
+    found: Any
+    """`rays.raycasting.Found`, (n,)."""
+    handles: Any
+    gaps: Any
+    spare: Any
+    """`Bodies` with one shape: an obstacle where it stands."""
+
+
+@inlined
+def rests(velocity, reference, at, left):
+    """Whether an obstacle moved, and does no more at a time."""
+    moves = False
+    for axis in range(velocity.shape[0]):
+        moves |= velocity[axis] != 0.0
+    return moves and reference + left < at
+
+
+@inlined
+def most_growth(then, at):
+    """By how much any obstacle may have grown."""
+    if then.growth == 0.0:
+        return 0.0
+    return then.growth * max(at - then.earliest, then.latest - at, 0.0) * WIDER
+
+
+@inlined
+def gone(velocity, reference, at, left):
+    """How far an obstacle has gone along an axis, as `places.ways` has it."""
+    return min(max(velocity * min(at - reference, left), -LARGEST), LARGEST)
+
+
+@lean_kernel
+def place(tree, moving, then, spare, slot, at):
+    """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
+    _, _, velocity, reference = box_of(tree, moving, slot)
+    way, moves, shape = stack_array(3, np.float64), False, spare.shapes[0]
+    spare.shapes[0] = then.bodies.shapes[slot]
+    for axis in range(velocity.shape[0]):
+        way[axis] = gone(velocity[axis], reference, at, then.left)
+        shape.position[axis] += way[axis]
+        moves |= velocity[axis] != 0.0
+    place_footprint(then.bodies.footprints, spare.footprints, slot, way)
+    return then.growth * abs(at - reference) if moves else 0.0
+
+
+@lean_kernel
+def place_footprint(footprints, spare, slot, way):
+    """Write the same of a planar scene."""
+    if footprints is not None:
+        spare[0] = footprints[slot]
+        for axis in range(2):
+            spare[0].centre[axis] += way[axis]
+
+
+@lean_kernel
+def reach_then(tree, moving, then, asked, ray, found):
+    """Write the slots of boxes that a box touches, asked = (its corners, mask, at); return how
+    many, which may be more than fit.
+    """
+    (corners, mask, at), slots, ndim = asked, found.slots, moving.kept[0].velocity.shape[0]
+    nowhere = stack_array(3, np.float64)
+    nowhere[:] = 0.0
+    set_swept_box(ray, corners[0, :ndim], corners[1, :ndim], nowhere)
+    course = Course(ray, at, 0.0)
+    total = np.int64(cast(tree, moving, course, Asked(0.0, mask, False, EVERY), found, 0))
+    if then.still.shape[0] == 0 or total > slots.shape[0]:
+        return total
+    count = np.int64(0)
+    for i in range(total):
+        box = box_of(tree, moving, slots[i])
+        if not rests(box[2], box[3], at, then.left):
+            slots[count] = slots[i]
+            count += 1
+    for slot in then.still:
+        lo, hi, velocity, reference = box_of(tree, moving, slot)
+        touches = tree.nodes[2 * slot].mask & mask != 0
+        touches &= rests(velocity, reference, at, then.left)
+        for axis in range(lo.shape[0]):
+            way = gone(velocity[axis], reference, at, then.left)
+            touches &= lo[axis] + way <= corners[1, axis]
+            touches &= hi[axis] + way >= corners[0, axis]
+        if touches:
+            if count < slots.shape[0]:
+                slots[count] = slot
+            count += 1
+    return count
+
+
+@lean_kernel
+def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
+    """Fill in what touches the rows from `begin` on: those of row i are at [offsets[i],
+    offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which comes first. Returns
+    (rows done, room wanted, pairs compared): fewer rows than there are where there is no room for
+    the next one; OUTSIDE or REFUSED instead.
+    """
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED), 0, 0
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    grown = stack_array(6, np.float64).reshape(2, 3)
+    row, filled, wanted, compared = np.int64(begin), 0, 0, 0
+    while row < then.at.shape[0]:
+        at, record = then.at[row], queries.records[row : row + 1]
+        if covers(moving, at, 0.0, 0.0) == 0:
+            row = np.int64(OUTSIDE)
+            break
+        tolerance, mask = of_row(queries.tolerances, row), of_row(queries.masks, row)
+        reach = tolerance + most_growth(then, at)
+        grow(QueryShape(record, queries.bounds[row], False, reach, 0.0), grown)
+        count = reach_then(tree, moving, then, (grown, mask, at), ray, room.found)
+        wanted = filled + count
+        if wanted > found.slots.shape[0] or count > room.found.slots.shape[0]:
+            break
+        some, asked = from_row(found, filled), (record[0], tolerance, at)
+        met = _touch(tree, moving, then, asked, room.found.slots[:count], room.spare, some)
+        order_found(some, met, then.node_handles)
+        row, filled, compared = row + 1, filled + met, compared + count
+        offsets[row] = filled
+    end_query(tree.state)
+    return row, wanted, compared
+
+
+@inlined
+def from_row(found, row):
+    """The rows from one on."""
+    return Found(
+        *(found.slots[row:], found.distances[row:], found.points[row:], found.normals[row:]),
+        *(found.doubtful, found.bounds, found.order[row:]),
+    )
+
+
+@lean_kernel
+def _touch(tree, moving, then, asked, slots, spare, found):
+    """Fill in which of some obstacles touch, asked = (shape, tolerance, at), and how they lie to
+    its centre; return how many.
+    """
+    (solid, tolerance, at), bodies, count = asked, then.bodies, 0
+    for slot in slots:
+        growth = place(tree, moving, then, spare, slot, at)
+        shape, reach, planar = spare.shapes[0], tolerance + growth, bodies.footprints is not None
+        touches = not (shape.shaped or solid.shaped) and reach == 0.0
+        if not touches:
+            touches, _ = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
+        if touches:
+            found.slots[count], found.points[count, 2] = 0, solid.position[2]
+            look_at(shape, spare.footprints, bodies.hulls, solid.position, found, count)
+            found.slots[count] = slot
+            swell(found, count, growth, None)
+            count += 1
+    return count
+
+
+@lean_kernel
+def swell(found, row, growth, signed):
+    """How an obstacle lies to the centre after it has grown."""
+    if growth == 0.0:
+        return
+    distance = found.distances[row]
+    left, way = distance - growth, growth
+    if signed is None:
+        left, way = max(left, 0.0), min(growth, distance)
+    for axis in range(3):
+        found.points[row, axis] += way * found.normals[row, axis]
+        if signed is None and left == 0.0:
+            found.normals[row, axis] = 0.0
+    found.distances[row] = left

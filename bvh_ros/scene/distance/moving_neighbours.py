@@ -1,0 +1,174 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is nearest to points and shapes among obstacles that move, at a time a row: see `moving`.
+
+As `touching_rows.nearest_rows` and `clearance.clearance_rows`.
+"""
+
+import numpy as np
+
+from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.motion.bounds import covers
+from ...tree.motion.casting import OUTSIDE
+from ...tree.motion.meeting import box_of
+from ...tree.motion.nearest import nearest_then
+from ...tree.nodes import NONE, slot_of
+from ...tree.rays.raycasting import of_row
+from ...tree.store.turns import REFUSED, begin_query, end_query
+from . import clearance
+from .moving import most_growth, place, rests, swell
+from .sinking import sink_in_obstacle
+from .touching import ROUNDED, look_at, order_found
+from .touching_rows import keep, pad
+
+
+@inlined
+def neighbours(tree, moving, then, near_by, room):
+    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask), and of those
+    at rest: (how many of the former, how far the last of them is, how many of all).
+    """
+    _, _, at, wanted, _, mask = near_by
+    slots, handles, gaps = room.found.slots, room.handles[:wanted], room.gaps[:wanted]
+    count = nearest_then(tree, moving, near_by, handles, gaps)
+    last, total = (gaps[count - 1] if count > 0 else 0.0), np.int64(0)
+    for i in range(count):
+        slot = slot_of(handles[i])
+        box = box_of(tree, moving, slot)
+        if not rests(box[2], box[3], at, then.left):
+            slots[total] = slot
+            total += 1
+    for slot in then.still:
+        box = box_of(tree, moving, slot)
+        seen = tree.nodes[2 * slot].mask & mask != 0
+        if seen and rests(box[2], box[3], at, then.left):
+            slots[total] = slot
+            total += 1
+    return count, last, total
+
+
+@lean_kernel
+def near_rows(tree, moving, then, points, asked, room, found, told):
+    """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, how many boxes there are,
+    whether an obstacle may stand at two places, `touching_rows.Signed`). Returns (rows done, room
+    wanted) as `touch_rows`, and how many were found at last.
+    """
+    done, stop, k, everybody, twice, signed = asked
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED), 0, np.int64(0)
+    wanted, total, still = 0, np.int64(0), then.still.shape[0]
+    while done < stop:
+        row = points.order[done] if points.order.shape[0] > 0 else done
+        at, point, reach = then.at[row], points.points[row], of_row(points.reaches, row)
+        if covers(moving, at, 0.0, 0.0) == 0:
+            done = np.int64(OUTSIDE)
+            break
+        more, mask = most_growth(then, at), of_row(points.masks, row)
+        limit, wanted, kept = max(reach * ROUNDED, reach) + more, min(k + 1, everybody + 1), 0
+        while wanted + still <= found.slots.shape[0]:
+            near_by = point, point, at, wanted, limit, mask
+            count, last, total = neighbours(tree, moving, then, near_by, room)
+            _lie(tree, moving, then, (point, at), signed, room, room.found.slots[:total], found)
+            order_found(found, total, then.node_handles)
+            kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
+            farthest = max(told.distances[row, k - 1], 0.0) * ROUNDED if kept == k else np.inf
+            if count < wanted or last - more > farthest:
+                break
+            wanted = min(wanted * 4, everybody + 1)
+        if wanted + still > found.slots.shape[0]:
+            break
+        pad(told, row, kept)
+        done += 1
+    end_query(tree.state)
+    return np.int64(done), wanted + still, total
+
+
+@lean_kernel
+def _lie(tree, moving, then, asked, signed, room, slots, found):
+    """Fill in how obstacles lie to a point at a time, asked = (point, at)."""
+    point, at = asked
+    for i in range(slots.shape[0]):
+        growth = place(tree, moving, then, room.spare, slots[i], at)
+        found.slots[i], found.points[i, 2], shape = 0, point[2], room.spare.shapes[0]
+        look_at(shape, room.spare.footprints, then.bodies.hulls, point, found, i)
+        if signed is not None:
+            sink_in_obstacle(shape, room.spare, point, found, i)
+        found.slots[i] = slots[i]
+        swell(found, i, growth, signed)
+
+
+@lean_kernel
+def clear_rows(tree, moving, then, queries, asked, room, told):
+    """Fill in the rows [start, stop) of `told`, a `clearance.Neighbours`; asked = (start, stop,
+    reaches, how many boxes there are, the node handle that is not looked at, by how much the
+    shapes have grown, `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`.
+    """
+    row, stop, reaches, everybody, besides, grown, signed = asked
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED), 0
+    wanted, still, handles = 0, then.still.shape[0], then.node_handles
+    while row < stop:
+        at, reach, mask = then.at[row], of_row(reaches, row), of_row(queries.masks, row)
+        if covers(moving, at, 0.0, 0.0) == 0:
+            row = np.int64(OUTSIDE)
+            break
+        more, wanted = most_growth(then, at) + grown, min(2, everybody + 1)
+        low, high = queries.bounds[row, 0], queries.bounds[row, 1]
+        limit = max(reach * clearance.ROUNDED, reach) + more
+        while wanted + still <= room.gaps.shape[0]:
+            near_by = low, high, at, wanted, limit, mask
+            count, last, total = neighbours(tree, moving, then, near_by, room)
+            told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
+            for slot in room.found.slots[:total]:
+                if handles[slot] != besides:
+                    growths = grown, place(tree, moving, then, room.spare, slot, at)
+                    pair = queries.records[row], slot, reach
+                    _clear(room.spare, pair, growths, signed, handles, told, row)
+            distance = max(told.distances[row], 0.0)
+            if count < wanted or last - more > distance * clearance.ROUNDED:
+                break
+            wanted = min(wanted * clearance.MORE, everybody + 1)
+        if wanted + still > room.gaps.shape[0]:
+            break
+        row += 1
+    end_query(tree.state)
+    return np.int64(row), wanted + still
+
+
+@lean_kernel
+def _clear(spare, pair, growths, signed, node_handles, told, row):
+    """Keep an obstacle, pair = (shape, slot, reach), if it is nearer than what is there; ties by
+    handle.
+    """
+    one, slot, reach = pair
+    points, best = stack_array(6, np.float64).reshape(2, 3), told.slots[row]
+    distance = clearance.apart(one, spare.shapes[0], spare, signed, points)
+    if growths[0] + growths[1] > 0.0:
+        distance = _swell_both(points, distance, growths, signed)
+    if distance > reach or distance > told.distances[row]:
+        return
+    tied = distance == told.distances[row] and best != NONE
+    if tied and node_handles[best] < node_handles[slot]:
+        return
+    told.slots[row], told.distances[row] = slot, distance
+    for axis in range(3):
+        for side in range(2):
+            height = spare.footprints is not None and axis == 2
+            told.points[row, side, axis] = one.position[2] if height else points[side, axis]
+
+
+@inlined
+def _swell_both(points, distance, growths, signed):
+    """The distance of two shapes after both have grown, and their points."""
+    left = distance - growths[0] - growths[1]
+    if signed is None and left <= 0.0:
+        share = 0.0 if distance == 0.0 else min(growths[1] / distance, 1.0)
+        for axis in range(3):
+            points[1, axis] += share * (points[0, axis] - points[1, axis])
+            points[0, axis] = points[1, axis]
+        return 0.0
+    for axis in range(3):
+        way = (points[0, axis] - points[1, axis]) / distance if distance != 0.0 else 0.0
+        points[0, axis] -= growths[0] * way
+        points[1, axis] += growths[1] * way
+    return left
