@@ -185,11 +185,11 @@ def with_times(rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp:
     if at is None:
         raise ValueError('until needs at')
     count = len(rays.t_max)
-    begin = _times('at', at, count)
-    given = rays._replace(since=(begin - stamp) / 1e9)
+    begin = times('at', at, count)
+    given = rays._replace(since=since(at, stamp, count))
     if until is None:
         return given
-    takes = _times('until', until, count) - begin
+    takes = times('until', until, count) - begin
     if (takes < 0).any():
         raise ValueError(f'until must not be before at: row {int(np.argmax(takes < 0))} is')
     if ((takes > 0) & np.isinf(rays.t_max)).any():
@@ -198,7 +198,13 @@ def with_times(rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp:
     return given._replace(durations=durations)
 
 
-def _times(name: str, given: ArrayLike, count: int) -> NDArray[np.int64]:
+def since(at: ArrayLike, stamp: int, count: int) -> NDArray[np.float64]:
+    """Return times in ns as s after the stamp of their cloud; ValueError if they are none."""
+    return (times('at', at, count) - stamp) / 1e9
+
+
+def times(name: str, given: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Return a time in ns a row; ValueError if they are no integers."""
     values = np.asarray(given)
     if values.dtype.kind != 'i':
         raise ValueError(f'{name} must be integers (ns), not {values.dtype}')

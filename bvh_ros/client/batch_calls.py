@@ -12,10 +12,10 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import volumes
-from bvh_ros.client.batch import as_rays, with_times
+from bvh_ros.client.batch import as_rays, since, with_times
 from bvh_ros.client.channels import Channels
 from bvh_ros.ros.conversions import ray_clouds
-from bvh_ros.ros.conversions.query_clouds import Near, Touched
+from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits, Rays
 
 
@@ -87,6 +87,7 @@ class BatchCalls:
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = EVERYTHING,
         *,
+        at: ArrayLike | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Near:
@@ -98,6 +99,8 @@ class BatchCalls:
             m.
         max_distance, mask : one for all points, or (n,) array_like
             Obstacles that are farther away (m), or are not seen, are left out.
+        at : int or (n,) array_like, optional
+            ns: the world as it is then, see `raycast`.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 
@@ -106,8 +109,8 @@ class BatchCalls:
         Near
             `points` (n, 3) on the obstacles, `distances` (n,), `normals` (n, 3), `obstacles` (n,).
         """
-        asked = volumes.cloud(volumes.points(points, max_distance, mask))
-        return self._ask('points', asked, frame_id, None, timeout)
+        asked = volumes.points(points, max_distance, mask)
+        return self._ask('points', *self._at('points', asked, at, frame_id), timeout)
 
     def overlap_many(
         self,
@@ -117,6 +120,7 @@ class BatchCalls:
         tolerance: ArrayLike = 0.0,
         mask: ArrayLike = EVERYTHING,
         *,
+        at: ArrayLike | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Touched:
@@ -132,8 +136,8 @@ class BatchCalls:
             Quaternions x, y, z, w.
         tolerance, mask : one for all boxes, or (n,) array_like
             The boxes are grown by `tolerance` all round, m.
-        frame_id, timeout
-            As of `raycast_many`, which says what is raised, too.
+        at, frame_id, timeout
+            As of `nearest_many`.
 
         Returns
         -------
@@ -141,14 +145,15 @@ class BatchCalls:
             Of the obstacle nearest to each centre `points` (n, 3), `distances` (n,) and
             `obstacles` (n,); and `counts` (n,), how many touch the box.
         """
-        asked = volumes.cloud(volumes.boxes(centers, sizes, orientations, tolerance, mask))
-        return self._ask('boxes', asked, frame_id, None, timeout)
+        asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
+        return self._ask('boxes', *self._at('boxes', asked, at, frame_id), timeout)
 
     def check_path(
         self,
         positions: ArrayLike,
         orientations: ArrayLike | None = None,
         *,
+        at: ArrayLike | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Near:
@@ -161,6 +166,8 @@ class BatchCalls:
             m.
         orientations : array_like, shape (n, 4), optional
             Quaternions x, y, z, w.
+        at : int or (n,) array_like, optional
+            ns: when somebody is there; 0 is now, as is None.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 
@@ -170,7 +177,7 @@ class BatchCalls:
             As of `nearest_many`; where the footprint touches the obstacle, a distance is minus the
             depth, and the normal the shortest way out.
         """
-        asked = volumes.path(*volumes.poses(positions, orientations))
+        asked = volumes.path(*volumes.poses(positions, orientations), at)
         return self._ask('paths', asked, frame_id, None, timeout)
 
     def raycast_many_async(
@@ -204,6 +211,18 @@ class BatchCalls:
             return rays, stamp
         stamp = self.channels.open('rays').stamp() if stamp is None else stamp
         return with_times(rays, at, until, stamp), stamp
+
+    def _at(
+        self, what: str, asked: Points | Boxes, at: ArrayLike | None, frame_id: str
+    ) -> tuple[Any, str, int | None]:
+        """The cloud of what is asked about times in ns, its frame, and its stamp, which these
+        count from.
+        """
+        if at is None:
+            return volumes.cloud(asked), frame_id, None
+        stamp = self.channels.open(what).stamp()
+        given = asked._replace(since=since(at, stamp, len(asked.places)))
+        return volumes.cloud(given), frame_id, stamp
 
     def wait_until_batches_are_ready(self, timeout: float = 60.0) -> None:
         """Wait until the node hears our rays and we hear its hits, or raise BvhTimeoutError."""

@@ -12,11 +12,12 @@ from nav_msgs.msg import Path
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client.batch import as_rows, column
+from bvh_ros.client.batch import as_rows, column, times
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Points
 
 REAL = np.dtype(np.float64)
+LAST_STAMP = 2**31 * 10**9  # ns
 
 
 def points(places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike) -> Points:
@@ -60,11 +61,15 @@ def cloud(asked: Points | Boxes) -> PointCloud2:
     return query_clouds.questions_cloud(asked, REAL)
 
 
-def path(places: NDArray, turns: NDArray) -> Path:
-    """Return a path of poses."""
-    message = Path()
-    for place, turn in zip(places.tolist(), turns.tolist(), strict=True):
+def path(places: NDArray, turns: NDArray, when: ArrayLike | None = None) -> Path:
+    """Return a path of poses, each with its stamp, ns; ValueError if these are none."""
+    message, count = Path(), len(places)
+    stamps = np.zeros(count, np.int64) if when is None else times('at', when, count)
+    if count and not 0 <= stamps.min() <= stamps.max() < LAST_STAMP:
+        raise ValueError('at must be what a stamp can hold')
+    for place, turn, stamp in zip(places.tolist(), turns.tolist(), stamps.tolist(), strict=True):
         stamped = PoseStamped()
+        stamped.header.stamp.sec, stamped.header.stamp.nanosec = divmod(stamp, 10**9)
         at, facing = stamped.pose.position, stamped.pose.orientation
         at.x, at.y, at.z = place
         facing.x, facing.y, facing.z, facing.w = turn

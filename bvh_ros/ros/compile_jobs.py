@@ -30,7 +30,7 @@ MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
 BOXES_ASKED, PATHS = 'batches of boxes', 'paths'
-NEAREST_THEN = 'nearest at other times'
+NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
 
 
 class Needs(NamedTuple):
@@ -120,9 +120,10 @@ def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
     """What is called at the start, and once somebody asks, where obstacles have velocities."""
     if not needs.moving:
         return []
-    from bvh_ros.ros.moving_jobs import nearest_then, other_times
+    from bvh_ros.ros.moving_jobs import nearest_then, other_times, paths_then
 
-    return [('other times', 60.0, other_times), (NEAREST_THEN, 30.0, nearest_then)]
+    later = (NEAREST_THEN, 30.0, nearest_then), (PATHS_THEN, 30.0, paths_then)
+    return [('other times', 60.0, other_times), *later]
 
 
 def _tells_apart(needs: Needs) -> tuple[int, ...]:

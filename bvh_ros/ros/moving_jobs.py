@@ -6,8 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bvh_ros.ros.compile_jobs import ABOUT_Z, EDGE, GOAL, RADIUS, START, Needs, scenes
-from bvh_ros.scene import Scene, Shapes
+import numpy as np
+
+from bvh_ros.ros.compile_jobs import ABOUT_Z, EDGE, GOAL, MANY, RADIUS, START, Needs, scenes
+from bvh_ros.scene import Numbered, Scene, Shapes
 
 
 def _moving_scenes(needs: Needs) -> Iterator[Scene]:
@@ -24,12 +26,30 @@ def other_times(needs: Needs) -> None:
         for radius in (0.0, RADIUS):
             scene.raycast(START, GOAL, radius, at=2, until=3)
             scene.raycast_all(START, GOAL, radius, at=2)
+        scene.overlap(START, GOAL, ABOUT_Z, RADIUS, at=2)
         if needs.batch:
             scene.raycast_many([START], [GOAL], 1.0, at=2, until=3)
-        scene.overlap(START, GOAL, ABOUT_Z, RADIUS, at=2)
+    if needs.batch:
+        _rays_among_boxes(needs)
+
+
+def _rays_among_boxes(needs: Needs) -> None:
+    """So many that boxes are swept for them."""
+    scene, line = Scene(planar=needs.planar), np.arange(MANY * 3.0).reshape(MANY, 3)
+    names = Numbered('box#', np.arange(MANY))
+    speeds = np.ones((MANY, 3))
+    scene.replace('cloud', '', names, Shapes.boxes(line, EDGE), stamp=1, velocities=speeds)
+    scene.raycast_many(line, line, 1.0, at=2, until=3)
 
 
 def nearest_then(needs: Needs) -> None:
     """What is nearest at a time."""
     for scene in _moving_scenes(needs):
         scene.nearest(START, 2, at=2)
+
+
+def paths_then(needs: Needs) -> None:
+    """How far a shape is at a time."""
+    for scene in _moving_scenes(needs):
+        shapes = Shapes.boxes([START], EDGE, [ABOUT_Z])
+        scene.clearance_many(shapes, signed=True, at=2)

@@ -96,6 +96,7 @@ class BvhServer:
             meshes=ShapeKind.MESH in kinds,
             region=settings.region,
             max_prediction=settings.max_prediction,
+            uncertainty=settings.uncertainty,
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]

@@ -62,16 +62,21 @@ NODE_OPTIONS = (
         1.0,
         'So far ahead of the newest data (s) there are answers, where a source predicts; who was '
         'not told for longer stays where it is predicted last.',
-        minimum=0.0,
-        maximum=1e6,
+        *(0.0, 1e6),
+    ),
+    Option(
+        'uncertainty',
+        0.0,
+        'At other times than those of their stamps obstacles that move are larger all round by so '
+        'many metres for each second between.',
+        *(0.0, 1e6),
     ),
     Option(
         'history',
         0.0,
         'So much before the newest data (s) can be asked about: the world is copied after each '
         'message.',
-        minimum=0.0,
-        maximum=1e6,
+        *(0.0, 1e6),
     ),
     Option('sources', ['markers'], 'Names of the sources of obstacles; each has its own options.'),
     Option(

@@ -61,6 +61,7 @@ class Settings:
     region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
     nearest_limit: int
     max_prediction: float  # s
+    uncertainty: float  # m/s
     history: float  # s
     batch: bool
     footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none

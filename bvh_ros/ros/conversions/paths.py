@@ -28,12 +28,12 @@ class Poses(NamedTuple):
     places: Floats  # (n, 3) m
     turns: Floats  # (n, 4) quaternions
     elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
+    stamps: NDArray[np.int64]  # (n,) ns, when somebody is there; 0: nobody says
 
     def rows(self, rows: Any) -> Poses:
         """Return some of the rows."""
-        return self._replace(
-            places=self.places[rows], turns=self.turns[rows], elsewhere=self.elsewhere[rows]
-        )
+        columns: Any = (column[rows] for column in self[2:])
+        return Poses(self.frame_id, self.stamp, *columns)
 
     def moved(self, transform: Transform) -> Poses:
         """Return the same in the node's frame."""
@@ -66,6 +66,7 @@ def read(path: Path) -> Poses:
         np.array(places, np.float64).reshape(-1, 3),
         np.array(turns, np.float64).reshape(-1, 4),
         np.array([frame not in ('', header.frame_id) for frame in frames], bool),
+        np.array([nanoseconds(stamped.header.stamp) for stamped in path.poses], np.int64),
     )
 
 

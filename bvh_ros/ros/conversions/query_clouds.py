@@ -35,6 +35,7 @@ class Points(NamedTuple):
     places: Floats  # (n, 3) m
     reaches: Floats  # (n,) m, how far an obstacle may be
     masks: NDArray[np.uint32]  # (n,)
+    since: Floats | None = None  # (n,) s after the header's stamp; None: now
 
     def faults(self) -> dict[str, NDArray[np.bool_]]:
         """Return why rows (n,) cannot be answered."""
@@ -56,6 +57,7 @@ class Boxes(NamedTuple):
     turns: Floats  # (n, 4) quaternions
     tolerances: Floats  # (n,) m
     masks: NDArray[np.uint32]  # (n,)
+    since: Floats | None = None  # (n,) s after the header's stamp; None: now
 
     def faults(self) -> dict[str, NDArray[np.bool_]]:
         """Return why rows (n,) cannot be answered."""
@@ -158,8 +160,8 @@ class QueryCloud:
     ----------
     cloud : sensor_msgs/PointCloud2
         Fields x, y, z (m), of boxes sx, sy, sz (m), all float32 or float64; optionally
-        max_distance (m) of points; qx, qy, qz, qw and tolerance (m) of boxes; mask, an unsigned
-        integer of up to 32 bits. Other fields are left alone.
+        max_distance (m) of points; qx, qy, qz, qw and tolerance (m) of boxes; t0, s after the
+        header's stamp; mask, an unsigned integer of up to 32 bits. Other fields are left alone.
     kind : type
         Points or Boxes.
 
@@ -172,7 +174,7 @@ class QueryCloud:
     def __init__(self, cloud: PointCloud | PointCloud2, kind: type[Points] | type[Boxes]) -> None:
         needed = ORIGIN if kind is Points else (*ORIGIN, *SIZE)
         others = ('max_distance',) if kind is Points else (*TURN, 'tolerance')
-        points = structured(cloud, (*needed, *others, 'mask'))
+        points = structured(cloud, (*needed, *others, 't0', 'mask'))
         self._kind = kind
         self._points = points.ravel()
         self.real = np.dtype(np.float32)
@@ -194,26 +196,39 @@ class QueryCloud:
     def __len__(self) -> int:
         return len(self._points)
 
+    @property
+    def has_times(self) -> bool:
+        """Whether the rows are about other times than now."""
+        return 't0' in self._names
+
     def rows(self, begin: int, end: int) -> Points | Boxes:
         """Return some of the rows."""
         points = self._points[begin:end]
         masks = np.full(len(points), EVERYTHING, np.uint32)
         if 'mask' in self._names:
             masks[:] = points['mask']
+        since = self._column(points, 't0', 0.0) if self.has_times else None
         if self._kind is Points:
-            return Points(
-                columns(points, ORIGIN), self._column(points, 'max_distance', np.inf), masks
-            )
+            reaches = self._column(points, 'max_distance', np.inf)
+            return Points(columns(points, ORIGIN), reaches, masks, since)
         turns = np.zeros((len(points), 4))
         if TURN[0] in self._names:
             turns = columns(points, TURN)
         tolerances = self._column(points, 'tolerance', 0.0)
-        return Boxes(columns(points, ORIGIN), columns(points, SIZE), turns, tolerances, masks)
+        sizes = columns(points, SIZE)
+        return Boxes(columns(points, ORIGIN), sizes, turns, tolerances, masks, since)
 
     def _column(self, points: NDArray[np.void], name: str, otherwise: float) -> Floats:
         if name in self._names:
             return columns(points, [name])[:, 0]
         return np.full(len(points), otherwise)
+
+
+def take(asked: Question, rows: Any) -> Question:
+    """Return some of the rows."""
+    given = asked._asdict().items()
+    some: Any = {name: values[rows] for name, values in given if values is not None}
+    return asked._replace(**some)
 
 
 def fault(asked: Points | Boxes, number: int) -> tuple[NDArray[np.bool_], str]:
@@ -232,13 +247,11 @@ def questions_cloud(asked: Points | Boxes, real: DTypeLike) -> PointCloud2:
         'reaches': ('max_distance',),
         'tolerances': ('tolerance',),
         'masks': ('mask',),
+        'since': ('t0',),
     }
-    given = asked._asdict()
-    kinds = [
-        (field, np.dtype('u4') if name == 'masks' else real)
-        for name in given
-        for field in names[name]
-    ]
+    own = {'masks': np.dtype('u4'), 'since': np.dtype('f8')}
+    given = {name: values for name, values in asked._asdict().items() if values is not None}
+    kinds = [(field, own.get(name, real)) for name in given for field in names[name]]
     table = np.empty(len(asked.places), kinds)
     for name, values in given.items():
         put_columns(table, names[name], values.reshape(len(table), len(names[name])))

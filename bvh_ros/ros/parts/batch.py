@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.parts.on_demand import OnDemand
     from bvh_ros.ros.parts.query_drawing import QueryDrawing
-    from bvh_ros.ros.parts.timed_rays import Spans
+    from bvh_ros.ros.parts.timed_batches import Spans
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
@@ -40,6 +40,7 @@ QOS_PERIOD = 1.0  # seconds
 PIECE = 8192  # rays, some 5 ms
 TURN = 0.01  # seconds after which others get a turn
 DONE = object()
+UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
 
 
 class Batch(NodePart):
@@ -147,6 +148,23 @@ class Batch(NodePart):
     def _now(self) -> Scene:
         return self._world.at(self.node.get_clock().now().nanoseconds)
 
+    def _stamp_of(self, request: Any) -> int:
+        """When a cloud was stamped, ns; now, if it was not."""
+        return request.stamp or self.node.get_clock().now().nanoseconds
+
+    def _spans(
+        self, since: NDArray[np.float64], durations: NDArray[np.float64] | None, stamp: int
+    ) -> tuple[Spans, NDArray[np.bool_]]:
+        """When rows begin and end, and which of them cannot be answered."""
+        from bvh_ros.ros.parts.timed_batches import spans_of
+
+        if self._world.times is None:
+            raise ValueError(
+                't0 and duration have no meaning: no source predicts, and there is no history'
+            )
+        now = self.node.get_clock().now().nanoseconds
+        return spans_of(since, durations, stamp, self._world.times, now)
+
     def _masks(self, masks: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """What of these masks this view shows."""
         return masks & np.uint32(self.view.mask)
@@ -183,7 +201,7 @@ class RayBatch(Batch):
         cloud = RayCloud(request)
         if cloud.has_radii and not cloud.has_times:
             self._kernels.require(BALLS)
-        stamp = request.stamp or self.node.get_clock().now().nanoseconds
+        stamp = self._stamp_of(request)
         table = ray_clouds.hits_table(len(cloud), cloud.real)
         for begin in range(0, len(cloud), PIECE):
             if begin:
@@ -202,8 +220,8 @@ class RayBatch(Batch):
         if rays.since is None:
             spans = None
         else:
-            spans, unknown = self._spans(rays, stamp)
-            reason = reason or 'its time is not known, see history and max_prediction'
+            spans, unknown = self._spans(rays.since, rays.durations, stamp)
+            reason = reason or UNKNOWN_TIME
             bad = bad | unknown
         good = self._count(bad, reason)
         if good.all():
@@ -216,21 +234,10 @@ class RayBatch(Batch):
             self._drawing.add_rays(rays, hits)
         return hits if transform is None else moved_back(transform, hits)
 
-    def _spans(self, rays: Rays, stamp: int) -> tuple[Spans, NDArray[np.bool_]]:
-        """When rays begin and end, and which of them cannot be answered."""
-        from bvh_ros.ros.parts.timed_rays import spans_of
-
-        if self._world.times is None:
-            raise ValueError(
-                't0 and duration have no meaning: no source predicts, and there is no history'
-            )
-        now = self.node.get_clock().now().nanoseconds
-        return spans_of(rays, stamp, self._world.times, now)
-
     def _cast(self, scene: Scene, rays: Rays, spans: Spans | None) -> Hits:
         masks = self._masks(rays.masks)
         if spans is not None:
-            from bvh_ros.ros.parts.timed_rays import cast
+            from bvh_ros.ros.parts.timed_batches import cast
 
             threads = self._world.settings.threads_for(len(masks))
             return cast(rays, masks, self.view.skip_inside, threads, spans)

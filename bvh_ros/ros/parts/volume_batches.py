@@ -12,10 +12,10 @@ from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.ros.compile_jobs import BOXES_ASKED, PATHS, POINTS
+from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS, PATHS_THEN, POINTS
 from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
-from bvh_ros.ros.parts.batch import PIECE, Batch
+from bvh_ros.ros.parts.batch import PIECE, UNKNOWN_TIME, Batch
 from bvh_ros.scene import NO_NODE
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.cdr.point_cloud2 import PointCloud
     from bvh_ros.ros.parts.on_demand import OnDemand
+    from bvh_ros.ros.parts.timed_batches import Spans
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
@@ -38,38 +39,59 @@ class VolumeBatch(Batch):
 
     question: type = Points
     answer: Any = Near
-    needed = POINTS
+    needed, needed_then = POINTS, NEAREST_THEN
     least = 3 * LEAST_FIELD  # bytes of a row
 
     def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
         self._now()
         self._kernels.require(self.needed)
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        cloud = QueryCloud(request, self.question)
+        cloud, stamp = QueryCloud(request, self.question), self._stamp_of(request)
+        if cloud.has_times:
+            self._kernels.require(self.needed_then)
         told = query_clouds.unanswered(self.answer, len(cloud))
         for begin in range(0, len(cloud), PIECE):
             if begin:
                 yield
             piece = slice(begin, begin + PIECE)
-            self._fill(told, piece, cloud.rows(begin, begin + PIECE), transform)
+            rows = cloud.rows(begin, begin + PIECE)
+            put(told, piece, *self._answer(rows, begin, transform, stamp))
         return query_clouds.answers_cloud(told, request.height, request.width, cloud.real)
 
-    def _fill(self, told: Told, piece: slice, asked: Any, transform: Transform | None) -> None:
-        """Answer some rows."""
-        scene = self._now()
+    def _answer(
+        self, asked: Any, number: int, transform: Transform | None, stamp: int
+    ) -> tuple[NDArray[np.bool_], Told]:
+        """Which of some rows are good, and the answers to these; `number` is that of the first
+        row, and `stamp` that of the cloud, ns.
+        """
+        scene, spans = self._now(), None
         if transform is not None:
             with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
                 asked = asked.moved(transform)
-        good = self._count(*query_clouds.fault(asked, piece.start))
-        found = self._ask(
-            scene, asked._replace(**{k: v[good] for k, v in asked._asdict().items()})
-        )
-        if transform is not None:
-            found = moved_back(transform, found)
-        put(told, piece, good, found)
+        bad, reason = query_clouds.fault(asked, number)
+        if asked.since is not None:
+            spans, unknown = self._spans(asked.since, None, stamp)
+            bad, reason = bad | unknown, reason or UNKNOWN_TIME
+        good = self._count(bad, reason)
+        some = query_clouds.take(asked, good)
+        if spans is None:
+            found = self._ask(scene, some)
+        else:
+            found = self._elsewhen(some, spans.take(good))
+        return good, found if transform is None else moved_back(transform, found)
 
-    def _ask(self, scene: Scene, asked: Any) -> Told:
-        """Ask the scene."""
+    def _elsewhen(self, asked: Any, spans: Spans) -> Told:
+        """Ask about other times."""
+        from bvh_ros.ros.parts.timed_batches import fill
+
+        told = query_clouds.unanswered(self.answer, len(spans.at))
+        return fill(
+            *(told, spans),
+            lambda scene, rows, at: self._ask(scene, query_clouds.take(asked, rows), at),
+        )
+
+    def _ask(self, scene: Scene, asked: Any, at: NDArray[np.int64] | None = None) -> Told:
+        """Ask the scene, about now or (n,) times in ns."""
         raise NotImplementedError
 
     def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
@@ -84,11 +106,12 @@ class PointBatch(VolumeBatch):
 
     asked, told = 'points', 'nearest_hits'
 
-    def _ask(self, scene: Scene, asked: Points) -> Near:
+    def _ask(self, scene: Scene, asked: Points, at: NDArray[np.int64] | None = None) -> Near:
         masks = self._masks(asked.masks)
         handles, distances, points = scene.nearest_many(
             *(asked.places, 1, asked.reaches, masks),
             threads=self._world.settings.threads_for(len(masks)),
+            at=at,
         )
         return near(asked.places, points[:, 0], distances[:, 0], handles[:, 0])
 
@@ -97,10 +120,10 @@ class BoxBatch(VolumeBatch):
     """Answers boxes by what touches them."""
 
     asked, told = 'boxes', 'box_hits'
-    question, answer, needed = Boxes, Touched, BOXES_ASKED
+    question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
     least = 6 * LEAST_FIELD
 
-    def _ask(self, scene: Scene, asked: Boxes) -> Touched:
+    def _ask(self, scene: Scene, asked: Boxes, at: NDArray[np.int64] | None = None) -> Touched:
         hits = scene.overlap_many(
             *(asked.places, asked.sizes, asked.turns, asked.tolerances),
             *(
@@ -108,6 +131,7 @@ class BoxBatch(VolumeBatch):
                 'hits',
                 self._world.settings.threads_for(len(asked.masks)),
             ),
+            at=at,
         )
         return Touched(hits.points, hits.distances, hits.handles, hits.counts.astype(np.uint32))
 
@@ -148,18 +172,42 @@ class PathBatch(Batch):
             rows = request.rows(piece)
             if transform is not None:
                 rows = rows.moved(transform)
-            good = self._count(*rows.fault(begin))
-            found = self._ask(self._now(), rows.rows(good))
+            good, found = self._answer(rows, begin)
             if transform is not None:
                 found = moved_back(transform, found)
             put(told, piece, good, found)
         return query_clouds.answers_cloud(told, 1, len(request.places), np.dtype(np.float64))
 
-    def _ask(self, scene: Scene, rows: paths.Poses) -> Near:
+    def _answer(self, rows: paths.Poses, number: int) -> tuple[NDArray[np.bool_], Near]:
+        """Which of some poses are good, and the answers to these."""
+        times, scene = self._world.times, self._now()
+        if times is None or not rows.stamps.any():  # as ever, stamps say nothing
+            good = self._count(*rows.fault(number))
+            return good, self._ask(scene, rows.rows(good))
+        from bvh_ros.ros.parts.timed_batches import fill, spans_between
+
+        self._kernels.require(PATHS_THEN)
+        now = self.node.get_clock().now().nanoseconds
+        spans, unknown = spans_between(rows.stamps, rows.stamps, times, now)
+        timed, (bad, reason) = rows.stamps != 0, rows.fault(number)
+        good = self._count(bad | (unknown & timed), reason or UNKNOWN_TIME)
+        some, timed = rows.rows(good), timed[good]
+        told, later = query_clouds.unanswered(Near, len(timed)), some.rows(timed)
+        put(told, slice(None), ~timed, self._ask(scene, some.rows(~timed)))
+
+        def ask(state: Scene, places: Any, at: NDArray[np.int64]) -> Near:
+            return self._ask(state, later.rows(places), at)
+
+        found = query_clouds.unanswered(Near, len(later.stamps))
+        put(told, slice(None), timed, fill(found, spans.take(good).take(timed), ask))
+        return good, told
+
+    def _ask(self, scene: Scene, rows: paths.Poses, at: NDArray[np.int64] | None = None) -> Near:
         shapes = paths.shapes(rows, self._footprint)
         handles, distances, places, points = scene.clearance_many(
             *(shapes, np.inf, self.view.mask, True),
             self._world.settings.threads_for(len(rows.places)),
+            at=at,
         )
         return near(places, points, distances, handles)
 

@@ -20,6 +20,7 @@ SOURCES = {
     'tracks': {'type': 'PointCloud2', 'topic': 'tracks', 'predict': 'given', 'voxel': 1.0},
     'people': {'type': 'MarkerArray', 'topic': 'people', 'predict': 'constant_velocity'},
     'max_prediction': 2.0,
+    'footprint': [0.5],
     'views': ['left'],
     'left': {'include': ['tracks#1']},
     'transforms': ['turned'],
@@ -258,6 +259,64 @@ def test_rays_with_times_meet_as_brute_force_says(clean):
             assert rows['t'][row] == pytest.approx(wanted, abs=1e-6), row
             assert (rows['obstacle'][row] == FREE) == np.isinf(wanted)
     assert np.count_nonzero(np.isfinite(rows['t'])) > 20
+
+
+def gaps(points, places):
+    """Of n points, each from all cubes of 1 m at (n, m) places."""
+    return np.linalg.norm(np.maximum(np.abs(points[:, None] - places) - 0.5, 0.0), axis=2)
+
+
+def test_points_boxes_and_paths_are_about_their_times(clean):
+    from bvh_ros.client import BvhClient, BvhError
+
+    client = BvhClient(clean.node, clean.name, timeout=20.0)
+    rng, count, now = np.random.default_rng(6), 60, time.time_ns()
+    places, speeds = rng.uniform(-9, 9, (30, 3)), rng.uniform(-4, 4, (30, 3))
+    tell(clean, np.column_stack((np.arange(30), places, speeds)), now)
+    points = rng.uniform(-9, 9, (count, 3))
+    at = now + rng.integers(0, 2 * SECOND, count)
+    at[3], at[4] = now - 1, now + 3 * SECOND
+    bad, good = [3, 4], np.delete(np.arange(count), [3, 4])
+    since = ((at - now) / SECOND)[:, None, None]
+    apart = gaps(points, places + speeds * since)
+
+    def ready(ask):
+        """What is compiled once somebody asks is there."""
+
+        def answers():
+            try:
+                return ask()
+            except BvhError:
+                return None
+
+        clean.until(lambda: answers() is not None, 400.0)
+        return ask()
+
+    near = ready(lambda: client.nearest_many(points, at=at))
+    assert np.flatnonzero(near.obstacles == UNANSWERED).tolist() == bad
+    np.testing.assert_allclose(near.distances[good], apart.min(axis=1)[good], atol=1e-6)
+    met = ready(lambda: client.overlap_many(points, [0.0] * 3, tolerance=1.5, at=at))
+    assert np.flatnonzero(met.obstacles == UNANSWERED).tolist() == bad
+    assert met.counts[good].tolist() == (apart <= 1.5).sum(axis=1)[good].tolist()
+    at[5:9] = 0  # now, as it was told
+    apart[5:9] = gaps(points[5:9], places[None])
+    told = ready(lambda: client.check_path(points, at=at))
+    assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == bad
+    apart = apart.min(axis=1) - 0.5
+    outside = good[apart[good] > 0.0]
+    assert len(outside) > 20
+    np.testing.assert_allclose(told.distances[outside], apart[outside], atol=1e-6)
+    assert (told.distances[good][apart[good] <= 0.0] <= 0.0).all()
+    still = client.check_path(points[good])  # without stamps: now
+    np.testing.assert_allclose(still.distances[3:7], told.distances[5:9])
+    for ask in (client.nearest_many, client.check_path):
+        with pytest.raises(BvhError):
+            ask(points[:2], at=now + 9 * SECOND)
+        for wrong in (0.5, [now], 'x'):
+            with pytest.raises(ValueError, match='at must'):
+                ask(points[:2], at=wrong)
+    with pytest.raises(ValueError, match='a stamp can hold'):
+        client.check_path(points[:2], at=-1)
 
 
 def test_the_client_asks_about_times(clean):

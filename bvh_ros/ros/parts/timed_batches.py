@@ -1,9 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays of a cloud that are about other times than now."""
+"""Rows of a message that are about other times than now."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,12 +16,13 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.scene import Scene
 
+Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
 
 
 class Spans(NamedTuple):
-    """When n rays begin and end, ns, and what was known when they begin."""
+    """When n rows begin and end, ns, and what was known when they begin."""
 
     at: Times
     until: Times
@@ -33,17 +35,37 @@ class Spans(NamedTuple):
 
 
 def spans_of(
-    rays: Rays, stamp: int, known: KnownTimes, now: int
+    since: Floats, durations: Floats | None, stamp: int, known: KnownTimes, now: int
 ) -> tuple[Spans, NDArray[np.bool_]]:
-    """When rays begin and end whose cloud has this stamp, and which of them cannot be answered."""
-    begin = np.zeros(len(rays.t_max)) if rays.since is None else rays.since * 1e9
-    length = 0.0 * begin if rays.durations is None else rays.durations * 1e9
+    """When rows begin, so long (s) after the stamp of their cloud, and end, and which of them
+    cannot be answered.
+    """
+    begin = since * 1e9
+    length = 0.0 * begin if durations is None else durations * 1e9
     sane = (np.abs(begin) < LONGEST) & (length < LONGEST) & (length >= 0.0)
     at, more = (np.rint(np.where(sane, c, 0.0)).astype(np.int64) for c in (begin, length))
     at += stamp
+    spans, unknown = spans_between(at, at + more, known, now)
+    return spans, unknown | ~sane
+
+
+def spans_between(
+    at: Times, until: Times, known: KnownTimes, now: int
+) -> tuple[Spans, NDArray[np.bool_]]:
+    """Rows that begin and end at these times, ns, and which of them cannot be answered."""
     states, which = known.states(at, now)
-    good = sane & (which >= 0) & known.within(at, at + more, now)
-    return Spans(at, at + more, which, states), np.logical_not(good)
+    good = (which >= 0) & known.within(at, until, now)
+    return Spans(at, until, which, states), np.logical_not(good)
+
+
+def fill(told: Any, spans: Spans, ask: Callable[[Scene, Any, Times], Any]) -> Any:
+    """Fill in what ask(scene, rows, at) answers, each state's rows at once; return it."""
+    for number in np.unique(spans.which).tolist():
+        rows = np.flatnonzero(spans.which == number)
+        found = ask(spans.states[number], rows, spans.at[rows])
+        for column, part in zip(told, found, strict=True):
+            column[rows] = part
+    return told
 
 
 def cast(rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans) -> Hits:
