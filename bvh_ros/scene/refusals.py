@@ -85,11 +85,14 @@ class Reasons:
     """Why rows are refused, as it is found out; of several reasons the last holds."""
 
     def __init__(self, count: int) -> None:
-        self._codes = np.zeros(count, np.uint16)
+        self._count = count
+        self._codes: NDArray[np.uint16] | None = None  # none where no row is refused
         self._texts = ['']
 
     def add(self, rows: NDArray[Any], text: str) -> None:
         """Refuse rows, given by number or as a mask."""
+        if self._codes is None:
+            self._codes = np.zeros(self._count, np.uint16)
         if text not in self._texts:
             self._texts.append(text)
         self._codes[rows] = self._texts.index(text)
@@ -97,11 +100,13 @@ class Reasons:
     @property
     def good(self) -> NDArray[np.bool_]:
         """(count,) which rows are not refused."""
-        return self._codes == FINE
+        if self._codes is None:
+            return np.ones(self._count, np.bool_)
+        return np.asarray(self._codes == FINE)
 
     def refusals(self, name: Callable[[int], str]) -> Refusals:
         """All of them; `name` says what a row is called."""
         codes, texts = self._codes, self._texts
-        if len(texts) == 1:
+        if codes is None:
             return Refusals()
         return Refusals(Block(np.flatnonzero(codes), name, lambda row: texts[codes[row]]))

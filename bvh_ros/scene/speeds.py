@@ -42,9 +42,9 @@ def speeds_of(
     """Velocities of the rows along the tree's axes, None if none are told; and the rows that have
     one.
     """
-    count, ndim = len(valid.reasons.good), held.tree.ndim
     if given is None:
         return None, valid
+    count, ndim = len(valid.reasons.good), held.tree.ndim
     if callable(given):
         return _followed(held, given, valid.known, count), valid
     rows = velocity_rows(given, count)

@@ -10,7 +10,7 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .geometry.shapes import Shapes, as_shapes
+from .geometry.shapes import UINT8, Shapes, as_shapes
 from .parts import Part, require_a_name_each
 from .refusals import Refusals
 from .speeds import Follow, none_later, speeds_of
@@ -163,7 +163,7 @@ class Updates:
         speeds, valid = speeds_of(held, part.velocities, none_later(valid, part.latest))
         added, known, outside = self._within_region(valid.added, valid.known)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
-        stale = held.members(source, group, present) if whole else slots[:0]
+        stale = held.members(source, group, present) if whole else NONE
         if len(outside) and not sliced:
             stale = np.append(stale, outside)
         if len(added.row):
@@ -237,9 +237,9 @@ class Updates:
     def require_memory(self, rows: int) -> None:
         """Raise MemoryError now, and not when half of the rows are applied."""
         columns = self._held.columns
-        capacity, used = len(columns.tree_handle), len(self._held) + columns.shadows
+        capacity, used = len(columns.tree_handle), len(self._held.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
-        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, np.uint8)  # asked for, not used
+        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""

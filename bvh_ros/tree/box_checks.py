@@ -2,32 +2,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bounds of boxes made sound before they reach a kernel, see `checks`."""
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Floats, finite, point, points, unless_refused
-from .jit.compiling import kernel
+from .checks import Floats, copied_rows, finite, point, unless_refused
+from .jit.compiling import entry_point, lean_kernel
 
 
-@kernel
-def _first_reversed(lo, hi):
+@lean_kernel
+def _first_no_box(lo, hi):
+    """The first row of lo and hi, (n, ndim) float64, that is not finite or has lo > hi; else -1"""
     for i in range(lo.shape[0]):
         for j in range(lo.shape[1]):
-            if lo[i, j] > hi[i, j]:
+            if not (-np.inf < lo[i, j] <= hi[i, j] < np.inf):
                 return i
     return -1
+
+
+@functools.cache
+def _first_entry() -> Callable[..., Any]:
+    """The machine code of `_first_no_box`."""
+    return entry_point(_first_no_box, np.empty((0, 3)), np.empty((0, 3)))
 
 
 def boxes(
     lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None
 ) -> tuple[Floats, Floats]:
     """Rows of boxes: finite, lo <= hi on every axis."""
-    low = points('lo', lo, ndim, count)
-    high = points('hi', hi, ndim, len(low))
-    row = _first_reversed(low, high)
+    low = copied_rows('lo', lo, ndim, count)
+    high = copied_rows('hi', hi, ndim, len(low))
+    row = _first_entry()(low, high)
     if row >= 0:
+        finite('lo', low)
+        finite('hi', high)
         raise ValueError(
             f'lo must not exceed hi: row {row} has lo {low[row].tolist()} '
             f'and hi {high[row].tolist()}'

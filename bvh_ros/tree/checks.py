@@ -17,7 +17,7 @@ from .nodes import ALL, SLOT_MASK
 Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
-FLOAT64 = np.dtype(np.float64)
+FLOAT64, INT64 = np.dtype(np.float64), np.dtype(np.int64)
 # One for all rows, where nothing else is asked for.
 FOREVER, EVERYTHING = np.array([np.inf]), np.array([EVERY])
 
@@ -78,15 +78,6 @@ def unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float
     return floats(name, value)
 
 
-def floats_to_read(name: str, value: ArrayLike) -> Floats:
-    """As `floats`, but the caller's memory where that is of the same array type: for kernels that
-    read every row once.
-    """
-    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
-        return value
-    return floats(name, value)
-
-
 def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
     """As `point`, but the caller's memory where that is of the same array type, and not known to
     be finite: for kernels that read it and see to that.
@@ -117,22 +108,26 @@ def point(name: str, value: ArrayLike, ndim: int) -> Floats:
 
 def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
     """Finite points or vectors of shape (n, ndim); n is `count` where given."""
-    _refuse_before_copying(name, value, ndim, count)
-    array = _rows(name, floats(name, value), ndim, count)
+    array = copied_rows(name, value, ndim, count)
     finite(name, array)
     return array
 
 
+def copied_rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+    """As `points`, not known to be finite."""
+    _refuse_before_copying(name, value, ndim, count)
+    return _rows(name, floats(name, value), ndim, count)
+
+
 def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
-    """As `points`, neither copied nor known to be finite: that is left to who reads them, and to
-    `finite`.
+    """As `points`, neither copied nor known to be finite: that is left to who reads them, each
+    row once, and to `finite`.
     """
     if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
         shape = value.shape
         if len(shape) == 2 and shape[1] == ndim and (count is None or shape[0] == count):
             return value
-    _refuse_before_copying(name, value, ndim, count)
-    return _rows(name, floats(name, value), ndim, count)
+    return copied_rows(name, value, ndim, count)
 
 
 def _refuse_before_copying(name: str, value: ArrayLike, ndim: int, count: int | None) -> None:

@@ -2,32 +2,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Handles: whether they name boxes of a tree."""
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import FOREIGN, is_integer, refuse_masked, shown_short
-from .jit.compiling import kernel
+from .checks import FOREIGN, INT64, is_integer, refuse_masked, shown_short
+from .jit.compiling import entry_point, lean_kernel
 from .nodes import SLOT_MASK
 
 LAST_INT64 = (1 << 63) - 1
 
 
-@kernel
-def _first_bad_handle(handles, given, seen, once):
-    """(row, why): why 0 is none, 1 an unknown handle, 2 one given before although each must be
-    given once.
+@lean_kernel
+def _fill_slots(handles, given, seen, slots):
+    """Fill in the slot of each handle, all int64 (n,): (row, why) of the first bad one. why 0 is
+    none, 1 an unknown handle, 2 one given before; `seen` is empty where that is allowed.
     """
     for i in range(given.shape[0]):
-        slot = given[i] & SLOT_MASK
-        if given[i] < 0 or slot >= handles.shape[0] or handles[slot] != given[i]:
+        number = given[i]
+        slot = number & SLOT_MASK
+        if number < 0 or slot >= handles.shape[0] or handles[slot] != number:
             return i, 1
-        if once:
+        if seen.shape[0] > 0:
             if seen[slot]:
                 return i, 2
             seen[slot] = True
+        slots[i] = slot
     return -1, 0
+
+
+@functools.cache
+def _slots_entry() -> Callable[..., Any]:
+    """The machine code of `_fill_slots`."""
+    numbers = np.empty(0, np.int64)
+    return entry_point(_fill_slots, numbers, numbers, np.empty(0, np.bool_), numbers)
 
 
 def unknown(handle: Any) -> KeyError:
@@ -37,7 +48,9 @@ def unknown(handle: Any) -> KeyError:
 
 def handle(value: Any) -> int:
     """What may be a handle, else KeyError; what is no integer is none."""
-    if is_integer(value) and not isinstance(value, bool) and 0 <= value <= LAST_INT64:
+    if type(value) is not int and (isinstance(value, bool) or not is_integer(value)):
+        raise unknown(value)
+    if 0 <= value <= LAST_INT64:
         return int(value)
     raise unknown(value)
 
@@ -46,6 +59,22 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
     """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
     (with `once`).
     """
+    numbers = _numbers(given)
+    slots = np.empty(len(numbers), INT64)
+    seen = np.zeros(len(handles) if once else 0, np.bool_)
+    row, why = _slots_entry()(handles, numbers, seen, slots)
+    if why == 0:
+        return slots
+    number = np.asarray(given)[row]
+    if why == 1:
+        raise KeyError(f'handle {number} in row {row} names no box of this tree')
+    raise ValueError(f'handles must be given once each: row {row} repeats {number}')
+
+
+def _numbers(given: ArrayLike) -> NDArray[np.int64]:
+    """Handles as the kernel takes them: the caller's memory where that is of this array type."""
+    if type(given) is np.ndarray and given.dtype is INT64 and given.ndim == 1:
+        return given if given.flags.carray else given.copy()
     try:
         array = np.asarray(given)
         refuse_masked(given, array)
@@ -57,12 +86,4 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
         raise ValueError(
             f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
         )
-    numbers = array.astype(np.int64)
-    row, why = _first_bad_handle(
-        handles, numbers, np.zeros(len(handles) if once else 0, np.bool_), once
-    )
-    if why == 1:
-        raise KeyError(f'handle {array[row]} in row {row} names no box of this tree')
-    if why == 2:
-        raise ValueError(f'handles must be given once each: row {row} repeats {array[row]}')
-    return numbers & SLOT_MASK
+    return array.astype(np.int64)

@@ -46,12 +46,12 @@ def policies(page: Page, brief: bool) -> None:
 @contextmanager
 def policy(name: str) -> Iterator[None]:
     """Let move_many follow one policy, whatever the share."""
-    before = dynamic_bvh.REFIT_SHARE, dynamic_bvh.REBUILD_SHARE
-    dynamic_bvh.REFIT_SHARE, dynamic_bvh.REBUILD_SHARE = POLICIES.get(name, before)
+    before = dynamic_bvh.SHARES
+    dynamic_bvh.SHARES = POLICIES.get(name, before)
     try:
         yield
     finally:
-        dynamic_bvh.REFIT_SHARE, dynamic_bvh.REBUILD_SHARE = before
+        dynamic_bvh.SHARES = before
 
 
 class Mover:

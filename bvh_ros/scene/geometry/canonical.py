@@ -18,7 +18,7 @@ from ...tree.jit.intrinsics import stack_array
 from .meshes import Mesh
 from .records import GEOMETRY, Records
 from .rotation import fill_rotation
-from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, Floats, Shapes, rotations
+from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, UINT8, Floats, Shapes, rotations
 
 # A unit quaternion is known to about one ulp a component. One this close to a rotation that maps
 # axes to axes is taken as that rotation: the box would differ by less than the rounding of its own
@@ -218,10 +218,8 @@ def canonical_rows(kinds, positions, orientations, sizes, form):
 
 
 def _empty_form(count: int, ndim: int) -> Canonical:
-    return Canonical(
-        *(np.empty(count, GEOMETRY), np.empty((count, ndim)), np.empty((count, ndim))),
-        np.empty(count, np.uint8),
-    )
+    lo, hi = np.empty((count, ndim)), np.empty((count, ndim))
+    return Canonical(np.empty(count, GEOMETRY), lo, hi, np.empty(count, UINT8))
 
 
 @functools.cache

@@ -13,6 +13,7 @@ from ...tree import checks
 from .meshes import Mesh
 
 Floats = NDArray[np.float64]
+UINT8 = np.dtype(np.uint8)
 
 
 class ShapeKind(IntEnum):
@@ -100,28 +101,21 @@ def as_shapes(shapes: Shapes) -> Shapes:
     kind, position, orientation, size, mesh = shapes
     kind = _kinds(kind)
     count = len(kind)
-    position = _array('shapes.position', position, 3, count)
-    orientation = _array('shapes.orientation', orientation, 4, count)
-    size = _array('shapes.size', size, 3, count)
+    position = checks.rows('shapes.position', position, 3, count)
+    orientation = checks.rows('shapes.orientation', orientation, 4, count)
+    size = checks.rows('shapes.size', size, 3, count)
     if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
         raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
     return Shapes(kind, position, orientation, size, mesh)
 
 
-def _array(name: str, value: ArrayLike, width: int, count: int) -> Floats:
-    array = checks.floats_to_read(name, value)
-    if array.shape != (count, width):
-        raise ValueError(f'{name} has shape {array.shape}, not {(count, width)}')
-    return array
-
-
 def _kinds(value: Any) -> NDArray[np.uint8]:
     """Kinds as bytes, what is none as a byte that is none."""
+    if type(value) is np.ndarray and value.dtype is UINT8 and value.ndim == 1:
+        return value if value.flags.carray else value.copy()
     kind = np.asarray(value)
     if kind.ndim != 1 or isinstance(value, np.ma.MaskedArray):
         raise ValueError(f'shapes.kind must be an array of shape (n,), not {kind.shape}')
-    if kind.dtype == np.uint8:
-        return kind if kind.flags.carray else kind.copy()
     if kind.dtype.kind not in 'iu' and len(kind):
         raise ValueError(f'shapes.kind holds {kind.dtype}, not values of ShapeKind')
     known = (kind >= 0) & (kind < len(ShapeKind))

@@ -170,11 +170,13 @@ class Columns:
 
     def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> Written:
         """Write rows of an update; `owner` is (source, group)."""
-        numbers = self._take_meshes(rows)
-        self._release_meshes(slots)  # afterwards: what only moves is never forgotten
-        kept = Kept(self.geometry, self.stamp, self.expires, self.source, self.group)
-        columns = rows.records, rows.stamp, rows.expires
-        written = Written(*_write_rows()(kept, slots, *columns, owner))
+        numbers = self._take_meshes(rows) if rows.mesh is not None else []
+        if len(self.meshes):
+            self._release_meshes(slots)  # afterwards: what only moves is never forgotten
+        # As Kept(...), which would take one more call of a function of Python's.
+        columns = self.geometry, self.stamp, self.expires, self.source, self.group
+        kept, told = tuple.__new__(Kept, columns), (rows.records, rows.stamp, rows.expires)
+        written = Written._make(_write_rows()(kept, slots, *told, owner))
         self.shaped += written.shaped
         if self.footprint is not None and written.concerned:
             self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])
@@ -184,12 +186,11 @@ class Columns:
 
     def _take_meshes(self, rows: 'Rows') -> list[tuple[int, int]]:
         """Row and number of each mesh; the records get the numbers, too."""
-        numbers = []
-        if rows.mesh is not None:
-            for row in np.flatnonzero(rows.records['kind'] == MESH).tolist():
-                number = self.meshes.take(rows.mesh[row])
-                rows.records['mesh'][row] = number
-                numbers.append((row, number))
+        numbers, mesh = [], np.asarray(rows.mesh)
+        for row in np.flatnonzero(rows.records['kind'] == MESH).tolist():
+            number = self.meshes.take(mesh[row])
+            rows.records['mesh'][row] = number
+            numbers.append((row, number))
         return numbers
 
     def _with_meshes(self, slots: Slots) -> list[int]:

@@ -14,6 +14,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.checks import INT64
 from ...tree.jit.compiling import lean_kernel
 
 Integers: TypeAlias = NDArray[np.int64]
@@ -76,6 +77,8 @@ def as_families(names: Names) -> Families:
     ValueError
         If they are not strings, or not integers.
     """
+    if type(names) is list:  # the commonest
+        return _from_strings(names)
     if isinstance(names, Families):
         numbers = _integers(names.numbers)
         family, prefixes = _integers(names.family, 'family'), names.prefixes
@@ -137,15 +140,14 @@ def _integers(numbers: Integers, what: str = 'numbers') -> Integers:
 def _from_strings(names: Sequence[str]) -> Families:
     if isinstance(names, str):
         raise ValueError('names is one string, not a sequence of strings')
-    if not isinstance(names, Collection):
+    if not isinstance(names, (list, Collection)):
         raise ValueError(f'names must be a sequence of strings, not {type(names).__name__}')
-    names = list(names)
     prefixes: dict[str, int] = {}
     family, numbers = [], []
-    for row, name in enumerate(names):
+    for name in names:
         if not isinstance(name, str):
-            raise ValueError(f'names must be strings: row {row} is {name!r}')
+            raise ValueError(f'names must be strings: row {len(family)} is {name!r}')
         prefix, number = split(name)
         family.append(prefixes.setdefault(prefix, len(prefixes)))
         numbers.append(number)
-    return Families(list(prefixes), np.array(family, np.int64), np.array(numbers, np.int64))
+    return Families(list(prefixes), np.array(family, INT64), np.array(numbers, INT64))

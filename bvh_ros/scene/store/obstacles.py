@@ -162,7 +162,7 @@ class Obstacles:
         if len(slots) == 1:
             self.tree.move(handles.item(), rows.lo[0], rows.hi[0])
         else:
-            self.tree.move_many(handles, rows.lo, rows.hi)
+            self.tree.move_sound(handles, rows.lo, rows.hi)
         masks = rows.categories
         if masks is not None and (columns.categories[slots] != masks).any():
             self.tree.set_masks(handles, masks)
@@ -248,7 +248,8 @@ class Obstacles:
     def _write(self, rows: Rows, slots: Slots, source: str, group: str) -> int:
         """Write rows of columns; return how many obstacles came from other groups, or none."""
         written = self.columns.write(slots, rows, self.groups.open(source, group))
-        self.next_expiry = min(self.next_expiry, int(written.soonest))
+        if written.soonest < self.next_expiry:
+            self.next_expiry = int(written.soonest)
         return written.joined
 
     def remove(self, slots: Slots) -> int:

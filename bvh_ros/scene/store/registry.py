@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which slot each name owns, and the name of each slot."""
 
+import functools
 import random
-from collections.abc import Collection
-from typing import TypeAlias
+from collections.abc import Callable, Collection
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.checks import INT64
+from ...tree.jit.compiling import entry_point
 from ...tree.store.memory import touch
 from .groups import tally
 from .name_hash import EMPTY, add_slots, discard_slots, find_slots
@@ -19,6 +22,13 @@ Slots: TypeAlias = NDArray[np.int64]
 UNKNOWN = EMPTY  # instead of a slot
 _NOBODY = 0  # number of the prefix of a free slot, and of what was never heard of
 _LOAD = 2  # places in the table for each slot
+
+
+@functools.cache
+def _find_slots() -> Callable[..., Any]:
+    """The machine code of `find_slots`."""
+    numbers = np.empty(0, np.int64)
+    return entry_point(find_slots, *(numbers,) * 3, 0, *(numbers,) * 4)
 
 
 class Registry:
@@ -42,10 +52,10 @@ class Registry:
     def find(self, names: Families) -> Slots:
         """Slots of names, UNKNOWN where there is none."""
         known = [self._number_of_prefix.get(prefix, _NOBODY) for prefix in names.prefixes]
-        found = np.empty(len(names), np.int64)
+        found = np.empty(len(names.numbers), INT64)
         if any(known):
-            prefixes = np.array(known, np.int64)
-            find_slots(*self._hashed(), prefixes, names.family, names.numbers, found)
+            prefixes = np.array(known, INT64)
+            _find_slots()(*self._hashed(), prefixes, names.family, names.numbers, found)
         else:
             found.fill(UNKNOWN)
         return found
@@ -105,7 +115,7 @@ class Registry:
         """The slots that the names of some slots lead to."""
         found = np.empty(len(slots), np.int64)
         prefixes, family = self._prefix_of[slots], np.arange(len(slots))
-        find_slots(*self._hashed(), prefixes, family, self._number_of[slots], found)
+        _find_slots()(*self._hashed(), prefixes, family, self._number_of[slots], found)
         return found
 
     def in_namespaces(self, namespaces: Collection[str]) -> Slots:

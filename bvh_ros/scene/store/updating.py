@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...tree.checks import INT64
 from ...tree.jit.compiling import entry_point, lean_kernel
 from ...tree.nodes import ALL
 from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
@@ -71,7 +72,7 @@ def column(
     """One integer for all rows, or one a row, from `least` to `largest`."""
     exact: Any = value
     if type(exact) is int and least <= exact <= largest:  # much the most common
-        same = np.empty(count, np.int64)
+        same = np.empty(count, INT64)
         same.fill(exact)
         return same
     try:
@@ -174,10 +175,11 @@ def validate_rows(
     form = canonicalise(shapes, 2 if planar else 3)
     mesh = outlined(shapes.mesh, form) if planar else shapes.mesh
     everyone = np.arange(count)
-    rows = Rows(everyone, slots, form.records, mesh, form.lo, form.hi, masks, stamps, lives)
-    reasons = Reasons(count)
-    called = names.family, names.numbers
-    good, known = _all_good()(form.faults, called, slots, owner.of_slot, owner.number)
+    records, lo, hi, faults = form
+    # As Rows(...), which would take one more call of a function of Python's.
+    told = everyone, slots, records, mesh, lo, hi, masks, stamps, lives
+    rows, reasons = tuple.__new__(Rows, told), Reasons(count)
+    good, known = _all_good()(faults, names[1:], slots, owner.of_slot, owner.number)
     if good and not _refuse_names(names, reasons):
         if known == count:
             return Validated(_NO_ROWS[planar], rows, reasons)
@@ -209,6 +211,11 @@ def _taken(
 def _refuse_names(names: Families, reasons: Reasons) -> bool:
     """Whether any name is refused for its text."""
     prefixes = names.prefixes
+    for one in prefixes:
+        if not one or one.startswith(ERROR_PREFIX):
+            break
+    else:
+        return False
     reserved = [place for place, one in enumerate(prefixes) if one.startswith(ERROR_PREFIX)]
     empty = [place for place, one in enumerate(prefixes) if not one]
     if reserved:
@@ -217,4 +224,4 @@ def _refuse_names(names: Families, reasons: Reasons) -> bool:
     if empty:
         bad = np.isin(names.family, empty) & (names.numbers == BARE)
         reasons.add(bad, 'its name is empty')
-    return bool(reserved or empty)
+    return True

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import INT64
 from ..nodes import View
 from ..results import RayHits
 from ..wide.few_rays import few_entry
@@ -24,7 +25,6 @@ FEW_RAYS = 1500
 FEW_OF_A_SCAN = 400
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
-INT64 = np.dtype(np.int64)
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 

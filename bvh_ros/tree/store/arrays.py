@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import changing, handle_checks
-from ..build.building import room_to_build
+from ..build.building import Room, room_to_build
+from ..checks import INT64
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
     COUNT,
     LAST_SERIAL,
     OWES,
+    REBUILDS,
     RECENT_PLACES,
     ROOT,
     SLOT_MASK,
@@ -38,6 +40,8 @@ IS_READ_ONLY = 'the tree is mapped from a file and read-only: load it without mm
 # Why a change of one box is refused, where that is no fault of the arguments.
 MENDED = QUERIED, CHANGED, changing.FULL, changing.OWING, changing.NO_NUMBERS
 NO_ROWS, NO_MASKS = np.empty(0, np.int64), np.empty(0, np.uint32)
+# Room to build in is kept after a change of so few rows: to get it anew takes as long as the rest.
+FEW_ROWS = 64
 
 
 def touched(ndim: int, capacity: int, fat: bool) -> Storage:
@@ -60,6 +64,7 @@ class Arrays:
     # without one, or how often rays visited its loose nodes; the arrays that it was taken of. All
     # are written together.
     _wide: tuple[int, int, wide.Snapshot | None, Tree | None]
+    _room: Room | None  # written to by who has the turn, and by few changes at all
 
     @property
     def ndim(self) -> int:
@@ -224,7 +229,7 @@ class Arrays:
         if boxes is None:
             boxes = (np.empty((0, self.ndim)),) * 3
         more = len(rows) if how == changing.INSERT else 0
-        order = np.empty(2 * len(rows) if how == changing.MOVE else 0, np.int64)
+        order = np.empty(2 * len(rows) if how == changing.MOVE else 0, INT64)
         change = Change(rows, *boxes, masks, order)
         policy = Policy(self._margin, self._thorough, *shares)
         kernel = changing.many_entry(self._ndim)
@@ -232,8 +237,13 @@ class Arrays:
             storage = self._settled()
             state = storage.tree.state
             now = state.item(CHANGES) if version == ANY_VERSION else version
-            room = room_to_build(state.item(COUNT) + more)
+            count, rebuilds, room = state.item(COUNT) + more, state.item(REBUILDS), self._room
+            if room is None or len(room.made) < count:
+                room = room_to_build(count)
             done: int = kernel(storage.tree, now, how, change, policy, room)
+            # Who builds a whole tree writes to all of the room: memory that is better given back.
+            few = 0 < len(rows) <= FEW_ROWS and state.item(REBUILDS) == rebuilds
+            self._room = room if few else None
             if done >= 0:
                 return done
             self._make_way(done, storage, more)

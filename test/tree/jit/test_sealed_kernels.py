@@ -77,7 +77,7 @@ def test_settings_that_leave_code_as_it_is_share_it(cache, monkeypatch):
 def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
     """The second box's upper corner lies behind its array's end, in memory that is there."""
     lower, upper = np.zeros((2, 1)), np.ones((2, 1))[:1]
-    function = box_checks._first_reversed.py_func
+    function = box_checks._first_no_box.py_func
     assert compiling.kernel(function)(lower, upper) == -1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
     with pytest.raises(IndexError):
@@ -110,7 +110,7 @@ def test_a_damaged_file_is_compiled_again(cache):
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
     """Another kernel's, another version's, a folder, a link to nothing, one that is not ours."""
-    compiling.lean_kernel(box_checks._first_reversed.py_func)(ROWS, ROWS)
+    compiling.lean_kernel(box_checks._first_no_box.py_func)(ROWS, ROWS)
     (other,) = kept_files(cache)
     misses()
     (file,) = {*kept_files(cache)} - {other}
@@ -164,7 +164,7 @@ from bvh_ros.tree import box_checks, checks
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), -1))
 rows = np.array([[0.0, 1.0], [2.0, np.nan]])
 assert checks.first_not_finite(rows) == 1
-assert box_checks._first_reversed(rows, rows - [0.0, 1.0]) == 0
+assert box_checks._first_no_box(rows, rows - [0.0, 1.0]) == 0
 """
 
 
