@@ -104,9 +104,8 @@ class RayAsking(Timed):
         """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked
         for by one thread.
         """
-        origins, directions = rays.origins, rays.directions
-        count, ndim = origins.shape
-        hits = ray_batches.room_for(count, ndim, rays.mode)
+        count = len(rays.origins)
+        hits = ray_batches.room_for(count, self._ndim, rays.mode)
         view = self.view()
         snapshot = self.snapshot_for(count, view)
         if threads == 1:
@@ -114,8 +113,8 @@ class RayAsking(Timed):
         else:
             exact = self._cast_in_threads(view, snapshot, rays, hits, threads)
         if exact == NOT_FINITE:
-            checks.finite('origins', origins)
-            checks.finite('directions', directions)
+            checks.finite('origins', rays.origins)
+            checks.finite('directions', rays.directions)
         accepted(exact)
         return hits
 

@@ -31,14 +31,16 @@ _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
     """Answer rays: how many took exact arithmetic, or why not."""
     count, ndim = rays.origins.shape
+    tree, version = view
+    done: int
     if snapshot is None:
-        done = rows_entry(ndim)(*view, rays, hits)
-    elif count < FEW_RAYS and (count < FEW_OF_A_SCAN or not is_scan(rays.origins)):
-        done = few_entry(ndim)(*view, snapshot, rays, hits)
+        done = rows_entry(ndim)(tree, version, rays, hits)
+    elif count < FEW_OF_A_SCAN or (count < FEW_RAYS and not is_scan(rays.origins)):
+        done = few_entry(ndim)(tree, version, snapshot, rays, hits)
     else:
         scratch = make_scratch(count, ndim, snapshot.depth)
-        done = cast_entry(ndim)(*view, snapshot, rays, scratch, hits)
-    return int(done)
+        done = cast_entry(ndim)(tree, version, snapshot, rays, scratch, hits)
+    return done
 
 
 def is_scan(origins: NDArray[np.float64]) -> bool:

@@ -146,8 +146,7 @@ class RayQueries(RayAsking):
             As `raycast`; the message names the first bad row.
         """
         mode = raycasting.CLOSEST
-        asked = t_max, mask, skip_inside, mode, threads, at, pace
-        return self._first(origins, directions, *asked)
+        return self._first(origins, directions, t_max, mask, skip_inside, mode, threads, at, pace)
 
     def occluded_many(
         self,
@@ -162,8 +161,7 @@ class RayQueries(RayAsking):
     ) -> NDArray[np.bool_]:
         """Whether each of n rays meets any box, shape (n,). Arguments as `raycast_many`."""
         mode = raycasting.ANY
-        asked = t_max, mask, skip_inside, mode, threads, at, pace
-        hits = self._first(origins, directions, *asked)
+        hits = self._first(origins, directions, t_max, mask, skip_inside, mode, threads, at, pace)
         return np.asarray(hits.ids != _NO_BOX)
 
     def raycast_all_many(
