@@ -172,10 +172,8 @@ class Updates:
             valid.reasons.add(added.row[room:], full)
             added = self._with_masks(added.take(slice(room)), names)
             held.require_handles(len(added.row))
-        newest = held.newest
         whole = whole or (sliced is not None and sliced.replaced is not None)
-        if whole or len(valid.known.row) + len(valid.added.row):
-            newest = max(newest, _latest(part.stamp, valid, whole))
+        newest = max(held.newest, _latest(part.stamp, valid, whole))
         with held.change:
             if len(stale):
                 held.drop(stale)
@@ -291,6 +289,8 @@ class Updates:
 def _latest(given: ArrayLike, valid: Validated, whole: bool) -> int:
     """The latest stamp of the rows that are applied, ns; of the message if that is `whole`."""
     stamp: Any = given
+    if not whole and not len(valid.known.row) + len(valid.added.row):
+        return FIRST_TIME
     if type(stamp) is int:
         return stamp
     if whole:

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import checks
-from ..nodes import View
+from ..nodes import CHANGES, WRITTEN, View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
 from ..timed import NOW, Timed
+from ..wide.few_rays import few_entry
 from ..wide.ray_streams import RAYS_AT_ONCE
 from ..wide.snapshot import Snapshot
 from . import ray_batches, ray_hits, raycasting
@@ -89,16 +90,39 @@ class RayAsking(Timed):
         directions = checks.rows('directions', directions, ndim, count)
         t_max = checks.limits_or_one('t_max', t_max, count)
         masks = checks.masks_or_one(mask, count)
-        skip_inside = checks.flag('skip_inside', skip_inside)
+        if skip_inside is not False:
+            skip_inside = checks.flag('skip_inside', skip_inside)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        motion = self._motion_at(at, pace, count)
+        motion = self._motion
+        if motion is not None or not at is pace is NOW:
+            motion = self._motion_at(at, pace, count)
         if motion is not None:
             some = origins, directions, t_max, masks
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
         # As Rays(...), which would take one more call of a function of Python's.
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        return self.first_hits(tuple.__new__(Rays, asked), threads)
+        rays = tuple.__new__(Rays, asked)
+        if threads == 1 and ray_batches.are_few(origins):
+            hits = self._few_hits(rays)
+            if hits is not None:
+                return hits
+        return self.first_hits(rays, threads)
+
+    def _few_hits(self, rays: Rays) -> RayHits | None:
+        """`first_hits` of few rays if the snapshot is of the tree as it is, with as little Python
+        as can be; else, or if they are refused, None.
+        """
+        storage, (written, _, snapshot, tree) = self._storage, self._wide
+        if tree is not storage.tree or storage.heirs or snapshot is None or snapshot.loose:
+            return None
+        version = tree.state.item(CHANGES)
+        if tree.state.item(WRITTEN) != written:
+            return None
+        count, ndim = rays.origins.shape
+        hits = ray_batches.room_for(count, ndim, rays.mode)
+        done = few_entry(ndim)(tree, version, snapshot, rays, hits)
+        return hits if done >= 0 else None
 
     def first_hits(self, rays: Rays, threads: int) -> RayHits:
         """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked

@@ -35,12 +35,18 @@ def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> in
     done: int
     if snapshot is None:
         done = rows_entry(ndim)(tree, version, rays, hits)
-    elif count < FEW_OF_A_SCAN or (count < FEW_RAYS and not is_scan(rays.origins)):
+    elif are_few(rays.origins):
         done = few_entry(ndim)(tree, version, snapshot, rays, hits)
     else:
         scratch = make_scratch(count, ndim, snapshot.depth)
         done = cast_entry(ndim)(tree, version, snapshot, rays, scratch, hits)
     return done
+
+
+def are_few(origins: NDArray[np.float64]) -> bool:
+    """Whether rays go through the snapshot one by one."""
+    count = len(origins)
+    return count < FEW_RAYS and (count < FEW_OF_A_SCAN or not is_scan(origins))
 
 
 def is_scan(origins: NDArray[np.float64]) -> bool:
