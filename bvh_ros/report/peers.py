@@ -64,23 +64,14 @@ def all_tasks(page: Page, brief: bool) -> None:
 def _introduction(libraries: list[Library]) -> str:
     absent = [library.name for library in LIBRARIES if library not in libraries]
     notes = [f'- **{library.name}**: {library.note}.' for library in libraries]
-    missing = (
-        f'Not installed here, and so left out: {", ".join(absent)}.'
-        if absent
-        else 'All peers are installed.'
+    missing = f'Not installed here, and so left out: {", ".join(absent)}.'
+    head = (
+        'Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to '
+        'anywhere. One processor. The libraries take turns, each with untimed runs for '
+        f'{timing.WARM_SECONDS * 1e3:.0f} ms before the timed one, and the medians of the '
+        'turns are shown. *ours / this* below 1: bvh_ros is faster.'
     )
-    return '\n'.join(
-        [
-            'Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to '
-            'anywhere. One processor. The libraries take turns, each with untimed runs for '
-            f'{timing.WARM_SECONDS * 1e3:.0f} ms before the timed one, and the medians of the '
-            'turns are shown. *ours / this* below 1: bvh_ros is faster.',
-            '',
-            *notes,
-            '',
-            missing,
-        ]
-    )
+    return '\n'.join([head, '', *notes, '', missing if absent else 'All peers are installed.'])
 
 
 @contextmanager

@@ -4,7 +4,7 @@
 
 import pytest
 
-from bvh_ros.report.features.on import random_field
+from bvh_ros.report.features.parts import random_field
 from bvh_ros.report.features.running import Job, run_apart
 from bvh_ros.scene import ShapeKind
 

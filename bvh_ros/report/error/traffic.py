@@ -3,8 +3,7 @@
 """A stale world: recorded traffic that is known at a rate only, while rays are asked all the time.
 
 The true world at any time lies on straight lines between the recorded frames (10 Hz). The known
-world is the one of the last refresh, as it is or moved on by each vehicle's velocity between the
-last two refreshes.
+world is the one of the last refresh, as it is or as the scene predicts it.
 """
 
 from fractions import Fraction
@@ -13,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...scene import NO_NODE, Numbered, Scene, Shapes
+from ...scene.tracking import Tracks
 from ..page import Page
-from ..scenes import Floats, Rays
+from ..scenes import Rays
 from .recordings import Track, tracks
 from .scoring import Answer
 from .shape_scenes import joined_truth
@@ -68,8 +68,8 @@ class Observer:
         In order of time.
     rate : float or None
         Refreshes a second; None: at every moment.
-    extrapolated : bool
-        Move the world on to the moment.
+    predicted : bool
+        Ask the scene where they are at the moment: it follows them from refresh to refresh.
     """
 
     def __init__(
@@ -77,37 +77,31 @@ class Observer:
         traffic: dict[int, Track],
         moments: list[Moment],
         rate: float | None,
-        extrapolated: bool = False,
+        predicted: bool = False,
     ) -> None:
-        self._moments, self._extrapolated = moments, extrapolated
-        times = [m.time if rate is None else np.floor(m.time * rate) / rate for m in moments]
-        self._known = {time: world_at(traffic, time) for time in times}
-        self._times = times
-        self._velocity = {}
-        if extrapolated and rate is not None:
-            for time in self._known:
-                before = world_at(traffic, time - 1 / rate)
-                self._velocity[time] = _velocities(before, self._known[time], 1 / rate)
+        self._moments, self._predicted = moments, predicted
+        times = [moment.time for moment in moments]
+        if rate is not None:  # one more before the first moment, to see how fast they are
+            times = [k / rate for k in range(int(times[0] * rate) - 1, int(times[-1] * rate) + 1)]
+        self._known = [(time, world_at(traffic, time)) for time in times]
 
     def __call__(self) -> list[Answer]:
         """Go through all moments with a new scene: handles and distances."""
-        scene, last, answers = Scene(), None, []
+        scene, answers, known = Scene(), [], self._known[::-1]
         self.names: dict[int, int] = {}
         present: set[int] = set()
-        for moment, time in zip(self._moments, self._times, strict=True):
-            if time != last or self._extrapolated:
-                world = self._known[time]
-                shapes = world.shapes
-                if self._extrapolated:
-                    ahead = self._velocity[time] * (moment.time - time)
-                    shapes = shapes._replace(position=shapes.position + ahead)
-                scene.replace('radar', '', Numbered(PREFIX, world.ids), shapes, stamp=0)
-                if time != last and not present.issuperset(ids := set(world.ids.tolist())):
+        tracks = Tracks(smoothing=0.0) if self._predicted else None
+        for moment in self._moments:
+            while known and known[-1][0] <= moment.time:
+                time, world = known.pop()
+                names, stamp = Numbered(PREFIX, world.ids), round(time * 1e9)
+                scene.replace('radar', '', names, world.shapes, stamp=stamp, velocities=tracks)
+                if not present.issuperset(ids := set(world.ids.tolist())):
                     present |= ids
-                    names = scene.names()
-                    self.names |= {handle: int(name[len(PREFIX) :]) for handle, name in names}
-            last = time
-            handles, ts, _, _ = scene.raycast_many(*moment.rays)
+                    for handle, name in scene.names():
+                        self.names[handle] = int(name[len(PREFIX) :])
+            at = round(moment.time * 1e9) if self._predicted else None
+            handles, ts, _, _ = scene.raycast_many(*moment.rays, at=at)
             answers.append(Answer(handles.astype(np.int64), ts))
         return answers
 
@@ -118,15 +112,6 @@ class Observer:
         handles = np.concatenate([answer.rows for answer in answers]).tolist()
         rows = np.array([self.names[handle] for handle in handles])
         return Answer(rows, np.concatenate([answer.ts for answer in answers]))
-
-
-def _velocities(before: Vehicles, now: Vehicles, interval: float) -> Floats:
-    """(n, 3) m/s; zero for vehicles that were not seen before."""
-    velocity = np.zeros_like(now.shapes.position)
-    _, here, there = np.intersect1d(now.ids, before.ids, return_indices=True)
-    moved = now.shapes.position[here] - before.shapes.position[there]
-    velocity[here] = moved / interval
-    return velocity
 
 
 def moments_of(
@@ -175,15 +160,15 @@ def stale_traffic(page: Page, brief: bool) -> None:
     page.add(
         f'{len(traffic)} recorded vehicles, {len(moments)} moments of {RAYS_PER_MOMENT} level '
         'rays from places on the road in all directions. Time is that of the refreshes and of '
-        'the rays, over the rays. *Extrapolated*: every vehicle is moved on at every moment by '
-        'its velocity between the last two refreshes. Between two frames (10 Hz) the true '
-        'vehicles go straight: above 10 Hz the recording flatters extrapolation.'
+        'the rays, over the rays. *Predicted*: rays are asked `at` the moment, and every vehicle '
+        'goes on as between the last two refreshes. Between two frames (10 Hz) the true '
+        'vehicles go straight: above 10 Hz the recording flatters prediction.'
     )
     watchers = {'true world at every query': Observer(traffic, moments, None)}
     for rate in RATES:
         watchers[f'{rate} Hz'] = Observer(traffic, moments, rate)
     for rate in RATES:
-        watchers[f'{rate} Hz, extrapolated'] = Observer(traffic, moments, rate, True)
+        watchers[f'{rate} Hz, predicted'] = Observer(traffic, moments, rate, True)
     ways: dict[str, Way] = {name: watcher.answer for name, watcher in watchers.items()}
     found = compare(ways, traffic_truth(traffic, moments), repeats(brief), dict(watchers))
     title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'

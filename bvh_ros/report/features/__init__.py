@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`bvh_report features`: what each part costs when it is on, and that it is not there when off."""
 
-from . import node, off, on
+from . import node, parts
 
 INTRODUCTION = '## Features'
-SECTIONS = {'on': on.parts_on, 'off': off.parts_off, 'the node': node.node_parts}
+SECTIONS = {'on': parts.parts_on, 'off': parts.parts_off, 'the node': node.node_parts}

@@ -13,7 +13,7 @@ from ..scenes import Floats
 from .case import LARGEST, Case, rounded
 from .rays import TINIEST, Vector
 
-UP = 1 + 2**-52
+UP, FAR = 1 + 2**-52, 1e9
 # name, one box, another
 PAIRS: tuple[tuple[str, tuple[Vector, Vector], tuple[Vector, Vector]], ...] = (
     ('faces touch', ((0, 0, 0), (1, 1, 1)), ((1, 0, 0), (2, 1, 1))),
@@ -26,11 +26,7 @@ PAIRS: tuple[tuple[str, tuple[Vector, Vector], tuple[Vector, Vector]], ...] = (
     ('smallest boxes, a step apart', ((0,) * 3, (TINIEST,) * 3), ((1e-323,) * 3, (1e-322,) * 3)),
     ('largest boxes that touch', ((-LARGEST,) * 3, (0,) * 3), ((0,) * 3, (LARGEST,) * 3)),
     ('a grain of 1e-15 on a block of 1e15', ((0,) * 3, (1e15,) * 3), ((1e15,) * 3, (2e15,) * 3)),
-    (
-        '1 mm apart, 1e9 m away',
-        ((1e9,) * 3, (1e9 + 1,) * 3),
-        ((1e9 + 1.001, 1e9, 1e9), (1e9 + 2,) * 3),
-    ),
+    ('1 mm apart, 1e9 m away', ((FAR,) * 3, (FAR + 1,) * 3), ((FAR + 1.001,) * 3, (FAR + 2,) * 3)),
 )
 POINTS: tuple[tuple[str, Vector], ...] = (
     ('nearest: from an edge', (2.0, 2.0, 0.5)),
@@ -49,14 +45,9 @@ def pair_cases() -> Iterable[Case]:
         sides = list(zip(lo, hi, low, high, strict=True))
         expected = all(a <= d and c <= b for a, b, c, d in sides)
         both = len(tree.overlap_many([low], [high])[1]) == 1
-        words = {True: 'touch', False: 'apart'}
-        yield Case(
-            f'two boxes: {name}',
-            f'{lo} to {hi}; {low} to {high}',
-            words[expected],
-            words[met],
-            met == both == expected,
-        )
+        words, asked = {True: 'touch', False: 'apart'}, f'{lo} to {hi}; {low} to {high}'
+        told = words[expected], words[met], met == both == expected
+        yield Case(f'two boxes: {name}', asked, *told)
 
 
 def nearest_cases() -> Iterable[Case]:
@@ -74,14 +65,8 @@ def nearest_cases() -> Iterable[Case]:
             apart = np.maximum(np.maximum(-np.array(point), np.array(point) - 1), 0.0)
             plain = float(np.sqrt((apart * apart).sum()))
         good = abs(plain - rounded(exact)) <= 4 * math.ulp(rounded(exact))
-        yield Case(
-            name,
-            f'{point}',
-            repr(rounded(exact)),
-            repr(distance),
-            right,
-            _judged(repr(plain), good),
-        )
+        told = repr(rounded(exact)), repr(distance), right, _judged(repr(plain), good)
+        yield Case(name, f'{point}', *told)
 
 
 def _judged(text: str, right: bool) -> str:
@@ -116,10 +101,6 @@ def _height(name: str, places: Floats, shifted: bool, at_once: bool = False) -> 
         tree.insert(low, high)
     tree.validate()
     bound, cost = 4 * math.log2(len(lo)) + 4, tree.cost()
-    return Case(
-        name,
-        f'{len(lo):,} boxes',
-        f'height <= {bound:.1f}; cost finite, above 0',
-        f'height {tree.height}; cost {cost:.3g}',
-        tree.height <= bound and 0 < cost < math.inf,
-    )
+    said = f'height <= {bound:.1f}; cost finite, above 0', f'height {tree.height}; cost {cost:.3g}'
+    kept = tree.height <= bound and 0 < cost < math.inf
+    return Case(name, f'{len(lo):,} boxes', *said, kept)

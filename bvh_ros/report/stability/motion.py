@@ -59,13 +59,8 @@ def _many_moves(total: int) -> Case:
     expected, got, kept = _bounds(tree)
     grown = tree.stats()['bytes'] - before
     right = np.array_equal(tree.boxes(handles)[0], lo)
-    return Case(
-        f'{total:,} moves to anywhere',
-        f'{count:,} boxes, {at_once} a call',
-        f'{expected}, 0 bytes more',
-        f'{got}, {grown} bytes more',
-        kept and grown == 0 and right,
-    )
+    told = f'{expected}, 0 bytes more', f'{got}, {grown} bytes more', kept and grown == 0 and right
+    return Case(f'{total:,} moves to anywhere', f'{count:,} boxes, {at_once} a call', *told)
 
 
 def _wrong_boxes(tree: DynamicBVH, lo: Floats, hi: Floats, rng: np.random.Generator) -> int:
@@ -98,14 +93,8 @@ def _stiff(ticks: int, margin: float, ahead: bool) -> Case:
         tree.move_many(handles[rows], lo[rows], lo[rows] + 1, step)
         if tick % 20 == 0:
             wrong += _wrong_boxes(tree, lo, lo + 1, rng)
-    expected, got, kept = _bounds(tree)
-    return Case(
-        f'1e4 and 1e-9 m/s, margin {margin:g} m' + (', predicted' if ahead else ''),
-        f'{count} boxes, {ticks} ticks of {TICK} s',
-        f'{expected}, 0 wrong overlaps',
-        f'{got}, {wrong} wrong overlaps',
-        kept and wrong == 0,
-    )
+    name = f'1e4 and 1e-9 m/s, margin {margin:g} m' + (', predicted' if ahead else '')
+    return _judged(tree, name, f'{count} boxes, {ticks} ticks of {TICK} s', wrong)
 
 
 def _teleports(times: int) -> Case:
@@ -121,11 +110,10 @@ def _teleports(times: int) -> Case:
             tree.move(handles[0], lo[0], lo[0] + 1)
             wrong += handles[0] not in tree.overlap(lo[0], lo[0])
     wrong += _wrong_boxes(tree, lo, lo + 1, rng)
+    return _judged(tree, 'teleports by 1e15 m and back', f'500 boxes, {times} returns', wrong)
+
+
+def _judged(tree: DynamicBVH, name: str, asked: str, wrong: int) -> Case:
     expected, got, kept = _bounds(tree)
-    return Case(
-        'teleports by 1e15 m and back',
-        f'500 boxes, {times} returns',
-        f'{expected}, 0 wrong overlaps',
-        f'{got}, {wrong} wrong overlaps',
-        kept and wrong == 0,
-    )
+    told = f'{expected}, 0 wrong overlaps', f'{got}, {wrong} wrong overlaps'
+    return Case(name, asked, *told, kept and wrong == 0)
