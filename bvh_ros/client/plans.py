@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -51,7 +52,10 @@ def request(
 
 def _time(stamp: int) -> Time:
     """A time of a request; ValueError if none can be written so."""
-    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    try:
+        seconds, nanoseconds = divmod(operator.index(stamp), 1_000_000_000)
+    except TypeError:
+        raise ValueError(f'a time must be a whole number of ns, not {stamp!r:.50}') from None
     if not (stamp > 0 and seconds < 1 << 31):
         raise ValueError(f'a time must be above 0 and below 2^31 s, not {stamp} ns')
     return Time(sec=seconds, nanosec=nanoseconds)

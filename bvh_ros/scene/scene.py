@@ -14,11 +14,12 @@ from .geometry.shapes import Floats
 from .inspection import Inspection
 from .overlap_queries import OverlapQueries
 from .ray_queries import RayQueries
+from .region import as_region
 from .removals import Removals
 from .slicing import SlicedUpdates
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN
-from .updates import Categorise, Updates, as_region
+from .updates import Categorise, Updates
 
 
 class Scene:
@@ -45,7 +46,8 @@ class Scene:
         Expect meshes: else the first one makes the kernels of the queries compile anew.
     region : (lo, hi), optional
         Corners of a box, shape (2,) or (3,) as the scene is planar or not; may be infinite. Only
-        obstacles whose bounds touch it are kept: one that leaves it is removed.
+        obstacles whose bounds touch it are kept: one that leaves it is removed. Who has a velocity
+        is kept if its bounds may touch it within `max_prediction` of its stamp.
     max_prediction : float
         Who has a velocity moves on for so many seconds after its stamp, and then stays there.
     uncertainty : float

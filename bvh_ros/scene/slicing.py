@@ -96,6 +96,7 @@ class SlicedUpdates:
                 yield
             leaving = self._updates.leaving(running)
             yield from self._remove_in_slices(np.append(self._shadows(running), leaving))
+            self._held.newest = max(self._held.newest, running.newest)
         finally:
             self._updates.under_way.discard(running)
             if not self._held.change.unfinished:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Velocities of the rows of an update: as they are told, or as somebody follows obstacles."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,8 +23,17 @@ class Sighting(NamedTuple):
     """(n,) ns."""
 
 
-# From slots, node handles, where they were told to be before, and where now, see `tracking`.
-Follow = Callable[[Slots, NDArray[np.int64], Sighting, Sighting], Floats]
+class Follow(Protocol):
+    """Tells velocities from successive updates, see `tracking`."""
+
+    @property
+    def max_speed(self) -> float:
+        """None is faster, m/s."""
+
+    def __call__(
+        self, slots: Slots, handles: NDArray[np.int64], before: Sighting, now: Sighting, /
+    ) -> Floats:
+        """Velocities, (n, 3) m/s, of obstacles from where they were told to be."""
 
 
 def velocity_rows(given: Any, count: int) -> Floats:
@@ -51,6 +59,21 @@ def speeds_of(
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
     valid = _without(valid, wrong, 'its velocity is not finite')
     return np.ascontiguousarray(rows[:, :ndim]), valid
+
+
+def reach_of(
+    held: Obstacles, given: ArrayLike | Follow | None, speeds: Floats | None
+) -> Floats | None:
+    """How far along each axis rows may be from where they are told to be, m, at times that may be
+    asked for; None if they stand. Whoever is followed is seen before its velocity is known.
+    """
+    if speeds is None:
+        return None
+    fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
+    way = np.zeros(speeds.shape)
+    with np.errstate(over='ignore'):  # infinite: anywhere
+        fastest = fastest + held.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
+        return np.multiply(fastest, held.max_prediction, out=way, where=fastest > 0.0)
 
 
 def none_later(valid: Validated, latest: int | None) -> Validated:

@@ -39,8 +39,10 @@ class Tracks:
     """Velocities from successive updates, for `Scene.update` and `replace` as `velocities`.
 
     An obstacle that is told for the first time, or after a jump, is at rest until its next update.
-    An update with the stamp of the one before changes no velocity, nor does one that comes up to
-    1 s too late; one that is older begins anew, as after a clock that was set back.
+    An update with the stamp of the one before changes no velocity, unless it is a jump, nor does
+    one that comes up to 1 s too late; one that is older begins anew, as after a clock that was set
+    back. A jump is farther than `max_speed` allows in the time between, and 0.02 s more, as stamps
+    jitter.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ class Tracks:
 
     def __init__(self, smoothing: float = 0.3, max_speed: float = 50.0) -> None:
         self._smoothing = checks.limit('smoothing', smoothing)
-        self._max_speed = checks.limit('max_speed', max_speed)
+        self.max_speed = checks.limit('max_speed', max_speed)
         self._state = _room_for(0)
 
     def __call__(self, slots: Ids, handles: Ids, before: Sighting, now: Sighting) -> Floats:
@@ -85,9 +87,9 @@ class Tracks:
         known.ways[on] = (known.ways * faded[:, None] + step)[on]
         known.times[on] = (known.times * faded + elapsed)[on]
         velocities = known.ways / np.where(known.times > 0.0, known.times, 1.0)[:, None]
-        reach = self._max_speed * (elapsed + JITTER)
+        reach = self.max_speed * (elapsed + JITTER)
         jumps = ~(np.linalg.norm(step, axis=1) <= reach)
-        jumps |= ~(np.linalg.norm(velocities, axis=1) <= self._max_speed)
+        jumps |= ~(np.linalg.norm(velocities, axis=1) <= self.max_speed)
         jumps &= ~late
         known.ways[jumps], known.times[jumps], velocities[jumps] = 0.0, 0.0, 0.0
         known.stamps[~late], known.places[~late] = now.stamps[~late], now.places[~late]

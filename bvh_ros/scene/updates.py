@@ -13,31 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from .geometry.shapes import UINT8, Shapes, as_shapes
 from .parts import Part, require_a_name_each
 from .refusals import Refusals
-from .speeds import Follow, none_later, speeds_of
+from .region import Region, within
+from .speeds import Follow, none_later, reach_of, speeds_of
 from .store import updating
 from .store.names import Families, Names, as_families
 from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
 from .store.updating import FIRST_TIME, Owner, Rows, Validated
 
-Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
-
-
-def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | None:
-    """Corners of a box that may be infinite; ValueError if it is none."""
-    if given is None:
-        return None
-    try:
-        lo, hi = (np.array(corner, np.float64) for corner in given)
-    except (TypeError, ValueError):
-        raise ValueError('region must be two corners') from None
-    if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
-        raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
-    return lo, hi
 
 
 @dataclass(eq=False)
@@ -58,6 +45,8 @@ class Sliced:
     """All that is named is known, `replaced` are the others, and `left` are new names."""
     new: list[int] = field(default_factory=list)
     """How many new names each part brings then, the first part last."""
+    newest: int = 0
+    """Latest stamp of its rows so far, ns: what the scene holds is as new when all are in."""
     told: list[tuple[Slots, bool]] = field(default_factory=list)
     """Who was named, in order, and whether they leave the region, and so go."""
     shadows: list[Slots] = field(default_factory=list)
@@ -161,7 +150,8 @@ class Updates:
         updating.text('source', source), updating.text('group', group)
         names, slots, valid = self._validated(source, part)
         speeds, valid = speeds_of(held, part.velocities, none_later(valid, part.latest))
-        added, known, outside = self._within_region(valid.added, valid.known)
+        reach = reach_of(held, part.velocities, speeds)
+        added, known, outside = within(self._region, valid, reach)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
         stale = held.members(source, group, present) if whole else NONE
         if len(outside) and not sliced:
@@ -173,7 +163,7 @@ class Updates:
             added = self._with_masks(added.take(slice(room)), names)
             held.require_handles(len(added.row))
         whole = whole or (sliced is not None and sliced.replaced is not None)
-        newest = max(held.newest, _latest(part.stamp, valid, whole))
+        newest = max(sliced.newest if sliced else held.newest, _latest(part.stamp, valid, whole))
         with held.change:
             if len(stale):
                 held.drop(stale)
@@ -185,7 +175,10 @@ class Updates:
             if len(added.row):
                 new = held.insert(added, names.take(added.row), source, group)
                 held.set_velocities(new, added, speeds)
-            held.newest = newest
+            if sliced:
+                sliced.newest = newest
+            else:
+                held.newest = newest
         return valid.reasons.refusals(names.text)
 
     def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:
@@ -204,16 +197,6 @@ class Updates:
             slots,
             updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar),
         )
-
-    def _within_region(self, added: Rows, known: Rows) -> tuple[Rows, Rows, Slots]:
-        """New and known obstacles whose bounds touch the region, and slots of those that leave."""
-        if self._region is None:
-            return added, known, NONE
-        lo, hi = self._region
-        new, old = (
-            np.asarray(((rows.lo <= hi) & (rows.hi >= lo)).all(axis=1)) for rows in (added, known)
-        )
-        return added.take(new), known.take(old), known.slot[~old]
 
     def _with_masks(self, added: Rows, names: Families) -> Rows:
         """New obstacles; where the message brings no masks, with those that the scene gives."""

@@ -205,6 +205,8 @@ def test_many_rays(scene):
         refused(scene, scene.raycast_many, *rays, bad)
     for bad in (None, 'x', [1], -1, 1.5, [1, 2**32], [1.5, 1], 10**400):
         refused(scene, scene.raycast_many, *rays, mask=bad)
+    none = np.zeros((0, 3))
+    assert len(scene.raycast_many(none, none, 1.0, mask=[], at=[], until=[]).t) == 0
 
 
 def test_a_shifted_clock_saturates(scene):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Part, Scene, ShapeKind, Shapes, slicing
+from bvh_ros.scene.tracking import Tracks
 
 NAMES = [f'thing/{i}' for i in range(40)]
 
@@ -85,6 +86,36 @@ def test_between_slices_nothing_that_was_or_will_be_is_missing(monkeypatch):
     after.replace('one', '', names, new, stamp=1)
     assert held_by(scene) == held_by(after) != before
     scene.validate()
+
+
+@pytest.mark.parametrize('planar', [False, True])
+def test_who_will_be_in_the_region_is_kept(planar):
+    rng, ndim, step = np.random.default_rng(5), 2 if planar else 3, 100_000_000
+    region, names = ([-3.0] * ndim, [3.0] * ndim), [f'thing/{i}' for i in range(60)]
+    places, speeds = rng.uniform(-9, 9, (60, 3)), rng.uniform(-8, 8, (60, 3))
+    speeds[::4] = 0.0
+    for follow, uncertainty in ((False, 0.0), (True, 0.0), (False, 3.0)):
+        scenes = [
+            Scene(planar=planar, region=one, max_prediction=1.0, uncertainty=uncertainty)
+            for one in (region, None)
+        ]
+        tracks = {scene: Tracks(0.0, 15.0) for scene in scenes}
+        for time in (0, step):
+            for scene in scenes:
+                now = places + speeds * (time / 1e9) * follow
+                told = tracks[scene] if follow else speeds
+                boxes = Shapes.boxes(now, [1, 1, 1])
+                assert not scene.update('one', names, boxes, stamp=time, velocities=told)
+        part, whole = scenes
+        assert follow or len(part) < len(whole)
+        for at in (step, 2 * step, 11 * step, (11 if uncertainty else 99) * step):
+            for corner in rng.uniform(-3, 3, (20, 3)):
+                seen = [hit.name for hit in part.overlap(corner, -corner, at=at)]
+                assert seen == [hit.name for hit in whole.overlap(corner, -corner, at=at)]
+        # Who stands is forgotten as ever, and so is who is told to stand.
+        for scene in scenes:
+            scene.update('one', names, Shapes.boxes(places, [1, 1, 1]), stamp=2 * step)
+        assert held_by(part) == expected(whole, *map(np.array, region))
 
 
 def test_room_is_for_what_is_kept():

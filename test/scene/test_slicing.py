@@ -85,7 +85,7 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
     pauses = 0
     for stamp in range(1, 5):
         part = random_part(random, stamp, shaped)
-        before = occupied(sliced)
+        before, newest = occupied(sliced), sliced.newest
         update = at_once.replace if whole else at_once.update
         group = [''] if whole else []
         expected = update('s', *group, *part[:2], stamp=stamp)
@@ -97,9 +97,11 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
                 break
             pauses += 1
             assert before & after <= occupied(sliced) <= before | after
+            assert sliced.newest == newest  # as new as the message when all of it is in
             sliced.validate()
             assert len({handle for handle, _ in sliced.names()}) == len(sliced)
         assert state(sliced) == state(at_once)
+        assert sliced.newest == at_once.newest == stamp
         assert occupied(sliced) == after
         sliced.validate()
         assert len(sliced) == len(at_once)

@@ -80,6 +80,8 @@ def column(
     except ValueError:
         raise ValueError(f'{name} must be an integer or {count} integers') from None
     masked = isinstance(value, np.ma.MaskedArray)
+    if not array.size:
+        array = array.astype(np.int64)  # an empty list is of floats
     if array.shape not in ((), (count,)) or masked or array.dtype.kind not in 'iu':
         raise ValueError(
             f'{name} must be an integer of 64 bits or {count} of them, '

@@ -125,7 +125,8 @@ def enter_node(node, course, ahead, limit):
     """Distance at which a course may enter a node's bounds, or inf if it surely misses them or
     enters after `limit`. `ahead` is from the start of the span to that of the course.
 
-    Comparisons with NaN are written such that they bound nothing.
+    Comparisons with NaN are written such that they bound nothing, nor does a speed beyond the
+    doubles.
     """
     ray, pace = course.ray, course.pace
     entry, leave = 0.0, limit
@@ -138,13 +139,13 @@ def enter_node(node, course, ahead, limit):
             if toward <= 0.0:
                 return np.inf
             entry = max(entry, below / toward)
-        elif toward < 0.0 and below / toward < leave:
+        elif -np.inf < toward < 0.0 and below / toward < leave:
             leave = below / toward
         if above < 0.0:
             if away >= 0.0:
                 return np.inf
             entry = max(entry, above / away)
-        elif away > 0.0 and above / away < leave:
+        elif 0.0 < away < np.inf and above / away < leave:
             leave = above / away
     if math.isinf(entry):
         return 0.0

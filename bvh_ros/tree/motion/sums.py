@@ -38,7 +38,7 @@ def gap(plane, front, velocity, at, reference):
     way, below = two_product(velocity, since)
     apart, least = two_sum(plane, -front)
     if velocity == 0.0 or since == 0.0:
-        if math.isfinite(apart):
+        if apart == 0.0 or SMALL < abs(apart) < LARGE:
             return apart, least, 0
     else:
         total, rest = two_sum(apart, way)

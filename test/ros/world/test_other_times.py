@@ -333,12 +333,14 @@ def test_the_client_asks_about_times(clean):
     assert (hit.stamp - now) / SECOND == pytest.approx(9.5 / 15, abs=1e-6)
     assert client.raycast_all(*ends, at=now, until=now + 2 * SECOND) == [hit]
     assert client.overlap((4, -1, -1), (6, 1, 1), at=now + SECOND)[0].name == 'tracks#1'
+    point = (0, 0, 0), (0, 0, 0)
+    clean.until(lambda: not errors(clean, 'nearest', *point, at=now + SECOND), 400.0)
     assert client.nearest((0, 0, 0), at=now + SECOND)[0].point[0] == pytest.approx(4.5)
     with pytest.raises(BvhError, match='max_prediction'):
         client.raycast(*ends, at=now + 3 * SECOND)
     with pytest.raises(BvhError, match='start has none'):
         client.raycast(*ends, until=now)
-    for wrong in (-1, 0, (1 << 31) * SECOND):
+    for wrong in (-1, 0, (1 << 31) * SECOND, 1.5, math.nan):
         with pytest.raises(ValueError, match='a time must be'):
             client.raycast(*ends, at=wrong)
     starts, ways = np.zeros((3, 3)), np.full((3, 3), [20.0, 0, 0])

@@ -115,3 +115,12 @@ def test_nearest_at_a_time():
             many = tree.nearest_many([course.low] * 2, k=3, at=course.at)
             assert many[0][1].tolist() == near[:3].tolist()
             assert many[1][1].tolist() == gaps[:3].tolist()
+
+
+def test_a_relative_speed_beyond_the_doubles_prunes_nothing():
+    tree = DynamicBVH(2)
+    ids = tree.insert_many([[-3e307, 1], [-3e307, 500]], [[-2e307, 2], [-2e307, 501]])
+    tree.set_velocities(ids, [[1e308, 0]] * 2)
+    hit = tree.raycast([0, 0], [-1.5e308, 20], 1.0, pace=1.0)
+    assert hit is not None
+    assert (hit.id, hit.t) == (ids[0], 0.08)

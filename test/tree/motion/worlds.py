@@ -85,7 +85,16 @@ def all_decades(rng: Random, ndim: int) -> tuple[World, Course]:
     return World(lo, hi, velocities, references), Course(low, low, way, at, pace)
 
 
-KINDS = plain, whole_numbers, grazing, together, all_decades
+def ends_of_the_doubles(rng: Random, ndim: int) -> tuple[World, Course]:
+    """The same as whole numbers of the smallest double, or of one near the largest."""
+    world, course = whole_numbers(rng, ndim)
+    unit = rng.choice([5e-324, 3e-320, 2e307])
+    lo, hi, velocities = (array * unit for array in world[:3])
+    ways = (array * unit for array in course[:3])
+    return World(lo, hi, velocities, world.references), Course(*ways, course.at, course.pace)
+
+
+KINDS = plain, whole_numbers, grazing, together, all_decades, ends_of_the_doubles
 
 
 def worlds(seed: int, count: int) -> Iterator[tuple[World, Course, Random]]:
