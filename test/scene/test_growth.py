@@ -141,6 +141,14 @@ def test_rays_and_balls_never_miss_what_has_grown():
             assert ([first.t] * 2 if first else [np.inf] * 2) == many.t.tolist()
 
 
+def test_who_stands_among_who_moves_does_not_grow():
+    scene, boxes = Scene(uncertainty=3.0), Shapes.boxes([[0, 4, 0], [0, 50, 0]], [1, 1, 1])
+    scene.update('s', ['stands', 'goes'], boxes, stamp=NOW, velocities=[[0, 0, 0], [1, 0, 0]])
+    for at in (NOW, NOW + SECOND):
+        assert scene.overlap([-1, -1, -1], [1, 1, 1], at=at) == []
+        assert scene.overlap_many([[0, 0, 0]], [2, 2, 2], want='count', at=at) == [0]
+
+
 def test_what_does_not_grow_and_what_is_refused():
     for wrong in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match='uncertainty'):

@@ -183,10 +183,12 @@ def _touch(tree, moving, then, asked, slots, spare, found):
     its centre; return how many.
     """
     (solid, tolerance, at), bodies, count = asked, then.bodies, 0
+    # Else the tree was asked for more than touches.
+    exact = not solid.shaped and tolerance == 0.0 and most_growth(then, at) == 0.0
     for slot in slots:
         growth = place(tree, moving, then, spare, slot, at)
         shape, reach, planar = spare.shapes[0], tolerance + growth, bodies.footprints is not None
-        touches = not (shape.shaped or solid.shaped) and reach == 0.0
+        touches = exact and not shape.shaped
         if not touches:
             touches, _ = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
         if touches:
