@@ -55,14 +55,16 @@ class Removals:
         slots = slots[slots != UNKNOWN]
         if len(namespaces):
             slots = np.concatenate((slots, self._held.registry.in_namespaces(set(namespaces))))
-        slots = np.unique(slots)
+        if len(slots) > 1:
+            slots = np.unique(slots)
         return self._held.columns.tree_handle[
             slots[self._held.columns.source[slots] == self._held.groups.source(source)]
         ]
 
     def discard(self, found: Slots) -> int:
         """Remove those that `find` found, as far as they are still there; return how many."""
-        return self._held.remove(self._held.still_there(np.unique(found)))
+        once = np.unique(found) if len(found) > 1 else found
+        return self._held.remove(self._held.still_there(once))
 
     def discard_in_slices(self, found: Slots, besides: Names) -> Iterator[None]:
         """`discard`, with pauses, those who have none of the names `besides`."""

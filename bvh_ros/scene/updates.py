@@ -158,9 +158,11 @@ class Updates:
             stale = np.append(stale, outside)
         if len(added.row):
             room = self._room(len(added.row), sliced) + len(stale)
-            full = f'the scene is full (max_obstacles is {held.most})'
-            valid.reasons.add(added.row[room:], full)
-            added = self._with_masks(added.take(slice(room)), names)
+            if room < len(added.row):
+                full = f'the scene is full (max_obstacles is {held.most})'
+                valid.reasons.add(added.row[room:], full)
+                added = added.take(slice(room))
+            added = self._with_masks(added, names)
             held.require_handles(len(added.row))
         whole = whole or (sliced is not None and sliced.replaced is not None)
         newest = max(sliced.newest if sliced else held.newest, _latest(part.stamp, valid, whole))
@@ -192,11 +194,8 @@ class Updates:
         require_a_name_each(names, len(shapes.kind))
         slots = held.registry.find(names)
         owner = Owner(held.groups.source(source), held.columns.source, held.groups.source_name)
-        return (
-            names,
-            slots,
-            updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar),
-        )
+        valid = updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
+        return names, slots, valid
 
     def _with_masks(self, added: Rows, names: Families) -> Rows:
         """New obstacles; where the message brings no masks, with those that the scene gives."""
@@ -235,8 +234,10 @@ class Updates:
         """How many obstacles may come, once what is under way has ended; that `wanted` may is
         known without looking at all that is there.
         """
-        replacing = [one for one in self.under_way if one.replaced is not None]
         room = self._held.most - len(self._held)
+        if room >= wanted and not self.under_way:
+            return wanted
+        replacing = [one for one in self.under_way if one.replaced is not None]
         room -= sum(max(one.left, 0) for one in replacing if not (one is own and one.surveyed))
         if room + sum(map(self._surely_leaving, replacing)) >= wanted:
             return wanted

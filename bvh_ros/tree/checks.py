@@ -168,6 +168,8 @@ def mask(value: Any) -> np.uint32:
 
 def masks(value: Any, count: int) -> NDArray[np.uint32]:
     """A mask a row, from one for all or an array of shape (count,)."""
+    if type(value) is int:
+        return np.full(count, mask(value))
     try:
         array = np.asarray(value)
         refuse_masked(value, array)
@@ -278,7 +280,7 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
 
 def few_enough(lo: ArrayLike) -> None:
     """Refuse more boxes than a tree can hold, before they are copied."""
-    if isinstance(lo, np.ndarray) and lo.ndim > 1:
+    if isinstance(lo, np.ndarray) and lo.ndim > 1 and len(lo) > SLOT_MASK:
         capacity('the number of rows of lo', max(len(lo), 1))
 
 

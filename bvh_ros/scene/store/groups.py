@@ -12,7 +12,7 @@ NOBODY = 0  # number of the source and group of a free slot, and of what was nev
 
 def tally(numbers: NDArray[np.int64]) -> dict[int, int]:
     """How often each number is there."""
-    if len(numbers) and (numbers == numbers[0]).all():
+    if len(numbers) == 1 or (len(numbers) and (numbers == numbers[0]).all()):
         return {int(numbers[0]): len(numbers)}
     different, times = np.unique(numbers, return_counts=True)
     return dict(zip(different.tolist(), times.tolist(), strict=True))

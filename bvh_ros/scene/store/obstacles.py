@@ -16,42 +16,14 @@ from ...tree.nodes import SLOT_MASK
 from ..geometry.shapes import Floats
 from ..results import LAST_NODE_HANDLE, SceneHit
 from .beside import beside
+from .change import Change
 from .columns import NEVER, Columns
 from .groups import NOBODY, Groups
 from .names import Families
 from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
-UNFINISHED = (
-    'a change of the scene was interrupted (or is under way): what it holds is not known before '
-    'it is cleared'
-)
-
-
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
-
-
-class Change:
-    """Around whatever is written to tree, columns, names and groups: they agree only at its end.
-
-    Who is interrupted in between (Ctrl-C, MemoryError) leaves it `unfinished`; who asks meanwhile,
-    from a signal handler or another thread, finds it so.
-    """
-
-    def __init__(self) -> None:
-        self.unfinished = False
-
-    def require_none(self) -> None:
-        """RuntimeError if a change was interrupted, or is under way."""
-        if self.unfinished:
-            raise RuntimeError(UNFINISHED)
-
-    def __enter__(self) -> None:
-        self.require_none()
-        self.unfinished = True
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.unfinished = kind is not None
 
 
 class Obstacles:
@@ -232,15 +204,15 @@ class Obstacles:
 
     def insert(self, rows: Rows, names: Families, source: str, group: str) -> Slots:
         """Add obstacles; node handles ascend with the tree's, so that both order ties alike."""
-        masks = rows.categories
+        masks, columns = rows.categories, self.columns
         handles = self.tree.insert_many(rows.lo, rows.hi, masks)
-        slots: Slots = self.tree.slots(handles)
-        columns = self.columns
+        slots: Slots = handles & SLOT_MASK
         columns.grow(int(slots.max()) + 1)
         columns.tree_handle[slots] = handles
         columns.categories[slots] = 1 if masks is None else masks
-        columns.node_handle[slots] = np.arange(len(slots)) + self.next_node_handle
+        first = self.next_node_handle
         self.next_node_handle += len(slots)
+        columns.node_handle[slots] = np.arange(first, self.next_node_handle)
         self.registry.add(names, slots)
         self.groups.join(source, group, self._write(rows, slots, source, group))
         return slots
