@@ -165,7 +165,7 @@ class Updates:
             added = self._with_masks(added, names)
             held.require_handles(len(added.row))
         whole = whole or (sliced is not None and sliced.replaced is not None)
-        newest = max(sliced.newest if sliced else held.newest, _latest(part.stamp, valid, whole))
+        newest = max(sliced.newest if sliced else held.newest, _latest(part, valid, whole))
         with held.change:
             if len(stale):
                 held.drop(stale)
@@ -270,13 +270,17 @@ class Updates:
             self._held.remove(np.flatnonzero(self._held.columns.shadow))
 
 
-def _latest(given: ArrayLike, valid: Validated, whole: bool) -> int:
-    """The latest stamp of the rows that are applied, ns; of the message if that is `whole`."""
-    stamp: Any = given
+def _latest(part: Part, valid: Validated, whole: bool) -> int:
+    """The latest stamp of the rows that are applied, ns; of the message if that is `whole`, but
+    for what is not believed.
+    """
+    stamp: Any = part.stamp
     if not whole and not len(valid.known.row) + len(valid.added.row):
         return FIRST_TIME
     if type(stamp) is int:
-        return stamp
+        return stamp if part.latest is None or stamp <= part.latest else FIRST_TIME
     if whole:
-        return int(np.max(stamp, initial=FIRST_TIME))
+        stamps = np.atleast_1d(stamp)
+        believed = True if part.latest is None else stamps <= part.latest
+        return int(np.max(stamps, initial=FIRST_TIME, where=believed))
     return max(int(some.stamp.max()) for some in valid[:2] if len(some.stamp))
