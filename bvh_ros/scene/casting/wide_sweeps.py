@@ -9,7 +9,7 @@ how far it goes.
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.compiling import inlined
 from ...tree.jit.float32x16 import seen16, stream16
 from ...tree.jit.intrinsics import WIDTH, stack_array
 from ...tree.nodes import NONE
@@ -28,7 +28,7 @@ _STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
 
 
-@lean_kernel
+@inlined
 def find_wide(world, snapshot, way, ball, asked, room):
     """As `ball_casting.find` and `bracket` of the first hit: how many obstacles may be it. way =
     (origin, direction), asked = (mask, skip_inside), room as of `sweeping.sweep_balls`. UNSUITED:

@@ -13,7 +13,9 @@ from . import inside
 
 
 def _compiled(function: Callable[..., Any], **private: Any) -> Any:
-    """A kernel; `private` are options that numba does not document."""
+    """A kernel; `private` are options that numba does not document. `forceinline` is always among
+    them, as a kernel that does not say it takes it from the one in which it is compiled first.
+    """
     options = {'error_model': 'numpy', 'nogil': True}
     parts = inside.parts()
     if parts is None:
@@ -28,7 +30,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     Division by zero follows IEEE 754, as in numpy. `fastmath` stays off: a kernel that decides
     must round as written.
     """
-    return _compiled(function, _nrt=True)
+    return _compiled(function, _nrt=True, forceinline=False)
 
 
 def lean_kernel(function: Callable[..., Any]) -> Any:
@@ -37,7 +39,7 @@ def lean_kernel(function: Callable[..., Any]) -> Any:
     Counting is two atomic operations for every array passed to a function: ten arrays a ray cost
     more than the ray.
     """
-    return _compiled(function, _nrt=False)
+    return _compiled(function, _nrt=False, forceinline=False)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
