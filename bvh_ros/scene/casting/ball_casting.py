@@ -5,8 +5,9 @@
 The closed form of `ray_shapes.enter_rounded_box` rounds: each offset of the origin from a face
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
 sum of lengths) leaves origin + s * direction within 40 u L of the surface of the box grown by it
-(u = 2**-53, L the sum of the largest offsets, the length of the way and the radius). Nor can a box
-be missed, or met wrongly, that is not within 40 u L of being so. A ball smaller by the slack of
+(u = 2**-53, L the sum of the largest offsets, the radius and the length of the way, which past all
+boxes counts no more than up to them). Nor can a box be missed, or met wrongly, that is not within
+40 u L of being so. A ball smaller by the slack of
 128 u L therefore comes surely late, and one larger by it surely early:
 
     ------|-----------|------------|----->  t        before `early` the box is surely not touched,
@@ -40,18 +41,21 @@ from .casting import AT, EARLY, LATE, cast, course_of, enter_thrice, touch
 from .exact_balls import START, Root
 
 SWEEP_SLACK = 2.0**-46
+FEW = 64  # boxes whose roots are asked for one by one
 LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
 
 
 @lean_kernel
 def slack_of(world, ray, radius):
     """By how much a larger ball is surely early, and a smaller one late."""
-    here, total = world.nodes[world.root], radius
+    here, extent, way = world.nodes[world.root], radius, 0.0
     for axis in range(ray.shape[1]):
         above = abs(here.hi[axis] - ray[ORIGIN, axis])
         below = abs(here.lo[axis] - ray[ORIGIN, axis])
-        total += abs(ray[DIRECTION, axis]) + max(above, below)
-    return SWEEP_SLACK * total if radius > SMALL and total < LARGE else np.inf
+        extent += max(above, below)
+        way += abs(ray[DIRECTION, axis])
+    total = extent + min(way, extent)
+    return SWEEP_SLACK * total if SMALL < total < LARGE else np.inf
 
 
 @lean_kernel
@@ -220,9 +224,10 @@ def _exact(
     lows, highs = overlaps.corners(columns.geometry[slots])
     origin, direction = sweep.origin.tolist(), sweep.direction.tolist()
     ndim, latest = len(origin), np.inf
-    roots: dict[int, Root | None] = {}
+    roots: dict[int, Root | None] = dict.fromkeys(rows.tolist())
+    if len(rows) > FEW:
+        rows = rows[_near(lows[rows, :ndim], highs[rows, :ndim], sweep)]
     for row in rows[np.argsort(early[rows])].tolist():
-        roots[row] = None
         if early[row] > latest:
             continue
         lo, hi = lows[row, :ndim].tolist(), highs[row, :ndim].tolist()
@@ -231,6 +236,24 @@ def _exact(
         if root is not None and not sweep.every and not (sweep.skip_inside and root is START):
             latest = min(latest, float(root) * (1.0 + SWEEP_SLACK))
     return roots
+
+
+def _near(lows: Floats, highs: Floats, sweep: Sweep) -> Slots:
+    """Rows of boxes of which a ball may be the first to touch one, or may touch, in less time than
+    roots take: its centre meets the box grown by the radius, and no later than another box itself.
+    """
+    with np.errstate(over='ignore'):
+        low, high = np.nextafter(lows - sweep.radius, -np.inf), highs + sweep.radius
+    most = np.finfo(np.float64).max
+    grown = DynamicBVH.from_boxes(
+        np.maximum(low, -most), np.minimum(np.nextafter(high, np.inf), most)
+    )
+    way = sweep.origin[None], sweep.direction[None], 1.0
+    _, ids, ts = grown.raycast_all_many(*way)
+    latest = np.inf
+    if not sweep.every and not sweep.skip_inside:
+        latest = DynamicBVH.from_boxes(lows, highs).raycast_many(*way).t[0]
+    return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + SMALL])
 
 
 def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:

@@ -217,6 +217,38 @@ def test_equal_times_go_to_the_older():
         assert hits[0].t == pytest.approx((3.5 - 0.75) / 9)
 
 
+def test_few_roots_are_asked_for_however_far_or_small(monkeypatch):
+    """A ball's way may be longer than the world, come from afar, and the ball be next to nothing:
+    seventy boxes are not compared root by root.
+    """
+    rng = np.random.default_rng(5)
+    count, asked = 70, []
+    root = exact_balls.first_touch
+    monkeypatch.setattr(exact_balls, 'first_touch', lambda *given: asked.append(1) or root(*given))
+    scene, shapes = Scene(), Shapes.boxes(rng.uniform(0, 20, (count, 3)), [1.5, 1.0, 0.5])
+    scene.update('test', [str(row) for row in range(count)], shapes, stamp=1)
+    lo, hi = (side.tolist() for side in scene._held.tree.boxes(scene._held.tree.ids()))
+    boxes, met = list(zip(lo, hi, strict=True)), 0
+    for far, radius in ((1.0, 1e-300), (1.0, 1e-13), (1e20, 0.2), (1e141, 0.2), (1e17, 0.2)):
+        way = rng.normal(size=3) * 10
+        target = shapes.position[rng.integers(count)]
+        start = target - way * (far if far == 1e17 else 0.5)
+        way *= 2 * far
+        for skip_inside in (False, True):
+            asked.clear()
+            options = {'skip_inside': skip_inside}
+            hit = scene.raycast(start, start + way, radius, **options)
+            assert len(asked) < 12, (far, radius)
+            goal = start + way
+            sweep = Sweep(start.tolist(), (goal - start).tolist(), radius)
+            first = expected_rows(boxes, sweep, skip_inside)[:1]
+            assert ([int(hit.name)] if hit else []) == first, (far, radius)
+            many = scene.sweep_many(start[None], goal[None], radius, **options)
+            assert many.t[0] == (hit.t if hit else np.inf)
+            met += len(first)
+    assert met >= 5
+
+
 def test_random_balls_need_no_exact_arithmetic():
     """Else it would be slow; and adversarial ones do, else the tests above show nothing."""
     brackets = np.array([[0.1, 0.3], [0.2, 0.4], [0.25, 0.5]])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene.casting.mesh_rays import shear
+from bvh_ros.tree import checks
 from bvh_ros.tree.jit import inside
-from bvh_ros.tree.jit.compiling import entry_point
+from bvh_ros.tree.jit.compiling import entry_point, inlined, kernel, lean_kernel
 
 
 def test_what_a_kernel_returns_is_made_without_python():
@@ -16,3 +17,12 @@ def test_what_a_kernel_returns_is_made_without_python():
         pytest.skip('there are entry points only with the inside of numba')
     with pytest.raises(TypeError, match='plain tuple'):
         entry_point(shear, np.zeros(3))
+
+
+def test_a_kernel_is_inlined_where_it_says_so_only():
+    """numba hands the wish on to what it compiles meanwhile, unless that says what it wants."""
+    if inside.parts() is None:
+        pytest.skip('only with the inside of numba')
+    for decorate, wanted in ((kernel, False), (lean_kernel, False), (inlined, True)):
+        made = decorate(checks.first_not_finite.py_func)
+        assert made.targetoptions['forceinline'] is wanted
