@@ -68,7 +68,7 @@ class Source(ABC):
         self.has_spoken = False
         self.completeness = Completeness()
         self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
-        self.on_applied: Callable[[], object] = lambda: None  # called after each message
+        self.on_applied: Callable[[int], object] = lambda now: None  # after each message
         self.tells_all = False  # whether the message that is being applied says everything
         self.raw = False  # whether `apply` takes a message as its serialised bytes
         self.follow = _follower(settings)
@@ -187,7 +187,7 @@ class Source(ABC):
             items, refusals = yield from self.apply(self._read(serialised), now)
             self.timings.add(began)
             self.refused.add_rows(refusals)
-            self.on_applied()
+            self.on_applied(now)
             if items == 0 or len(refusals) < items:
                 self.spoke_at, self.has_spoken = now, True
                 if self.tells_all:

@@ -28,13 +28,15 @@ class Past:
         self._kept: list[tuple[int, Scene]] = []  # newest stamp included, ns, and what was known
         self.length = round(history * 1e9)
 
-    def note(self) -> None:
-        """Keep the scene as it is after a message; forget what is too old."""
+    def note(self, now: int) -> None:
+        """Keep the scene as it is after a message that came at `now` (ns on the node's clock);
+        forget what is too old.
+        """
         if not self.length or self._scene.interrupted:
             return
-        stamp = self._scene.newest
-        while self._kept and self._kept[-1][0] >= stamp:
-            self._kept.pop()
+        stamp = min(self._scene.newest, now)  # no data are newer than now, whatever they say
+        if self._kept and self._kept[-1][0] >= stamp:
+            stamp = self._kept.pop()[0]
         self._kept.append((stamp, self._scene.copy()))
         # The last one before the time that is kept says what was known at its beginning.
         before = [k for k, (one, _) in enumerate(self._kept) if one <= stamp - self.length]

@@ -25,7 +25,7 @@ def told(times, scene, place, at, speed=None):
     box = Shapes.boxes([[place, 0, 0]], [1, 1, 1])
     speeds = None if speed is None else [[speed, 0, 0]]
     scene.replace('s', '', ['one'], box, stamp=NOW + at * TICK, velocities=speeds)
-    times.past.note()
+    times.past.note(NOW + 100 * TICK)
 
 
 def place_at(times, ticks, now=100):
@@ -63,6 +63,22 @@ def test_each_time_has_what_was_known_then():
     assert place_at(times, 30) == 7
     told(times, scene, 8.0, 30)
     assert place_at(times, 30) == 8
+
+
+def test_a_stamp_in_the_future_hides_nothing_that_is_told_later():
+    scene = Scene(max_prediction=1.0)
+    times = KnownTimes(scene, 1.0, 5.0)
+    other = Shapes.boxes([[0, 50, 0]], [1, 1, 1])
+    for tick in range(20):
+        if tick % 5 == 0:
+            ahead = SECOND if tick else 3
+            scene.update('map', ['map'], other, stamp=NOW + tick * TICK + ahead)
+            times.past.note(NOW + tick * TICK)
+        box = Shapes.boxes([[tick, 0, 0]], [1, 1, 1])
+        scene.replace('s', '', ['one'], box, stamp=NOW + tick * TICK)
+        times.past.note(NOW + tick * TICK + 1)
+    for tick in range(19):
+        assert place_at(times, tick + 0.5, now=19) == tick
 
 
 def test_a_copy_is_the_same_and_goes_its_own_way():
