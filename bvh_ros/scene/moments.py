@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..tree import checks
+from ..tree.nodes import NONE
 from ..tree.store.workers import in_threads
 from .casting.arguments import Rays, every_row, row_by_row, ways_of
 from .geometry.shapes import Floats
@@ -45,6 +46,9 @@ class Moments:
             if until is not None:
                 raise ValueError('until needs at')
             return False
+        last = at if until is None else until
+        if type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME:
+            return self._held.moves  # much the most common
         start = column('at', at, rows_needed(at, until, count), LAST_TIME, FIRST_TIME)
         if until is not None:
             stop = column('until', until, len(start), LAST_TIME, FIRST_TIME)
@@ -68,19 +72,23 @@ class Moments:
         stop = self._held.seconds(column('until', until, rows, LAST_TIME, FIRST_TIME))
         return Times(start, stop - start)
 
-    def _tree_knows(self, rays: Rays, radii: Floats, times: 'Times') -> bool:
-        """Whether the tree alone decides: boxes and thin rays, while nobody rests or grows."""
-        held = self._held
-        if held.columns.shaped or held.uncertainty or radii.any():
-            return False
-        return not len(at_rest(held, times.last(rays.t_max)))
+    def _way_of_time(self, at: Any, until: Any) -> tuple[float, float]:
+        """`_times` of one way."""
+        if type(at) is int and (until is None or type(until) is int):
+            start = self._held.second(at)
+            return start, 0.0 if until is None else self._held.second(until) - start
+        (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
+        return start, pace
 
     def first(self, way: Way, mask: int, skip: bool, at: Any, until: Any) -> SceneHit | None:
         """What a ray, or ball, meets first."""
         held, (origin, direction, radius) = self._held, way
-        (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
+        start, pace = self._way_of_time(at, until)
         looks = held.columns.shaped or held.uncertainty or radius > 0.0
-        if looks or len(at_rest(held, start + pace)):
+        still = len(at_rest(held, start + pace)) > 0
+        if looks and not still:
+            return self._first_shape(way, mask, skip, (start, pace))
+        if still:
             hits = self.every(way, mask, skip, at, until)
             return hits[0] if hits else None
         ndim = held.tree.ndim
@@ -92,6 +100,20 @@ class Moments:
         place[0, 2], place[0, :ndim], place[1, :ndim] = origin[2], hit.point, hit.normal
         return held.hit(held.tree.slot(hit.id), hit.t, place[0], place[1])
 
+    def _first_shape(
+        self, way: Way, mask: int, skip: bool, when: tuple[float, float]
+    ) -> SceneHit | None:
+        """What a ray, or ball, meets first, while nobody comes to rest."""
+        from .casting.moving import first_then
+        from .casting.seen import Times
+
+        origin, direction, radius = way
+        masks, times = np.full(1, checks.mask(mask)), Times(*(np.full(1, one) for one in when))
+        rays = Rays(origin[None], direction[None], np.ones(1), masks)
+        found = first_then(self._held, rays, np.full(1, radius), bool(skip), times)
+        slot, t = found.hits.slots.item(0), found.hits.ts.item(0)
+        return None if slot == NONE else self._held.hit(slot, t, found.points[0], found.normals[0])
+
     def every(
         self, way: Way, mask: int, skip: bool, at: Any, until: Any, most: int | None = None
     ) -> list[SceneHit]:
@@ -99,16 +121,14 @@ class Moments:
         origin, direction, radius = way
         masks = np.full(1, checks.mask(mask))
         rays = Rays(origin[None], direction[None], np.ones(1), masks)
-        met = self._met(rays, np.full(1, radius), skip, self._times(at, until, 1))
+        from .casting.moving import cast_then  # no scene without velocities needs it
+
+        times = self._times(at, until, 1)
+        met = cast_then(self._held, rays, np.full(1, radius), bool(skip), times)
         require_few(len(met.slots), most)
         columns = met.slots.tolist(), met.ts.tolist(), met.points, met.normals
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
         return self._held.each_once(hits)
-
-    def _met(self, rays: Rays, radii: Floats, skip: bool, times: 'Times') -> Any:
-        from .casting.moving import cast_then  # no scene without velocities needs it
-
-        return cast_then(self._held, rays, radii, bool(skip), times)
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
@@ -116,10 +136,11 @@ class Moments:
         """What n rays, or balls, meet first; when = (at, until)."""
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         ways_of(rays, radii)  # refuses balls without an end
-        if self._tree_knows(rays, radii, times):
+        held, still = self._held, len(at_rest(self._held, times.last(rays.t_max))) > 0
+        if not (still or held.columns.shaped or held.uncertainty or radii.any()):
             from .casting.moving import first_boxes
 
-            return first_boxes(self._held, rays, skip, times, threads)
+            return first_boxes(held, rays, skip, times, threads)
         rays = row_by_row(rays)
         hits = CastHits(
             *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
@@ -129,15 +150,26 @@ class Moments:
 
         def work(start: int, stop: int) -> None:
             *some, balls, begin, pace = (column[start:stop] for column in columns)
-            met = self._met(Rays(*some), balls, skip, times._replace(at=begin, pace=pace))
-            rows, first = np.unique(met.rows, return_index=True)
+            given = Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace)
+            rows, slots, *places = self._firsts(still, *given)
             rows += start
-            hits.handles[rows] = self._held.columns.node_handle[met.slots[first]]
-            hits.t[rows], hits.points[rows] = met.ts[first], met.points[first]
-            hits.normals[rows] = met.normals[first]
+            hits.handles[rows] = held.columns.node_handle[slots]
+            hits.t[rows], hits.points[rows], hits.normals[rows] = places
 
         in_threads(work, count, threads)
         return hits
+
+    def _firsts(self, still: bool, *asked: Any) -> tuple[Any, ...]:
+        """First hits: (rows, slots, ts, points, normals)."""
+        from .casting.moving import cast_then, first_then  # no scene without velocities needs it
+
+        if still:
+            met = cast_then(self._held, *asked)
+            rows, first = np.unique(met.rows, return_index=True)
+            return rows, met.slots[first], met.ts[first], met.points[first], met.normals[first]
+        told = first_then(self._held, *asked)
+        rows = np.flatnonzero(told.hits.slots != NONE)
+        return rows, *(c[rows] for c in (*told.hits[:2], told.points, told.normals))
 
 
 def rows_needed(at: Any, until: Any, count: int) -> int:

@@ -82,7 +82,8 @@ class OverlapQueries:
         """What a query touches at a time."""
         limits = np.full(1, query.tolerance), np.full(1, checks.mask(mask))
         rows = QueryRows(query.record, query.bounds[None], *limits)
-        found, order = self._moments.distances().find(rows, hulls, self._moments.seconds(at, 1))
+        times = self._moments.seconds(at, 1)
+        found, order = self._moments.distances().find(rows, hulls, times)
         if self._held.planar:
             found.points[: len(order), 2] = query.height
         hits = self._held.each_once(self._held.hits(found, order))

@@ -10,12 +10,14 @@ Who grows, see `store.places`, is met by a ball that is as much larger, as he ha
 of its way: too early rather than too late.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.motion.casting import Casts
+from ...tree.motion.queries import times_of
 from ...tree.rays.raycasting import CLOSEST, EVERY
 from ...tree.rays.slab import INSIDE
 from ..geometry.shapes import Floats, along_axes
@@ -23,7 +25,8 @@ from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Rays
+from .arguments import Hits, Rays, call, new_scratch, world_of
+from .first_moving import First, Ways, first_rows
 from .frame import COORDINATES, FRAME_SLACK
 from .seen import Met, Times, meet_pairs
 
@@ -31,9 +34,7 @@ from .seen import Met, Times, meet_pairs
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
     """All that rays, or balls, meet; `rays` as Scene.raycast_many has them."""
     ndim, count = held.tree.ndim, len(rays.origins)
-    if held.uncertainty and np.isinf(rays.t_max).any():
-        row = np.flatnonzero(np.isinf(rays.t_max))[0]
-        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
+    require_ends(held, rays)
     flat = rays._replace(
         origins=along_axes(rays.origins, ndim), directions=along_axes(rays.directions, ndim)
     )
@@ -74,6 +75,42 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     return hits
 
 
+def first_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> First:
+    """First hits of rays, or balls, while nobody comes to rest; as of `cast_then`."""
+    tree, columns, count = held.tree, held.columns, len(rays.origins)
+    require_ends(held, rays)
+    origins, directions = (along_axes(rows, tree.ndim) for rows in rays[:2])
+    more = reaches(held, rays, radii, times)
+    ways = Ways(origins, directions, rays.t_max, rays.masks, radii, *times, more)
+    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+    told = First(hits, np.zeros((count, 3)), np.zeros((count, 3)))
+    given = ways, (skip, held.uncertainty), columns.node_handle, new_scratch(tree.ndim), told
+
+    def ask(arrays: Any, moving: Any) -> Any:
+        return call(first_rows, world_of(tree, columns), arrays, moving, *given)
+
+    spans = partial(times_of, times.at, times.pace, rays.t_max)
+    _motion_of(held).ask(tree, spans, ask)
+    if tree.ndim == 2:
+        told.points[:, 2] = rays.origins[:, 2]
+    return told
+
+
+def require_ends(held: Obstacles, rays: Rays) -> None:
+    """ValueError if a ray has no end, where obstacles grow."""
+    if held.uncertainty and np.isinf(rays.t_max).any():
+        row = np.flatnonzero(np.isinf(rays.t_max))[0]
+        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
+
+
+def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
+    """By how much rays may pass boxes of obstacles that their balls touch, (n,)."""
+    axes = rays.origins[:, : held.tree.ndim]
+    largest = np.abs(axes).max(axis=1, initial=0.0)
+    more = radii * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
+    return np.asarray(more + most_growth(held, times.at, times.ends(rays.t_max)))
+
+
 def _motion_of(held: Obstacles) -> Any:
     return held.tree.motion
 
@@ -103,10 +140,7 @@ def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, tim
 
 def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
     """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
-    largest = np.abs(rays.origins).max(axis=1, initial=0.0)
-    more = radii * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
-    ends = times.ends(rays.t_max)
-    more = more + most_growth(held, times.at, ends)
+    ends, more = times.ends(rays.t_max), reaches(held, rays, radii, times)
     lo, hi = rays.origins - more[:, None], rays.origins + more[:, None]
     casts = Casts(lo, hi, rays.directions, rays.t_max, rays.masks, *times, False, EVERY)
     offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)

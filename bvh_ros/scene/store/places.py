@@ -30,6 +30,7 @@ class Movers(NamedTuple):
     """When they come to rest, ascending; none where nobody ever does."""
     slots: Slots
     """Of those."""
+    first_end: float
 
 
 def movers(held: Obstacles) -> Movers:
@@ -46,7 +47,8 @@ def movers(held: Obstacles) -> Movers:
         order = np.argsort(told)
         ends = told[order] + held.max_prediction
     first, last = (told.min(), told.max()) if len(told) else (np.inf, -np.inf)
-    known = held.movers = Movers(version, float(first), float(last), ends, slots[order])
+    end = float(ends[0]) if len(ends) else np.inf
+    known = held.movers = Movers(version, float(first), float(last), ends, slots[order], end)
     return known
 
 
@@ -71,6 +73,8 @@ def at_rest(held: Obstacles, last: float) -> Slots:
     if not held.moves or np.isinf(held.max_prediction):
         return NOBODY
     known = movers(held)
+    if last <= known.first_end:
+        return NOBODY
     return known.slots[: np.searchsorted(known.ends, last)]
 
 

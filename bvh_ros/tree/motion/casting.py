@@ -79,7 +79,7 @@ def cast(tree, moving, course, asked, found, filled):
         top -= 1
         if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
             continue
-        node, top = _descend(nodes, course, bounded, ahead, limit, (stack, entries, top))
+        node, top = descend(nodes, course, bounded, ahead, limit, (stack, entries, top))
         if node == NONE or nodes[node].mask & mask == 0:
             continue
         slot = np.int64(node >> 1)
@@ -102,7 +102,7 @@ def cast(tree, moving, course, asked, found, filled):
 
 
 @inlined
-def _descend(nodes, course, bounded, ahead, limit, waiting):
+def descend(nodes, course, bounded, ahead, limit, waiting):
     """Follow the nearer child from the last of the nodes that wait, (stack, entries, top), down to
     a leaf: (leaf or NONE, top).
     """

@@ -113,7 +113,7 @@ class MotionQueries(Motion):
         offsets, done = np.zeros(count + 1, np.int64), 0
         found = room_for_hits(count if casts.mode != EVERY else 64)
         kernel = casting.rows_entry(ndim)
-        spans = functools.partial(_spans, casts.at, casts.pace, casts.t_max)
+        spans = functools.partial(times_of, casts.at, casts.pace, casts.t_max)
         while done < count:
 
             def call(arrays: Any, moving: Any, first: int = done, room: Any = found) -> Any:
@@ -149,7 +149,7 @@ class MotionQueries(Motion):
         """
         count = len(rays[0])
         when, view = _times(times, count), tree.view()
-        span, every = _spans(*when, rays[2])
+        span, every = times_of(*when, rays[2])
         sweep = self.swept_for(tree, view, count, span) if every and count else None
         leaves = NO_LEAVES[tree.ndim] if sweep is None else sweep.leaves
         moving = self.known(view, 0.0, 0.0)
@@ -244,7 +244,7 @@ class MotionQueries(Motion):
         )
         rows, kernel = nearest.Near(points, limits, masks, times, k), nearest.rows_entry(tree.ndim)
         found, distances = np.empty((count, k), np.int64), np.empty((count, k))
-        spans = functools.partial(_spans, times, STILL, STILL)
+        spans = functools.partial(times_of, times, STILL, STILL)
         self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))
         return found, distances
 
@@ -277,7 +277,7 @@ def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
     return min(at, last), max(at, last)
 
 
-def _spans(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
+def times_of(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
     """`_span` of all rows for which there can be bounds, and whether that is all rows."""
     if len(at) == len(pace) == len(t_max) == 1:
         one = at.item(), pace.item(), t_max.item()
