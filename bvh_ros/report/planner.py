@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..scene import Scene, Shapes
+from ..scene.casting import exact_balls
 from ..scene.geometry.shapes import rotations, unit_quaternions
 from .batches import many_times
 from .libraries.fcl import Coal, Fcl, centers
@@ -21,6 +22,7 @@ from .timing import Job, interleaved
 BOXES, ROWS, REPEATS = 10_000, (1, 100, 10_000), 7
 LOOPED = 300  # rows that peers are asked about
 LONG, RADIUS, SIZE, LARGE = 5.0, 0.2, (0.9, 0.6, 0.5), (3.6, 2.4, 2.0)  # m
+SWEPT = {'thin rays': 0.0, 'swept balls': RADIUS}
 
 
 class Question(NamedTuple):
@@ -32,11 +34,10 @@ class Question(NamedTuple):
     distance: bool = False
 
 
-def questions(boxes: Boxes, starts: Floats, turns: Floats) -> dict[str, Question]:
+def questions(boxes: Boxes, starts: Floats, goals: Floats, turns: Floats) -> dict[str, Question]:
     """By name."""
     scene, names = Scene(), [f'box{row}' for row in range(len(boxes.lo))]
     scene.update('report', names, Shapes.boxes(centers(boxes), boxes.hi - boxes.lo), stamp=0)
-    goals = starts + LONG * (turns[:, :3] / np.linalg.norm(turns[:, :3], axis=1)[:, None])
     small, large = (Shapes.boxes(starts, size, turns) for size in (SIZE, LARGE))
     return {
         'thin rays': Question(lambda k: scene.sweep_many(starts[k], goals[k]).t),
@@ -82,22 +83,40 @@ def loop(
     return lambda: np.array([one(item) for item in items])
 
 
+def exact_ts(boxes: Boxes, starts: Floats, goals: Floats, radius: float) -> Floats:
+    """When balls first touch any box, in exact arithmetic; inf if they do not."""
+    ts = np.full(len(starts), np.inf)
+    for row, (start, way) in enumerate(zip(starts, goals - starts, strict=True)):
+        beside = np.maximum(np.maximum(boxes.lo - start, start - boxes.hi), 0.0)
+        for box in np.flatnonzero(np.linalg.norm(beside, axis=1) <= LONG + 2.0 * radius + 0.1):
+            ends = boxes.lo[box].tolist(), boxes.hi[box].tolist(), start.tolist(), way.tolist()
+            root = exact_balls.first_touch(*ends, radius)
+            ts[row] = min(ts[row], np.inf if root is None else float(root))
+    return ts
+
+
 def batches(page: Page, brief: bool) -> None:
     """Measure."""
     rng, counts = np.random.default_rng(3), ROWS[:2] if brief else ROWS
     boxes, starts = uniform_boxes(300 if brief else BOXES, rng), spread(counts[-1], rng)
     turns, few = rng.normal(size=(len(starts), 4)), slice(min(LOOPED, counts[-1]))
+    goals = starts + LONG * (turns[:, :3] / np.linalg.norm(turns[:, :3], axis=1)[:, None])
     asked = rotations(unit_quaternions(turns))[few], starts[few]
     peers = [peer for peer in (Fcl(), Coal()) if peer.installed()]
     rows: list[list[Cell]] = []
-    for name, question in questions(boxes, starts, turns).items():
+    for name, question in questions(boxes, starts, goals, turns).items():
         calls = {str(n): Job(partial(question.ask, slice(n)), n) for n in counts}
         jobs = {row: many_times(job, brief) for row, job in calls.items()}
         for peer in peers if question.size else ():
             jobs[peer.name] = Job(loop(peer, boxes, asked, question), len(starts[few]))
         with one_processor():
             found = interleaved(jobs, 2 if brief else REPEATS, warm=True)
-        row: list[Cell] = [name, *(found[str(n)].nanoseconds / 1e3 for n in counts)]
+        row: list[Cell] = [name, *(found[str(n)].nanoseconds / 1e3 for n in counts), None]
+        if name in SWEPT:
+            exact = exact_ts(boxes, starts[few], goals[few], SWEPT[name])
+            answers = question.ask(few)
+            met = np.isfinite(exact) | np.isfinite(answers)
+            row[-1] = float(np.abs(answers[met] - exact[met]).max(initial=0.0)) * LONG
         for peer in peers:
             row += [None] * 3
             if peer.name in jobs:
@@ -106,7 +125,7 @@ def batches(page: Page, brief: bool) -> None:
                 row[-3:] = [ratio, int(np.count_nonzero(error > 1e-6)), float(error.max())]
         rows.append(row)
     page.add(TEXT)
-    header = ['question', *(f'us a row, {n:,} a call' for n in counts)]
+    header = ['question', *(f'us a row, {n:,} a call' for n in counts), 'error at most, m']
     for peer in peers:
         header += [f'ours / {peer.name}', 'otherwise', 'by at most, m']
     page.table(Table('planner', header, rows))
@@ -117,7 +136,8 @@ TEXT = (
     f'{LONG} m, balls of {RADIUS} m; boxes of {SIZE} m, few of which meet something, and of '
     f'{LARGE} m, turned in any way. Peers are asked in a loop, with objects that are ready, '
     'whether a box meets anything, and how far it, or a ball of 1 nm, is from what is nearest; '
-    'the largest batch is held against them. *otherwise*: answers that are not ours, to 1e-6.'
+    'the largest batch is held against them. *error*: of some along their segments, beside '
+    'exact arithmetic with every box. *otherwise*: answers that are not ours, to 1e-6.'
 )
 INTRODUCTION = '## Planner'
 SECTIONS = {'batches': batches}
