@@ -22,7 +22,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import NativeLowering
-from numba.core.types import Record
+from numba.core.types import IntegerLiteral, Record, unliteral
 
 from .kernel_files import KernelCache
 
@@ -150,6 +150,8 @@ class Kernel(CPUDispatcher):
                 self._cache.release()
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
+        """One part for a number written in the call and one that is computed, not two."""
+        args = tuple(unliteral(one) if isinstance(one, IntegerLiteral) else one for one in args)
         return self._part.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
