@@ -8,7 +8,7 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ..geometry.hull import Hull, hull_of
+from ..geometry.hull import hull_of, hull_of_point
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
 from .simplex import FIRST, SECOND, SLACK, WAY_ROOM
 from .sure_gap import set_normal, sure_bounds
@@ -31,8 +31,7 @@ def hull_gap(hull, point, apart, normal):
     for axis in range(3):
         ball[CENTRE, axis] = math.ldexp(point[axis], -exponent)
     mesh[HALF, 0] = math.ldexp(1.0, -exponent)
-    nothing = Hull(hull.places[:0], hull.discs[:0], 1.0)
-    point_core, mesh_core = Core(ball, False, nothing), Core(mesh, False, hull)
+    point_core, mesh_core = Core(ball, False, hull_of_point(hull)), Core(mesh, False, hull)
     high = sure_bounds(point_core, mesh_core, SLACK, True, way)[1]
     for axis in range(3):
         apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)

@@ -103,10 +103,7 @@ def fill_cores(one, hulls, other, other_hulls, planar, rows):
     exponent = math.frexp(largest)[1]
     round_one, radius = fill_core(one, origin, exponent, planar, rows[0])
     round_other, other_radius = fill_core(other, origin, exponent, planar, rows[1])
-    if hulls is None:
-        hull = other_hull = None
-    else:
-        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     cores = Core(rows[0], round_one, hull), Core(rows[1], round_other, other_hull)
     return cores, (radius, other_radius), exponent
 
@@ -140,10 +137,7 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
         if gap == 0.0 and sure:
             return True, False
     way = stack_array(WAY_ROOM, np.float64)
-    if hulls is None:
-        hull = other_hull = None
-    else:
-        hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
     cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
     low, _, more_digits = sure_bounds(cores[0], cores[1], limit, False, way)

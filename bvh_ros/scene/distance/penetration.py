@@ -16,7 +16,7 @@ import numpy as np
 
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ..geometry.hull import Hull, hull_of
+from ..geometry.hull import hull_of, hull_of_point
 from .expanding_polygon import polygon_depth
 from .expanding_polytope import polytope_depth
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
@@ -67,12 +67,8 @@ def depth_of_point(place, shape, hulls, planar, points, normal):
             first[row, axis] = 1.0 if row == AXES + axis and not (planar and axis == 2) else 0.0
     for axis in range(2 if planar else 3):
         first[CENTRE, axis] = math.ldexp(place[axis] - origin[axis], -exponent)
-    if hulls is None:
-        hull = nothing = None
-    else:
-        hull = hull_of(hulls, shape)
-        nothing = Hull(hull.places[:0], hull.discs[:0], 1.0)
-    cores = Core(first, False, nothing), Core(second, is_round, hull)
+    hull = hull_of(hulls, shape)
+    cores = Core(first, False, hull_of_point(hull)), Core(second, is_round, hull)
     depth = core_depth(cores, (0.0, radius), planar, points, normal)
     return scaled_back(depth, exponent, origin, points)
 

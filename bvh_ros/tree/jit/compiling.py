@@ -8,6 +8,7 @@ from typing import Any
 
 import numba
 from numba import types
+from numba.extending import overload
 
 from . import inside
 
@@ -45,6 +46,21 @@ def lean_kernel(function: Callable[..., Any]) -> Any:
 def inlined(function: Callable[..., Any]) -> Any:
     """A lean kernel that becomes part of its callers."""
     return _compiled(function, _nrt=False, forceinline=True)
+
+
+def chosen_by_types(choose: Callable[..., Any]) -> Callable[..., Any]:
+    """A function for kernels: the lean one that `choose` returns for the types of its arguments.
+
+    numba compiles both sides of `x is None`, whatever the type of x: a result that is None on one
+    side has another type then, and all that takes it is compiled for both.
+    """
+    options = {'error_model': 'numpy', **({} if inside.parts() is None else {'_nrt': False})}
+
+    def called(*arguments: Any) -> Any:
+        raise TypeError(f'{choose.__name__} is for kernels only')
+
+    overload(called, jit_options=options)(choose)
+    return called
 
 
 def rewired(original: Any, **calls: Any) -> Any:
