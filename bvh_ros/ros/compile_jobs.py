@@ -12,6 +12,7 @@ import numpy as np
 
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.tree.jit.worker import side_by_side
 
 FEW = 256  # rays that go through the snapshot one by one, where there is one
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
@@ -86,9 +87,9 @@ def jobs(needs: Needs) -> list[Job]:
     """Return all calls: those that the first answers wait for, then the longest."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         ('obstacles', 11.0, _obstacles),
-        ('thin rays', 4.0, _thin_rays),
-        ('true shapes', 28.0, _true_shapes),
-        *([('batches of rays', 7.0, _batches)] if needs.batch else []),
+        ('thin rays', 6.0, _thin_rays),
+        ('true shapes', 24.0, _true_shapes),  # and 4 more in a fork
+        *([('batches of rays', 8.0, _batches)] if needs.batch else []),
         *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
         *_moving(needs)[:1],
         ('checks', 1.5, _checks),
@@ -198,7 +199,13 @@ def scenes(needs: Needs) -> Iterator[Scene]:
 
 
 def _obstacles(needs: Needs) -> None:
-    """Every way in which obstacles come, move and go, and what is told of them all the time."""
+    """Every way in which obstacles come, move and go, and what is told of them all the time.
+
+    The tree takes longest, and is compiled first: what else a new box takes, `_thin_rays` compiles
+    meanwhile.
+    """
+    boxes = MIDDLE[:, : 2 if needs.planar else 3]
+    DynamicBVH(boxes.shape[1]).insert_many(boxes, boxes)
     scene, margin = _with_boxes(needs), needs.margin
     places = [*(MIDDLE + 50.0), MIDDLE[1] - 9.0]
     for number, place in zip([*range(BOXES), 1], places, strict=True):
@@ -215,16 +222,19 @@ def _obstacles(needs: Needs) -> None:
 
 
 def _thin_rays(needs: Needs) -> None:
-    _empty(needs).raycast(START, GOAL)
+    scene = _empty(needs)
+    scene.raycast(START, GOAL)
+    scene.replace(
+        'cloud', '', Numbered('box#', NUMBERS[:0]), Shapes.boxes(MIDDLE[:0], EDGE), stamp=1
+    )
 
 
 def _true_shapes(needs: Needs) -> None:
-    """One after the other: rays alone, or overlaps, would take three times as long in a process
-    that has not compiled balls, most of which they share.
+    """Balls first: rays alone, or overlaps, would take three times as long in a process that has
+    not compiled balls, most of which they share.
     """
     _swept_balls(needs)
-    _rays_at_shapes(needs)
-    _overlaps(needs)
+    side_by_side(partial(_overlaps, needs), partial(_rays_at_shapes, needs))
 
 
 def _rays_at_shapes(needs: Needs) -> None:

@@ -22,7 +22,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import NativeLowering
-from numba.core.types import IntegerLiteral, Record, unliteral
+from numba.core.types import IntegerLiteral, Record
+from numba.core.types.misc import unliteral
 
 from .kernel_files import KernelCache
 

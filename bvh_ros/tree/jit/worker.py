@@ -9,15 +9,20 @@ import queue
 import signal
 import sys
 import threading
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NoReturn
 
 Calls = queue.SimpleQueue[str]
+
+_may_fork = False
 
 
 def main() -> None:
     """Run what comes on standard input, a call a line; answer each with a line: why it failed, or
     nothing.
     """
+    global _may_fork
+    _may_fork = hasattr(os, 'fork')
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sent the calls
     if hasattr(os, 'nice'):
         os.nice(5)  # who sent them may answer meanwhile
@@ -45,3 +50,37 @@ def _run(line: str) -> str:
 def packed(call: Any) -> bytes:
     """Return a call as a line for a worker; what cannot be sent raises what pickle raises."""
     return base64.b64encode(pickle.dumps(call)) + b'\n'
+
+
+def side_by_side(one: Callable[[], object], other: Callable[[], object]) -> None:
+    """Run two calls; in a worker at once, in two processes that both have what it has compiled."""
+    if not _may_fork:
+        one()
+        other()
+        return
+    reader, writer = os.pipe()  # nobody writes: it ends when this process does
+    child = os.fork()
+    if child == 0:
+        os.close(writer)
+        _run_in_fork(other, reader)
+    os.close(reader)
+    try:
+        one()
+        failed = os.waitpid(child, 0)[1]
+    finally:
+        os.close(writer)
+    if failed:
+        other()  # says why, if it fails here, too
+
+
+def _run_in_fork(call: Callable[[], object], parent: int) -> NoReturn:
+    def end_with_it() -> None:
+        os.read(parent, 1)
+        os._exit(1)
+
+    threading.Thread(target=end_with_it, daemon=True).start()
+    try:
+        call()
+    except BaseException:
+        os._exit(1)
+    os._exit(0)

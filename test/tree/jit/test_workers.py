@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from bvh_ros.tree.jit.entry_lock import EntryLock
+from bvh_ros.tree.jit.worker import side_by_side
 from bvh_ros.tree.jit.workers import Workers
 
 PATIENCE = 60.0  # seconds
@@ -61,6 +62,36 @@ def test_where_every_worker_ends_the_rest_is_told():
     assert found == {0: 'its worker ended', 1: 'no worker is left'}
 
 
+@pytest.mark.parametrize('elsewhere', [True, False])
+def test_two_calls_side_by_side(tmp_path, elsewhere):
+    makes = [partial(os.mkdir, tmp_path / name) for name in ('a', 'b')]
+    fails = partial(os.mkdir, tmp_path)
+    calls = [
+        partial(side_by_side, *two) for two in (makes, (os.getpid, fails), (fails, os.getpid))
+    ]
+    if elsewhere:
+        found = results(Workers(calls, 1), 3)
+        assert [text.partition('(')[0] for text in found.values()] == [
+            '',
+            *['FileExistsError'] * 2,
+        ]
+    else:
+        calls[0]()
+        for call in calls[1:]:
+            with pytest.raises(FileExistsError):
+                call()
+    assert {path.name for path in tmp_path.iterdir()} == {'a', 'b'}
+
+
+WHO = 'import os, pathlib; pathlib.Path({!r}).write_text(str(os.getpid()))'
+
+
+def test_in_a_worker_they_have_a_process_each(tmp_path):
+    calls = [partial(exec, WHO.format(str(tmp_path / name)), {}) for name in 'ab']
+    results(Workers([partial(side_by_side, *calls)], 1), 1)
+    assert len({*pids_in(tmp_path)} - {os.getpid()}) == 2
+
+
 BUSY = """
 import os, pathlib
 pathlib.Path({!r}).write_text(str(os.getpid()))
@@ -102,8 +133,9 @@ def test_no_worker_outlives_who_started_it(tmp_path, how):
     command = [sys.executable, '-c', PARENT]
     parent = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
     with parent.stdin as given:
-        given.write(pickle.dumps([busy(tmp_path, number) for number in range(2)]))
-    until(lambda: len(pids_in(tmp_path)) == 2)
+        two = partial(side_by_side, busy(tmp_path, 1), busy(tmp_path, 2))
+        given.write(pickle.dumps([busy(tmp_path, 0), two]))
+    until(lambda: len(pids_in(tmp_path)) == 3)
     pids = pids_in(tmp_path)
     assert all(map(is_running, pids))
     parent.send_signal(how)
