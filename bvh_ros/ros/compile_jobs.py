@@ -199,10 +199,8 @@ def scenes(needs: Needs) -> Iterator[Scene]:
 
 
 def _obstacles(needs: Needs) -> None:
-    """Every way in which obstacles come, move and go, and what is told of them all the time.
-
-    The tree takes longest, and is compiled first: what else a new box takes, `_thin_rays` compiles
-    meanwhile.
+    """Every way in which obstacles come, move and go, and what is told of them all the time. The
+    tree first: it takes longest, and `_thin_rays` compiles meanwhile what else a new box takes.
     """
     boxes = MIDDLE[:, : 2 if needs.planar else 3]
     DynamicBVH(boxes.shape[1]).insert_many(boxes, boxes)
@@ -224,9 +222,8 @@ def _obstacles(needs: Needs) -> None:
 def _thin_rays(needs: Needs) -> None:
     scene = _empty(needs)
     scene.raycast(START, GOAL)
-    scene.replace(
-        'cloud', '', Numbered('box#', NUMBERS[:0]), Shapes.boxes(MIDDLE[:0], EDGE), stamp=1
-    )
+    nobody = Numbered('box#', NUMBERS[:0])
+    scene.replace('cloud', '', nobody, Shapes.boxes(MIDDLE[:0], EDGE), stamp=1)
 
 
 def _true_shapes(needs: Needs) -> None:
