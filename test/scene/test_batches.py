@@ -217,7 +217,7 @@ def test_clearances(world, signed):
 boxes = st.tuples(*[st.integers(-3, 3)] * 3, *[st.integers(0, 3)] * 3)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.lists(boxes, max_size=6), st.sampled_from([2.0**-1060, 2.0**-40, 0.1, 2.0**900]))
 def test_touching_at_any_scale(rows, scale):
     """Ties, contacts to the last digit, and no obstacle at all."""

@@ -210,7 +210,7 @@ ALL = st.lists(st.integers(0, PLACES - 1), min_size=NAMES, max_size=NAMES).map(
 )
 
 
-@settings(max_examples=effort(60, 3000), deadline=None)
+@settings(max_examples=effort(60, 3000))
 @given(
     *(st.booleans(), st.sampled_from([0.0, 0.2]), ALL, ALL, st.booleans()),
     st.lists(STEPS, min_size=4, max_size=16),

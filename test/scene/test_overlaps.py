@@ -9,7 +9,7 @@ from fractions import Fraction
 import fcl
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scene.reference import geometry_arrays, random_shapes, widest_gap
 from scipy.spatial.transform import Rotation
@@ -21,7 +21,6 @@ lattice = st.integers(-6, 6).map(lambda i: i * 0.1)
 points = st.tuples(lattice, lattice, lattice)
 
 
-@settings(deadline=None)
 @given(
     st.lists(
         st.tuples(points, st.tuples(*[st.integers(0, 8).map(lambda i: i * 0.1)] * 3)), min_size=1

@@ -186,7 +186,7 @@ def test_a_scene_without_meshes_has_no_polygons():
 coordinates = st.integers(-8, 8)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=40))
 def test_polygons_are_hulls_exactly(points):
     """Whole numbers: many in a line, many twice."""
@@ -202,7 +202,7 @@ def test_polygons_are_hulls_exactly(points):
     assert (x * v > y * u).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.tuples(*[coordinates] * 4), min_size=1, max_size=8), st.randoms())
 def test_thin_rays_are_clipped_exactly(rays, random):
     """An octahedron on its tip is a square on its corner."""

@@ -279,7 +279,6 @@ TestTree = TreeMachine.TestCase
 TestTree.settings = settings(
     max_examples=effort(40, 2000),
     stateful_step_count=effort(40, 100),
-    deadline=None,
     derandomize=effort(True, False),
     suppress_health_check=list(HealthCheck),
 )

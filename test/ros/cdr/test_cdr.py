@@ -79,7 +79,7 @@ def assert_same(read, expected):
         assert np.array_equal(read.colours(row), by_rclpy.colours(row), equal_nan=True)
 
 
-@settings(max_examples=2000 if LONG else 150, deadline=None)
+@settings(max_examples=2000 if LONG else 150)
 @given(arrays)
 def test_a_message_reads_as_rclpy_reads_it(message):
     raw = serialize_message(message)

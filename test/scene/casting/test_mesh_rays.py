@@ -159,7 +159,7 @@ def test_ends_of_rays(start, goal, t):
 coordinates = st.floats(-1, 1, width=32)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     points=st.lists(st.tuples(*[coordinates] * 3), min_size=4, max_size=14),
     rays=st.lists(st.tuples(*[coordinates] * 6), min_size=1, max_size=6),

@@ -158,8 +158,5 @@ class VelocityMachine(RuleBasedStateMachine):
 
 TestVelocityMachine = pytest.mark.slow(VelocityMachine.TestCase)
 TestVelocityMachine.settings = settings(
-    max_examples=effort(60, 3000),
-    stateful_step_count=25,
-    deadline=None,
-    suppress_health_check=list(HealthCheck),
+    max_examples=effort(60, 3000), stateful_step_count=25, suppress_health_check=list(HealthCheck)
 )
