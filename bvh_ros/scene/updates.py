@@ -158,12 +158,7 @@ class Updates:
             stale = np.append(stale, outside)
         if len(added.row):
             room = self._room(len(added.row), sliced) + len(stale)
-            if room < len(added.row):
-                full = f'the scene is full (max_obstacles is {held.most})'
-                valid.reasons.add(added.row[room:], full)
-                added = added.take(slice(room))
-            added = self._with_masks(added, names)
-            held.require_handles(len(added.row))
+            added = self._fitting(added, room, valid, names)
         whole = whole or (sliced is not None and sliced.replaced is not None)
         newest = max(sliced.newest if sliced else held.newest, _latest(part, valid, whole))
         with held.change:
@@ -197,10 +192,17 @@ class Updates:
         valid = updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
         return names, slots, valid
 
-    def _with_masks(self, added: Rows, names: Families) -> Rows:
-        """New obstacles; where the message brings no masks, with those that the scene gives."""
+    def _fitting(self, added: Rows, room: int, valid: Validated, names: Families) -> Rows:
+        """New obstacles that there is room for; where the message brings no masks, with those that
+        the scene gives. The others are refused.
+        """
+        if room < len(added.row):
+            full = f'the scene is full (max_obstacles is {self._held.most})'
+            valid.reasons.add(added.row[room:], full)
+            added = added.take(slice(room))
         if added.categories is None and self._categorise is not None:
-            return added._replace(categories=self._categorise(names.take(added.row)))
+            added = added._replace(categories=self._categorise(names.take(added.row)))
+        self._held.require_handles(len(added.row))
         return added
 
     def rest(self) -> None:

@@ -11,7 +11,6 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ...scene.geometry.shapes import Shapes
@@ -20,7 +19,6 @@ from .exact import Whole, WholeShapes, bits_below_the_point, enter_slabs, whole
 
 Rows = NDArray[np.int64]
 NOTHING = -1
-MANY = 256
 
 
 class Truth(NamedTuple):
@@ -34,49 +32,6 @@ class Truth(NamedTuple):
     """Exact distance at which a ray enters an object: entry(row, ray)."""
     lengths: Floats
     """(n,) of the directions, m: distances are in units of them."""
-
-
-@njit(nogil=True)
-def _slab_bounds(lo, hi, origin, direction):
-    """Bounds of entry and exit: (entry low, entry high, exit low, exit high).
-
-    Difference and quotient round once each: within 2**-50 of the value relatively, and 1e-300.
-    """
-    bounds = (0.0, 0.0, np.inf, np.inf)
-    for axis in range(3):
-        if direction[axis] == 0.0:
-            if origin[axis] < lo[axis] or origin[axis] > hi[axis]:
-                return np.inf, np.inf, -np.inf, -np.inf
-            continue
-        first = (lo[axis] - origin[axis]) / direction[axis]
-        last = (hi[axis] - origin[axis]) / direction[axis]
-        near, far = min(first, last), max(first, last)
-        near_error, far_error = abs(near) * 2.0**-50 + 1e-300, abs(far) * 2.0**-50 + 1e-300
-        bounds = (
-            max(bounds[0], near - near_error),
-            max(bounds[1], near + near_error),
-            min(bounds[2], far - far_error),
-            min(bounds[3], far + far_error),
-        )
-    return bounds
-
-
-@njit(nogil=True)
-def _candidates(lo, hi, origin, direction, entries, found):
-    """Boxes that may be the first on a ray; returns how many, counting those that do not fit."""
-    nearest = np.inf  # a box is surely met up to here
-    for row in range(lo.shape[0]):
-        low, high, leave_low, leave_high = _slab_bounds(lo[row], hi[row], origin, direction)
-        entries[row] = low if low <= leave_high else np.inf
-        if high <= leave_low:
-            nearest = min(nearest, high)
-    count = 0
-    for row in range(lo.shape[0]):
-        if entries[row] < np.inf and entries[row] <= nearest:
-            if count < found.shape[0]:
-                found[count] = row
-            count += 1
-    return count
 
 
 def _ray_bits(rays: Rays) -> int:
@@ -99,16 +54,21 @@ def boxes_truth(boxes: Boxes, rays: Rays) -> Truth:
         far = [plane - o for plane, o in zip(high, starts[ray], strict=True)]
         return enter_slabs(near, far, ways[ray])
 
-    entries = np.empty(len(boxes.lo))
-
     def candidates(ray: int) -> Rows:
-        found = np.empty(MANY, np.int64)
-        while True:
-            line = rays.origins[ray], rays.directions[ray]
-            count = _candidates(boxes.lo, boxes.hi, *line, entries, found)
-            if count <= len(found):
-                return found[:count]
-            found = np.empty(count, np.int64)
+        """Boxes that may be the first: difference and quotient round once each, so an entry or
+        exit is right within 2**-50 of its value, and 1e-300.
+        """
+        with np.errstate(all='ignore'):
+            planes = (np.stack(boxes) - rays.origins[ray]) / rays.directions[ray]
+            planes[:, np.isnan(planes).any(axis=0)] = [[-np.inf], [np.inf]]  # along a plane
+            more = np.copysign(2.0**-50, planes)
+            lower, upper = planes * (1.0 - more) - 1e-300, planes * (1.0 + more) + 1e-300
+        entry, surely_in = (
+            np.maximum(side.min(axis=0).max(axis=1), 0.0) for side in (lower, upper)
+        )
+        surely_out, leave = (side.max(axis=0).min(axis=1) for side in (lower, upper))
+        nearest = surely_in[surely_in <= surely_out].min(initial=np.inf)
+        return np.flatnonzero((entry <= leave) & (entry <= nearest) & (entry < np.inf))
 
     return _settle(rays, candidates, entry)
 
