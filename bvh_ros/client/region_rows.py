@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bvh_ros.client import volumes
 from bvh_ros.client.coverage import Box, Floats, grown, ways
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
+from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Question, Touched
 from bvh_ros.ros.conversions.ray_clouds import Hits, Rays, rays_cloud
 
 
@@ -83,8 +83,8 @@ def of_poses(places: Floats, turns: Floats, footprint: Sequence[float]) -> Rows:
     return Rows('paths', Near, bad, np.full(len(places), np.inf), around, message)
 
 
-def _cloud_of(asked: Points | Boxes) -> Callable[[NDArray[np.int64]], Any]:
+def _cloud_of(asked: Question) -> Callable[[NDArray[np.int64]], Any]:
     def message(some: NDArray[np.int64]) -> Any:
-        return volumes.cloud(asked._replace(**{k: v[some] for k, v in asked._asdict().items()}))
+        return volumes.cloud(query_clouds.take(asked, some))
 
     return message

@@ -37,25 +37,31 @@ class Asking(NamedTuple):
 
         `columns`: arrays of what is asked, one entry a row; `rest`: the same for all rows.
         """
-        tasks = list(_tasks(rows, parts))
-        calls = (
-            (
-                *(self.folder, self.checksums[part], part, query),
-                *(column[some] for column in columns),
-                *rest,
-            )
-            for some, part in tasks
-        )
+
+        def call(some: NDArray[np.int64], part: int) -> tuple[Any, ...]:
+            given = (column[some] for column in columns)
+            return self.folder, self.checksums[part], part, query, *given, *rest
+
+        tasks = _tasks(rows, parts)
         if self.executor is None:
-            for (some, part), call in zip(tasks, calls, strict=True):
-                yield some, part, ask(*call)
+            for task in tasks:
+                yield *task, ask(*call(*task))
             return
-        submitted = {
-            self.executor.submit(ask, *call): task for task, call in zip(tasks, calls, strict=True)
-        }
+        submit = self.executor.submit
+        submitted = {submit(ask, *call(*task)): (task, False) for task in tasks}
         try:
-            for future in as_completed(list(submitted)):
-                yield *submitted.pop(future), future.result()
+            while submitted:
+                for future in as_completed(list(submitted)):
+                    task, is_again = submitted.pop(future)
+                    try:
+                        found = future.result()
+                    except Exception:
+                        if is_again:
+                            raise
+                        # Dask may lose an answer together with the worker that gave it.
+                        submitted[submit(ask, *call(*task))] = task, True
+                        break  # wait for this one, too
+                    yield *task, found
         finally:  # an error, or an interruption: what was not begun is not wanted any more
             for future in submitted:
                 future.cancel()

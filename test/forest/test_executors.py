@@ -59,7 +59,7 @@ def test_threads_and_processes(world):
 
 
 class Failing(Executor):
-    """Fails at the third task."""
+    """Fails from the third task on."""
 
     def __init__(self) -> None:
         self.futures: list[Future[Any]] = []
@@ -67,7 +67,7 @@ class Failing(Executor):
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         self.futures.append(future)
-        if len(self.futures) == 3:
+        if len(self.futures) >= 3:
             future.set_exception(OSError('the disk is gone'))
         return future
 
@@ -80,6 +80,29 @@ def test_an_error_of_a_worker_is_raised_and_the_rest_is_called_off(world):
     with pytest.raises(ValueError, match='executor must have'):
         forest.raycast_many(origins, directions, executor=5)  # type: ignore[arg-type]
     assert all(future.done() for future in executor.futures)
+
+
+class Losing(ThreadPoolExecutor):
+    """Loses each answer once, as Dask may where a worker is killed."""
+
+    def __init__(self) -> None:
+        super().__init__(2)
+        self.told: set[Any] = set()
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        task = tuple(repr(argument) for argument in args)
+        if task in self.told:
+            return super().submit(fn, *args, **kwargs)
+        self.told.add(task)
+        future: Future[Any] = Future()
+        future.set_exception(ValueError('too many values to unpack (expected 3)'))
+        return future
+
+
+def test_what_an_executor_loses_is_asked_again(world):
+    with Losing() as executor:
+        check(world, executor)
+        assert executor.told
 
 
 @pytest.fixture(scope='module')
