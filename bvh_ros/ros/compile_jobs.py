@@ -9,6 +9,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
@@ -164,9 +165,9 @@ def _empty(needs: Needs) -> Scene:
     return Scene(planar=needs.planar, margin=needs.margin, meshes=ShapeKind.MESH in needs.kinds)
 
 
-def _replace(scene: Scene, shift: float) -> None:
-    names = Numbered('box#', NUMBERS)
-    scene.replace('cloud', '', names, Shapes.boxes(MIDDLE + shift, EDGE), stamp=1)
+def _replace(scene: Scene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
+    shapes = Shapes.boxes(MIDDLE[numbers] + shift, EDGE)
+    scene.replace('cloud', '', Numbered('box#', numbers), shapes, stamp=1)
 
 
 def _with_boxes(needs: Needs) -> Scene:
@@ -222,8 +223,7 @@ def _obstacles(needs: Needs) -> None:
 def _thin_rays(needs: Needs) -> None:
     scene = _empty(needs)
     scene.raycast(START, GOAL)
-    nobody = Numbered('box#', NUMBERS[:0])
-    scene.replace('cloud', '', nobody, Shapes.boxes(MIDDLE[:0], EDGE), stamp=1)
+    _replace(scene, 0.0, NUMBERS[:0])
 
 
 def _true_shapes(needs: Needs) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from ...tree import checks
 from ...tree.boxes.nearest import nearest
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE
 from ...tree.rays.raycasting import of_row
@@ -174,23 +174,32 @@ def apart(one, other, bodies, signed, points):
 def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
     reach, besides = asked
-    points, planar = stack_array(6, np.float64).reshape(2, 3), bodies.footprints is not None
-    one = rows.records[row]
+    points, one = stack_array(6, np.float64).reshape(2, 3), rows.records[row]
     for i in range(slots.shape[0]):
-        slot, best = slots[i], told.slots[row]
-        if node_handles[slot] == besides:
-            continue
-        distance = apart(one, bodies.shapes[slot], bodies, signed, points)
-        if distance > reach or distance > told.distances[row]:
-            continue
-        tied = distance == told.distances[row] and best != NONE
-        if tied and node_handles[best] < node_handles[slot]:
-            continue
-        told.slots[row], told.distances[row] = slot, distance
+        slot = slots[i]
+        if node_handles[slot] != besides:
+            distance = apart(one, bodies.shapes[slot], bodies, signed, points)
+            if bodies.footprints is not None:
+                points[0, 2] = points[1, 2] = one.position[2]
+            keep_nearer(node_handles, (slot, distance, reach), points, told, row)
+
+
+@inlined
+def keep_nearer(node_handles, found, points, told, row):
+    """Keep an obstacle, found = (slot, distance, reach), and points (2, 3), if it is nearer than
+    what is there; ties by handle.
+    """
+    slot, distance, reach = found
+    best = told.slots[row]
+    if distance > reach or distance > told.distances[row]:
+        return
+    tied = distance == told.distances[row] and best != NONE
+    if tied and node_handles[best] < node_handles[slot]:
+        return
+    told.slots[row], told.distances[row] = slot, distance
+    for side in range(2):
         for axis in range(3):
-            for side in range(2):
-                height = planar and axis == 2
-                told.points[row, side, axis] = one.position[2] if height else points[side, axis]
+            told.points[row, side, axis] = points[side, axis]
 
 
 class Clearances:

@@ -137,24 +137,15 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
 
 @lean_kernel
 def _clear(spare, pair, growths, signed, node_handles, told, row):
-    """Keep an obstacle, pair = (shape, slot, reach), if it is nearer than what is there; ties by
-    handle.
-    """
+    """Keep an obstacle where it stands, pair = (shape, slot, reach), if it is the nearer one."""
     one, slot, reach = pair
-    points, best = stack_array(6, np.float64).reshape(2, 3), told.slots[row]
+    points = stack_array(6, np.float64).reshape(2, 3)
     distance = clearance.apart(one, spare.shapes[0], spare, signed, points)
     if growths[0] + growths[1] > 0.0:
         distance = _swell_both(points, distance, growths, signed)
-    if distance > reach or distance > told.distances[row]:
-        return
-    tied = distance == told.distances[row] and best != NONE
-    if tied and node_handles[best] < node_handles[slot]:
-        return
-    told.slots[row], told.distances[row] = slot, distance
-    for axis in range(3):
-        for side in range(2):
-            height = spare.footprints is not None and axis == 2
-            told.points[row, side, axis] = one.position[2] if height else points[side, axis]
+    if spare.footprints is not None:
+        points[0, 2] = points[1, 2] = one.position[2]
+    clearance.keep_nearer(node_handles, (slot, distance, reach), points, told, row)
 
 
 @inlined

@@ -53,7 +53,7 @@ def test_the_world(busy, diagnostics):
     assert told['expired'] == '1'
     assert int(told['height']) >= 3
     assert float(told['cost']) > 1.0
-    assert float(told['cost over that of the last build']) > 0.5
+    assert float(told['cost over that of the last build']) > 0.0  # by what was in it at the build
     assert int(told['bytes of the tree']) > 0
     assert int(told['bytes of the scene']) > 0
     assert int(told['bytes of the process']) > 10_000_000
