@@ -294,10 +294,10 @@ def test_threads_that_come_at_once_open_the_topics_once(client, node):
 
 def test_calls_do_not_become_slower(client):
     def ask(count):
-        began = time.perf_counter()
+        began = time.thread_time()  # without what others take of the processor
         for _ in range(count):
             client.raycast((0, 0, 0), (1, 0, 0))
-        return (time.perf_counter() - began) / count
+        return (time.thread_time() - began) / count
 
     ask(20)
     first = min(ask(50) for _ in range(3))

@@ -104,6 +104,17 @@ def test_lifetimes_and_ages_follow_the_clock(simulate, messages):
     simulation.at(48.0)
     assert answer(world) == ['a/3']
 
+    # Told again in time, it stays.
+    for number, seconds in ((5, 50.0), (6, 53.0)):
+        simulation.at(seconds)
+        renewed = messages.marker(4, at=(9, 0, 0), lifetime=4.0)
+        world.markers(renewed, messages.marker(number, at=(3.0 * number, 0, 0)))
+        world.until(lambda number=number: f'a/{number}' in answer(world))
+    simulation.at(56.999)
+    assert answer(world) == ['a/3', 'a/4', 'a/5', 'a/6']
+    simulation.at(57.0)
+    assert answer(world) == ['a/3', 'a/5', 'a/6']
+
 
 @pytest.mark.slow
 def test_a_clock_that_stands_still_is_said_in_diagnostics(simulate, diagnostics):
