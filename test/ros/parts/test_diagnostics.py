@@ -156,7 +156,8 @@ def test_what_is_refused_last_is_in_the_log(world, messages):
     world.markers(messages.marker(2, size=(1, -1, 1)))
     world.markers(messages.marker(3, type=99))
     world.until(lambda: "'a/3': marker type 99" in world.said())
-    assert '(1 more since the last report)' in world.said()
+    # The one between is counted, or said where the machine had no time for two seconds.
+    assert '(1 more since the last report)' in world.said() or "'a/2'" in world.said()
 
 
 def test_durations(monkeypatch):
