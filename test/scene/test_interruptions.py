@@ -206,8 +206,8 @@ def test_signals():
         for turn in range(effort(40, 1000)):
             scene.clear()
             scene.update('s', numbers, boxes, stamp=1)
-            signal.setitimer(signal.ITIMER_REAL, float(rng.uniform(1e-5, 4e-2)))
             try:
+                signal.setitimer(signal.ITIMER_REAL, float(rng.uniform(1e-5, 4e-2)))
                 changes[turn % len(changes)](scene)
                 time.sleep(0.05)
             except InterruptError:

@@ -204,8 +204,8 @@ def test_signals() -> None:
     try:
         for round_ in range(effort(60, 1000)):
             ids = tree.ids()
-            signal.setitimer(signal.ITIMER_REAL, float(rng.uniform(1e-5, 5e-3)))
             try:
+                signal.setitimer(signal.ITIMER_REAL, float(rng.uniform(1e-5, 5e-3)))
                 changes(tree, ids)[round_ % 6]()
                 time.sleep(0.01)
             except InterruptError:
