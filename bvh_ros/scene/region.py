@@ -9,6 +9,7 @@ from .geometry.shapes import Floats
 from .store.registry import Slots
 from .store.updating import Rows, Validated
 
+NOBODY = np.empty(0, np.int64)
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 
 
@@ -33,7 +34,7 @@ def within(
     """
     added, known = valid[:2]
     if region is None:
-        return added, known, known.slot[:0]
+        return added, known, NOBODY
     new, old = _near(region, added, reach), _near(region, known, reach)
     return added.take(new), known.take(old), known.slot[~old]
 

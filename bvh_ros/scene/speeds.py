@@ -45,13 +45,9 @@ def velocity_rows(given: Any, count: int) -> Floats:
 
 
 def speeds_of(
-    held: Obstacles, given: ArrayLike | Follow | None, valid: Validated
-) -> tuple[Floats | None, Validated]:
-    """Velocities of the rows along the tree's axes, None if none are told; and the rows that have
-    one.
-    """
-    if given is None:
-        return None, valid
+    held: Obstacles, given: ArrayLike | Follow, valid: Validated
+) -> tuple[Floats, Validated]:
+    """Velocities of the rows along the tree's axes; and the rows that have one."""
     count, ndim = len(valid.reasons.good), held.tree.ndim
     if callable(given):
         return _followed(held, given, valid.known, count), valid
@@ -61,14 +57,10 @@ def speeds_of(
     return np.ascontiguousarray(rows[:, :ndim]), valid
 
 
-def reach_of(
-    held: Obstacles, given: ArrayLike | Follow | None, speeds: Floats | None
-) -> Floats | None:
+def reach_of(held: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
     """How far along each axis rows may be from where they are told to be, m, at times that may be
-    asked for; None if they stand. Whoever is followed is seen before its velocity is known.
+    asked for. Whoever is followed is seen before its velocity is known.
     """
-    if speeds is None:
-        return None
     fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
     way = np.zeros(speeds.shape)
     with np.errstate(over='ignore'):  # infinite: anywhere
@@ -76,10 +68,8 @@ def reach_of(
         return np.multiply(fastest, held.max_prediction, out=way, where=fastest > 0.0)
 
 
-def none_later(valid: Validated, latest: int | None) -> Validated:
+def none_later(valid: Validated, latest: int) -> Validated:
     """The rows that are not stamped later, ns."""
-    if latest is None:
-        return valid
     wrong = np.zeros(len(valid.reasons.good), np.bool_)
     for some in valid[:2]:
         wrong[some.row[some.stamp > latest]] = True

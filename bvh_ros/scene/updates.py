@@ -23,6 +23,7 @@ from .store.updating import FIRST_TIME, Owner, Rows, Validated
 
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
+FEW_ROWS = 64  # whose memory is not worth asking for
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
@@ -149,8 +150,12 @@ class Updates:
         held = self._held
         updating.text('source', source), updating.text('group', group)
         names, slots, valid = self._validated(source, part)
-        speeds, valid = speeds_of(held, part.velocities, none_later(valid, part.latest))
-        reach = reach_of(held, part.velocities, speeds)
+        if part.latest is not None:
+            valid = none_later(valid, part.latest)
+        speeds = reach = None
+        if part.velocities is not None:
+            speeds, valid = speeds_of(held, part.velocities, valid)
+            reach = reach_of(held, part.velocities, speeds)
         added, known, outside = within(self._region, valid, reach)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
         stale = held.members(source, group, present) if whole else NONE
@@ -188,7 +193,10 @@ class Updates:
         names = as_families(part.names)
         require_a_name_each(names, len(shapes.kind))
         slots = held.registry.find(names)
-        owner = Owner(held.groups.source(source), held.columns.source, held.groups.source_name)
+        groups = held.groups
+        # As Owner(...), which would take one more call of a function of Python's.
+        told = groups.source(source), held.columns.source, groups.source_name
+        owner = tuple.__new__(Owner, told)
         valid = updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
         return names, slots, valid
 
@@ -221,7 +229,8 @@ class Updates:
         columns = self._held.columns
         capacity, used = len(columns.tree_handle), len(self._held.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
-        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
+        if grown or rows > FEW_ROWS:
+            np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""

@@ -16,6 +16,7 @@ from .rays.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
 from .store.storage import clear_entry, new_storage
+from .store.turns import accepted
 
 STILL = np.zeros(3)  # a displacement
 SEARCHES = ('greedy', 'branch_and_bound')
@@ -224,14 +225,18 @@ class DynamicBVH(RayQueries, Predicates):
         boxes = low, high, self._ahead(displacement, len(slots))
         return self._change_many(changing.MOVE, slots, boxes, version=version, shares=SHARES)
 
-    def move_sound(self, handles: Ids, lo: Floats, hi: Floats) -> int:
-        """`move_many` of boxes that the caller made: C-ordered float64, finite, lo <= hi. They are
-        neither looked at nor copied.
+    def move_sound(self, slots: Ids, lo: Floats, hi: Floats) -> None:
+        """`move_many` of boxes that the caller made, at slots in use, each once: C-ordered
+        float64, finite, lo <= hi. Nothing is looked at or copied.
         """
-        tree, version = self.view()
-        slots = handle_checks.slots_of(tree.handles, handles)
-        boxes = lo, hi, np.zeros(lo.shape)
-        return self._change_many(changing.MOVE, slots, boxes, version=version, shares=SHARES)
+        if len(slots) != 1:
+            boxes = lo, hi, np.zeros(lo.shape)
+            self._change_many(changing.MOVE, slots, boxes, shares=SHARES)
+            return
+        handle = self._storage.tree.handles.item(slots.item())
+        asked = handle, lo[0], hi[0], self._margin, STILL, self._thorough
+        if accepted(self._change(changing.move_entry(self._ndim), *asked)) > 1:
+            self._settle_soon()
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
         if displacement is None:

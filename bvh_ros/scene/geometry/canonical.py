@@ -219,7 +219,9 @@ def canonical_rows(kinds, positions, orientations, sizes, form):
 
 def _empty_form(count: int, ndim: int) -> Canonical:
     lo, hi = np.empty((count, ndim)), np.empty((count, ndim))
-    return Canonical(np.empty(count, GEOMETRY), lo, hi, np.empty(count, UINT8))
+    # As Canonical(...), which would take one more call of a function of Python's.
+    columns = np.empty(count, GEOMETRY), lo, hi, np.empty(count, UINT8)
+    return tuple.__new__(Canonical, columns)
 
 
 @functools.cache

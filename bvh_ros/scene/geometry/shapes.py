@@ -106,7 +106,8 @@ def as_shapes(shapes: Shapes) -> Shapes:
     size = checks.rows('shapes.size', size, 3, count)
     if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
         raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
-    return Shapes(kind, position, orientation, size, mesh)
+    # As Shapes(...), which would take one more call of a function of Python's.
+    return tuple.__new__(Shapes, (kind, position, orientation, size, mesh))
 
 
 def _kinds(value: Any) -> NDArray[np.uint8]:

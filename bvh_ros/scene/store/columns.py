@@ -34,23 +34,11 @@ class Kept(NamedTuple):
     group: Any
 
 
-class Written(NamedTuple):
-    """What an update changed."""
-
-    joined: int
-    """So many obstacles were in another group before, or in none."""
-    shaped: int
-    """So many more need a narrow phase."""
-    concerned: bool
-    """One of them does, or did."""
-    soonest: int | np.int64
-    """When the first of them expires, ns."""
-
-
 @lean_kernel
 def write_rows(kept, slots, records, stamp, expires, owner):
-    """Write rows of an update to their slots; owner = (source, group). Return what a `Written`
-    is made of.
+    """Write rows of an update to their slots; owner = (source, group). Returns how many obstacles
+    were in another group before, or in none; when the first of them expires, ns; how many more
+    need a narrow phase, and whether one of them does, or did.
     """
     source, group = owner
     joined, shaped, concerned, soonest = 0, 0, False, np.int64(NEVER)
@@ -65,7 +53,7 @@ def write_rows(kept, slots, records, stamp, expires, owner):
         kept.source[slot], kept.group[slot] = source, group
         if expires[i] > 0:
             soonest = min(soonest, expires[i])
-    return joined, shaped, concerned, soonest
+    return joined, soonest, shaped, concerned
 
 
 @functools.cache
@@ -168,21 +156,23 @@ class Columns:
         """The meshes for the kernels; None without any: what is None is not compiled."""
         return self.meshes.hulls if len(self.meshes) or self._expects_meshes else None
 
-    def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> Written:
-        """Write rows of an update; `owner` is (source, group)."""
+    def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> tuple[int, int]:
+        """Write rows of an update; `owner` is (source, group). Returns how many obstacles were in
+        another group before, or in none, and when the first of them expires, ns.
+        """
         numbers = self._take_meshes(rows) if rows.mesh is not None else []
         if len(self.meshes):
             self._release_meshes(slots)  # afterwards: what only moves is never forgotten
         # As Kept(...), which would take one more call of a function of Python's.
         columns = self.geometry, self.stamp, self.expires, self.source, self.group
         kept, told = tuple.__new__(Kept, columns), (rows.records, rows.stamp, rows.expires)
-        written = Written._make(_write_rows()(kept, slots, *told, owner))
-        self.shaped += written.shaped
-        if self.footprint is not None and written.concerned:
+        joined, soonest, shaped, concerned = _write_rows()(kept, slots, *told, owner)
+        self.shaped += shaped
+        if self.footprint is not None and concerned:
             self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])
             for row, number in numbers:
                 self.footprint['polygon'][slots[row]] = number + 1
-        return written
+        return joined, soonest
 
     def _take_meshes(self, rows: 'Rows') -> list[tuple[int, int]]:
         """Row and number of each mesh; the records get the numbers, too."""

@@ -130,14 +130,10 @@ class Obstacles:
         slots, columns = rows.slot, self.columns
         if not len(slots):
             return
-        handles = columns.tree_handle[slots]
-        if len(slots) == 1:
-            self.tree.move(handles.item(), rows.lo[0], rows.hi[0])
-        else:
-            self.tree.move_sound(handles, rows.lo, rows.hi)
+        self.tree.move_sound(slots, rows.lo, rows.hi)
         masks = rows.categories
         if masks is not None and (columns.categories[slots] != masks).any():
-            self.tree.set_masks(handles, masks)
+            self.tree.set_masks(columns.tree_handle[slots], masks)
             columns.categories[slots] = masks
         before = columns.group[slots]
         joined = self._write(rows, slots, source, group)
@@ -223,10 +219,10 @@ class Obstacles:
 
     def _write(self, rows: Rows, slots: Slots, source: str, group: str) -> int:
         """Write rows of columns; return how many obstacles came from other groups, or none."""
-        written = self.columns.write(slots, rows, self.groups.open(source, group))
-        if written.soonest < self.next_expiry:
-            self.next_expiry = int(written.soonest)
-        return written.joined
+        joined, soonest = self.columns.write(slots, rows, self.groups.open(source, group))
+        if soonest < self.next_expiry:
+            self.next_expiry = int(soonest)
+        return joined
 
     def remove(self, slots: Slots) -> int:
         """Forget obstacles as one change; return how many there were."""
