@@ -238,8 +238,9 @@ class DistanceQueries:
         else:
             found = self._clearances.find_rows(rows, hulls, (reaches, NONE, sign), threads)
         handles = self._held.columns.node_handle
-        near = found.slots != NONE
-        named = np.full(len(near), NO_NODE, np.uint32)
+        near = np.flatnonzero(found.slots != NONE)
+        named = np.empty(len(found.slots), np.uint32)
+        named.fill(NO_NODE)
         named[near] = handles[found.slots[near]]
         return named, found.distances, found.points[:, 0], found.points[:, 1]
 

@@ -13,7 +13,7 @@ from .distance import overlaps
 from .distance.query_rows import QueryRows, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
-from .geometry.shapes import BOX, Shapes, as_shapes
+from .geometry.shapes import UINT8, Shapes, as_shapes
 from .moments import Moments
 from .results import NO_NODE, BoxHits, SceneHit, require_few
 from .store.obstacles import Obstacles
@@ -160,11 +160,12 @@ class OverlapQueries:
         if edges.shape == (3,):
             one, edges = checks.point('sizes', edges, 3), np.empty(places.shape)
             edges[:] = one
-        edges = checks.points('sizes', edges, 3, len(places))
+        edges = checks.rows('sizes', edges, 3, len(places))
+        checks.finite('sizes', edges)
         turns = np.zeros((len(places), 4))
         if orientations is not None:
             turns = checks.points('orientations', orientations, 4, len(places))
-        kinds = np.full(len(places), BOX, np.uint8)
+        kinds = np.zeros(len(places), UINT8)  # BOX
         return self._answer(
             Shapes(kinds, places, turns, edges), (tolerance, mask), want, threads, at
         )

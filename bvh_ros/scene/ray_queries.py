@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting
-from .casting.arguments import WHOLE_WAY, Rays, radii_of
+from .casting.arguments import WHOLE_WAY, Rays
 from .geometry.shapes import Floats
 from .moments import Moments
 from .ray_batches import RayBatches
@@ -154,7 +154,7 @@ class RayQueries:
         )
         rays = Rays(origins, directions, limits, masks)
         threads = checks.whole('threads', threads, 1)
-        radii = None if radius is None else radii_of(radius, count)
+        radii = None if radius is None else checks.lengths_or_one('radius', radius, count)
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def sweep_many(
@@ -199,7 +199,8 @@ class RayQueries:
             checks.finite('goals', ends)
             raise ValueError(f'the segment of row {far} is longer than the largest double')
         rays = Rays(origins, ways, WHOLE_WAY, checks.masks_or_one(mask, count))
-        threads, radii = checks.whole('threads', threads, 1), radii_of(radius, count)
+        threads = checks.whole('threads', threads, 1)
+        radii = checks.lengths_or_one('radius', radius, count)
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def _segment(

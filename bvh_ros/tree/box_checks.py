@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Floats, copied_rows, finite, point, unless_refused
+from .checks import Floats, capacity, copied_rows, finite, point, unless_refused
 from .jit.compiling import entry_point, lean_kernel
+from .nodes import SLOT_MASK
 
 
 @lean_kernel
@@ -75,6 +76,12 @@ def pair(name: str, value: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
     if not (low <= high).all():
         raise ValueError(f'{name} must not have lo {low.tolist()} beyond hi {high.tolist()}')
     return low, high
+
+
+def few_enough(lo: ArrayLike) -> None:
+    """Refuse more boxes than a tree can hold, before they are copied."""
+    if isinstance(lo, np.ndarray) and lo.ndim > 1 and len(lo) > SLOT_MASK:
+        capacity('the number of rows of lo', max(len(lo), 1))
 
 
 def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:

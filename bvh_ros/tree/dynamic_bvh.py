@@ -109,7 +109,7 @@ class DynamicBVH(RayQueries, Predicates):
         order. A subclass whose `__init__` takes other arguments than this class' is made without
         it.
         """
-        checks.few_enough(lo)
+        box_checks.few_enough(lo)
         refused = isinstance(lo, np.ndarray) and lo.shape[1:] not in ((2,), (3,))
         low = np.asarray(lo) if refused else checks.floats('lo', lo)
         if low.ndim != 2 or low.shape[1] not in (2, 3):
@@ -153,7 +153,7 @@ class DynamicBVH(RayQueries, Predicates):
         `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds
         already, or more, and it is built anew.
         """
-        checks.few_enough(lo)
+        box_checks.few_enough(lo)
         low, high = box_checks.boxes(lo, hi, self.ndim)
         masks = checks.masks(1 if mask is None else mask, len(low))
         new = np.empty(len(low), np.int64)

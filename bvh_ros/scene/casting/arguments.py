@@ -11,7 +11,7 @@ shapes, and a scene without meshes nothing of theirs.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
@@ -93,14 +93,6 @@ class Scratch(NamedTuple):
     entries: Any
 
 
-def radii_of(radius: ArrayLike, count: int) -> Floats:
-    """Finite radii, one for all or one a row."""
-    radii = checks.limits_or_one('radius', radius, count)
-    if np.isinf(radii).any():
-        raise ValueError(f'radius must be finite: row {np.argmax(np.isinf(radii))} is inf')
-    return radii
-
-
 def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
     """What is one for all, or one a row, as one a row."""
     return values if len(values) == count else np.full(count, values[0])
@@ -117,6 +109,8 @@ def ways_of(rays: Rays, radii: Floats) -> Floats:
     """The way of each ray to its end; ValueError where that of a ball has none."""
     with np.errstate(over='ignore', invalid='ignore'):
         ways = rays.directions * rays.t_max[:, None]
+    if checks.first_not_finite(ways) < 0:
+        return np.asarray(ways)
     endless = np.flatnonzero((radii > 0.0) & ~np.isfinite(ways).all(axis=1))
     if len(endless):
         raise ValueError(f't_max must end the way of a ball: row {endless[0]} has none')

@@ -4,6 +4,7 @@
 whose first obstacle only exact arithmetic tells.
 """
 
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,6 +50,27 @@ class Told(NamedTuple):
     normals: Any
     open: Any
     """Whether only exact arithmetic tells."""
+
+
+class Kept(threading.local):
+    """Scratch for one ball, and room for what it may touch, of a thread."""
+
+    def __init__(self) -> None:
+        self._rooms: dict[int, tuple[Any, ...]] = {}
+
+    def of(self, ndim: int) -> tuple[Any, ...]:
+        """In so many dimensions."""
+        return self._rooms.get(ndim) or self.make(ndim, FEW)
+
+    def make(self, ndim: int, count: int) -> tuple[Any, ...]:
+        """Room for so many."""
+        hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+        times = np.empty((3, count)), np.empty((3, count), np.int64)
+        room = self._rooms[ndim] = new_scratch(ndim), hits, *times
+        return room
+
+
+_kept = Kept()
 
 
 @inlined
@@ -169,7 +191,7 @@ def first_of_many(
     """First hits of n balls."""
     world, count, ndim, view = world_of(tree, columns), len(balls.origins), tree.ndim, tree.view()
     origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
-    flat = balls._replace(origins=origins, directions=directions)
+    flat = Balls(origins, directions, balls.radii, balls.masks)
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
     through = view.tree.state, view.version, snapshot
     told = Told(
@@ -178,13 +200,14 @@ def first_of_many(
     )
 
     def work(start: int, stop: int) -> int:
-        scratch, wanted, unsure = new_scratch(ndim), FEW, 0
+        unsure = 0
         while start < stop:
-            hits = Hits(np.empty(wanted, np.int64), np.empty(wanted), np.empty(wanted, np.int64))
-            room = scratch, hits, np.empty((3, wanted)), np.empty((3, wanted), np.int64)
+            room = _kept.of(ndim)
             given = through, columns.node_handle, flat, skip_inside, (start, stop), room, told
             start, wanted, more = call(sweep_balls, world, *given)
             accepted(start)
+            if start < stop:
+                _kept.make(ndim, wanted)
             unsure += more
         return unsure
 

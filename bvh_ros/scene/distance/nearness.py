@@ -103,10 +103,11 @@ class Nearness:
             *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
             np.empty((count, k, 3)),
         )
-        asked = k, len(self._tree), columns.shadows > 0, signed
+        everybody = len(self._tree)
+        asked = k, everybody, columns.shadows > 0, signed
 
         def work(start: int, stop: int) -> None:
-            wanted = min(k, len(self._tree)) + 1
+            wanted = min(k, everybody) + 1
             while start < stop:
                 if wanted > len(self._scratch.found.slots):
                     self._scratch.make_room(wanted)

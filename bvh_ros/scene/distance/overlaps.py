@@ -72,7 +72,7 @@ class Overlaps:
         if wanted == ALL:
             return self._every(rows, hulls, threads)
         told, _ = self._find_rows(rows, hulls, wanted, threads)
-        for row in np.flatnonzero(told.open).tolist() if told.open.any() else ():
+        for row in np.flatnonzero(told.open).tolist() if np.count_nonzero(told.open) else ():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
             told.numbers[row] = len(order)
             handles = self._columns.node_handle[found.slots[order]]
@@ -94,7 +94,12 @@ class Overlaps:
     ) -> tuple[Slots, NDArray[np.uint32]]:
         """(offsets, node handles) of all that touch each shape."""
         told, handles = self._find_rows(rows, hulls, ALL, threads)
-        of, count = np.repeat(np.arange(len(told.numbers)), told.numbers), len(told.numbers)
+        count = len(told.numbers)
+        offsets = np.zeros(count + 1, np.int64)
+        if not (np.count_nonzero(told.open) or self._columns.shadows):
+            np.cumsum(told.numbers, out=offsets[1:])
+            return offsets, handles
+        of = np.repeat(np.arange(count), told.numbers)
         sure, open_rows, each = ~told.open[of], np.flatnonzero(told.open), [NOBODY]
         for row in open_rows.tolist():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
@@ -105,7 +110,6 @@ class Overlaps:
         if self._columns.shadows:
             first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
             of, handles = of[first], handles[first]
-        offsets = np.zeros(count + 1, np.int64)
         np.cumsum(np.bincount(of, minlength=count), out=offsets[1:])
         return offsets, handles[np.argsort(of, kind='stable')]
 
@@ -116,7 +120,7 @@ class Overlaps:
         the handles of all that are met, row after row, if those are wanted.
         """
         count, columns, view = len(rows.records), self._columns, self._tree.view()
-        shaped = columns.shaped > 0 or bool(rows.records['shaped'].any())
+        shaped = columns.shaped > 0 or np.count_nonzero(rows.records['shaped']) > 0
         bodies = bodies_of(columns, hulls) if shaped else None
         hits = count if wanted == HITS else 0
         told = Answers(
@@ -126,23 +130,27 @@ class Overlaps:
         if hits:
             told.handles[:], told.distances[:], told.points[:] = NO_NODE, np.inf, np.nan
 
-        def work(start: int, stop: int) -> tuple[NDArray[np.uint32], int, int]:
+        def work(start: int, stop: int) -> tuple[list[NDArray[np.uint32]], int, int]:
             parts, compared, more, room = [NOBODY], 0, 0, FEW
             while start < stop:
-                handles = np.empty(room, np.uint32) if wanted == ALL else told.handles
-                found, answers = self._scratch.found, told._replace(handles=handles)
+                found, answers = self._scratch.found, told
+                if wanted == ALL:
+                    answers = told._replace(handles=np.empty(room, np.uint32))
                 given = rows, wanted, (start, stop), columns.node_handle, found, answers
                 start, needed, written, pairs, digits = self._rows(view, bodies, given)
-                parts.append(handles[:written])
+                if written:
+                    parts.append(answers.handles[:written])
                 compared, more, room = compared + pairs, more + digits, max(2 * room, needed)
                 if needed > len(found.slots):
                     self._scratch.make_room(needed)
-            return np.concatenate(parts), compared, more
+            return parts, compared, more
 
-        done = in_threads(work, count, threads)
-        columns.pairs_compared += sum(part[1] for part in done)
-        columns.pairs_in_more_digits += sum(part[2] for part in done)
-        return told, np.concatenate([part[0] for part in done])
+        handles: list[NDArray[np.uint32]] = []
+        for parts, compared, more in in_threads(work, count, threads):
+            columns.pairs_compared += compared
+            columns.pairs_in_more_digits += more
+            handles += parts
+        return told, np.concatenate(handles) if len(handles) > 1 else NOBODY
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32
