@@ -14,11 +14,11 @@ from .distance.clearance import Neighbours
 from .distance.nearness import NO_ORDER
 from .distance.query_rows import QueryRows, query_rows
 from .distance.touching_rows import Near, Points, Signed
+from .geometry.records import GEOMETRY
 from .geometry.shapes import Floats, Shapes
 from .moments import Moments
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
-from .store.places import growths, ways
 
 
 class DistanceQueries:
@@ -76,7 +76,7 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
-            given = np.full(1, limits[0]), np.full(1, limits[1]), NO_ORDER
+            given = np.array(limits[:1]), np.array(limits[1:]), NO_ORDER
             asked = Points(where[None], *given), min(many, max(len(self._held.tree), 1))
             times, sign = self._moments.seconds(at, 1), sign_of(signed)
             return self._held.hits(*self._moments.distances().find_near(*asked, sign, times))
@@ -122,17 +122,10 @@ class DistanceQueries:
 
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
-        times, columns, here = self._moments.seconds(at, 1), self._held.columns, np.full(1, slot)
-        records, bounds, gone = columns.geometry[here], np.zeros((1, 2, 3)), np.zeros((1, 3))
-        ndim = self._held.tree.ndim
-        gone[:, :ndim] = ways(self._held, here, times)
-        records['position'] += gone
-        for side, corner in enumerate(self._held.tree.boxes(columns.tree_handle[here])):
-            bounds[:, side, :ndim] = corner + gone[:, :ndim]
-        rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
-        (grown,) = growths(self._held, here, times, times)
-        asked = checks.FOREVER, columns.node_handle.item(slot), float(grown), signed
-        return self._moments.distances().clearances(rows, columns.hulls(), asked, times, 1)
+        times, asked = self._moments.seconds(at, 1), (checks.FOREVER, slot, signed)
+        hulls, room = self._held.columns.hulls(), (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
+        rows = QueryRows(*room, np.zeros(1), checks.EVERYTHING)  # a kernel fills them in
+        return self._moments.distances().clearances(rows, hulls, asked, times, 1)
 
     def nearest_many(
         self,
@@ -233,7 +226,7 @@ class DistanceQueries:
         threads = checks.whole('threads', threads, 1)
         sign: Signed = sign_of(signed)
         if self._moments.meant(at, None, len(rows.records)):
-            times, more = self._moments.seconds(at, len(rows.records)), (reaches, NONE, 0.0, sign)
+            times, more = self._moments.seconds(at, len(rows.records)), (reaches, NONE, sign)
             found = self._moments.distances().clearances(rows, hulls, more, times, threads)
         else:
             found = self._clearances.find_rows(rows, hulls, (reaches, NONE, sign), threads)

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions about a scene whose obstacles have velocities, at a time or while it passes."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..tree import checks
-from ..tree.nodes import NONE
+from ..tree.nodes import NONE, SLOT_MASK
+from ..tree.rays.raycasting import CLOSEST, Asked
 from ..tree.store.workers import in_threads
 from .casting.arguments import Rays, every_row, row_by_row, ways_of
 from .geometry.shapes import Floats
@@ -59,6 +61,8 @@ class Moments:
 
     def seconds(self, at: Any, count: int) -> Floats:
         """`at` as the tree has it, (count,)."""
+        if count == 1 and type(at) is int:
+            return np.array([self._held.second(at)])
         return self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
 
     def _times(self, at: Any, until: Any, count: int) -> 'Times':
@@ -82,7 +86,7 @@ class Moments:
 
     def first(self, way: Way, mask: int, skip: bool, at: Any, until: Any) -> SceneHit | None:
         """What a ray, or ball, meets first."""
-        held, (origin, direction, radius) = self._held, way
+        held, (origin, direction, radius), skip = self._held, way, bool(skip)
         start, pace = self._way_of_time(at, until)
         looks = held.columns.shaped or held.uncertainty or radius > 0.0
         still = len(at_rest(held, start + pace)) > 0
@@ -91,14 +95,20 @@ class Moments:
         if still:
             hits = self.every(way, mask, skip, at, until)
             return hits[0] if hits else None
-        ndim = held.tree.ndim
-        flat = origin[:ndim], direction[:ndim]
-        hit = held.tree.raycast(*flat, 1.0, mask, skip, at=start, pace=pace)
-        if hit is None:
-            return None
-        place = np.zeros((2, 3))
-        place[0, 2], place[0, :ndim], place[1, :ndim] = origin[2], hit.point, hit.normal
-        return held.hit(held.tree.slot(hit.id), hit.t, place[0], place[1])
+        return self._first_box(origin, direction, mask, skip, (start, pace))
+
+    def _first_box(
+        self, origin: Floats, direction: Floats, mask: int, skip: bool, when: tuple[float, float]
+    ) -> SceneHit | None:
+        """What a thin ray meets first where the tree alone decides."""
+        held, place = self._held, np.zeros((2, 3))
+        tree, motion = held.tree, held.tree.motion
+        asked = Asked(1.0, checks.mask(mask), skip, CLOSEST)
+        if held.planar:
+            place[0, 2], origin, direction = origin[2], origin[:2], direction[:2]
+        assert motion is not None
+        handle, t = motion.cast(tree, (origin, origin, direction), asked, when, place)
+        return None if handle < 0 else held.hit(handle & SLOT_MASK, t, place[0], place[1])
 
     def _first_shape(
         self, way: Way, mask: int, skip: bool, when: tuple[float, float]
@@ -110,7 +120,7 @@ class Moments:
         origin, direction, radius = way
         masks, times = np.full(1, checks.mask(mask)), Times(*(np.full(1, one) for one in when))
         rays = Rays(origin[None], direction[None], np.ones(1), masks)
-        found = first_then(self._held, rays, np.full(1, radius), bool(skip), times)
+        found = first_then(self._held, None, rays, np.full(1, radius), bool(skip), times)
         slot, t = found.hits.slots.item(0), found.hits.ts.item(0)
         return None if slot == NONE else self._held.hit(slot, t, found.points[0], found.normals[0])
 
@@ -135,13 +145,15 @@ class Moments:
     ) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
-        ways_of(rays, radii)  # refuses balls without an end
+        thick = bool(radii.any())
+        if thick:
+            ways_of(rays, radii)  # refuses balls without an end
         held, still = self._held, len(at_rest(self._held, times.last(rays.t_max))) > 0
-        if not (still or held.columns.shaped or held.uncertainty or radii.any()):
+        if not (still or held.columns.shaped or held.uncertainty or thick):
             from .casting.moving import first_boxes
 
             return first_boxes(held, rays, skip, times, threads)
-        rays = row_by_row(rays)
+        rays, first = row_by_row(rays), self._firsts(still, rays, times)
         hits = CastHits(
             *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
             *(np.full((count, 3), np.nan), np.zeros((count, 3))),
@@ -151,7 +163,7 @@ class Moments:
         def work(start: int, stop: int) -> None:
             *some, balls, begin, pace = (column[start:stop] for column in columns)
             given = Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace)
-            rows, slots, *places = self._firsts(still, *given)
+            rows, slots, *places = first(*given)
             rows += start
             hits.handles[rows] = held.columns.node_handle[slots]
             hits.t[rows], hits.points[rows], hits.normals[rows] = places
@@ -159,17 +171,25 @@ class Moments:
         in_threads(work, count, threads)
         return hits
 
-    def _firsts(self, still: bool, *asked: Any) -> tuple[Any, ...]:
-        """First hits: (rows, slots, ts, points, normals)."""
-        from .casting.moving import cast_then, first_then  # no scene without velocities needs it
+    def _firsts(self, still: bool, rays: Rays, times: 'Times') -> Callable[..., tuple[Any, ...]]:
+        """What tells the first hits of some of these rays: (rows, slots, ts, points, normals)."""
+        from .casting.moving import cast_then, first_then, sweep_for  # as above
 
-        if still:
+        def among_some_at_rest(*asked: Any) -> tuple[Any, ...]:
             met = cast_then(self._held, *asked)
             rows, first = np.unique(met.rows, return_index=True)
             return rows, met.slots[first], met.ts[first], met.points[first], met.normals[first]
-        told = first_then(self._held, *asked)
-        rows = np.flatnonzero(told.hits.slots != NONE)
-        return rows, *(c[rows] for c in (*told.hits[:2], told.points, told.normals))
+
+        if still:
+            return among_some_at_rest
+        sweep = sweep_for(self._held, rays, times)
+
+        def among_moving(*asked: Any) -> tuple[Any, ...]:
+            told = first_then(self._held, sweep, *asked)
+            rows = np.flatnonzero(told.hits.slots != NONE)
+            return rows, *(c[rows] for c in (*told.hits[:2], told.points, told.normals))
+
+        return among_moving
 
 
 def rows_needed(at: Any, until: Any, count: int) -> int:

@@ -80,7 +80,7 @@ class OverlapQueries:
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        limits = np.full(1, query.tolerance), np.full(1, checks.mask(mask))
+        limits = np.array([query.tolerance]), np.array([checks.mask(mask)])
         rows = QueryRows(query.record, query.bounds[None], *limits)
         times = self._moments.seconds(at, 1)
         found, order = self._moments.distances().find(rows, hulls, times)

@@ -13,11 +13,13 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
+from ...tree.motion.wide_casting import UNSUITED, may_meet
 from ...tree.nodes import DEEPEST, NONE
-from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, PAD, RAY_FLOATS, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
+from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from .casting import enter_obstacle, plain, touch
+from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 
 
 class Ways(NamedTuple):
@@ -58,34 +60,67 @@ def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
     """Fill in a row for each way; asked = (skip inside, m/s by which obstacles that move grow).
     Returns 0; or OUTSIDE or REFUSED.
     """
+    return _rows(world, tree, moving, None, ways, asked, (node_handles, scratch), told)
+
+
+@lean_kernel
+def first_swept(world, tree, moving, sweep, ways, asked, node_handles, scratch, told):
+    """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
+    UNSUITED.
+    """
+    return _rows(world, tree, moving, sweep, ways, asked, (node_handles, scratch), told)
+
+
+@lean_kernel
+def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    why = np.int64(0)
+    why, ndim = np.int64(0), ways.origins.shape[1]
+    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    node_handles, scratch = tools
     for i in range(ways.origins.shape[0]):
-        t_max, at, pace = of_row(ways.t_max, i), ways.at[i], ways.pace[i]
-        if covers(moving, at, pace, t_max) == 0:
-            why = np.int64(OUTSIDE)
-            break
-        _first(world, tree, moving, ways, i, asked, (node_handles, scratch), told)
+        thin, suited = Course(ray, ways.at[i], ways.pace[i]), True
+        set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
+        if sweep is None:
+            if covers(moving, thin.at, thin.pace, ways.t_max[i]) == 0:
+                why = np.int64(OUTSIDE)
+                break
+            box, other = walk(world, tree, moving, ways, i, asked, tools, thin)
+        else:
+            suited, box, other = walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin)
+        by_box = other.slot == NONE or box.t < other.t
+        if box.slot != NONE and box.t == other.t:
+            by_box = node_handles[box.slot] < node_handles[other.slot]
+        if not suited:
+            told.hits.slots[i] = UNSUITED
+        elif box.slot == NONE or not by_box:
+            _tell(world, tree, moving, ways, i, asked, (scratch, other), told)
+        else:
+            hits, place = told.hits, (told.points[i, :ndim], told.normals[i, :ndim])
+            hits.slots[i], hits.ts[i], hits.features[i] = box.slot, box.t, box.face
+            there = box_of(tree, moving, box.slot)
+            locate(there, thin, box.t, box.face, place[0], place[1])
     end_query(tree.state)
     return why
 
 
-@lean_kernel
-def _first(world, tree, moving, ways, i, asked, tools, told):
-    """Walk through the tree, and fill in a row."""
+@inlined
+def no_hit():
+    return Best(np.int64(NONE), np.inf, np.int64(INSIDE))
+
+
+@inlined
+def walk(world, tree, moving, ways, i, asked, tools, thin):
+    """The first hits of a way, (box, other), as of `Best`: through the tree's nodes."""
     at, pace, t_max, mask = ways.at[i], ways.pace[i], ways.t_max[i], ways.masks[i]
-    (node_handles, scratch), nodes, ndim = tools, moving.nodes, ways.origins.shape[1]
-    corners, more = stack_array(6, np.float64).reshape(2, 3), ways.more[i]
+    nodes, ndim, more = moving.nodes, ways.origins.shape[1], ways.more[i]
+    corners = stack_array(6, np.float64).reshape(2, 3)
     for axis in range(ndim):
         corners[0, axis] = ways.origins[i, axis] - more
         corners[1, axis] = ways.origins[i, axis] + more
     wide = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, pace)
-    thin = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, pace)
     set_swept_box(wide.ray, corners[0, :ndim], corners[1, :ndim], ways.directions[i])
-    set_swept_box(thin.ray, ways.origins[i], ways.origins[i], ways.directions[i])
-    box = Best(np.int64(NONE), np.inf, np.int64(INSIDE))
-    other = Best(np.int64(NONE), np.inf, np.int64(INSIDE))
+    box, other = no_hit(), no_hit()
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
     bounded, limit = covers(moving, at, pace, t_max) > 0, t_max
@@ -97,34 +132,64 @@ def _first(world, tree, moving, ways, i, asked, tools, told):
         node, top = descend(nodes, wide, bounded, at - moving.start, limit, waiting)
         if node == NONE or nodes[node].mask & mask == 0:
             continue
-        slot = np.int64(node >> 1)
-        grown = growth_of(box_of(tree, moving, slot), asked[1], at, pace, t_max)
-        if ways.radii[i] + grown == 0.0 and plain(world.geometry, world.footprints, slot):
-            hit, t, face = meet(box_of(tree, moving, slot), thin, t_max)
-            if hit and not (asked[0] and face == INSIDE):
-                was = box.slot, box.t, box.face
-                if was[0] == NONE or is_before(tree, moving, thin, (slot, t, face), was):
-                    box = Best(slot, t, face)
-        else:
-            see(ways, i, box_of(tree, moving, slot), scratch.ray)
-            radius = ways.radii[i] + grown
-            t, feature = enter_obstacle(world, slot, scratch.ray, radius, t_max, scratch.work)
-            if t < np.inf and not (asked[0] and feature == INSIDE):
-                nearer = t < other.t
-                if t == other.t:
-                    nearer = node_handles[slot] < node_handles[other.slot]
-                if nearer:
-                    other = Best(slot, t, np.int64(feature))
+        slot, found = np.int64(node >> 1), (box, other)
+        box, other = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)
         limit = min(limit, box.t, other.t)
-    by_box = other.slot == NONE or box.t < other.t
-    if box.slot != NONE and box.t == other.t:
-        by_box = node_handles[box.slot] < node_handles[other.slot]
-    if box.slot == NONE or not by_box:
-        _tell(world, tree, moving, ways, i, asked, (scratch, other), told)
-        return
-    told.hits.slots[i], told.hits.ts[i], told.hits.features[i] = box.slot, box.t, box.face
-    point, normal = told.points[i, :ndim], told.normals[i, :ndim]
-    locate(box_of(tree, moving, box.slot), thin, box.t, box.face, point, normal)
+    return box, other
+
+
+@inlined
+def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
+    """`walk` through what is swept: (whether the way is for it, box, other)."""
+    snapshot, leaves, more = sweep.snapshot, sweep.leaves, ways.more[i]
+    origin, direction, t_max = ways.origins[i], ways.directions[i], ways.t_max[i]
+    records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
+    record, limits = records[0], stack_array(1, np.float32)
+    box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
+    suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max)
+    if not (suited and reach < FARTHEST_ORIGIN):
+        return False, box, other
+    widen(record, reach)
+    limits[0], octant, limit, mask = record.limit, octant_of(direction), t_max, ways.masks[i]
+    top = put_roots(snapshot, stack)
+    while top > 0:
+        slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
+        if slot == NONE or tree.nodes[2 * slot].mask & mask == 0:
+            continue
+        since = thin.at - leaves.start
+        if not may_meet(leaves.records[slot], origin, direction, since, thin.pace, limit, more):
+            continue
+        found = box, other
+        box, other = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)
+        if min(box.t, other.t) < limit:
+            limit = min(box.t, other.t)
+            record.limit = limits[0] = limit32(limit, record.unit)
+    return True, box, other
+
+
+@inlined
+def look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found):
+    """The first hits of a way, found = (box, other), after one more obstacle is looked at."""
+    (box, other), (node_handles, scratch), t_max = found, tools, ways.t_max[i]
+    there = box_of(tree, moving, slot)
+    grown = growth_of(there, asked[1], thin.at, thin.pace, t_max)
+    if ways.radii[i] + grown == 0.0 and plain(world.geometry, world.footprints, slot):
+        hit, t, face = meet(there, thin, t_max)
+        if hit and not (asked[0] and face == INSIDE):
+            was = box.slot, box.t, box.face
+            if was[0] == NONE or is_before(tree, moving, thin, (slot, t, face), was):
+                box = Best(slot, t, face)
+    else:
+        see(ways, i, there, scratch.ray)
+        radius = ways.radii[i] + grown
+        t, feature = enter_obstacle(world, slot, scratch.ray, radius, t_max, scratch.work)
+        if t < np.inf and not (asked[0] and feature == INSIDE):
+            nearer = t < other.t
+            if t == other.t:
+                nearer = node_handles[slot] < node_handles[other.slot]
+            if nearer:
+                other = Best(slot, t, np.int64(feature))
+    return box, other
 
 
 @inlined

@@ -18,15 +18,18 @@ from numpy.typing import NDArray
 
 from ...tree.motion.casting import Casts
 from ...tree.motion.queries import times_of
+from ...tree.motion.sweeping import Sweep
+from ...tree.motion.wide_casting import UNSUITED
 from ...tree.rays.raycasting import CLOSEST, EVERY
 from ...tree.rays.slab import INSIDE
+from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Hits, Rays, call, new_scratch, world_of
-from .first_moving import First, Ways, first_rows
+from .first_moving import First, Ways, first_rows, first_swept
 from .frame import COORDINATES, FRAME_SLACK
 from .seen import Met, Times, meet_pairs
 
@@ -75,8 +78,12 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     return hits
 
 
-def first_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> First:
-    """First hits of rays, or balls, while nobody comes to rest; as of `cast_then`."""
+def first_then(
+    held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
+) -> First:
+    """First hits of rays, or balls, while nobody comes to rest; as of `cast_then`. `sweep`: what
+    `sweep_for` says, of these and more rays.
+    """
     tree, columns, count = held.tree, held.columns, len(rays.origins)
     require_ends(held, rays)
     origins, directions = (along_axes(rows, tree.ndim) for rows in rays[:2])
@@ -85,15 +92,41 @@ def first_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Ti
     hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
     told = First(hits, np.zeros((count, 3)), np.zeros((count, 3)))
     given = ways, (skip, held.uncertainty), columns.node_handle, new_scratch(tree.ndim), told
-
-    def ask(arrays: Any, moving: Any) -> Any:
-        return call(first_rows, world_of(tree, columns), arrays, moving, *given)
-
-    spans = partial(times_of, times.at, times.pace, rays.t_max)
-    _motion_of(held).ask(tree, spans, ask)
+    world, motion = world_of(tree, columns), _motion_of(held)
+    if sweep is None:
+        spans = partial(times_of, times.at, times.pace, rays.t_max)
+        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
+    else:
+        view = tree.view()
+        known = motion.known(view, 0.0, 0.0)
+        accepted(call(first_swept, world, view.tree, known, sweep, *given))
+        _tell_others(held, (rays, radii, skip, times), told)
     if tree.ndim == 2:
         told.points[:, 2] = rays.origins[:, 2]
     return told
+
+
+def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
+    """What is swept for the rays of a batch, if that pays."""
+    span, every = times_of(*times, rays.t_max)
+    if not every or not len(rays.origins):
+        return None
+    tree = held.tree
+    found: Sweep | None = _motion_of(held).swept_for(tree, tree.view(), len(rays.origins), span)
+    return found
+
+
+def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
+    """Fill in the rows of ways that are not for a sweep; asked = what `first_then` is told."""
+    rays, radii, skip, times = asked
+    others = np.flatnonzero(told.hits.slots == UNSUITED)
+    if not len(others):
+        return
+    some = Rays(*(column[others] for column in rays))
+    when = Times(*(column[others] for column in times))
+    found = first_then(held, None, some, radii[others], skip, when)
+    for column, part in zip((*told.hits, *told[1:]), (*found.hits, *found[1:]), strict=True):
+        column[others] = part
 
 
 def require_ends(held: Obstacles, rays: Rays) -> None:

@@ -24,7 +24,7 @@ from .casting import EARLY, LATE, Course, course_of, doubt_of, enter_thrice
 
 UNSUITED = -1
 PAD = 2.0**-20  # far above the rounding of a float32
-_STACK = DEEPEST_WIDE + LOOSE_NODES
+WIDE_STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
 
 
@@ -36,18 +36,14 @@ def find_wide(world, snapshot, way, ball, asked, room):
     """
     (origin, direction), (mask, skip_inside) = way, asked
     scratch, hits, times, features = room
-    records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)
+    records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     reach = (ball.radius + ball.slack + doubt_of(scratch.ray, ball.radius)) * snapshot.per_length
     suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, 1.0)
     if not (suited and reach < FARTHEST_ORIGIN):
         return np.int64(UNSUITED)
     widen(record, reach)
-    limits[0], octant, top = record.limit, octant_of(direction), 1
-    stack[0] = 0
-    for loose in range(snapshot.loose):
-        stack[top] = snapshot.size + loose
-        top += 1
+    limits[0], octant, top = record.limit, octant_of(direction), put_roots(snapshot, stack)
     count, soonest, latest = np.int64(0), np.inf, 1.0
     ts, course = stack_array(3, np.float64), Course(stack_array(3, np.float64), -1.0, False)
     found = ts, stack_array(3, np.int64)
@@ -88,6 +84,16 @@ def widen(record, reach):
         more = slope * (reach * (1.0 + PAD) + PAD) + shift * PAD
         record.near_shift[axis] = np.float32(record.near_shift[axis] - more)
         record.far_shift[axis] = np.float32(record.far_shift[axis] + more)
+
+
+@inlined
+def put_roots(snapshot, stack):
+    """Put the nodes that every ray visits on the stack; return its top."""
+    stack[0], top = 0, 1
+    for loose in range(snapshot.loose):
+        stack[top] = snapshot.size + loose
+        top += 1
+    return top
 
 
 @inlined

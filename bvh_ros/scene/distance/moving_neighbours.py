@@ -17,7 +17,7 @@ from ...tree.nodes import NONE, slot_of
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from . import clearance
-from .moving import most_growth, place, rests, swell
+from .moving import gone, most_growth, place, rests, swell
 from .sinking import sink_in_obstacle
 from .touching import ROUNDED, look_at, order_found
 from .touching_rows import keep, pad
@@ -100,13 +100,17 @@ def _lie(tree, moving, then, asked, signed, room, slots, found):
 @lean_kernel
 def clear_rows(tree, moving, then, queries, asked, room, told):
     """Fill in the rows [start, stop) of `told`, a `clearance.Neighbours`; asked = (start, stop,
-    reaches, how many boxes there are, the node handle that is not looked at, by how much the
-    shapes have grown, `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`.
+    reaches, how many boxes there are, the slot of the obstacle that is the only row, or NONE,
+    `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`.
     """
-    row, stop, reaches, everybody, besides, grown, signed = asked
+    row, stop, reaches, everybody, itself, signed = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0
     wanted, still, handles = 0, then.still.shape[0], then.node_handles
+    grown, besides = 0.0, np.int64(NONE)
+    if itself != NONE:
+        grown = put_itself(tree, moving, then, queries, itself, room.spare)
+        besides = handles[itself]
     while row < stop:
         at, reach, mask = then.at[row], of_row(reaches, row), of_row(queries.masks, row)
         if covers(moving, at, 0.0, 0.0) == 0:
@@ -133,6 +137,21 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         row += 1
     end_query(tree.state)
     return np.int64(row), wanted + still
+
+
+@inlined
+def put_itself(tree, moving, then, queries, slot, spare):
+    """Write an obstacle to row 0 where it stands at the time of that; return by how much it has
+    grown.
+    """
+    lo, hi, velocity, reference = box_of(tree, moving, slot)
+    at, bounds = then.at[0], queries.bounds[0]
+    for axis in range(lo.shape[0]):
+        way = gone(velocity[axis], reference, at, then.left)
+        bounds[0, axis], bounds[1, axis] = lo[axis] + way, hi[axis] + way
+    grown = place(tree, moving, then, spare, slot, at)
+    queries.records[0] = spare.shapes[0]
+    return grown
 
 
 @lean_kernel

@@ -158,20 +158,20 @@ class TimedDistances:
         self,
         queries: QueryRows,
         hulls: Hulls | None,
-        asked: tuple[Floats, int, float, Signed],
+        asked: tuple[Floats, int, Signed],
         at: Floats,
         threads: int,
     ) -> Neighbours:
-        """The obstacles nearest to n shapes at times (n,); asked = (reaches, the node handle that
-        is not looked at, by how much the shapes have grown, whether distances have a sign).
+        """The obstacles nearest to n shapes at times (n,); asked = (reaches, the slot of the
+        obstacle that is the only row, or NONE, whether distances have a sign).
         """
-        reaches, besides, grown, signed = asked
+        reaches, itself, signed = asked
         count, then = len(at), self._then(at, hulls)
         told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
 
         def work(start: int, stop: int) -> None:
             while start < stop:
-                question = start, stop, reaches, len(self._held.tree), besides, grown, signed
+                question = start, stop, reaches, len(self._held.tree), itself, signed
                 given = queries, question, self._room(then), told
                 start, wanted = self._call(clear_rows, then, given, signed)
                 self._scratch.have_room(wanted)
@@ -183,7 +183,8 @@ class TimedDistances:
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
-        still, ends = at_rest(held, at.max(initial=-np.inf)), (0.0, 0.0)
+        last = at.item() if len(at) == 1 else at.max(initial=-np.inf)
+        still, ends = at_rest(held, last), (0.0, 0.0)
         if held.uncertainty:
             ends = movers(held)[1:3]
         places = bodies_of(held.columns, hulls), held.columns.node_handle

@@ -6,11 +6,13 @@ They go on as they were told, for `max_prediction` seconds, and then stay where 
 knows that for sure: by `uncertainty`, m/s, those that move grow all round while time goes by.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.nodes import CHANGES
 from ..geometry.shapes import Floats
 from .obstacles import Obstacles
 from .registry import Slots
@@ -35,7 +37,7 @@ class Movers(NamedTuple):
 
 def movers(held: Obstacles) -> Movers:
     """Who moves now."""
-    version, known = held.tree.view().version, held.movers
+    version, known = held.tree.state.item(CHANGES), held.movers
     if known is not None and known.version == version:
         return known
     slots = np.flatnonzero(held.columns.tree_handle >= 0)
@@ -70,7 +72,7 @@ def at_rest(held: Obstacles, last: float) -> Slots:
     """Slots of obstacles that have moved until some time before `last`, s: the tree knows no such
     end, so who asks it has to look at these alone.
     """
-    if not held.moves or np.isinf(held.max_prediction):
+    if not held.moves or math.isinf(held.max_prediction):
         return NOBODY
     known = movers(held)
     if last <= known.first_end:

@@ -69,15 +69,16 @@ def distance_then(box, low, high, at):
 
 @inlined
 def _square(node, low, high, ahead):
-    """Squared distance of a node's bounds, only to prune by; comparisons with NaN are false."""
+    """Squared distance of a node's bounds, only to prune by. What is not a number bounds nothing:
+    comparisons with it are false.
+    """
     total = 0.0
     for axis in range(node.lo.shape[0]):
         below = node.lo[axis] + node.lo_rate[axis] * ahead - high[axis]
         above = low[axis] - node.hi[axis] - node.hi_rate[axis] * ahead
-        if below > 0.0:
-            total += below * below
-        elif above > 0.0:
-            total += above * above
+        gap = below if below > above else above
+        gap = gap if gap > 0.0 else 0.0
+        total += gap * gap
     return total
 
 
@@ -96,31 +97,33 @@ def nearest_then(tree, moving, near, found, distances):
         return np.int64(OUTSIDE)
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], squares[0], top = root, 0.0, (0 if root < 0 else 1)
-    count, limit = np.int64(0), pruning_limit(reach)
+    count, limit, ahead = np.int64(0), pruning_limit(reach), at - moving.start
     while top > 0:
         top -= 1
         node = stack[top]
         if squares[top] > limit or nodes[node].mask & mask == 0:
             continue
-        if is_leaf(node):
-            apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
-            if apart <= reach:
-                count = insert_candidate(
-                    *(found, distances, tree.handles, count, k, node >> 1, apart)
-                )
-                if count == k:
-                    limit = pruning_limit(distances[k - 1])
+        while not is_leaf(node):
+            first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
+            square, other = 0.0, 0.0
+            if bounded > 0:
+                square = _square(nodes[first], low, high, ahead)
+                other = _square(nodes[second], low, high, ahead)
+            if other < square:
+                first, second, square, other = second, first, other, square
+            if other <= limit:
+                stack[top], squares[top] = second, other
+                top += 1
+            node = first
+            if square > limit or nodes[first].mask & mask == 0:
+                break
+        if not is_leaf(node) or nodes[node].mask & mask == 0:
             continue
-        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        square, other = 0.0, 0.0
-        if bounded > 0:
-            square = _square(nodes[first], low, high, at - moving.start)
-            other = _square(nodes[second], low, high, at - moving.start)
-        if other < square:
-            first, second, square, other = second, first, other, square
-        stack[top], squares[top] = second, other
-        stack[top + 1], squares[top + 1] = first, square
-        top += 2
+        apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
+        if apart <= reach:
+            count = insert_candidate(*(found, distances, tree.handles, count, k, node >> 1, apart))
+            if count == k:
+                limit = pruning_limit(distances[k - 1])
     name_row(tree.handles, found, distances, count)
     return count
 

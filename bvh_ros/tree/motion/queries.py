@@ -185,10 +185,9 @@ class MotionQueries(Motion):
         origins, directions, t_max, masks, skip = rays
         casts = Casts(origins, origins, directions, t_max, masks, *times, skip, CLOSEST)
         casts = rows_of(casts, len(origins), rows)
-        normals = hits.normals[rows]
-        axes = np.abs(normals).argmax(axis=1)
-        faces = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] > 0.0)
-        faces[~normals.any(axis=1)] = INSIDE
+        normals = hits.normals[rows]  # but one number of each is zero
+        towards, axes = normals.sum(axis=1), np.abs(normals) @ np.arange(tree.ndim)
+        faces = np.where(towards == 0.0, INSIDE, 2 * axes + (towards > 0.0)).astype(np.int64)
         slots, ndim = hits.ids[rows] & SLOT_MASK, tree.ndim
         places = Places(np.empty((len(rows), ndim)), np.empty((len(rows), ndim)))
         found = Found(slots, hits.t[rows], faces)

@@ -88,6 +88,27 @@ def quick_decision(leaf, origin, direction, since, pace, limit):
 
 
 @inlined
+def may_meet(leaf, origin, direction, since, pace, limit, more):
+    """Whether a course may meet a leaf before `limit` whose box is larger by `more` on all sides;
+    as `quick_decision`, where it does not say MISSES.
+    """
+    entry, leave = 0.0, limit
+    for axis in range(origin.shape[0]):
+        velocity = np.float64(leaf.velocity[axis])
+        way, rate = velocity * since, direction[axis] - velocity * pace
+        below = leaf.lo[axis] - origin[axis] + way - more
+        above = leaf.hi[axis] - origin[axis] + way + more
+        if abs(rate) < SLOWEST:
+            if rate == 0.0 and (below > 0.0 or above < 0.0):
+                return False
+            continue
+        inverse = 1.0 / rate
+        near, far = below * inverse, above * inverse
+        entry, leave = max(entry, min(near, far)), min(leave, max(near, far))
+    return entry <= leave * PAD + TINY
+
+
+@inlined
 def is_better(tree, ray, rays, row, slot, best):
     """As `wide.best_hit.is_better`, with faces of `meet` for axes."""
     origin, direction = rays.origins[row], rays.directions[row]
