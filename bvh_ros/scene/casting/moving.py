@@ -48,7 +48,8 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     still = at_rest(held, times.last(rays.t_max))
     if len(still):
         parts = [met.take(np.flatnonzero(~np.isin(met.slots, still))) for met in parts]
-        parts.append(resting.met(held, flat, radii, skip, times, still))
+        casts = _casts(held, flat, radii, times)
+        parts.append(resting.met(held, flat, radii, skip, times, still, casts))
     columns: Any = zip(*parts, strict=True)
     met = Met(*(np.concatenate(column) for column in columns))
     if ndim == 2:
@@ -171,13 +172,18 @@ def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, tim
     return Met(of, slots, found.ts, points, normals).take(plain)
 
 
+def _casts(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Casts:
+    """What rays may meet: every box that balls touch with what has grown in it."""
+    more = reaches(held, rays, radii, times)[:, None]
+    ways = rays.origins - more, rays.origins + more, rays.directions, rays.t_max
+    return Casts(*ways, rays.masks, *times, False, EVERY)
+
+
 def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
     """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
-    ends, more = times.ends(rays.t_max), reaches(held, rays, radii, times)
-    lo, hi = rays.origins - more[:, None], rays.origins + more[:, None]
-    casts = Casts(lo, hi, rays.directions, rays.t_max, rays.masks, *times, False, EVERY)
+    ends, casts = times.ends(rays.t_max), _casts(held, rays, radii, times)
     offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
-    slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(lo)), np.diff(offsets))
+    slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(radii)), np.diff(offsets))
     grown = growths(held, slots, times.at[rows], ends[rows])
     wanted = held.columns.geometry['shaped'][slots] | (radii[rows] + grown > 0.0)
     slots, rows, grown = slots[wanted], rows[wanted], grown[wanted]

@@ -2,16 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept balls at obstacles that move no farther than `max_prediction` says.
 
-A ray sees such an obstacle go, and from some t on stand. It is asked both times, of each of them:
-in a world that is refreshed often enough they are few.
+A ray sees such an obstacle go, and from some t on stand. Whom it may meet on either way the tree
+says, and that of where obstacles come to rest; each of these is asked both times.
 """
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.motion.casting import Casts
 from ...tree.rays.slab import INSIDE
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
-from ..store.places import growths, motions, seen
+from ..store.places import growths, motions, rest, seen
 from ..store.registry import Slots
 from .arguments import Rays
 from .seen import Met, Times, meet_pairs
@@ -19,14 +23,33 @@ from .seen import Met, Times, meet_pairs
 PAIRS = 1 << 17  # that are looked at in one go
 
 
-def met(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times, still: Slots) -> Met:
-    """Hits of these obstacles; `rays` along the tree's axes."""
-    parts, step = [], max(PAIRS // len(still), 1)
-    for begin in range(0, len(radii), step):
-        rows = np.arange(begin, min(begin + step, len(radii)))
-        pairs = np.repeat(rows, len(still)), np.tile(still, len(rows))
-        parts.append(_of_pairs(held, rays, radii, skip, times, pairs))
+def met(
+    held: Obstacles,
+    rays: Rays,
+    radii: Floats,
+    skip: bool,
+    times: Times,
+    still: Slots,
+    casts: Casts,
+) -> Met:
+    """Hits of these obstacles; `rays` along the tree's axes, and what they may meet, `casts`."""
+    there, number = rest(held), np.full(len(held.columns.node_handle), -1)
+    number[still] = np.arange(len(still))
+    going, standing = _boxes(held.tree, casts), _boxes(there.tree, casts)
+    rows = np.concatenate((going[0], standing[0]))
+    which = number[np.concatenate((going[1], there.slots[standing[1]]))]
+    pairs = np.unique(rows[which >= 0] * len(still) + which[which >= 0])
+    parts = []
+    for begin in range(0, max(len(pairs), 1), PAIRS):
+        some = np.divmod(pairs[begin : begin + PAIRS], len(still))
+        parts.append(_of_pairs(held, rays, radii, skip, times, (some[0], still[some[1]])))
     return Met(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _boxes(tree: Any, casts: Casts) -> tuple[NDArray[np.int64], Slots]:
+    """Rows, and slots of boxes that they meet."""
+    offsets, handles, _, _ = tree.motion.every(tree, casts)
+    return np.repeat(np.arange(len(casts.lo)), np.diff(offsets)), tree.slots(handles)
 
 
 def _of_pairs(

@@ -4,18 +4,20 @@
 
 The tree says whose boxes are there at the time, as real arithmetic does. Each obstacle is then
 written down where it stands (`place`) and looked at as one at rest. Who has come to rest meanwhile
-the tree expects elsewhere: these, `Then.still`, are looked at one by one.
+the tree expects elsewhere: these stand in a tree of their own, `Then.rest`.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE, cast
 from ...tree.motion.meeting import Course, box_of
+from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import EVERY, Asked, of_row
 from ...tree.rays.slab import RAY_FLOATS, RAY_ROWS, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
@@ -40,8 +42,9 @@ class Then(NamedTuple):
     earliest: float
     latest: float
     """When the first and the last of them were told, s."""
-    still: Any
-    """(m,) slots of those that are at rest by some of these times."""
+    rest: Any
+    """Tree of where obstacles come to rest, see `places.Rest`; empty if nobody is by then."""
+    rest_slots: Any
 
 
 class Room(NamedTuple):
@@ -112,7 +115,7 @@ def reach_then(tree, moving, then, asked, ray, found):
     set_swept_box(ray, corners[0, :ndim], corners[1, :ndim], nowhere)
     course = Course(ray, at, 0.0)
     total = np.int64(cast(tree, moving, course, Asked(0.0, mask, False, EVERY), found, 0))
-    if then.still.shape[0] == 0 or total > slots.shape[0]:
+    if then.rest.state[ROOT] == NONE or total > slots.shape[0]:
         return total
     count = np.int64(0)
     for i in range(total):
@@ -120,17 +123,19 @@ def reach_then(tree, moving, then, asked, ray, found):
         if not rests(box[2], box[3], at, then.left):
             slots[count] = slots[i]
             count += 1
-    for slot in then.still:
+    total = overlap(then.rest, corners[0], corners[1], mask, slots, count)
+    if total > slots.shape[0]:
+        return total
+    for i in range(count, total):
+        slot = then.rest_slots[slots[i]]
         lo, hi, velocity, reference = box_of(tree, moving, slot)
-        touches = tree.nodes[2 * slot].mask & mask != 0
-        touches &= rests(velocity, reference, at, then.left)
+        touches = rests(velocity, reference, at, then.left)
         for axis in range(lo.shape[0]):
             way = gone(velocity[axis], reference, at, then.left)
             touches &= lo[axis] + way <= corners[1, axis]
             touches &= hi[axis] + way >= corners[0, axis]
         if touches:
-            if count < slots.shape[0]:
-                slots[count] = slot
+            slots[count] = slot
             count += 1
     return count
 

@@ -7,13 +7,14 @@ As `touching_rows.nearest_rows` and `clearance.clearance_rows`.
 
 import numpy as np
 
+from ...tree.boxes.nearest import nearest
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
 from ...tree.motion.meeting import box_of
 from ...tree.motion.nearest import nearest_then
-from ...tree.nodes import NONE, slot_of
+from ...tree.nodes import NONE, ROOT, slot_of
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from . import clearance
@@ -25,26 +26,33 @@ from .touching_rows import keep, pad
 
 @inlined
 def neighbours(tree, moving, then, near_by, room):
-    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask), and of those
-    at rest: (how many of the former, how far the last of them is, how many of all).
+    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask), of those that
+    move and of those at rest: (whether there may be more, how far those are at least, how many).
     """
-    _, _, at, wanted, _, mask = near_by
+    low, high, at, wanted, limit, mask = near_by
     slots, handles, gaps = room.found.slots, room.handles[:wanted], room.gaps[:wanted]
     count = nearest_then(tree, moving, near_by, handles, gaps)
-    last, total = (gaps[count - 1] if count > 0 else 0.0), np.int64(0)
+    more, last, total = count == wanted, np.inf, np.int64(0)
+    if more:
+        last = gaps[wanted - 1]
     for i in range(count):
         slot = slot_of(handles[i])
         box = box_of(tree, moving, slot)
         if not rests(box[2], box[3], at, then.left):
             slots[total] = slot
             total += 1
-    for slot in then.still:
-        box = box_of(tree, moving, slot)
-        seen = tree.nodes[2 * slot].mask & mask != 0
-        if seen and rests(box[2], box[3], at, then.left):
-            slots[total] = slot
-            total += 1
-    return count, last, total
+    if then.rest.state[ROOT] != NONE:
+        handles, gaps = room.handles[wanted : 2 * wanted], room.gaps[wanted : 2 * wanted]
+        count = nearest(then.rest, low, high, wanted, limit, mask, handles, gaps)
+        if count == wanted:
+            more, last = True, min(last, gaps[wanted - 1])
+        for i in range(count):
+            slot = then.rest_slots[handles[i]]
+            box = box_of(tree, moving, slot)
+            if rests(box[2], box[3], at, then.left):
+                slots[total] = slot
+                total += 1
+    return more, last, total
 
 
 @lean_kernel
@@ -56,7 +64,7 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
     done, stop, k, everybody, twice, signed = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, np.int64(0)
-    wanted, total, still = 0, np.int64(0), then.still.shape[0]
+    wanted, total = 0, np.int64(0)
     while done < stop:
         row = points.order[done] if points.order.shape[0] > 0 else done
         at, point, reach = then.at[row], points.points[row], of_row(points.reaches, row)
@@ -65,22 +73,22 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
             break
         more, mask = most_growth(then, at), of_row(points.masks, row)
         limit, wanted, kept = max(reach * ROUNDED, reach) + more, min(k + 1, everybody + 1), 0
-        while wanted + still <= found.slots.shape[0]:
+        while 2 * wanted <= found.slots.shape[0]:
             near_by = point, point, at, wanted, limit, mask
-            count, last, total = neighbours(tree, moving, then, near_by, room)
+            others, last, total = neighbours(tree, moving, then, near_by, room)
             _lie(tree, moving, then, (point, at), signed, room, room.found.slots[:total], found)
             order_found(found, total, then.node_handles)
             kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
             farthest = max(told.distances[row, k - 1], 0.0) * ROUNDED if kept == k else np.inf
-            if count < wanted or last - more > farthest:
+            if not others or last - more > farthest:
                 break
             wanted = min(wanted * 4, everybody + 1)
-        if wanted + still > found.slots.shape[0]:
+        if 2 * wanted > found.slots.shape[0]:
             break
         pad(told, row, kept)
         done += 1
     end_query(tree.state)
-    return np.int64(done), wanted + still, total
+    return np.int64(done), 2 * wanted, total
 
 
 @lean_kernel
@@ -106,7 +114,7 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
     row, stop, reaches, everybody, itself, signed = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0
-    wanted, still, handles = 0, then.still.shape[0], then.node_handles
+    wanted, handles = 0, then.node_handles
     grown, besides = 0.0, np.int64(NONE)
     if itself != NONE:
         grown = put_itself(tree, moving, then, queries, itself, room.spare)
@@ -119,9 +127,9 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         more, wanted = most_growth(then, at) + grown, min(2, everybody + 1)
         low, high = queries.bounds[row, 0], queries.bounds[row, 1]
         limit = max(reach * clearance.ROUNDED, reach) + more
-        while wanted + still <= room.gaps.shape[0]:
+        while 2 * wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
-            count, last, total = neighbours(tree, moving, then, near_by, room)
+            others, last, total = neighbours(tree, moving, then, near_by, room)
             told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
             for slot in room.found.slots[:total]:
                 if handles[slot] != besides:
@@ -129,14 +137,14 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
                     pair = queries.records[row], slot, reach
                     _clear(room.spare, pair, growths, signed, handles, told, row)
             distance = max(told.distances[row], 0.0)
-            if count < wanted or last - more > distance * clearance.ROUNDED:
+            if not others or last - more > distance * clearance.ROUNDED:
                 break
             wanted = min(wanted * clearance.MORE, everybody + 1)
-        if wanted + still > room.gaps.shape[0]:
+        if 2 * wanted > room.gaps.shape[0]:
             break
         row += 1
     end_query(tree.state)
-    return np.int64(row), wanted + still
+    return np.int64(row), 2 * wanted
 
 
 @inlined

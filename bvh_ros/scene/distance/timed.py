@@ -19,7 +19,7 @@ from ..geometry.records import GEOMETRY
 from ..geometry.shapes import Floats
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, movers
+from ..store.places import at_rest, movers, nobody_rests, rest
 from ..store.registry import Slots
 from .clearance import Neighbours
 from .moving import Room, Then, touch_rows
@@ -184,11 +184,14 @@ class TimedDistances:
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
         last = at.item() if len(at) == 1 else at.max(initial=-np.inf)
-        still, ends = at_rest(held, last), (0.0, 0.0)
+        resting, ends = nobody_rests(held.tree.ndim), (0.0, 0.0)
+        if len(at_rest(held, last)):
+            resting = rest(held)
         if held.uncertainty:
             ends = movers(held)[1:3]
         places = bodies_of(held.columns, hulls), held.columns.node_handle
-        return Then(*places, at, held.max_prediction, held.uncertainty, *ends, still)
+        still = resting.tree.view().tree, resting.slots
+        return Then(*places, at, held.max_prediction, held.uncertainty, *ends, *still)
 
     def _room(self, then: Then) -> Room:
         scratch, planar = self._scratch, then.bodies.footprints is not None

@@ -49,6 +49,8 @@ class Obstacles:
         """Those that move grow by so much all round, m/s, since their last update."""
         self.movers: Any = None
         """`places.Movers`, once somebody asks."""
+        self.rest: Any = None
+        """`places.Rest`, once somebody asks."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""

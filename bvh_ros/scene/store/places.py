@@ -6,12 +6,14 @@ They go on as they were told, for `max_prediction` seconds, and then stay where 
 knows that for sure: by `uncertainty`, m/s, those that move grow all round while time goes by.
 """
 
+import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.nodes import CHANGES
 from ..geometry.shapes import Floats
 from .obstacles import Obstacles
@@ -70,7 +72,7 @@ def ways(held: Obstacles, slots: Slots, at: Floats) -> Floats:
 
 def at_rest(held: Obstacles, last: float) -> Slots:
     """Slots of obstacles that have moved until some time before `last`, s: the tree knows no such
-    end, so who asks it has to look at these alone.
+    end, so who asks it has to look for these elsewhere, see `rest`.
     """
     if not held.moves or math.isinf(held.max_prediction):
         return NOBODY
@@ -78,6 +80,42 @@ def at_rest(held: Obstacles, last: float) -> Slots:
     if last <= known.first_end:
         return NOBODY
     return known.slots[: np.searchsorted(known.ends, last)]
+
+
+class Rest(NamedTuple):
+    """Where those that move come to rest at last, in one version of the tree."""
+
+    version: int
+    tree: DynamicBVH
+    """Their boxes there, larger by more than rounding."""
+    slots: Slots
+    """Of the obstacles, by slot of that tree."""
+
+
+def rest(held: Obstacles) -> Rest:
+    """Where they do, if anybody ever does: so who is `at_rest` is found through a tree, too."""
+    version, known = held.tree.state.item(CHANGES), held.rest
+    if known is not None and known.version == version:
+        return known
+    slots, most = movers(held).slots, np.finfo(np.float64).max
+    handles, (velocities, _) = held.columns.tree_handle[slots], motions(held, slots)
+    lo, hi = held.tree.boxes(handles)
+    with np.errstate(over='ignore'):
+        way = np.clip(velocities * held.max_prediction, -most, most)
+        more = (np.abs(lo) + np.abs(hi) + np.abs(way)) * (WIDER - 1.0)
+        low, high = np.clip(lo + way - more, -most, most), np.clip(hi + way + more, -most, most)
+    tree = DynamicBVH.from_boxes(low, high, mask=held.columns.categories[slots])
+    tree.set_velocities(tree.ids(), np.zeros(low.shape))  # so it can be asked as the other one
+    of = np.empty(len(slots), np.int64)
+    of[tree.slots(tree.ids())] = slots
+    known = held.rest = Rest(version, tree, of)
+    return known
+
+
+@functools.cache
+def nobody_rests(ndim: int) -> Rest:
+    """`rest` where nobody does."""
+    return Rest(0, DynamicBVH(ndim), NOBODY)
 
 
 def seen(held: Obstacles, slots: Slots, mask: np.uint32 | NDArray[np.uint32]) -> NDArray[np.bool_]:
