@@ -9,9 +9,15 @@ from collections.abc import Sequence
 
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.tree.jit import kernel_cache
-from bvh_ros.tree.jit.workers import Workers
+from bvh_ros.tree.jit.workers import Workers, fork_ahead
 
 AT_LEAST = 0.05  # of a job is left, however long it runs
+
+
+def prepare() -> None:
+    """Fork processes that compile, if this is a first start: before ROS has threads."""
+    if kernel_cache.is_first_use():
+        fork_ahead()
 
 
 class Compilation:

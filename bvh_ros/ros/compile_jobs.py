@@ -4,30 +4,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bvh_ros import DynamicBVH
-from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.ros.job_scenes import (
+    ABOUT_Z,
+    BOXES,
+    EDGE,
+    GOAL,
+    MANY,
+    MIDDLE,
+    NUMBERS,
+    RADIUS,
+    START,
+    empty,
+    replace,
+    scenes,
+    with_boxes,
+    with_shapes,
+)
+from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene.store.names import as_families
+from bvh_ros.scene.store.registry import Registry
 from bvh_ros.tree.jit.worker import side_by_side
+from bvh_ros.tree.store.storage import inherit_entry
 
+FAR = (9.0, 9.0, 9.0)
 FEW = 256  # rays that go through the snapshot one by one, where there is one
-MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
-BOXES = 24  # enough that every branch of building, inserting and rotating runs
-EDGE = (0.9, 0.9, 0.9)
-ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
-TURNED = (0.1, 0.2, 0.3, 0.9)
-CORNERS = np.vstack((np.zeros(3), np.eye(3)))
-TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
-# Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
-START, GOAL = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
-RADIUS = 0.5
-NUMBERS = np.arange(BOXES)
-MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
@@ -87,10 +94,12 @@ class Job(NamedTuple):
 def jobs(needs: Needs) -> list[Job]:
     """Return all calls: those that the first answers wait for, then the longest."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
-        ('obstacles', 11.0, _obstacles),
+        ('obstacles', 9.0, _obstacles),
         ('thin rays', 6.0, _thin_rays),
-        ('true shapes', 24.0, _true_shapes),  # and 4 more in a fork
+        ('names', 1.5, _names),
+        ('true shapes', 19.0, _true_shapes),  # and 3 more in a fork
         *([('batches of rays', 8.0, _batches)] if needs.batch else []),
+        ('boxes', 3.0, _among_boxes),
         *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
         *_moving(needs)[:1],
         ('checks', 1.5, _checks),
@@ -161,102 +170,79 @@ def _paths(needs: Needs) -> None:
         scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
 
 
-def _empty(needs: Needs) -> Scene:
-    return Scene(planar=needs.planar, margin=needs.margin, meshes=ShapeKind.MESH in needs.kinds)
-
-
-def _replace(scene: Scene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
-    shapes = Shapes.boxes(MIDDLE[numbers] + shift, EDGE)
-    scene.replace('cloud', '', Numbered('box#', numbers), shapes, stamp=1)
-
-
-def _with_boxes(needs: Needs) -> Scene:
-    scene = _empty(needs)
-    _replace(scene, 0.0)
-    return scene
-
-
-def _with_shapes(needs: Needs) -> Scene:
-    """Return turned and round shapes among boxes."""
-    scene = _with_boxes(needs)
-    for kind in needs.kinds:
-        place = [3.0, 3.5 + kind, 3.0]
-        if kind == ShapeKind.MESH:
-            shape = Shapes.of_meshes([Mesh(TETRAHEDRON)], place, [TURNED])
-        else:
-            shape = Shapes.boxes(place, EDGE, [TURNED])
-            shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
-        scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
-    return scene
-
-
-def scenes(needs: Needs) -> Iterator[Scene]:
-    """The empty one first: while another process compiles how boxes get there, what is asked of it
-    can be compiled here.
-    """
-    yield _empty(needs)
-    yield _with_boxes(needs)
-    yield _with_shapes(needs)
-
-
 def _obstacles(needs: Needs) -> None:
     """Every way in which obstacles come, move and go, and what is told of them all the time. The
-    tree first: it takes longest, and `_thin_rays` compiles meanwhile what else a new box takes.
+    tree first: it takes longest, and `_thin_rays` and `_names` compile meanwhile what else a new
+    box takes.
     """
     boxes = MIDDLE[:, : 2 if needs.planar else 3]
     DynamicBVH(boxes.shape[1]).insert_many(boxes, boxes)
-    scene, margin = _with_boxes(needs), needs.margin
+    scene, margin = with_boxes(needs), needs.margin
     places = [*(MIDDLE + 50.0), MIDDLE[1] - 9.0]
     for number, place in zip([*range(BOXES), 1], places, strict=True):
         scene.update('markers', [f'one/{number}'], Shapes.boxes(place, EDGE), stamp=1)
-    _replace(scene, 1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
-    _replace(scene, 3.0 * margin + 7.0)
+    replace(scene, 1.001 * margin + 0.001)  # just out of the fat boxes: they are refitted
+    replace(scene, 3.0 * margin + 7.0)
     scene.remove('markers', ['one/0', 'one/1'])
     if needs.moving:
         place = Shapes.boxes(MIDDLE[0], EDGE)
         scene.update('markers', ['moving'], place, stamp=1, velocities=[EDGE])
     scene.rebuild()
     scene.stats()
-    _with_shapes(needs)
+    with_shapes(needs)
 
 
 def _thin_rays(needs: Needs) -> None:
-    scene = _empty(needs)
+    scene = empty(needs)
     scene.raycast(START, GOAL)
-    _replace(scene, 0.0, NUMBERS[:0])
+    replace(scene, 0.0, NUMBERS[:0])
+
+
+def _names(needs: Needs) -> None:
+    """What is told of a tree, and of names, without a box in it."""
+    inherit_entry(2 if needs.planar else 3)
+    registry, names = Registry(), as_families(Numbered('box#', NUMBERS))
+    registry.add(names, NUMBERS)
+    registry.find(names)
+    registry.discard(NUMBERS)
+    scene = empty(needs)
+    scene.stats()
+    scene.clear()
+
+
+def _among_boxes(needs: Needs) -> None:
+    """All hits of thin rays, and overlaps of boxes, without a narrow phase."""
+    for scene in (empty(needs), with_boxes(needs)):
+        scene.raycast_all(START, GOAL)
+        scene.overlap(START, FAR)
 
 
 def _true_shapes(needs: Needs) -> None:
-    """Balls first: rays alone, or overlaps, would take three times as long in a process that has
-    not compiled balls, most of which they share.
+    """The first that a ball meets, before all else: the rest alone would take three times as long
+    in a process that has not compiled that, most of which it shares.
     """
-    _swept_balls(needs)
-    side_by_side(partial(_overlaps, needs), partial(_rays_at_shapes, needs))
-
-
-def _rays_at_shapes(needs: Needs) -> None:
     for scene in scenes(needs):
-        scene.raycast_all(START, GOAL)
-        scene.raycast(START, GOAL)
+        scene.raycast(START, GOAL, RADIUS)
+    side_by_side(partial(_overlaps, needs), partial(_rays_and_balls, needs))
 
 
-def _swept_balls(needs: Needs) -> None:
+def _rays_and_balls(needs: Needs) -> None:
     for scene in scenes(needs):
         scene.raycast_all(START, GOAL, RADIUS)
-        scene.raycast(START, GOAL, RADIUS)
+        scene.raycast(START, GOAL)
+        scene.raycast_all(START, GOAL)
 
 
 def _overlaps(needs: Needs) -> None:
-    """Of a box, a turned one with round corners, and a ball."""
-    far = (9.0, 9.0, 9.0)
+    """Of a turned box with round corners, a ball, and a box, which is compiled elsewhere."""
     for scene in scenes(needs):
-        scene.overlap(START, far)
-        scene.overlap(START, far, ABOUT_Z, RADIUS)
+        scene.overlap(START, FAR, ABOUT_Z, RADIUS)
         scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0)
+        scene.overlap(START, FAR)
 
 
 def _checks(needs: Needs) -> None:
-    _with_boxes(needs).validate()
+    with_boxes(needs).validate()
 
 
 def _batches(needs: Needs) -> None:
@@ -297,4 +283,4 @@ def use_tree(ndim: int) -> None:
     tree.remove_many(handles)
 
 
-EARLY = _obstacles, _thin_rays
+EARLY = _obstacles, _thin_rays, _names

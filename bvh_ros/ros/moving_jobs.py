@@ -5,11 +5,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bvh_ros.ros.compile_jobs import ABOUT_Z, EDGE, GOAL, MANY, RADIUS, START, Needs, scenes
+from bvh_ros.ros.job_scenes import ABOUT_Z, EDGE, GOAL, MANY, RADIUS, START, scenes
 from bvh_ros.scene import Numbered, Scene, Shapes
+
+if TYPE_CHECKING:
+    from bvh_ros.ros.compile_jobs import Needs
 
 
 def _moving_scenes(needs: Needs) -> Iterator[Scene]:

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from bvh_ros.ros.compilation import prepare
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.interrupts import Interrupts
 from bvh_ros.ros.private_rclpy import RCLError, UnknownROSArgsError
@@ -42,6 +43,7 @@ class BvhNode(Node):
 
 def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> int:
     """Create a node and spin it until Ctrl-C or SIGTERM; return the exit code."""
+    prepare()
     interrupts = Interrupts()
     try:
         with interrupts.while_starting():

@@ -136,7 +136,8 @@ class BvhServer:
         chosen, later = jobs(self._needs()), later_jobs(self._needs())
         paths = [job for job in later if job.name == PATHS and self.settings.footprint]
         rest = [job for job in later if job.name != PATHS and wholly]
-        return [*chosen[:2], *of_sources, *chosen[2:], *paths, *rest]
+        early = [job for job in chosen if job.early]
+        return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *rest]
 
     def _needs(self) -> Needs:
         return Needs(

@@ -46,6 +46,7 @@ def processes(folder, name):
 
 def test_what_is_compiled_elsewhere_is_run_here_and_next_time_only_here(tmp_path):
     chosen = [job(tmp_path, 'first', early=True), job(tmp_path, 'second'), job(tmp_path, 'third')]
+    assert kernel_cache.is_first_use()
     compilation = Compilation(chosen, 1)
     assert (compilation.seconds, compilation.percent()) == (30.0, 0)
     assert not compilation.has_begun_to_answer
@@ -57,6 +58,7 @@ def test_what_is_compiled_elsewhere_is_run_here_and_next_time_only_here(tmp_path
         elsewhere, here = processes(tmp_path, name)
         assert elsewhere != here == os.getpid()
 
+    assert not kernel_cache.is_first_use()
     again = Compilation(chosen, 1)
     assert again.seconds == 0.0
     assert [*finish(again)][-1] == (100, True)
@@ -89,6 +91,7 @@ def test_progress_is_what_the_processor_has_done():
 def test_where_nothing_can_be_kept_all_is_run_here(tmp_path, recwarn):
     (tmp_path / 'cache').write_text('')  # no folder
     kernel_cache._find_folder.cache_clear()
+    assert not kernel_cache.is_first_use()
     assert [*finish(Compilation([job(tmp_path, 'one'), job(tmp_path, 'two')]))]
     assert processes(tmp_path, 'one') == processes(tmp_path, 'two') == [os.getpid()]
     assert 'not kept' in str(recwarn.pop(RuntimeWarning).message)

@@ -110,9 +110,20 @@ def is_noted(what: str) -> bool:
     return folder is not None and (folder / _note(what)).exists()
 
 
+def is_first_use() -> bool:
+    """Whether kernels can be kept, and none that these sources compile were kept or shipped."""
+    folder = cache_folder()
+    if folder is None or shipped.find(settings()) is not None:
+        return False
+    return not any(folder.glob(f'{_of_these_sources()}-*.done'))
+
+
 def _note(what: str) -> str:
-    key = f'{what}\n{kernel_sources.digest_of_all()}'
-    return f'{hashlib.sha256(key.encode()).hexdigest()[:16]}.done'
+    return f'{_of_these_sources()}-{hashlib.sha256(what.encode()).hexdigest()[:16]}.done'
+
+
+def _of_these_sources() -> str:
+    return kernel_sources.digest_of_all()[:16]
 
 
 def ship() -> Path:

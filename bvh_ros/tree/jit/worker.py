@@ -7,34 +7,31 @@ import os
 import pickle
 import queue
 import signal
-import sys
 import threading
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 Calls = queue.SimpleQueue[str]
 
 _may_fork = False
 
 
-def main() -> None:
-    """Run what comes on standard input, a call a line; answer each with a line: why it failed, or
-    nothing.
-    """
+def main(told: TextIO, answers: TextIO) -> NoReturn:
+    """Run what comes, a call a line; answer each with a line: why it failed, or nothing."""
     global _may_fork
     _may_fork = hasattr(os, 'fork')
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sent the calls
     if hasattr(os, 'nice'):
         os.nice(5)  # who sent them may answer meanwhile
     calls: Calls = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(calls,), daemon=True).start()
+    threading.Thread(target=_listen, args=(told, calls), daemon=True).start()
     while True:
-        print(_run(calls.get()), flush=True)
+        print(_run(calls.get()), file=answers, flush=True)
 
 
-def _listen(calls: Calls) -> None:
+def _listen(told: TextIO, calls: Calls) -> None:
     """Take calls, and end the process at once when nobody is there any more who sends some."""
-    for line in sys.stdin:
+    for line in told:
         calls.put(line)
     os._exit(0)
 

@@ -18,14 +18,17 @@ from ..entries import entry_points
 from ..jit.compiling import entry_point, lean_kernel
 from ..nodes import (
     ALL_PLACES,
+    CHANGES,
     COUNT,
     FREE_INNER,
     FREE_LEAF,
     NONE,
+    RECENT_PLACES,
     REMOVED,
     ROOT,
     SERIAL,
     TURN,
+    WRITTEN,
     Tree,
     aligned_empty,
     box_dtype,
@@ -76,11 +79,18 @@ def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
 
 
 def new_storage(ndim: int, capacity: int, fat: bool) -> Storage:
-    """Storage of an empty tree."""
+    """Storage of an empty tree, as `clear` leaves it: numpy does that without a kernel to compile,
+    and nobody else knows these arrays yet.
+    """
     storage = allocate(ndim, capacity, fat)
-    storage.tree.heights.fill(0)
-    storage.tree.state[TURN], storage.tree.state[SERIAL] = 0, 1
-    clear_entry(ndim)(storage.tree)
+    nodes, heights, _, handles, state = storage.tree
+    heights.fill(0)
+    handles.fill(NONE)
+    after = nodes['parent']  # free leaves and inner nodes take turns
+    after[:-2] = np.arange(2, len(after), dtype=np.int32)
+    after[-2:] = NONE
+    state[ROOT], state[FREE_LEAF], state[FREE_INNER], state[SERIAL] = NONE, 0, 1, 1
+    state[TURN], state[CHANGES], state[WRITTEN] = 0, 1, RECENT_PLACES + 1
     return storage
 
 

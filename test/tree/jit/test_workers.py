@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from bvh_ros.tree.jit import worker
 from bvh_ros.tree.jit.entry_lock import EntryLock
 from bvh_ros.tree.jit.worker import side_by_side
-from bvh_ros.tree.jit.workers import Workers
+from bvh_ros.tree.jit.workers import MOST, Workers, fork_ahead, processors
 
 PATIENCE = 60.0  # seconds
 
@@ -43,8 +44,11 @@ def until(condition):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize('count', [1, 2])
-def test_every_call_is_run_or_told_why_not(tmp_path, count):
+@pytest.mark.parametrize(('count', 'ahead'), [(1, False), (2, False), (0, True)])
+@pytest.mark.filterwarnings('ignore:.*fork')
+def test_every_call_is_run_or_told_why_not(tmp_path, count, ahead):
+    if ahead:
+        fork_ahead()
     paths = [tmp_path / str(number) for number in range(5)]
     calls = [partial(os.mkdir, path) for path in paths]
     calls += [partial(os.mkdir, tmp_path), lambda: None, partial(os._exit, 3)]
@@ -60,6 +64,17 @@ def test_every_call_is_run_or_told_why_not(tmp_path, count):
 def test_where_every_worker_ends_the_rest_is_told():
     found = results(Workers([partial(os._exit, 1), partial(os.getpid)], 1), 2)
     assert found == {0: 'its worker ended', 1: 'no worker is left'}
+
+
+@pytest.mark.filterwarnings('ignore:.*fork')
+def test_what_was_imported_here_is_there_in_processes_that_were_forked_ahead(monkeypatch):
+    monkeypatch.setattr(worker, 'mark', 'made here', raising=False)
+    look = partial(exec, 'from bvh_ros.tree.jit import worker; worker.mark', {})
+    fork_ahead()
+    calls = [look] * min(processors(), MOST)
+    assert {*results(Workers(calls), len(calls)).values()} == {''}
+    [text] = results(Workers([look]), 1).values()  # none is left
+    assert text.startswith('AttributeError')
 
 
 @pytest.mark.parametrize('elsewhere', [True, False])
@@ -109,7 +124,11 @@ def pids_in(folder):
     return [int(text) for path in folder.iterdir() if (text := path.read_text())]
 
 
-def test_ending_ends_all_at_once(tmp_path):
+@pytest.mark.parametrize('ahead', [False, True])
+@pytest.mark.filterwarnings('ignore:.*fork')
+def test_ending_ends_all_at_once(tmp_path, ahead):
+    if ahead:
+        fork_ahead()
     workers = Workers([busy(tmp_path, number) for number in range(3)], 2)
     until(lambda: len(pids_in(tmp_path)) == 2)
     workers.end()
@@ -119,16 +138,19 @@ def test_ending_ends_all_at_once(tmp_path):
 
 PARENT = """
 import pickle, sys, time
-from bvh_ros.tree.jit.workers import Workers
+from bvh_ros.tree.jit.workers import Workers, fork_ahead
 
+if len(sys.argv) > 1:
+    fork_ahead()
 workers = Workers(pickle.load(sys.stdin.buffer), 2)
 time.sleep(600)
 """
 
 
+@pytest.mark.parametrize('ahead', [[], ['ahead']])
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_no_worker_outlives_who_started_it(tmp_path, how):
-    command = [sys.executable, '-c', PARENT]
+def test_no_worker_outlives_who_started_it(tmp_path, how, ahead):
+    command = [sys.executable, '-c', PARENT, *ahead]
     parent = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
     with parent.stdin as given:
         two = partial(side_by_side, busy(tmp_path, 1), busy(tmp_path, 2))
