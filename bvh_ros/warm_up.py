@@ -76,7 +76,7 @@ def _compile(parameters: Path | None) -> None:
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, use_tree
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs, use_tree
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
@@ -85,7 +85,7 @@ def _everything() -> Iterator[Job]:
     for planar in (False, True):
         for moving, margin, kinds in product((False, True), (0.0, 0.1), (every, every[:1])):
             needs = Needs(planar, margin, kinds, batch=True, threads=2, moving=moving)
-            for job in (*jobs(needs), *later_jobs(needs)):
+            for job in (*jobs(needs), *later_jobs(needs), *path_jobs(needs)):
                 if first.setdefault((planar, job.name), job) is not job:
                     again.append(job._replace(seconds=AGAIN))
         tree = Job('tree', f'tree {planar}', 10.0, partial(use_tree, 2 if planar else 3))

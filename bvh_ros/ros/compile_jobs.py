@@ -38,7 +38,7 @@ FEW = 256  # rays that go through the snapshot one by one, where there is one
 
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
-BOXES_ASKED, PATHS = 'batches of boxes', 'paths'
+BOXES_ASKED = 'batches of boxes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
 
 
@@ -104,11 +104,7 @@ def jobs(needs: Needs) -> list[Job]:
         *_moving(needs)[:1],
         ('checks', 1.5, _checks),
     ]
-    tells_apart = _tells_apart(needs)
-    return [
-        Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
-        for name, seconds, call in calls
-    ]
+    return _named(calls, needs)
 
 
 def later_jobs(needs: Needs) -> list[Job]:
@@ -117,12 +113,20 @@ def later_jobs(needs: Needs) -> list[Job]:
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
         *([(POINTS, 10.0, _points)] if needs.batch else []),
-        (PATHS, 20.0, _paths),
         *_moving(needs)[1:],
     ]
+    return _named(calls, needs)
+
+
+def path_jobs(needs: Needs) -> list[Job]:
+    """Return what paths need: compiled at the start, where there is a footprint."""
+    return _named([('paths', 20.0, _paths)], needs)
+
+
+def _named(calls: Sequence[tuple[str, float, Callable[[Needs], None]]], needs: Needs) -> list[Job]:
     tells_apart = _tells_apart(needs)
     return [
-        Job(name, f'{name} {tells_apart}', seconds, partial(call, needs))
+        Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
         for name, seconds, call in calls
     ]
 

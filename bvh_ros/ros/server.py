@@ -12,7 +12,7 @@ from rclpy.exceptions import InvalidTopicNameException, NameValidationException,
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.compilation import Compilation
-from bvh_ros.ros.compile_jobs import PATHS, Job, Needs, jobs, later_jobs
+from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
 from bvh_ros.ros.config import qos_overrides
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.config.parameters import read_settings
@@ -133,11 +133,10 @@ class BvhServer:
         that wait until somebody asks.
         """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
-        chosen, later = jobs(self._needs()), later_jobs(self._needs())
-        paths = [job for job in later if job.name == PATHS and self.settings.footprint]
-        rest = [job for job in later if job.name != PATHS and wholly]
-        early = [job for job in chosen if job.early]
-        return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *rest]
+        needs, has_paths = self._needs(), self.settings.batch and self.settings.footprint
+        chosen, paths = jobs(needs), path_jobs(needs) if has_paths else []
+        early, later = [job for job in chosen if job.early], later_jobs(needs) if wholly else []
+        return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *later]
 
     def _needs(self) -> Needs:
         return Needs(

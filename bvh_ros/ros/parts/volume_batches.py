@@ -12,7 +12,7 @@ from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS, PATHS_THEN, POINTS
+from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
 from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
 from bvh_ros.ros.parts.batch import PIECE, UNKNOWN_TIME, Batch
@@ -162,7 +162,6 @@ class PathBatch(Batch):
 
     def _reply(self, request: paths.Poses) -> Generator[None, None, PointCloud2]:
         self._now()
-        self._kernels.require(PATHS)
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         told = query_clouds.unanswered(Near, len(request.places))
         for begin in range(0, len(request.places), PIECE):

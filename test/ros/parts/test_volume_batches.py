@@ -280,3 +280,20 @@ def test_a_footprint_that_is_none(configure):
         with pytest.raises(ConfigurationError, match='footprint'):
             configure({'footprint': wrong})
     assert configure({}).settings.footprint == ()
+
+
+def test_what_paths_need_is_compiled_at_the_start(configure):
+    """And is then no longer to be compiled when somebody asks."""
+    from bvh_ros.ros.compile_jobs import later_jobs
+
+    for given, has_paths in (
+        ({'footprint': [0.3]}, True),
+        ({'footprint': [0.3], 'batch': False}, False),
+        ({}, False),
+    ):
+        server = configure(given)
+        for wholly in (False, True):
+            names = [job.name for job in server.jobs(wholly=wholly)]
+            assert names.count('paths') == has_paths
+            assert wholly == ('nearest' in names)
+        assert 'paths' not in {job.name for job in later_jobs(server._needs())}
