@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from numba.core import config
@@ -106,6 +107,18 @@ def test_a_damaged_file_is_compiled_again(cache):
         file.write_bytes(bad)
         assert (misses(), misses()) == (1, 0), bad[:40]
         assert kept_files(cache) == [file]
+
+
+def test_what_machine_code_was_made_from_is_not_kept(cache):
+    """A second process runs it all the same, see `test_kernel_cache`."""
+    assert misses() == 1
+    [path] = kept_files(cache)
+    (_, _, (code, bitcode)), *_ = pickle.loads(path.read_bytes()[kernel_files._SEAL :])
+    module = llvm.parse_bitcode(bitcode)
+    bodies = [[*block.instructions] for f in module.functions for block in f.blocks]
+    assert [len(body) for body in bodies] == [1] * len(bodies)
+    assert len(bodies) >= 2  # the kernel, and how Python calls it
+    assert code
 
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
