@@ -255,11 +255,20 @@ def _settle(nodes, heights, handles, state, room):
     state[OWES] = 0
 
 
+def compile_ray(ndim: int) -> None:
+    """What a tree that gets its first box is nearly always asked next."""
+    from .rays.ray_hits import one_entry
+
+    one_entry(ndim)
+
+
 # How Python calls them: by the number of dimensions, see `compiling.entry_points`.
 _POINT, _IDS = np.empty(0), np.empty(0, np.int64)
 _CHANGE = Change(_IDS, *(np.empty((0, 3)),) * 3, np.empty(0, np.uint32), _IDS)
 _POLICY = Policy(0.0, False, 0.0, 0.0)
-insert_entry = entry_points(insert_one, _POINT, _POINT, np.uint32(0), 0.0, False)
+insert_entry = entry_points(
+    insert_one, _POINT, _POINT, np.uint32(0), 0.0, False, beside=compile_ray
+)
 remove_entry = entry_points(remove_one, 0)
 move_entry = entry_points(move_one, 0, _POINT, _POINT, 0.0, _POINT, False)
 masks_entry = entry_points(set_masks, 0, _IDS, np.empty(0, np.uint32))

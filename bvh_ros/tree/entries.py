@@ -10,15 +10,18 @@ from .jit.compiling import entry_point
 from .nodes import empty_tree
 
 
-def entry_points(kernel: Any, *arguments: Any) -> Callable[[int], Callable[..., Any]]:
+def entry_points(
+    kernel: Any, *arguments: Any, beside: Callable[[int], object] | None = None
+) -> Callable[[int], Callable[..., Any]]:
     """Return what gives, for a number of dimensions, the `entry_point` of a kernel of a tree and
     arguments of these types; compiled or loaded at its first use. An argument whose type depends
-    on that number is a function of it.
+    on that number is a function of it. `beside` takes it, too, see `entry_point`.
     """
 
     @functools.cache
     def of_dimensions(ndim: int) -> Callable[..., Any]:
         others = (argument(ndim) if callable(argument) else argument for argument in arguments)
-        return entry_point(kernel, empty_tree(ndim), *others)
+        next_one = None if beside is None else functools.partial(beside, ndim)
+        return entry_point(kernel, empty_tree(ndim), *others, beside=next_one)
 
     return of_dimensions

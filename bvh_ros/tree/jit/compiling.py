@@ -11,6 +11,7 @@ from numba import types
 from numba.extending import overload
 
 from . import inside
+from .workers import run_beside
 
 
 def _compiled(function: Callable[..., Any], **private: Any) -> Any:
@@ -75,9 +76,12 @@ def rewired(original: Any, **calls: Any) -> Any:
     )
 
 
-def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
+def entry_point(
+    compiled: Any, *arguments: Any, beside: Callable[[], object] | None = None
+) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of exactly these types. It does not check
-    the types of what it is given: other types are undefined behaviour.
+    the types of what it is given: other types are undefined behaviour. Where it has to be
+    compiled, another process calls `beside` meanwhile: that compiles what will be wanted next.
 
     numba's dispatcher looks at the types of all arguments at every call. For twelve arrays that
     takes 0.4 us, as long as a ray; for twelve in a NamedTuple, 1.3 us.
@@ -85,6 +89,8 @@ def entry_point(compiled: Any, *arguments: Any) -> Callable[..., Any]:
     code: Callable[..., Any] = compiled
     signature = tuple(map(numba.typeof, arguments))
     if inside.parts() is not None:
+        if beside is not None and not compiled.is_kept(signature):
+            run_beside(beside)
         code = compiled.compile(signature)
         if isinstance(compiled.overloads[signature].signature.return_type, types.BaseNamedTuple):
             # numba makes it with Python code; where a signal handler raises in that, it crashes.

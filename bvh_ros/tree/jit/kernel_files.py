@@ -125,6 +125,13 @@ class _SealedFiles:
         content = None if path is None else self._read(path)
         return None if content is None else pickle.loads(content)
 
+    def is_there(self, key: Any) -> bool:
+        """Whether there may be something to load, or nowhere to keep it."""
+        if shipped.find(settings()) is not None:
+            return True
+        path = self._path(key)
+        return path is None or path.exists()
+
     def _read(self, path: Path, *, or_of_root: bool = False) -> bytes | None:
         try:
             with path.open('rb') as file:
@@ -190,6 +197,10 @@ class KernelCache(caching.FunctionCache):
         if self._lock.acquire(folder, self._cache_file.name_of(key)):
             found = self._load(sig, target_context)  # compiled while we waited
         return found
+
+    def is_kept(self, sig: Any, target_context: Any) -> bool:
+        """Whether this need not be compiled, as far as can be told without loading it."""
+        return self._cache_file.is_there(self._index_key(sig, target_context.codegen()))
 
     def release(self) -> None:
         """Let others compile what was not there."""

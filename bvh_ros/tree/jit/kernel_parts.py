@@ -150,6 +150,10 @@ class Kernel(CPUDispatcher):
             finally:
                 self._cache.release()
 
+    def is_kept(self, sig: Any) -> bool:
+        """Whether the machine code for these types need not be compiled."""
+        return self._cache.is_kept(sig, self.targetctx)
+
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """One part for a number written in the call and one that is computed, not two."""
         args = tuple(unliteral(one) if isinstance(one, IntegerLiteral) else one for one in args)

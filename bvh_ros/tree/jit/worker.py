@@ -13,13 +13,13 @@ from typing import Any, NoReturn, TextIO
 
 Calls = queue.SimpleQueue[str]
 
-_may_fork = False
+_here = False
 
 
 def main(told: TextIO, answers: TextIO) -> NoReturn:
     """Run what comes, a call a line; answer each with a line: why it failed, or nothing."""
-    global _may_fork
-    _may_fork = hasattr(os, 'fork')
+    global _here
+    _here = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sent the calls
     if hasattr(os, 'nice'):
         os.nice(5)  # who sent them may answer meanwhile
@@ -44,6 +44,17 @@ def _run(line: str) -> str:
     return ''
 
 
+def is_here() -> bool:
+    """Whether this process is a worker."""
+    return _here
+
+
+def run_and_end(call: Callable[[], object]) -> NoReturn:
+    """Run a call, and end this process without waiting for another one."""
+    call()
+    os._exit(0)
+
+
 def packed(call: Any) -> bytes:
     """Return a call as a line for a worker; what cannot be sent raises what pickle raises."""
     return base64.b64encode(pickle.dumps(call)) + b'\n'
@@ -51,7 +62,7 @@ def packed(call: Any) -> bytes:
 
 def side_by_side(one: Callable[[], object], other: Callable[[], object]) -> None:
     """Run two calls; in a worker at once, in two processes that both have what it has compiled."""
-    if not _may_fork:
+    if not (_here and hasattr(os, 'fork')):
         one()
         other()
         return

@@ -7,12 +7,15 @@ import os
 import selectors
 import subprocess
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
 
+from . import worker
 from .fork import Fork
-from .worker import packed
 
 Process = subprocess.Popen[bytes] | Fork
 
@@ -37,6 +40,28 @@ def fork_ahead() -> None:
         with contextlib.suppress(OSError):
             while len(_ahead) < min(processors(), MOST):
                 _ahead.append(Fork(_ahead))
+
+
+def run_beside(call: Callable[[], object]) -> None:
+    """Run a call in a process of its own, which ends then, or with this one; where that is no
+    gain or cannot be, not at all.
+    """
+    if processors() == 1 or worker.is_here() or 'python' not in Path(sys.executable or '').name:
+        return
+    with contextlib.suppress(OSError):
+        process = _spawn()
+        assert process.stdin is not None
+        process.stdin.write(worker.packed(partial(worker.run_and_end, call)))
+        process.stdin.flush()
+        threading.Thread(target=process.wait, daemon=True).start()
+
+
+def _spawn() -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, '-c', START.format(repr(sys.path))],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
 
 
 def _cpu_seconds(process: Process) -> float:
@@ -120,11 +145,7 @@ class Workers:
         if _ahead:
             process = _ahead.pop()
         else:
-            process = subprocess.Popen(
-                [sys.executable, '-c', START.format(repr(sys.path))],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-            )
+            process = _spawn()
         self._selector.register(process.stdout, selectors.EVENT_READ, process)  # type: ignore[arg-type]
         return process
 
@@ -133,7 +154,7 @@ class Workers:
         while self._todo:
             number, call = self._todo.popleft()
             try:
-                line = packed(call)
+                line = worker.packed(call)
             except Exception as error:  # whatever an object that will not be pickled raises
                 self._lost.append((number, repr(error)))
                 continue

@@ -10,6 +10,7 @@ import pytest
 from tree.jit.alone import run_alone
 
 import bvh_ros
+from bvh_ros.tree.jit.workers import processors
 
 START = """
 import gc, json, sys
@@ -95,3 +96,27 @@ def test_code_from_two_processes_does_not_mix(tmp_path):
         places = {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path)}
         ended = run_alone(REFIT, dimensions, cwd=tmp_path, **places)
         assert ended.returncode == 0, (dimensions, ended.stderr)
+
+
+FIRST_BOX = """
+import subprocess, sys, time
+from pathlib import Path
+from bvh_ros import DynamicBVH
+
+folder, deadline = Path(sys.argv[1]), time.monotonic() + 120.0
+if len(sys.argv) > 2:
+    subprocess.Popen = None
+DynamicBVH().insert([1, -1, -1], [2, 1, 1])
+while not [*folder.rglob('*raycast_one*.nbc')]:
+    assert time.monotonic() < deadline
+    time.sleep(0.05)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(processors() == 1, reason='there is nothing to gain')
+def test_a_ray_is_compiled_in_another_process_while_the_first_box_is_in_this_one(tmp_path):
+    for once_more in ([], ['without processes']):
+        arguments = str(tmp_path), *once_more
+        ended = run_alone(FIRST_BOX, *arguments, NUMBA_CACHE_DIR=str(tmp_path), BVH_ROS_KERNELS='')
+        assert ended.returncode == 0, ended.stderr

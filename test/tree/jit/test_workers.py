@@ -17,7 +17,7 @@ import pytest
 from bvh_ros.tree.jit import worker
 from bvh_ros.tree.jit.entry_lock import EntryLock
 from bvh_ros.tree.jit.worker import side_by_side
-from bvh_ros.tree.jit.workers import MOST, Workers, fork_ahead, processors
+from bvh_ros.tree.jit.workers import MOST, Workers, fork_ahead, processors, run_beside
 
 PATIENCE = 60.0  # seconds
 
@@ -105,6 +105,18 @@ def test_in_a_worker_they_have_a_process_each(tmp_path):
     calls = [partial(exec, WHO.format(str(tmp_path / name)), {}) for name in 'ab']
     results(Workers([partial(side_by_side, *calls)], 1), 1)
     assert len({*pids_in(tmp_path)} - {os.getpid()}) == 2
+
+
+@pytest.mark.skipif(processors() == 1, reason='there is nothing to gain')
+def test_a_call_beside_has_a_process_that_ends_with_it_and_a_worker_starts_none(tmp_path):
+    one, none = (partial(exec, WHO.format(str(tmp_path / name)), {}) for name in 'ab')
+    run_beside(one)
+    results(Workers([partial(run_beside, none)], 1), 1)
+    until(lambda: pids_in(tmp_path))
+    [pid] = pids_in(tmp_path)
+    assert pid != os.getpid()
+    until(lambda: not is_running(pid))
+    assert [path.name for path in tmp_path.iterdir()] == ['a']
 
 
 BUSY = """
