@@ -15,7 +15,7 @@ from .distance.nearness import NO_ORDER
 from .distance.query_rows import QueryRows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
-from .geometry.shapes import Floats, Shapes
+from .geometry.shapes import Floats, Shapes, as_shapes
 from .moments import Moments
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
@@ -221,7 +221,7 @@ class DistanceQueries:
         ValueError
             If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
         """
-        rows, hulls = query_rows(shapes, 0.0, mask, self._held.planar)
+        rows, hulls = query_rows(as_shapes(shapes), 0.0, mask, self._held.planar)
         reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
         threads = checks.whole('threads', threads, 1)
         sign: Signed = sign_of(signed)

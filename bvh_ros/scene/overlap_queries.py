@@ -198,10 +198,13 @@ class OverlapQueries:
         if len(one.kind) != 1:
             raise ValueError(f'shape must be one row of Shapes, not {len(one.kind)}')
         places = checks.points('positions', positions, 3)
-        rows = one.take(np.zeros(len(places), np.int64))._replace(position=places)
+        count = len(places)
+        turns = one.orientation.repeat(count, axis=0)
         if orientations is not None:
-            turns = checks.points('orientations', orientations, 4, len(places))
-            rows = rows._replace(orientation=turns)
+            turns = checks.points('orientations', orientations, 4, count)
+        kinds, sizes = one.kind.repeat(count), one.size.repeat(count, axis=0)
+        mesh = None if one.mesh is None else one.mesh.repeat(count)
+        rows = Shapes(kinds, places, turns, sizes, mesh)
         return self._answer(rows, (tolerance, mask), want, threads, at)
 
     def _answer(

@@ -43,7 +43,7 @@ class Refusals(Sequence[Refusal]):
     """Refused rows in order; each is made when it is asked for. Equal to a list of the same."""
 
     def __init__(self, *blocks: Block) -> None:
-        self._blocks = [block for block in blocks if len(block.rows)]
+        self._blocks = [block for block in blocks if len(block.rows)] if blocks else []
 
     def extend(self, others: Refusals, first: int = 0) -> None:
         """Add those of a later part, which begins at row `first` of the message."""

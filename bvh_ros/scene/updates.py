@@ -23,7 +23,7 @@ from .store.updating import FIRST_TIME, Owner, Rows, Validated
 
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
-FEW_ROWS = 64  # whose memory is not worth asking for
+FEW_ROWS = 64  # of which it is only asked what new ones take
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
@@ -162,6 +162,7 @@ class Updates:
         if len(outside) and not sliced:
             stale = np.append(stale, outside)
         if len(added.row):
+            self.require_memory(len(added.row))
             room = self._room(len(added.row), sliced) + len(stale)
             added = self._fitting(added, room, valid, names)
         whole = whole or (sliced is not None and sliced.replaced is not None)
@@ -189,7 +190,8 @@ class Updates:
         held.change.require_none()
         self.remove_orphans()
         shapes = as_shapes(part.shapes)
-        self.require_memory(len(shapes.kind))
+        if len(shapes.kind) > FEW_ROWS:
+            self.require_memory(len(shapes.kind))
         names = as_families(part.names)
         require_a_name_each(names, len(shapes.kind))
         slots = held.registry.find(names)
@@ -229,8 +231,7 @@ class Updates:
         columns = self._held.columns
         capacity, used = len(columns.tree_handle), len(self._held.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
-        if grown or rows > FEW_ROWS:
-            np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
+        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""

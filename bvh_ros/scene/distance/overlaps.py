@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which obstacles touch a query shape, and which touch each other."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,9 @@ from .touching_rows import (
 
 FEW = 64  # handles that there is room for at first
 NOBODY = np.empty(0, np.uint32)
+# Of an answer: node handles of all that are met, in parts, and what is counted. It has a name, as
+# Python makes an annotation of a function within a function anew at each call, in 3 us.
+Part: TypeAlias = tuple[list[NDArray[np.uint32]], int, int]
 
 
 class Overlaps:
@@ -97,7 +100,7 @@ class Overlaps:
         count = len(told.numbers)
         offsets = np.zeros(count + 1, np.int64)
         if not (np.count_nonzero(told.open) or self._columns.shadows):
-            np.cumsum(told.numbers, out=offsets[1:])
+            told.numbers.cumsum(out=offsets[1:])
             return offsets, handles
         of = np.repeat(np.arange(count), told.numbers)
         sure, open_rows, each = ~told.open[of], np.flatnonzero(told.open), [NOBODY]
@@ -130,7 +133,7 @@ class Overlaps:
         if hits:
             told.handles[:], told.distances[:], told.points[:] = NO_NODE, np.inf, np.nan
 
-        def work(start: int, stop: int) -> tuple[list[NDArray[np.uint32]], int, int]:
+        def work(start: int, stop: int) -> Part:
             parts, compared, more, room = [NOBODY], 0, 0, FEW
             while start < stop:
                 found, answers = self._scratch.found, told

@@ -43,10 +43,11 @@ class QueryRows(NamedTuple):
 
 
 def query_rows(
-    shapes: Shapes, tolerance: ArrayLike, mask: ArrayLike, planar: bool
+    given: Shapes, tolerance: ArrayLike, mask: ArrayLike, planar: bool
 ) -> tuple[QueryRows, Hulls | None]:
-    """Check arguments; the rows, and the arrays of their meshes if they have any."""
-    given = as_shapes(shapes)
+    """Check arguments, `given` from `as_shapes`; the rows, and the arrays of their meshes if they
+    have any.
+    """
     form, count = canonicalise(given), len(given.kind)
     if np.count_nonzero(form.faults):  # but for FINE, which is 0
         bad = int(np.argmax(form.faults != FINE))

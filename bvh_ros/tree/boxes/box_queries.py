@@ -80,9 +80,10 @@ class BoxQueries(Timed):
         def work(start: int, stop: int) -> Ids:
             return overlapping.overlap_many(view, queries, start, stop, sizes)
 
-        handles = np.concatenate(in_threads(work, count, threads))
+        parts = in_threads(work, count, threads)
+        handles = parts[0] if len(parts) == 1 else np.concatenate(parts)
         offsets = np.zeros(count + 1, np.int64)
-        np.cumsum(sizes, out=offsets[1:])
+        sizes.cumsum(out=offsets[1:])  # np.cumsum takes twice as long for few
         order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
         return offsets, handles[order]
 
