@@ -133,7 +133,8 @@ def _text(lines: Sequence[str]) -> str:
     """
     each = ''.join(f'<div>{line}</div>' for line in lines)
     return (
-        f'<div style="padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55">{each}</div>'
+        f'<div style="padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55;'
+        f'overflow-wrap:anywhere">{each}</div>'
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from bvh_ros.scene.geometry.shapes import rotations
 from bvh_ros.view.drawing import Lines, edges_of
+from bvh_ros.view.following import Following
 from bvh_ros.view.panel import Panel
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.probe import in_digits, in_words
@@ -36,6 +37,7 @@ class Picking:
         self, server: LocalServer, panel: Panel, world: ShownWorld, stage: Stage, placing: Placing
     ) -> None:
         self._panel, self._world, self._stage, self._placing = panel, world, stage, placing
+        self._following = Following(server)
         self._mark = Lines(server, placing, '/clicked', 4.0)
         self._picked, self._at, self._distance = '', np.zeros(3), 0.0
         self._answered, self._followed = 'Click an obstacle.', np.zeros(3)
@@ -87,8 +89,10 @@ class Picking:
             return
         now = self._world.scene.get(self._picked).position
         moved, self._followed = now - self._followed, now
-        if self._panel.follow.value and moved.any():
-            self._stage.go_with(moved)
+        if not self._panel.follow.value:
+            self._following.begin()
+        elif moved.any():
+            self._following.go(moved / self._placing.unit)
 
     def _place_mark(self) -> None:
         scene = self._world.scene

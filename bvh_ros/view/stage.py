@@ -89,16 +89,6 @@ class Stage:
         for client in self._server.get_clients().values():
             client.camera.near, client.camera.far = near, far
 
-    def go_with(self, moved: Floats) -> None:
-        """Move all cameras, m."""
-        way = moved / self._placing.unit
-        for client in self._server.get_clients().values():
-            camera = client.camera
-            with client.atomic():
-                look_at = camera.look_at + way
-                camera.position = camera.position + way
-                camera.look_at = look_at
-
     def set_theme(self) -> None:
         """Light or dark, with the grid and shadows that the panel says."""
         dark = self._panel.dark.value

@@ -3,7 +3,7 @@
 """What a hand does on the page: handles are dragged, a recording is played, somebody followed."""
 
 import re
-import time
+from copy import copy
 
 import numpy as np
 import pytest
@@ -110,7 +110,6 @@ def test_the_camera_goes_with_whom_it_follows(opened, page):
     for number in range(1, 6):
         press(opened, 'Step')
         until(lambda t=3.0 + 0.1 * number: page.world.t == pytest.approx(t), 'no step')
-        time.sleep(0.5)  # the browser says where its camera is after each step, not while it goes
     moved = page.world.scene.get('forklift/0').position - place
     assert moved[0] == pytest.approx(0.5)
 
@@ -118,6 +117,44 @@ def test_the_camera_goes_with_whom_it_follows(opened, page):
         return np.allclose(pages.camera_of(page).position - camera, moved, atol=1e-3)
 
     until(went, 'the camera stays')
+
+
+def test_no_step_is_lost_by_a_late_report_or_because_it_is_small(opened, page):
+    """What a browser reports overwrites what it was told meanwhile; viser tells no browser of a
+    step that is 1e-5 of its coordinates.
+    """
+    assert page.panel.follow.value
+    place, camera = page.world.scene.get('forklift/0').position, pages.camera_of(page)
+    began = np.array(camera.position)
+    for number in range(1, 6):
+        late, sent = copy(camera._state), page.sent
+        done(page, lambda t=3.5 + 0.1 * number: page.world.seek(t))
+        until(lambda before=sent: page.sent > before, 'no picture')
+        camera._state = late
+    done(page, lambda: page.world.seek(4.2))
+    moved = page.world.scene.get('forklift/0').position - place
+    assert moved[0] == pytest.approx(0.7)
+    until(lambda: np.allclose(camera.position - began, moved, atol=1e-3), 'a step is lost')
+
+    def creep():
+        for _ in range(5000):
+            page._picking._following.go(np.array((0.0, 1e-5, 0.0)))
+
+    began = np.array(camera.position)
+    done(page, creep)
+    until(lambda: abs((camera.position - began)[1] - 0.05) < 1e-3, 'it stays behind')
+
+
+def test_a_name_of_any_length_stays_in_the_panel(opened, page):
+    name = 'x' * 500
+    done(page, lambda: setattr(page._picking, '_answered', name))
+    until(lambda: name in text_of(opened), 'not told')
+    found = """
+        const all = [...document.querySelectorAll('div')]
+        const told = all.filter(e => e.textContent == arguments[0])
+        return told.length > 0 && told.every(e => e.scrollWidth <= e.clientWidth)
+    """
+    assert opened.execute_script(found, name)
 
 
 def test_dark_and_light(opened, page):
