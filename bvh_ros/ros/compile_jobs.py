@@ -138,7 +138,7 @@ def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
     from bvh_ros.ros.moving_jobs import nearest_then, other_times, paths_then
 
     later = (NEAREST_THEN, 30.0, nearest_then), (PATHS_THEN, 30.0, paths_then)
-    return [('other times', 60.0, other_times), *later]
+    return [('other times', 70.0, other_times), *later]
 
 
 def _tells_apart(needs: Needs) -> tuple[int, ...]:

@@ -38,12 +38,13 @@ def other_times(needs: Needs) -> None:
 
 
 def _rays_among_boxes(needs: Needs) -> None:
-    """So many that boxes are swept for them."""
-    scene, line = Scene(planar=needs.planar), np.arange(MANY * 3.0).reshape(MANY, 3)
+    """So many that boxes are swept for them, and for balls, as for rays among other shapes."""
+    scene, line = next(scenes(needs)), np.arange(MANY * 3.0).reshape(MANY, 3)
     names = Numbered('box#', np.arange(MANY))
     speeds = np.ones((MANY, 3))
     scene.replace('cloud', '', names, Shapes.boxes(line, EDGE), stamp=1, velocities=speeds)
-    scene.raycast_many(line, line, 1.0, at=2, until=3)
+    for radius in (0.0, RADIUS):
+        scene.raycast_many(line, line, 1.0, radius=radius, at=2, until=3)
 
 
 def nearest_then(needs: Needs) -> None:
