@@ -15,10 +15,11 @@ from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
-from ...tree.motion.casting import OUTSIDE, cast
+from ...tree.motion.casting import OUTSIDE
 from ...tree.motion.meeting import Course, box_of
+from ...tree.motion.overlapping import overlap_then
 from ...tree.nodes import NONE, ROOT
-from ...tree.rays.raycasting import EVERY, Asked, of_row
+from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import RAY_FLOATS, RAY_ROWS, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ..store.places import WIDER
@@ -50,8 +51,8 @@ class Then(NamedTuple):
 class Room(NamedTuple):
     """For the boxes that the tree names."""
 
-    found: Any
-    """`rays.raycasting.Found`, (n,)."""
+    slots: Any
+    """(n,), as of the next two."""
     handles: Any
     gaps: Any
     spare: Any
@@ -105,16 +106,16 @@ def place_footprint(footprints, spare, slot, way):
 
 
 @lean_kernel
-def reach_then(tree, moving, then, asked, ray, found):
+def reach_then(tree, moving, then, asked, ray, slots):
     """Write the slots of boxes that a box touches, asked = (its corners, mask, at); return how
     many, which may be more than fit.
     """
-    (corners, mask, at), slots, ndim = asked, found.slots, moving.kept[0].velocity.shape[0]
+    (corners, mask, at), ndim = asked, moving.kept[0].velocity.shape[0]
     nowhere = stack_array(3, np.float64)
     nowhere[:] = 0.0
     set_swept_box(ray, corners[0, :ndim], corners[1, :ndim], nowhere)
     course = Course(ray, at, 0.0)
-    total = np.int64(cast(tree, moving, course, Asked(0.0, mask, False, EVERY), found, 0))
+    total = overlap_then(tree, moving, course, mask, slots)
     if then.rest.state[ROOT] == NONE or total > slots.shape[0]:
         return total
     count = np.int64(0)
@@ -160,12 +161,12 @@ def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
         tolerance, mask = of_row(queries.tolerances, row), of_row(queries.masks, row)
         reach = tolerance + most_growth(then, at)
         grow(QueryShape(record, queries.bounds[row], False, reach, 0.0), grown)
-        count = reach_then(tree, moving, then, (grown, mask, at), ray, room.found)
+        count = reach_then(tree, moving, then, (grown, mask, at), ray, room.slots)
         wanted = filled + count
-        if wanted > found.slots.shape[0] or count > room.found.slots.shape[0]:
+        if wanted > found.slots.shape[0] or count > room.slots.shape[0]:
             break
         some, asked = from_row(found, filled), (record[0], tolerance, at)
-        met = _touch(tree, moving, then, asked, room.found.slots[:count], room.spare, some)
+        met = _touch(tree, moving, then, asked, room.slots[:count], room.spare, some)
         order_found(some, met, then.node_handles)
         row, filled, compared = row + 1, filled + met, compared + count
         offsets[row] = filled

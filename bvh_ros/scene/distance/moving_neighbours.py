@@ -30,7 +30,7 @@ def neighbours(tree, moving, then, near_by, room):
     move and of those at rest: (whether there may be more, how far those are at least, how many).
     """
     low, high, at, wanted, limit, mask = near_by
-    slots, handles, gaps = room.found.slots, room.handles[:wanted], room.gaps[:wanted]
+    slots, handles, gaps = room.slots, room.handles[:wanted], room.gaps[:wanted]
     count = nearest_then(tree, moving, near_by, handles, gaps)
     more, last, total = count == wanted, np.inf, np.int64(0)
     if more:
@@ -76,7 +76,7 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
         while 2 * wanted <= found.slots.shape[0]:
             near_by = point, point, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room)
-            _lie(tree, moving, then, (point, at), signed, room, room.found.slots[:total], found)
+            _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
             kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
             farthest = max(told.distances[row, k - 1], 0.0) * ROUNDED if kept == k else np.inf
@@ -131,7 +131,7 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
             near_by = low, high, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room)
             told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
-            for slot in room.found.slots[:total]:
+            for slot in room.slots[:total]:
                 if handles[slot] != besides:
                     growths = grown, place(tree, moving, then, room.spare, slot, at)
                     pair = queries.records[row], slot, reach

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ...tree.jit.compiling import entry_point
 from ...tree.motion.queries import rows_of
-from ...tree.rays.raycasting import room_for_hits
 from ...tree.store.workers import in_threads
 from ..geometry.footprint import FOOTPRINT
 from ..geometry.records import GEOMETRY
@@ -53,8 +52,8 @@ class Scratch(threading.local):
     def make_room(self, count: int) -> None:
         """Have room for at least so many."""
         rows = 2 * count
-        self.met = room_for_hits(rows)
-        self.handles, self.gaps = np.empty(rows, np.int64), np.empty(rows)
+        self.slots, self.handles = np.empty((2, rows), np.int64)
+        self.gaps = np.empty(rows)
         self.found = Found(
             *(np.empty(rows, np.int64), np.empty(rows), np.zeros((rows, 3)), np.zeros((rows, 3))),
             *(np.empty(0, np.bool_), np.empty(0), np.empty(rows, np.int64)),
@@ -197,7 +196,7 @@ class TimedDistances:
         scratch, planar = self._scratch, then.bodies.footprints is not None
         footprint = scratch.footprint if planar else None
         spare = then.bodies._replace(shapes=scratch.shape, footprints=footprint)
-        return Room(scratch.met, scratch.handles, scratch.gaps, spare)
+        return Room(scratch.slots, scratch.handles, scratch.gaps, spare)
 
     def _call(self, kernel: Any, then: Then, given: tuple[Any, ...], signed: Signed) -> Any:
         tree, motion = self._held.tree, self._held.tree.motion

@@ -5,21 +5,62 @@
 import numpy as np
 
 from ..entries import entry_points
-from ..jit.compiling import lean_kernel
+from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..rays.raycasting import EVERY, Asked, Found
-from ..rays.slab import RAY_FLOATS, RAY_ROWS, set_swept_box
+from ..nodes import DEEPEST, NONE, ROOT, is_leaf
+from ..rays.slab import ORIGIN, RAY_FLOATS, RAY_ROWS, UPPER, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import covers
-from .casting import OUTSIDE, cast, is_sound, no_motion
-from .meeting import Course
+from .casting import OUTSIDE, is_sound, no_motion
+from .meeting import Course, box_of, meet
+
+
+@inlined
+def _is_apart(node, course, ahead):
+    """Whether the bounds of a node surely do not touch what goes nowhere. What is not a number
+    bounds nothing: comparisons with it are false.
+    """
+    largest = -np.inf
+    for axis in range(node.lo.shape[0]):
+        below = node.lo[axis] + node.lo_rate[axis] * ahead - course.ray[UPPER, axis]
+        above = course.ray[ORIGIN, axis] - node.hi[axis] - node.hi_rate[axis] * ahead
+        gap = below if below > above else above
+        largest = gap if gap > largest else largest
+    return largest > 0.0
 
 
 @lean_kernel
-def overlap_one(tree, moving, box, mask, at, found):
-    """Handles, in no order, of what the box = (lo, hi, nowhere) touches, to found.slots: how many,
-    of which as many are written as there is room for; NOT_FINITE if it is no box, OUTSIDE, or
-    REFUSED. The rest of `found` is scratch.
+def overlap_then(tree, moving, course, mask, slots):
+    """Write the slots, in no order, of what a course touches that goes nowhere, while no time
+    passes; return how many, of which as many are written as there is room for.
+    """
+    nodes, root, ahead = moving.nodes, tree.state[ROOT], course.at - moving.start
+    if root == NONE:
+        return np.int64(0)
+    bounded, count = covers(moving, course.at, 0.0, 0.0) > 0, np.int64(0)
+    stack = stack_array(DEEPEST, np.int64)
+    stack[0], top = root, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if nodes[node].mask & mask == 0 or (bounded and _is_apart(nodes[node], course, ahead)):
+            continue
+        if not is_leaf(node):
+            stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
+            top += 2
+            continue
+        hit, _, _ = meet(box_of(tree, moving, node >> 1), course, 0.0)
+        if hit and count < slots.shape[0]:
+            slots[count] = node >> 1
+        count += hit
+    return np.int64(count)
+
+
+@lean_kernel
+def overlap_one(tree, moving, box, mask, at, slots):
+    """Handles, in no order, of what the box = (lo, hi, nowhere) touches, to `slots`: how many, of
+    which as many are written as there is room for; NOT_FINITE if it is no box, OUTSIDE, or
+    REFUSED.
     """
     lo, hi, nowhere = box
     if not is_sound(lo, hi, nowhere, (at, 0.0)):
@@ -31,14 +72,12 @@ def overlap_one(tree, moving, box, mask, at, found):
         return np.int64(OUTSIDE)
     course = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, 0.0)
     set_swept_box(course.ray, lo, hi, nowhere)
-    count = np.int64(cast(tree, moving, course, Asked(0.0, mask, False, EVERY), found, 0))
-    for i in range(min(count, found.slots.shape[0])):
-        found.slots[i] = tree.handles[found.slots[i]]
+    count = overlap_then(tree, moving, course, mask, slots)
+    for i in range(min(count, slots.shape[0])):
+        slots[i] = tree.handles[slots[i]]
     end_query(tree.state)
     return count
 
 
 _ROW, _IDS = np.empty(0), np.empty(0, np.int64)
-one_entry = entry_points(
-    *(overlap_one, no_motion, (_ROW,) * 3, np.uint32(0), 0.0, Found(_IDS, _ROW, _IDS))
-)
+one_entry = entry_points(overlap_one, no_motion, (_ROW,) * 3, np.uint32(0), 0.0, _IDS)

@@ -29,7 +29,6 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STILL = np.zeros(1)
 FEW = 64  # boxes that there is room for at first
-UNREAD = np.empty(FEW), np.empty(FEW, np.int64)  # any thread may write there
 NOWHERE = {ndim: np.zeros(ndim) for ndim in (2, 3)}
 
 
@@ -62,18 +61,18 @@ class MotionQueries(Motion):
         """Handles of what a box touches, ascending."""
         at, ndim = time_checks.moment('at', at), tree._ndim
         swept, kernel = (*box, NOWHERE[ndim]), overlapping.one_entry(ndim)
-        found = Found(np.empty(FEW, np.int64), *UNREAD)
+        slots = np.empty(FEW, np.int64)
         while True:
-            count = kernel(tree._settled().tree, self.moving, swept, mask, at, found)
+            count = kernel(tree._settled().tree, self.moving, swept, mask, at, slots)
             if count == NOT_FINITE:
                 box_checks.box(*box, ndim)
-            if 0 <= count <= len(found.slots):
-                handles = found.slots[:count]
+            if 0 <= count <= len(slots):
+                handles = slots[:count]
                 if count > 1:
                     handles.sort()
                 return handles
             if count > 0:
-                found = room_for_hits(count)
+                slots = np.empty(count, np.int64)
             else:
                 self.fit(tree, *_span(at, 0.0, 0.0))
 
