@@ -334,3 +334,18 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
 def test_bad_input_is_refused(query, arguments, said):
     with pytest.raises(ValueError, match=said):
         getattr(Scene(), query)(*arguments)
+
+
+def test_balls_that_may_touch_more_than_there_is_room_for():
+    """The room is kept by each thread, and made larger where a ball wants it."""
+    for planar in (False, True, False):
+        scene = Scene(planar=planar)
+        scene.update(
+            's', Numbered('o', np.arange(200)), Shapes.boxes(np.ones((200, 3)), 1), stamp=0
+        )
+        starts = np.array([[-5.0, 1, 1], [-5, 9, 1], [-5, 1.2, 1]] * 40)
+        goals = np.add(starts, [9, 0, 0])
+        for threads in (1, 3):
+            found = scene.sweep_many(starts, goals, 0.25, threads=threads)
+            assert found.handles.reshape(40, 3).tolist() == [[1, NO_NODE, 1]] * 40
+            assert found.t.reshape(40, 3)[:, 0] == pytest.approx(5.25 / 9)

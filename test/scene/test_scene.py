@@ -186,3 +186,18 @@ def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
     scene._held.tree.view().tree.heights[:] += 1
     with pytest.raises(RuntimeError, match='height'):
         list(scene.validate_in_turns())
+
+
+def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypatch):
+    scene, box = Scene(), Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+    scene.update('s', ['a'], box, stamp=1)
+
+    def refuse(updates, rows):
+        raise MemoryError
+
+    monkeypatch.setattr(type(scene._updates), 'require_memory', refuse)
+    assert not scene.update('s', ['a'], box._replace(position=np.ones((1, 3))), stamp=2)
+    with pytest.raises(MemoryError):
+        scene.update('s', ['b'], box, stamp=3)
+    assert (scene.interrupted, scene.newest, len(scene)) == (False, 2, 1)
+    assert scene.get('a').position.tolist() == [1, 1, 1]
