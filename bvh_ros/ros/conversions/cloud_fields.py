@@ -74,6 +74,20 @@ def all_or_none(names: Sequence[str], wanted: Sequence[str]) -> bool:
     return not missing
 
 
+def widest(points: NDArray[np.void]) -> np.dtype[np.floating[Any]]:
+    """Return float32 or float64, the widest type among the fields of questions; ValueError if one
+    is neither, or the mask no unsigned integer.
+    """
+    kinds = {name: points.dtype[name] for name in points.dtype.names or ()}
+    mask = kinds.pop('mask', None)
+    for name, kind in kinds.items():
+        if kind.kind != 'f':
+            raise ValueError(f"field '{name}' is {kind.name}; it has to be float32 or float64")
+    if mask is not None and mask.kind != 'u':
+        raise ValueError(f"field 'mask' is {mask.name}; it has to be an unsigned integer")
+    return np.dtype(f'f{max(kind.itemsize for kind in kinds.values())}')
+
+
 def _row_type(
     fields: Sequence[Any], wanted: Collection[str], point_step: int, endian: str
 ) -> np.dtype[np.void]:

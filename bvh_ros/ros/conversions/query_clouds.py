@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured
+from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured, widest
 from bvh_ros.ros.conversions.ray_clouds import (
     EVERYTHING,
     NORMAL,
@@ -186,12 +186,7 @@ class QueryCloud:
             raise ValueError(f'the cloud has no fields {", ".join(needed)}')
         if kind is Boxes:
             all_or_none(self._names, TURN)
-        for name in self._names:
-            found = points.dtype[name]
-            if found.kind != ('u' if name == 'mask' else 'f'):
-                raise ValueError(f"field '{name}' is {found.name}, which it cannot be")
-        widest = max(points.dtype[name].itemsize for name in needed)
-        self.real = np.dtype(f'f{widest}')
+        self.real = widest(points)
 
     def __len__(self) -> int:
         return len(self._points)

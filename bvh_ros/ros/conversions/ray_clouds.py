@@ -14,7 +14,13 @@ from numpy.typing import DTypeLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
-from bvh_ros.ros.conversions.cloud_fields import DATATYPES, all_or_none, columns, structured
+from bvh_ros.ros.conversions.cloud_fields import (
+    DATATYPES,
+    all_or_none,
+    columns,
+    structured,
+    widest,
+)
 
 ORIGIN = ('x', 'y', 'z')
 DIRECTION = ('dx', 'dy', 'dz')
@@ -133,14 +139,7 @@ class RayCloud:
             return
         if not all_or_none(names, (*ORIGIN, *DIRECTION)):
             raise ValueError('the cloud has no fields x, y, z, dx, dy, dz')
-        kinds = {name: points.dtype[name] for name in names}
-        mask = kinds.pop('mask', None)
-        for name, kind in kinds.items():
-            if kind.kind != 'f':
-                raise ValueError(f"field '{name}' is {kind.name}; a ray's are float32 or float64")
-        if mask is not None and mask.kind != 'u':
-            raise ValueError(f"field 'mask' is {mask.name}; it has to be an unsigned integer")
-        self.real = np.dtype(f'f{max(kind.itemsize for kind in kinds.values())}')
+        self.real = widest(points)
 
     def __len__(self) -> int:
         return len(self._points)

@@ -169,3 +169,28 @@ def test_other_fields_do_not_matter():
     message = changed()
     message.fields += [field('rgb', 10_000, 99, count=7), field('rgb', 0, 7)]
     assert len(boxes_of(message, voxel=0.1).numbers) == 6
+
+
+def test_the_fields_of_questions():
+    """Rays, boxes and points alike: answers are as wide as the widest field, and what a field
+    has to be is said of the one that is not.
+    """
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from bvh_ros.ros.conversions.query_clouds import Boxes, Points, QueryCloud
+    from bvh_ros.ros.conversions.ray_clouds import RayCloud
+
+    for read, names, optional in (
+        (RayCloud, ('x', 'y', 'z', 'dx', 'dy', 'dz'), 't_max'),
+        (lambda asked: QueryCloud(asked, Boxes), ('x', 'y', 'z', 'sx', 'sy', 'sz'), 'tolerance'),
+        (lambda asked: QueryCloud(asked, Points), ('x', 'y', 'z'), 'max_distance'),
+    ):
+        columns = {name: [1.0] for name in (*names, optional)} | {'mask': [1]}
+        for kinds, real in (({}, 'f4'), ({optional: 'f8'}, 'f8'), ({'x': 'f8'}, 'f8')):
+            for mask in ('u1', 'u2', 'u4'):
+                assert read(cloud(columns, kinds={'mask': mask, **kinds})).real == np.dtype(real)
+        for wrong, kind, needed in (
+            ('mask', 'i4', "'mask' is int32; it has to be an unsigned integer"),
+            (optional, 'i2', f"'{optional}' is int16; it has to be float32 or float64"),
+        ):
+            with pytest.raises(ValueError, match=needed):
+                read(cloud(columns, kinds={'mask': 'u4', wrong: kind}))
