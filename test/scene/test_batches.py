@@ -340,12 +340,10 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
     """The room is kept by each thread, and made larger where a ball wants it."""
     for planar in (False, True, False):
         scene = Scene(planar=planar)
-        scene.update(
-            's', Numbered('o', np.arange(200)), Shapes.boxes(np.ones((200, 3)), 1), stamp=0
-        )
-        starts = np.array([[-5.0, 1, 1], [-5, 9, 1], [-5, 1.2, 1]] * 40)
+        scene.update('s', Numbered('o', np.arange(70)), Shapes.boxes(np.ones((70, 3)), 1), stamp=0)
+        starts = np.array([[-5.0, 1, 1], [-5, 9, 1], [-5, 1.2, 1]])
         goals = np.add(starts, [9, 0, 0])
-        for threads in (1, 3):
+        for threads in (1, 2):
             found = scene.sweep_many(starts, goals, 0.25, threads=threads)
-            assert found.handles.reshape(40, 3).tolist() == [[1, NO_NODE, 1]] * 40
-            assert found.t.reshape(40, 3)[:, 0] == pytest.approx(5.25 / 9)
+            assert found.handles.tolist() == [1, NO_NODE, 1]
+            assert found.t[0] == pytest.approx(5.25 / 9)
