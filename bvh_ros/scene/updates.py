@@ -178,10 +178,7 @@ class Updates:
             if len(added.row):
                 new = held.insert(added, names.take(added.row), source, group)
                 held.set_velocities(new, added, speeds)
-            if sliced:
-                sliced.newest = newest
-            else:
-                held.newest = newest
+            (sliced or held).newest = newest
         return valid.reasons.refusals(names.text)
 
     def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:

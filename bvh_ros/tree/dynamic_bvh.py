@@ -114,10 +114,8 @@ class DynamicBVH(RayQueries, Predicates):
         low = np.asarray(lo) if refused else checks.floats('lo', lo)
         if low.ndim != 2 or low.shape[1] not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {low.shape}')
-        ndim, capacity = (
-            low.shape[1],
-            checks.capacity('the number of rows of lo', max(len(low), 1)),
-        )
+        ndim = low.shape[1]
+        capacity = checks.capacity('the number of rows of lo', max(len(low), 1))
         try:
             if cls is not DynamicBVH:  # of which it is known, and 25 us are a box in ten of 1,000
                 inspect.signature(cls).bind(ndim, margin=margin, capacity=capacity)
@@ -230,8 +228,7 @@ class DynamicBVH(RayQueries, Predicates):
         float64, finite, lo <= hi. Nothing is looked at or copied.
         """
         if len(slots) != 1:
-            boxes = lo, hi, np.zeros(lo.shape)
-            self._change_many(changing.MOVE, slots, boxes, shares=SHARES)
+            self._change_many(changing.MOVE, slots, (lo, hi, np.zeros(lo.shape)), shares=SHARES)
             return
         handle = self._storage.tree.handles.item(slots.item())
         asked = handle, lo[0], hi[0], self._margin, STILL, self._thorough
@@ -269,7 +266,7 @@ class DynamicBVH(RayQueries, Predicates):
         """Write the tree to one file, from which `load` gives it back with the same handles: an
         .npz, or with `mapped` a file that is larger and can be mapped into memory.
         """
-        files.save(checks.path('path', path), self._packed(), checks.flag('mapped', mapped))
+        files.save(checks.path('path', path), files.pack(self), checks.flag('mapped', mapped))
 
     @classmethod
     def load(cls, path: str | PathLike[str], mmap: bool = False) -> 'DynamicBVH':
@@ -288,15 +285,11 @@ class DynamicBVH(RayQueries, Predicates):
             tree.__setstate__(files.load(file))
         return tree
 
-    def _packed(self) -> dict[str, Any]:
-        return files.pack(self)
-
     def __getstate__(self) -> dict[str, Any]:
         """The tree, and what a subclass has added."""
         own = vars(DynamicBVH(self.ndim))
-        return self._packed() | {
-            'added': {name: value for name, value in vars(self).items() if name not in own}
-        }
+        added = {name: value for name, value in vars(self).items() if name not in own}
+        return files.pack(self) | {'added': added}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         added = state.get('added', {}) if isinstance(state, dict) else {}
