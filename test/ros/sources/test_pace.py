@@ -84,11 +84,11 @@ def test_messages_that_wait_make_no_long_turn(world, messages):
     for x in (0, 1, 2):
         meshes = [
             messages.marker(k, (x, k, 50), size=(1, 1, 1 + k / 1000), type=11, points=faces)
-            for k in range(500)
+            for k in range(1000)
         ]
         publisher.publish(MarkerArray(markers=meshes))
     asked = 0
-    while world.names('raycast', (2.1, 499.1, 60), (2.1, 499.1, 40)) == []:
+    while world.names('raycast', (2.1, 999.1, 60), (2.1, 999.1, 40)) == []:
         asked += 1
-    assert asked > 20  # some hundreds, where nobody else uses the processor
+    assert asked > 8  # if each were applied in one go, once or twice a message
     world.node.destroy_publisher(publisher)
