@@ -41,13 +41,15 @@ class RegionBatches:
         mask: ArrayLike = EVERYTHING,
         *,
         radius: ArrayLike | None = None,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
         timeout: float | None = None,
     ) -> Hits:
         """As `BvhClient.raycast_many`; a row is UNANSWERED where it leaves the regions before it
         hits.
         """
         rays = as_rays(origins, directions, t_max, mask, radius)
-        return self._nearest_of(lambda _: region_rows.of_rays(rays), timeout)
+        return self._nearest_of(lambda _: region_rows.of_rays(rays, at, until), timeout)
 
     def nearest_many(
         self,
@@ -55,13 +57,14 @@ class RegionBatches:
         max_distance: ArrayLike = np.inf,
         mask: ArrayLike = EVERYTHING,
         *,
+        at: ArrayLike | None = None,
         timeout: float | None = None,
     ) -> Near:
         """As `BvhClient.nearest_many`; a row is UNANSWERED where something nearer could lie
         beyond the regions.
         """
         asked = volumes.points(points, max_distance, mask)
-        return self._nearest_of(lambda _: region_rows.of_points(asked), timeout)
+        return self._nearest_of(lambda _: region_rows.of_points(asked, at), timeout)
 
     def overlap_many(
         self,
@@ -71,23 +74,25 @@ class RegionBatches:
         tolerance: ArrayLike = 0.0,
         mask: ArrayLike = EVERYTHING,
         *,
+        at: ArrayLike | None = None,
         timeout: float | None = None,
     ) -> Touched:
         """As `BvhClient.overlap_many`, but for `counts`, see `RegionClient`."""
         asked = volumes.boxes(centers, sizes, orientations, tolerance, mask)
-        return self._nearest_of(lambda _: region_rows.of_boxes(asked), timeout)
+        return self._nearest_of(lambda _: region_rows.of_boxes(asked, at), timeout)
 
     def check_path(
         self,
         positions: ArrayLike,
         orientations: ArrayLike | None = None,
         *,
+        at: ArrayLike | None = None,
         timeout: float | None = None,
     ) -> Near:
         """As `BvhClient.check_path`; all nodes must have the same `footprint`."""
         asked = volumes.poses(positions, orientations)
         return self._nearest_of(
-            lambda layout: region_rows.of_poses(*asked, layout.footprint()), timeout
+            lambda layout: region_rows.of_poses(*asked, layout.footprint(), at), timeout
         )
 
     def _nearest_of(self, ask: Callable[[Layout], Rows], timeout: float | None) -> Any:
@@ -121,10 +126,12 @@ class RegionBatches:
         """Ask regions about rows, (n, regions), all at once."""
         regions = np.flatnonzero(asked.any(axis=0)).tolist()
         some = [np.flatnonzero(asked[:, region]) for region in regions]
-        pending = [
-            self.clients[region].channels.begin(rows.topic, rows.message(which), left(deadline))
-            for region, which in zip(regions, some, strict=True)
-        ]
+        pending = []
+        for region, which in zip(regions, some, strict=True):
+            channels = self.clients[region].channels
+            stamp = channels.open(rows.topic).stamp()
+            message = rows.message(which, stamp)
+            pending.append(channels.begin(rows.topic, message, left(deadline), '', stamp))
         answers = results(pending, deadline)
         for region, which, answer in zip(regions, some, answers, strict=True):
             told.add(which, region, answer)

@@ -8,9 +8,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bvh_ros.client import volumes
+from bvh_ros.client.batch import since, times, with_times
 from bvh_ros.client.coverage import Box, Floats, grown, ways
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Question, Touched
@@ -30,34 +31,38 @@ class Rows(NamedTuple):
     """Bounds of all places that are as near as some distances (n,): who knows what touches them
     knows whether there is anything so near.
     """
-    message: Callable[[NDArray[np.int64]], Any]
-    """Asks some of the rows."""
+    message: Callable[[NDArray[np.int64], int], Any]
+    """Asks some of the rows, in a message with this stamp, ns."""
 
 
-def of_rays(rays: Rays) -> Rows:
+def of_rays(rays: Rays, at: ArrayLike | None, until: ArrayLike | None) -> Rows:
     """Rays, and balls that go along them; a distance is a t."""
     radii = np.zeros(1) if rays.radii is None else rays.radii
 
-    def message(some: NDArray[np.int64]) -> Any:
-        return rays_cloud(rays.take(some))
+    def timed(stamp: int) -> Rays:
+        return rays if at is None and until is None else with_times(rays, at, until, stamp)
+
+    def message(some: NDArray[np.int64], stamp: int) -> Any:
+        return rays_cloud(timed(stamp).take(some))
 
     def around(t: Floats) -> Box:
         return ways(rays.origins, rays.directions, t, radii)
 
+    timed(0)  # what are no times is refused at once
     return Rows('rays', Hits, rays.fault()[0], rays.t_max, around, message)
 
 
-def of_points(asked: Points) -> Rows:
+def of_points(asked: Points, at: ArrayLike | None) -> Rows:
     """Points whose nearest obstacles are asked for."""
 
     def around(distances: Floats) -> Box:
         return grown((asked.places, asked.places), distances)
 
     bad = query_clouds.fault(asked, 0)[0]
-    return Rows('points', Near, bad, asked.reaches, around, _cloud_of(asked))
+    return Rows('points', Near, bad, asked.reaches, around, _cloud_of(asked, at))
 
 
-def of_boxes(asked: Boxes) -> Rows:
+def of_boxes(asked: Boxes, at: ArrayLike | None) -> Rows:
     """Boxes; whatever touches one lies around all of it."""
     count, half = len(asked.places), asked.sizes * 0.5
     with np.errstate(over='ignore', invalid='ignore'):
@@ -65,11 +70,14 @@ def of_boxes(asked: Boxes) -> Rows:
         half = np.where((asked.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
         box = grown(grown((asked.places, asked.places), half), asked.tolerances)
     bad = query_clouds.fault(asked, 0)[0]
-    return Rows('boxes', Touched, bad, np.zeros(count), lambda _: box, _cloud_of(asked))
+    return Rows('boxes', Touched, bad, np.zeros(count), lambda _: box, _cloud_of(asked, at))
 
 
-def of_poses(places: Floats, turns: Floats, footprint: Sequence[float]) -> Rows:
+def of_poses(
+    places: Floats, turns: Floats, footprint: Sequence[float], at: ArrayLike | None
+) -> Rows:
     """Poses of a footprint: edge lengths of a box, or the radius of a ball."""
+    when = None if at is None else times('at', at, len(places))
     half = footprint[0] if len(footprint) == 1 else float(np.linalg.norm(footprint)) * 0.5
     reach = np.nextafter(half, np.inf)
     bad = np.logical_not(np.isfinite(np.hstack((places, turns))).all(axis=1))
@@ -77,14 +85,19 @@ def of_poses(places: Floats, turns: Floats, footprint: Sequence[float]) -> Rows:
     def around(distances: Floats) -> Box:
         return grown(grown((places, places), reach), np.maximum(distances, 0.0))
 
-    def message(some: NDArray[np.int64]) -> Any:
-        return volumes.path(places[some], turns[some])
+    def message(some: NDArray[np.int64], _: int) -> Any:
+        return volumes.path(places[some], turns[some], None if when is None else when[some])
 
     return Rows('paths', Near, bad, np.full(len(places), np.inf), around, message)
 
 
-def _cloud_of(asked: Question) -> Callable[[NDArray[np.int64]], Any]:
-    def message(some: NDArray[np.int64]) -> Any:
-        return volumes.cloud(query_clouds.take(asked, some))
+def _cloud_of(asked: Question, at: ArrayLike | None) -> Callable[[NDArray[np.int64], int], Any]:
+    when = None if at is None else times('at', at, len(asked.places))
+
+    def message(some: NDArray[np.int64], stamp: int) -> Any:
+        rows = query_clouds.take(asked, some)
+        if when is not None:
+            rows = rows._replace(since=since(when[some], stamp, len(some)))
+        return volumes.cloud(rows)
 
     return message

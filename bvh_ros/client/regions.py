@@ -75,10 +75,12 @@ class RegionClient(RegionBatches):
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         timeout: float | None = None,
     ) -> Hit | None:
         """As `BvhClient.raycast`."""
-        hits = self._along('raycast', start, end, radius, timeout)
+        hits = self._along('raycast', start, end, radius, (at, until), timeout)
         return hits[0] if hits else None
 
     def raycast_all(
@@ -87,10 +89,12 @@ class RegionClient(RegionBatches):
         end: Sequence[float],
         radius: float = 0.0,
         *,
+        at: int | None = None,
+        until: int | None = None,
         timeout: float | None = None,
     ) -> list[Hit]:
         """As `BvhClient.raycast_all`."""
-        return self._along('raycast_all', start, end, radius, timeout)
+        return self._along('raycast_all', start, end, radius, (at, until), timeout)
 
     def overlap(
         self,
@@ -99,10 +103,11 @@ class RegionClient(RegionBatches):
         orientation: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
         tolerance: float = 0.0,
         *,
+        at: int | None = None,
         timeout: float | None = None,
     ) -> list[Hit]:
         """As `BvhClient.overlap`."""
-        request = plans.request(corner, opposite, tolerance, '', orientation)
+        request = plans.request(corner, opposite, tolerance, '', orientation, (at, None))
         a, b = _place(corner), _place(opposite)
         center, box = a * 0.5 + b * 0.5, _box(a, b, 0.0)
         if any(orientation[:3]):  # whatever way it is turned
@@ -111,12 +116,17 @@ class RegionClient(RegionBatches):
         return _merged(replies, lambda hit: math.dist(hit.point, center))
 
     def nearest(
-        self, point: Sequence[float], max_distance: float = 0.0, *, timeout: float | None = None
+        self,
+        point: Sequence[float],
+        max_distance: float = 0.0,
+        *,
+        at: int | None = None,
+        timeout: float | None = None,
     ) -> list[Hit]:
         """As `BvhClient.nearest`; without `max_distance`, regions must reach to infinity where
         fewer obstacles are known than the nodes' `nearest_limit`.
         """
-        request = plans.request(point, point, max_distance, '')
+        request = plans.request(point, point, max_distance, '', times=(at, None))
         place = _place(point)
 
         def far(hit: Hit) -> float:
@@ -153,9 +163,10 @@ class RegionClient(RegionBatches):
         start: Sequence[float],
         end: Sequence[float],
         radius: float,
+        times: tuple[int | None, int | None],
         timeout: float | None,
     ) -> list[Hit]:
-        request = plans.request(start, end, radius, '')
+        request = plans.request(start, end, radius, '', times=times)
         a, b = _place(start), _place(end)
         replies = self._hits(query, request, _box(a, b, _float32(radius)), timeout)
         return _merged(replies, lambda hit: _share(hit, a, b - a, radius))

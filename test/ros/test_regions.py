@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.slow
 
 TOPIC, BOXES, CALLS, ROWS = '/regions/boxes', 120, 60, 400
 COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
-INF = float('inf')
+INF, SECOND = float('inf'), 1_000_000_000
 QUARTERS = [
     [-INF, -INF, -INF, 0.0, 0.0, INF],
     [0.0, -INF, -INF, INF, 0.0, INF],
@@ -140,6 +141,83 @@ def answered(ask, client):
         except BvhError:
             assert time.monotonic() < deadline
             time.sleep(0.2)
+
+
+@pytest.fixture(scope='module')
+def moving(start_node, messages):
+    """One that knows all, two that share it, and when they were told: boxes that cross the border
+    between the two.
+    """
+    topic, count = '/regions/tracks', 60
+    given = {'sources': ['tracks'], 'max_prediction': 2.0, 'footprint': [0.8, 0.5, 0.4]}
+    given['tracks'] = {'type': 'PointCloud2', 'topic': topic, 'predict': 'given'}
+    halves = [-INF, -INF, -INF, 0.0, INF, INF], [0.0, -INF, -INF, INF, INF, INF]
+    worlds = [start_node(given), *(start_node({**given, 'region': half}) for half in halves)]
+    publisher = worlds[0].node.create_publisher(PointCloud2, topic, 10)
+    worlds[0].until(lambda: publisher.get_subscription_count() == 3)
+    rng = np.random.default_rng(5)
+    columns = [rng.uniform(*span, (count, 3)) for span in ((-8, 8), (0.3, 1.5), (-4, 4))]
+    names = ('x', 'y', 'z', 'sx', 'sy', 'sz', 'vx', 'vy', 'vz')
+    cloud = messages.cloud(
+        {'id': np.arange(100, 100 + count), **dict(zip(names, np.hstack(columns).T, strict=True))}
+    )
+    told = time.time_ns()
+    cloud.header.stamp.sec, cloud.header.stamp.nanosec = divmod(told, SECOND)
+    publisher.publish(cloud)
+    for world in worlds:
+        world.until(lambda world=world: world.status('source tracks').values['messages'] == '1')
+        world.until(lambda world=world: world.hits('overlap', (-9, -9, -9), (9, 9, 9)))
+    yield worlds, told
+    worlds[0].node.destroy_publisher(publisher)
+
+
+@pytest.mark.timeout(1200)  # what other times need is compiled
+def test_two_nodes_answer_as_one_about_other_times(moving):
+    (whole, *parts), told = moving
+    one = BvhClient(whole.node, whole.name, timeout=60.0)
+    both = BvhClient(whole.node, [part.name for part in parts], timeout=60.0)
+    both.wait_until_batches_are_ready()
+    rng, hits = np.random.default_rng(6), 0
+    then = {'at': told + SECOND}
+    for _ in range(CALLS // 2):
+        a, b = rng.uniform(-9, 9, (2, 3)).tolist()
+        radius = float(rng.choice([0.0, 0.3]))
+        for times in ({}, then, {**then, 'until': told + 2 * SECOND}):
+            asks = [
+                lambda client, times=times: client.raycast(a, b, radius, **times),  # noqa: B023
+                lambda client, times=times: client.raycast_all(a, b, radius, **times),  # noqa: B023
+            ]
+            if 'until' not in times:
+                asks += [
+                    lambda client, times=times: client.overlap(a, b, **times),  # noqa: B023
+                    lambda client, times=times: client.nearest(a, 4.0, **times),  # noqa: B023
+                ]
+            for ask in asks:
+                wanted = answered(ask, one)
+                assert answered(ask, both) == wanted
+                hits += wanted not in (None, [])
+    assert hits > CALLS
+    at = told + rng.integers(0, SECOND, ROWS)
+    places, ways = rng.uniform(-9, 9, (2, ROWS, 3))
+    turns, radius = rng.normal(size=(ROWS, 4)), rng.choice([0.0, 0.3], ROWS)
+    asks = [
+        lambda client: client.raycast_many(places, ways, 1.0, at=at),
+        lambda client: client.raycast_many(places, ways, 1.0, at=at, until=at + SECOND),
+        lambda client: client.raycast_many(places, ways, 1.0, radius=radius, at=at, until=at + 9),
+        lambda client: client.nearest_many(places, 4.0, at=at),
+        lambda client: client.overlap_many(places, np.abs(ways) / 6, turns, radius, at=at),
+        lambda client: client.check_path(places[:150], turns[:150], at=at[:150]),
+    ]
+    for ask in asks:
+        wanted, found = answered(ask, one), answered(ask, both)
+        here, there = both.names(found.obstacles), one.names(wanted.obstacles)
+        assert same_rows(found, wanted, here, there) > 25
+    with pytest.raises(ValueError, match='until needs at'):
+        both.raycast_many(places, ways, 1.0, until=at)
+    with pytest.raises(ValueError, match='integers'):
+        both.nearest_many(places, 4.0, at=0.5)
+    with pytest.raises(BvhError, match='stamp'):
+        both.raycast((0, 0, 0), (1, 0, 0), until=told)
 
 
 def test_what_nobody_knows_is_not_free(nodes):
