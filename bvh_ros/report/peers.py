@@ -121,11 +121,6 @@ def table(task: Task, found: dict[int, dict[str, Timing]]) -> Table:
     return Table(f'peers_{task.name}', header, rows)
 
 
-def rays_in_batches(page: Page, brief: bool) -> None:
-    """Measure batches of rays."""
-    with one_processor():
-        batches.batches(page, brief)
-
-
 INTRODUCTION = '## Peers'
-SECTIONS = {'all tasks': all_tasks, 'batches of rays': rays_in_batches, 'calls': calls}
+ON_ONE = one_processor()(batches.batches)
+SECTIONS = {'all tasks': all_tasks, 'batches of rays': ON_ONE, 'calls': calls}

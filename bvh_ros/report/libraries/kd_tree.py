@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """scipy's cKDTree: points only."""
 
-import numpy as np
-
 from ..timing import Job
 from .base import Library, Work
+from .ours import rounded
 
 
 class KdTree(Library):
@@ -27,8 +26,4 @@ class KdTree(Library):
         from scipy.spatial import cKDTree
 
         tree = cKDTree((work.boxes.lo + work.boxes.hi) / 2)
-        return Job(
-            lambda: tree.query(work.points),
-            len(work.points),
-            lambda r: round(float(np.sum(r[0])) * 1e3),
-        )
+        return Job(lambda: tree.query(work.points), len(work.points), lambda r: rounded(r[0]))

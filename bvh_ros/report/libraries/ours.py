@@ -72,11 +72,10 @@ class Ours(Library):
         """The nearest of many points; a point is a box without extent."""
         centers = (work.boxes.lo + work.boxes.hi) / 2
         tree = DynamicBVH.from_boxes(centers, centers)
-        return Job(
-            lambda: tree.nearest_many(work.points), len(work.points), lambda r: _rounded(r[1])
-        )
+        points = work.points
+        return Job(lambda: tree.nearest_many(points), len(points), lambda r: rounded(r[1]))
 
 
-def _rounded(distances: Floats) -> int:
+def rounded(distances: Floats) -> int:
     """Sum of the distances in mm: equal only if the same points were found."""
     return round(float(np.sum(distances)) * 1e3)

@@ -43,9 +43,8 @@ def cold_start(page: Page, brief: bool) -> None:
         'One box, one ray, in a new process. The first start ever compiles the kernels that it '
         'needs; later ones load them.'
     )
-    page.table(
-        Table('speed_cold_start', ('kernel cache', 's, import', 's, import to first answer'), rows)
-    )
+    header = 'kernel cache', 's, import', 's, import to first answer'
+    page.table(Table('speed_cold_start', header, rows))
 
 
 def kernels(page: Page, brief: bool) -> None:
