@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator
 from importlib.util import find_spec
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +20,9 @@ from .timing import Job, interleaved
 
 BOXES = 1_000, 10_000, 100_000
 SIZES = 1, 4, 15, 16, 64, 255, 256, 1_024, 4_096, 20_000
-LIDAR, PLANE = (64, 512), 681  # rows and beams a row of a scan
-REPEATS = 9
+RAYS, TURNS, REPEATS = 65_536, 4_096, 9
+LIDAR, PLANE = (64, 512), (1, 681)  # rows and beams a row of a scan
+PLACES = 0.2, 0.3, 0.4, 0.5  # m, on the cube's diagonal
 ANYWHERE = 'from anywhere'
 PEERS = 'bvh_ros', 'Embree', 'Embree, triangle alone'
 
@@ -30,36 +32,36 @@ class Batch(NamedTuple):
 
     origins: Floats
     directions: Floats
-    t_max: float
+    t_max: float = np.inf
 
 
-def scan(rows: int, beams: int) -> Batch:
+def scan(rows: int, beams: int, place: float) -> Batch:
     """A scan from near the middle: `rows` from 0.4 rad below the horizon to as much above."""
     across = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     up = np.linspace(-0.4, 0.4, rows) if rows > 1 else np.zeros(1)
     up, across = np.repeat(up, beams), np.tile(across, rows)
     flat = np.cos(up)
     directions = np.stack([flat * np.cos(across), flat * np.sin(across), np.sin(up)], axis=1)
-    return Batch(np.full(directions.shape, 0.2), directions, np.inf)
+    return Batch(np.full(directions.shape, place), directions)
 
 
-def batches_of(count: int, rng: np.random.Generator) -> dict[str, Batch]:
-    """Rays of every kind that comes in any number."""
-    origins, directions = incoherent_rays(count, rng)
-    return {
-        ANYWHERE: Batch(origins, directions, np.inf),
+def every_batch(brief: bool) -> Iterator[tuple[str, list[Batch]]]:
+    """By kind, in every size: batches of other rays that take turns."""
+    origins, directions = incoherent_rays(200 if brief else RAYS, np.random.default_rng(3))
+    beyond = np.add(origins, (0.0, 0.0, 2.0 * EDGE))
+    kinds = {
+        ANYWHERE: Batch(origins, directions),
         'segments of 1 m': Batch(origins, directions, 1.0),
         'segments of 5 m': Batch(origins, directions, 5.0),
-        'all miss': Batch(np.add(origins, (0.0, 0.0, 2.0 * EDGE)), np.abs(directions), np.inf),
+        'all miss': Batch(beyond, np.abs(directions)),
     }
-
-
-def every_batch(brief: bool) -> Iterator[tuple[str, Batch]]:
-    """By kind, in every size."""
     for count in (1, 20) if brief else SIZES:
-        yield from batches_of(count, np.random.default_rng(count)).items()
-    yield 'lidar scan', scan(*((2, 10) if brief else LIDAR))
-    yield 'scan in a plane', scan(1, 10 if brief else PLANE)
+        starts = range(0, min(len(origins), TURNS * count) - count + 1, count)
+        for kind, every in kinds.items():
+            begin, way, reach = every
+            yield kind, [Batch(begin[k : k + count], way[k : k + count], reach) for k in starts]
+    for kind, shape in (('lidar scan', LIDAR), ('scan in a plane', PLANE)):
+        yield kind, [scan(*((2, 10) if brief else shape), place) for place in PLACES]
 
 
 def batches(page: Page, brief: bool) -> None:
@@ -72,13 +74,14 @@ def batches(page: Page, brief: bool) -> None:
         boxes = uniform_boxes(size, np.random.default_rng(0))
         tree, scene = DynamicBVH.from_boxes(*boxes), Embree().scene(triangles(boxes))
         tree.raycast_many(*incoherent_rays(max(size, 100), np.random.default_rng(1)))
-        for kind, batch in every_batch(brief):
-            times = _times(tree, scene, batch, brief)
+        for kind, turns in every_batch(brief):
+            times = _times(tree, scene, turns, brief)
             over = [times[0] / time for time in times[1:]]
-            rows.append([size, kind, len(batch.origins), *times, *over])
+            rows.append([size, kind, len(turns[0].origins), *times, *over])
     page.add('### Batches of rays')
     page.add(
-        'One call with as many rays, all in. bvh_ros takes float64 and returns id, distance and '
+        'One call with as many rays, all in, others each time: the same again and again are '
+        'learnt by the processor. bvh_ros takes float64 and returns id, distance and '
         'normal, as Embree does from float32 arrays that are ready (`run(..., output=True)`); '
         'the *triangle alone* is what its default query returns.'
     )
@@ -87,14 +90,14 @@ def batches(page: Page, brief: bool) -> None:
     _plot(page.plot('peers_batches', 'Time a ray against rays in a batch, from anywhere'), rows)
 
 
-def _times(tree: DynamicBVH, scene: Any, batch: Batch, brief: bool) -> list[float]:
+def _times(tree: DynamicBVH, scene: Any, turns: list[Batch], brief: bool) -> list[float]:
     """Microseconds a call, in the order of `PEERS`."""
-    rays = [np.ascontiguousarray(part, np.float32) for part in batch[:2]]
-    reach = batch.t_max if np.isfinite(batch.t_max) else None
+    reach, ours = turns[0].t_max if np.isfinite(turns[0].t_max) else None, cycle(turns)
+    theirs = cycle([[np.float32(part) for part in turn[:2]] for turn in turns])
     runs = (
-        lambda: tree.raycast_many(*batch),
-        lambda: scene.run(*rays, dists=reach, output=True),
-        lambda: scene.run(*rays, dists=reach),
+        lambda: tree.raycast_many(*next(ours)),
+        lambda: scene.run(*next(theirs), dists=reach, output=True),
+        lambda: scene.run(*next(theirs), dists=reach),
     )
     jobs = {name: many_times(Job(run, 1), brief) for name, run in zip(PEERS, runs, strict=True)}
     found = interleaved(jobs, 3 if brief else REPEATS, warm=True)
