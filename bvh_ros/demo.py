@@ -20,12 +20,14 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros import scenarios
 from bvh_ros.client import BvhClient, BvhTimeoutError
-from bvh_ros.questions import Table
+from bvh_ros.questions import Table, in_words
 from bvh_ros.ros import large_messages
+from bvh_ros.ros.progress import CLEAR
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
 
 MOST_DOMAIN = 232  # of ROS_DOMAIN_ID: beyond, there are no ports
@@ -36,9 +38,7 @@ Play = Callable[[Node, BvhClient], Table]
 
 def play(frames: Iterable[scenarios.Frame], speed: float, node: Node, client: BvhClient) -> Table:
     """Publish the frames when they are due, and ask after each."""
-    publisher = node.create_publisher(MarkerArray, f'{client.name}/obstacles', 10)
-    while publisher.get_subscription_count() == 0:
-        time.sleep(0.01)
+    publisher = _publisher(node, client)
     table = Table()
     table.head()
     known: set[tuple[str, int]] = set()
@@ -58,6 +58,35 @@ def play(frames: Iterable[scenarios.Frame], speed: float, node: Node, client: Bv
     node.destroy_publisher(publisher)
     print(f'\n{updates} obstacle updates in {time.monotonic() - began:.1f} s; {table.summary()}')
     return table
+
+
+def _publisher(node: Node, client: BvhClient) -> Publisher:
+    """Return what the bvh node hears obstacles from."""
+    publisher = node.create_publisher(MarkerArray, f'{client.name}/obstacles', 10)
+    while publisher.get_subscription_count() == 0:
+        time.sleep(0.01)
+    return publisher
+
+
+def _ask_first(node: Node, client: BvhClient, began: float) -> None:
+    """Say what the ray meets among the boxes that are not turned: that is answered before all
+    that other questions and shapes need is compiled.
+    """
+    frame = next(scenarios.warehouse())
+    ray = frame.questions[0]
+    publisher = _publisher(node, client)
+    boxes = (thing for thing in frame.things if thing.kind == 'box' and not thing.yaw)
+    publisher.publish(scenarios.markers(boxes, ()))
+    while (answer := ray.ask(client)) is None:
+        time.sleep(0.01)
+    who, where = in_words(answer)
+    bar = CLEAR if sys.stdout.isatty() else ''  # the node's, on the same terminal
+    after = f'{time.monotonic() - began:.1f} s'
+    print(f'{bar}first answer after {after}: {ray.text}: {who} {where}', flush=True)
+    publisher.publish(scenarios.markers((), (), begin=True))
+    while ray.ask(client) is not None:  # `play` waits for its own first frame
+        time.sleep(0.01)
+    node.destroy_publisher(publisher)
 
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
@@ -136,8 +165,9 @@ def _run(options: argparse.Namespace, namespace: str) -> Table:
     client = BvhClient(node)
     with running_node(namespace, parameters) as process:
         began = time.monotonic()
-        wait_until_ready(client, process)
-        print(f'ready after {time.monotonic() - began:.1f} s')
+        first = None if options.replay else partial(_ask_first, node, client, began)
+        wait_until_ready(client, process, first)
+        print(f'ready after {time.monotonic() - began:.1f} s', flush=True)
         while True:
             table = play_to(node, client)
             if not options.view:

@@ -42,7 +42,7 @@ class Table:
         took = 1e3 * (time.perf_counter() - began)
         self.times.append(took)
         if show:
-            who, where = _in_words(answer)
+            who, where = in_words(answer)
             print(f'{t:6.1f}  {question.text:34} {who:26} {where:24} {took:6.2f}')
 
     def summary(self) -> str:
@@ -55,7 +55,8 @@ class Table:
         )
 
 
-def _in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
+def in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
+    """Who is met, and where the first one is."""
     hits = [] if answer is None else [answer] if isinstance(answer, Hit) else answer
     if not hits:
         return 'free', ''

@@ -73,7 +73,7 @@ class BvhClient(SingleCalls, BatchCalls):
         if not self.waiting.until(self.services.are_offered, timeout):
             raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
         while compiling := self._compiling(deadline - time.monotonic()):
-            if time.monotonic() > deadline:
+            if time.monotonic() + LOOK > deadline:  # another look would not have time to be told
                 raise BvhTimeoutError(f"'{self.name}' is still {compiling}")
             time.sleep(LOOK)
 

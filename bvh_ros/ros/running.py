@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -19,7 +19,7 @@ from typing import IO
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from bvh_ros.client import BvhClient, BvhTimeoutError
+from bvh_ros.client import BvhClient, BvhTimeoutError, plans
 
 START_TIMEOUT = 300.0  # seconds: the first start on a machine compiles
 END_TIMEOUT = 10.0  # seconds
@@ -140,15 +140,22 @@ def end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def wait_until_ready(client: BvhClient, process: subprocess.Popen[bytes]) -> None:
-    """Wait until the node serves, or raise RuntimeError if it has ended."""
+def wait_until_ready(
+    client: BvhClient, process: subprocess.Popen[bytes], first: Callable[[], object] | None = None
+) -> None:
+    """Wait until the node serves, or raise RuntimeError if it has ended. `first` is called once
+    what the first answers need is compiled, if that is before all is.
+    """
     deadline = time.monotonic() + START_TIMEOUT
     while True:
         try:
             client.wait_until_ready(timeout=1.0)
             return
-        except BvhTimeoutError:
+        except BvhTimeoutError as error:
             if process.poll() is not None:
                 raise RuntimeError(f'the node ended with code {process.returncode}') from None
             if time.monotonic() > deadline:
                 raise
+            if first is not None and plans.COMPILING in str(error):
+                first()
+                first = None

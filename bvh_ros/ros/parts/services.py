@@ -143,7 +143,8 @@ class QueryServices(NodePart):
             reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
             reason = explain(error)
-        self.refused.add(reason)
+        if reason != self._world.compiling:  # that is told as progress
+            self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)
 
 

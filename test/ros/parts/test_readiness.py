@@ -14,7 +14,9 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from bvh_ros import demo
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.ros import running
 
 SCRIPT = Path(__file__).parents[1] / 'slow_node.py'
 STARTING = 240.0  # seconds: the very first start compiles
@@ -70,6 +72,21 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     assert said.index('first start here: compiling, about') < said.index('ready in frame')
     told = re.findall(r'bvh\]: (first start|compiled in)', said)
     assert told == ['first start', 'compiled in']  # and a line a minute in between
+
+
+def test_the_demo_asks_first_what_is_ready(start, tmp_path, capsys):
+    world = start()
+    client = BvhClient(world.node, world.name)
+
+    def ask_and_go_on():
+        demo._ask_first(world.node, client, time.monotonic())
+        (tmp_path / 'go').touch()
+
+    running.wait_until_ready(client, world.process, ask_and_go_on)
+    hit = r'first answer after \d+\.\d s: .+: forklift/0 \(2\.80, 0\.00, 1\.00\)\n'
+    assert re.fullmatch(hit, capsys.readouterr().out)
+    assert world.everything() == set()
+    assert 'refused' not in world.said()
 
 
 def is_running(pid):
