@@ -10,7 +10,7 @@ import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.bounds import covers
+from ...tree.motion.bounds import FRONTS, covers, set_fronts
 from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
@@ -118,8 +118,8 @@ def walk(world, tree, moving, ways, i, asked, tools, thin):
     for axis in range(ndim):
         corners[0, axis] = ways.origins[i, axis] - more
         corners[1, axis] = ways.origins[i, axis] + more
-    wide = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, pace)
-    set_swept_box(wide.ray, corners[0, :ndim], corners[1, :ndim], ways.directions[i])
+    fronts = stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
     box, other = no_hit(), no_hit()
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
@@ -129,7 +129,7 @@ def walk(world, tree, moving, ways, i, asked, tools, thin):
         if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
             continue
         waiting = stack, entries, top
-        node, top = descend(nodes, wide, bounded, at - moving.start, limit, waiting)
+        node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
         if node == NONE or nodes[node].mask & mask == 0:
             continue
         slot, found = np.int64(node >> 1), (box, other)

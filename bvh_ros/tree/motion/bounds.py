@@ -19,9 +19,11 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.float64x8 import EIGHT
 from ..jit.intrinsics import CACHE_LINE, stack_array
+from ..jit.moving_sides import enter_sides
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, next_node
-from ..rays.slab import DIRECTION, ORIGIN, PAD, TINY, UPPER
+from ..rays.slab import PAD, TINY
 from ..store.turns import REFUSED, begin_query, end_query
 from .meeting import box_of
 
@@ -29,16 +31,18 @@ WIDER = 2.0**-48
 LEAST = 1e-280
 # Beyond these a query visits all boxes: t or a time times LEAST would not be negligible.
 LONGEST = 1e40
-SIDES = 'lo', 'hi', 'lo_rate', 'hi_rate'
+FRONTS = 2 * EIGHT
 
 
 @functools.cache
 def moving_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of a node: bounds at the start of the span, and how fast they move."""
-    side = 8 * ndim
-    sides = [(name, (np.float64, (ndim,)), k * side) for k, name in enumerate(SIDES)]
+    """Record of a node: bounds at the start of the span, and how fast they move; the upper ones
+    with the other sign, see `moving_sides`.
+    """
     links = [('left', np.int32), ('right', np.int32), ('mask', np.uint32)]
-    fields = [*sides, *((*link, 4 * side + 4 * k) for k, link in enumerate(links))]
+    sides: Any = np.float64, (2 * ndim,)
+    fields = [('sides', sides, 0), ('rates', sides, CACHE_LINE)]
+    fields += [(*link, 16 * ndim + 4 * k) for k, link in enumerate(links)]
     names, formats, offsets = zip(*fields, strict=True)
     # Whole cache lines: three quarters of the time of records that lie across one more.
     return np.dtype(
@@ -47,45 +51,42 @@ def moving_dtype(ndim: int) -> np.dtype[Any]:
 
 
 @inlined
-def _ends_of(node, axis, length):
-    """What the bounds are at the start and at the stop: (lo, hi, lo, hi)."""
-    lo, hi = node.lo[axis], node.hi[axis]
-    return lo, hi, lo + node.lo_rate[axis] * length, hi + node.hi_rate[axis] * length
-
-
-@inlined
-def _set_bounds(node, axis, ends, per_second, extent):
-    """Write bounds that are `ends`, a sum of absolute values at most `extent`, widened."""
-    lo, hi, later_lo, later_hi = ends
-    more = extent * WIDER + LEAST
-    node.lo[axis], node.lo_rate[axis] = lo - more, (later_lo - lo) * per_second
-    node.hi[axis], node.hi_rate[axis] = hi + more, (later_hi - hi) * per_second
-    if not (math.isfinite(node.lo[axis]) and math.isfinite(node.lo_rate[axis])):
-        node.lo[axis], node.lo_rate[axis] = -np.inf, 0.0
-    if not (math.isfinite(node.hi[axis]) and math.isfinite(node.hi_rate[axis])):
-        node.hi[axis], node.hi_rate[axis] = np.inf, 0.0
+def _set_side(node, lane, first, last, per_second, extent):
+    """Write a side that is there at the start and at the stop, widened; `extent` a sum of absolute
+    values that none of its terms exceeds.
+    """
+    rate = (last - first) * per_second
+    node.sides[lane], node.rates[lane] = first - extent * WIDER - LEAST, rate
+    if not (math.isfinite(node.sides[lane]) and math.isfinite(node.rates[lane])):
+        node.sides[lane], node.rates[lane] = -np.inf, 0.0
 
 
 @inlined
 def _fit_leaf(node, box, moving):
     lo, hi, velocity, reference = box
-    start, stop = moving.start, moving.stop
-    for axis in range(lo.shape[0]):
+    start, stop, ndim = moving.start, moving.stop, lo.shape[0]
+    for axis in range(ndim):
         way, later = velocity[axis] * (start - reference), velocity[axis] * (stop - reference)
         extent = abs(lo[axis]) + abs(hi[axis])
         extent += abs(velocity[axis]) * (abs(start) + abs(stop) + abs(reference))
-        ends = lo[axis] + way, hi[axis] + way, lo[axis] + later, hi[axis] + later
-        _set_bounds(node, axis, ends, 1.0 / (stop - start), extent)
+        lower, per_second = (lo[axis] + way, lo[axis] + later), 1.0 / (stop - start)
+        _set_side(node, axis, lower[0], lower[1], per_second, extent)
+        upper = -(hi[axis] + way), -(hi[axis] + later)
+        _set_side(node, ndim + axis, upper[0], upper[1], per_second, extent)
 
 
 @inlined
 def _fit_inner(node, left, right, length):
-    for axis in range(node.lo.shape[0]):
-        one, other = _ends_of(left, axis, length), _ends_of(right, axis, length)
-        lo, later_lo = min(one[0], other[0]), min(one[2], other[2])
-        hi, later_hi = max(one[1], other[1]), max(one[3], other[3])
-        extent = abs(lo) + abs(later_lo) + abs(hi) + abs(later_hi)
-        _set_bounds(node, axis, (lo, hi, later_lo, later_hi), 1.0 / length, extent)
+    ends, ndim = stack_array(12, np.float64).reshape(2, 6), node.sides.shape[0] // 2
+    for lane in range(2 * ndim):
+        ends[0, lane] = min(left.sides[lane], right.sides[lane])
+        later = left.sides[lane] + left.rates[lane] * length
+        ends[1, lane] = min(later, right.sides[lane] + right.rates[lane] * length)
+    for lane in range(2 * ndim):
+        extent, other = 0.0, lane + ndim if lane < ndim else lane - ndim
+        for row in range(2):
+            extent += abs(ends[row, lane]) + abs(ends[row, other])
+        _set_side(node, lane, ends[0, lane], ends[1, lane], 1.0 / length, extent)
 
 
 @lean_kernel
@@ -128,32 +129,25 @@ def covers(moving, at, pace, t_max):
 
 
 @inlined
-def enter_node(node, course, ahead, limit):
+def set_fronts(fronts, moving, lo, hi, direction):
+    """Write what `moving_sides` asks for, (FRONTS,), of a box that goes somewhere."""
+    ndim = moving.kept[0].velocity.shape[0]
+    fronts[:] = 0.0
+    for axis in range(ndim):
+        fronts[axis], fronts[ndim + axis] = hi[axis], -lo[axis]
+        fronts[EIGHT + axis], fronts[EIGHT + ndim + axis] = direction[axis], -direction[axis]
+
+
+@inlined
+def enter_node(nodes, node, fronts, ahead, pace, limit):
     """Distance at which a course may enter a node's bounds, or inf if it surely misses them or
     enters after `limit`. `ahead` is from the start of the span to that of the course.
 
-    Comparisons with NaN are written such that they bound nothing, nor does a speed beyond the
-    doubles.
+    What is not a number bounds nothing, nor does a speed beyond the doubles.
     """
-    ray, pace = course.ray, course.pace
-    entry, leave = 0.0, limit
-    for axis in range(node.lo.shape[0]):
-        below = node.lo[axis] + node.lo_rate[axis] * ahead - ray[UPPER, axis]
-        above = node.hi[axis] + node.hi_rate[axis] * ahead - ray[ORIGIN, axis]
-        toward = ray[DIRECTION, axis] - node.lo_rate[axis] * pace
-        away = ray[DIRECTION, axis] - node.hi_rate[axis] * pace
-        if below > 0.0:
-            if toward <= 0.0:
-                return np.inf
-            entry = max(entry, below / toward)
-        elif -np.inf < toward < 0.0 and below / toward < leave:
-            leave = below / toward
-        if above < 0.0:
-            if away >= 0.0:
-                return np.inf
-            entry = max(entry, above / away)
-        elif 0.0 < away < np.inf and above / away < leave:
-            leave = above / away
-    if math.isinf(entry):
+    missed, entry, leave = enter_sides(nodes, node, fronts, ahead, pace)
+    if missed:
+        return np.inf
+    if not entry < np.inf:
         return 0.0
-    return entry if entry <= leave * PAD + TINY else np.inf
+    return entry if entry <= min(leave, limit) * PAD + TINY else np.inf

@@ -28,7 +28,7 @@ from ..rays.slab import (
 )
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from . import velocities
-from .bounds import covers, enter_node, moving_dtype
+from .bounds import FRONTS, covers, enter_node, moving_dtype, set_fronts
 from .meeting import Course, Moving, box_of, is_before, meet
 
 OUTSIDE = -4  # why a query did nothing: its times are not in the span of the bounds
@@ -67,19 +67,22 @@ def cast(tree, moving, course, asked, found, filled):
     What the bounds do not hold for visits all boxes.
     """
     nodes, root, mask = moving.nodes, tree.state[ROOT], asked.mask
-    slots, ts, faces = found.slots, found.ts, found.axes
+    slots, ts, faces, ray = found.slots, found.ts, found.axes, course.ray
     if root == NONE:
         return filled
     bounded = covers(moving, course.at, course.pace, asked.t_max) > 0
     ahead, limit = course.at - moving.start, asked.t_max
-    begin, best = filled, np.int64(NONE)
+    begin, best, fronts = filled, np.int64(NONE), stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = root, 0.0, 1
     while top > 0:
         top -= 1
         if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
             continue
-        node, top = descend(nodes, course, bounded, ahead, limit, (stack, entries, top))
+        node, top = descend(
+            nodes, fronts, bounded, (ahead, course.pace, limit), (stack, entries, top)
+        )
         if node == NONE or nodes[node].mask & mask == 0:
             continue
         slot = np.int64(node >> 1)
@@ -102,9 +105,9 @@ def cast(tree, moving, course, asked, found, filled):
 
 
 @inlined
-def descend(nodes, course, bounded, ahead, limit, waiting):
+def descend(nodes, fronts, bounded, course, waiting):
     """Follow the nearer child from the last of the nodes that wait, (stack, entries, top), down to
-    a leaf: (leaf or NONE, top).
+    a leaf: (leaf or NONE, top). fronts and course = (ahead, pace, limit) as of `enter_node`.
     """
     stack, entries, top = waiting
     node = stack[top]
@@ -112,8 +115,8 @@ def descend(nodes, course, bounded, ahead, limit, waiting):
         first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
         first_entry, second_entry = 0.0, 0.0
         if bounded:
-            first_entry = enter_node(nodes[first], course, ahead, limit)
-            second_entry = enter_node(nodes[second], course, ahead, limit)
+            first_entry = enter_node(nodes, first, fronts, *course)
+            second_entry = enter_node(nodes, second, fronts, *course)
         if second_entry < first_entry:
             first, second = second, first
             first_entry, second_entry = second_entry, first_entry

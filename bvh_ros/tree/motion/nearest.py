@@ -16,9 +16,10 @@ from ..boxes.nearest import insert_candidate, name_row, pruning_limit
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
+from ..jit.moving_sides import square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers
+from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import box_of
 from .sums import gap
@@ -67,21 +68,6 @@ def distance_then(box, low, high, at):
     return math.ldexp(math.sqrt(total), exponent)
 
 
-@inlined
-def _square(node, low, high, ahead):
-    """Squared distance of a node's bounds, only to prune by. What is not a number bounds nothing:
-    comparisons with it are false.
-    """
-    total = 0.0
-    for axis in range(node.lo.shape[0]):
-        below = node.lo[axis] + node.lo_rate[axis] * ahead - high[axis]
-        above = low[axis] - node.hi[axis] - node.hi_rate[axis] * ahead
-        gap = below if below > above else above
-        gap = gap if gap > 0.0 else 0.0
-        total += gap * gap
-    return total
-
-
 @lean_kernel
 def nearest_then(tree, moving, near, found, distances):
     """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
@@ -98,6 +84,8 @@ def nearest_then(tree, moving, near, found, distances):
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], squares[0], top = root, 0.0, (0 if root < 0 else 1)
     count, limit, ahead = np.int64(0), pruning_limit(reach), at - moving.start
+    fronts = stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, low, high, low)
     while top > 0:
         top -= 1
         node = stack[top]
@@ -107,8 +95,8 @@ def nearest_then(tree, moving, near, found, distances):
             first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
             square, other = 0.0, 0.0
             if bounded > 0:
-                square = _square(nodes[first], low, high, ahead)
-                other = _square(nodes[second], low, high, ahead)
+                square = square_beside(nodes, first, fronts, ahead)
+                other = square_beside(nodes, second, fronts, ahead)
             if other < square:
                 first, second, square, other = second, first, other, square
             if other <= limit:

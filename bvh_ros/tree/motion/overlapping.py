@@ -5,28 +5,15 @@
 import numpy as np
 
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
+from ..jit.compiling import lean_kernel
 from ..jit.intrinsics import stack_array
+from ..jit.moving_sides import is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
-from ..rays.slab import ORIGIN, RAY_FLOATS, RAY_ROWS, UPPER, set_swept_box
+from ..rays.slab import DIRECTION, ORIGIN, RAY_FLOATS, RAY_ROWS, UPPER, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers
+from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import Course, box_of, meet
-
-
-@inlined
-def _is_apart(node, course, ahead):
-    """Whether the bounds of a node surely do not touch what goes nowhere. What is not a number
-    bounds nothing: comparisons with it are false.
-    """
-    largest = -np.inf
-    for axis in range(node.lo.shape[0]):
-        below = node.lo[axis] + node.lo_rate[axis] * ahead - course.ray[UPPER, axis]
-        above = course.ray[ORIGIN, axis] - node.hi[axis] - node.hi_rate[axis] * ahead
-        gap = below if below > above else above
-        largest = gap if gap > largest else largest
-    return largest > 0.0
 
 
 @lean_kernel
@@ -38,12 +25,13 @@ def overlap_then(tree, moving, course, mask, slots):
     if root == NONE:
         return np.int64(0)
     bounded, count = covers(moving, course.at, 0.0, 0.0) > 0, np.int64(0)
-    stack = stack_array(DEEPEST, np.int64)
+    stack, fronts = stack_array(DEEPEST, np.int64), stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, course.ray[ORIGIN], course.ray[UPPER], course.ray[DIRECTION])
     stack[0], top = root, 1
     while top > 0:
         top -= 1
         node = stack[top]
-        if nodes[node].mask & mask == 0 or (bounded and _is_apart(nodes[node], course, ahead)):
+        if nodes[node].mask & mask == 0 or (bounded and is_beside(nodes, node, fronts, ahead)):
             continue
         if not is_leaf(node):
             stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
