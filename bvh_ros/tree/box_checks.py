@@ -87,4 +87,9 @@ def few_enough(lo: ArrayLike) -> None:
 def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:
     """What is raised where a kernel says that these are no box."""
     box(lo, hi, ndim)
+    return were_changed()
+
+
+def were_changed() -> ValueError:
+    """What is raised where a kernel was given other numbers than are there now."""
     return ValueError('lo and hi were changed while they were read')

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import box_checks, checks
+from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty
 from ..rays import boxcasting
 from ..rays.raycasting import CLOSEST, Asked
 from ..results import RayHit
 from ..store.arrays import Floats, Ids
-from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
-from ..store.workers import in_threads
+from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..timed import NOW, Timed
 from . import nearest, nearest_packets, ordering, overlapping, pairs
 
@@ -68,24 +68,22 @@ class BoxQueries(Timed):
         Those of query i are ``ids[offsets[i]:offsets[i + 1]]``, ascending. Touching counts. `at`:
         when, s, of boxes that have velocities; one for all or of shape (n,).
         """
-        low, high = box_checks.boxes(lo, hi, self._ndim)
+        ndim = self._ndim
+        low = checks.rows('lo', lo, ndim)
         count = len(low)
-        masks, motion = checks.masks_or_one(mask, count), self._motion_at(at, count=count)
+        high, masks = checks.rows('hi', hi, ndim, count), checks.masks_or_one(mask, count)
+        motion = self._motion
+        if motion is not None or at is not NOW:
+            motion = self._motion_at(at, count=count)
         if motion is not None:
-            return motion.overlap_many(self, (low, high), masks, at, threads)
+            boxes = box_checks.boxes(low, high, ndim)
+            return motion.overlap_many(self, boxes, masks, at, threads)
         queries = overlapping.Queries(low, high, masks)
-        sizes = np.empty(count, np.int64)
-        view = self.view()
-
-        def work(start: int, stop: int) -> Ids:
-            return overlapping.overlap_many(view, queries, start, stop, sizes)
-
-        parts = in_threads(work, count, threads)
-        handles = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        offsets = np.zeros(count + 1, np.int64)
-        sizes.cumsum(out=offsets[1:])  # np.cumsum takes twice as long for few
-        order = np.lexsort((handles, np.repeat(np.arange(count), sizes)))
-        return offsets, handles[order]
+        found = overlapping.overlap_many(self.view(), queries, checks.whole('threads', threads, 1))
+        if found is None:
+            box_checks.boxes(low, high, ndim)
+            raise box_checks.were_changed()
+        return found
 
     def overlap_pairs(self, mask: int = ALL) -> Ids:
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
@@ -230,27 +228,32 @@ class BoxQueries(Timed):
         at: ArrayLike | None = NOW,
     ) -> tuple[Ids, Floats]:
         """`nearest` for n points: arrays of shape (n, k), padded with id -1 and distance inf."""
-        where = checks.points('points', points, self._ndim)
-        k = checks.capacity('k', k)
+        ndim = self._ndim
+        where, k = checks.rows('points', points, ndim), checks.capacity('k', k)
         count = len(where)
-        motion = self._motion_at(at, count=count)
+        motion = self._motion
+        if motion is not None or at is not NOW:
+            motion = self._motion_at(at, count=count)
         if motion is not None:
+            checks.finite('points', where)
             return motion.nearest_many(self, where, k, (max_distance, mask), at)
-        ndim, reaches = self._ndim, checks.limits('max_distance', max_distance, count)
-        asked = nearest.Points(where, k, reaches, checks.masks(mask, count))
-        ids, distances = np.empty((count, k), np.int64), np.empty((count, k))
+        reaches = checks.limits_or_one('max_distance', max_distance, count)
+        asked = nearest.Points(where, k, reaches, checks.masks_or_one(mask, count))
+        ids, distances = np.empty((count, k), INT64), np.empty((count, k))
         view = self.view()
-        nodes, state = view.tree.nodes, view.tree.state
+        state = view.tree.state
         boxes = state.item(COUNT)
         if boxes and count >= max(PACKETS_PER_BOX * boxes, LEAST_PACKETS):
             keys, order, spare = np.empty((3, count), np.int64)
-            root = nodes[state.item(ROOT)]
+            root = view.tree.nodes[state.item(ROOT)]
+            checks.finite('points', where)
             ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
-            answered = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)
+            done = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)
         else:
-            answered = nearest.many_entry(ndim)(*view, asked, ids, distances)
-        if not answered:
-            raise RuntimeError(IS_CHANGED)
+            done = nearest.many_entry(ndim)(*view, asked, ids, distances)
+        if done == NOT_FINITE:
+            checks.finite('points', where)
+        accepted(done)
         return ids, distances
 
 

@@ -19,6 +19,7 @@ from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
+from ..rays.raycasting import of_row
 from ..rays.slab import PAD, TINY
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
 
@@ -29,8 +30,9 @@ class Points(NamedTuple):
     points: NDArray[np.float64]
     k: int
     reaches: NDArray[np.float64]
-    """The largest distance, a point."""
+    """The largest distance, one for all or a point."""
     masks: NDArray[np.uint32]
+    """The same."""
 
 
 @inlined
@@ -160,25 +162,21 @@ def nearest_one(tree, low, high, k, max_distance, mask, found, distances):
 
 @lean_kernel
 def nearest_many(tree, version, asked, found, distances):
-    """Row by row, handles to `found`, padded with NONE and inf; false if the tree is changed
-    meanwhile.
+    """Row by row, handles to `found`, padded with NONE and inf. Returns 0; NOT_FINITE if a point
+    is not, REFUSED if the tree is changed meanwhile.
     """
     if not begin_query(tree.state, version):
-        return False
+        return np.int64(REFUSED)
     for i in range(asked.points.shape[0]):
-        count = nearest(
-            tree,
-            asked.points[i],
-            asked.points[i],
-            asked.k,
-            asked.reaches[i],
-            asked.masks[i],
-            found[i],
-            distances[i],
-        )
+        point, reach, mask = asked.points[i], of_row(asked.reaches, i), of_row(asked.masks, i)
+        for axis in range(point.shape[0]):
+            if not np.isfinite(point[axis]):
+                end_query(tree.state)
+                return np.int64(NOT_FINITE)
+        count = nearest(tree, point, point, asked.k, reach, mask, found[i], distances[i])
         name_row(tree.handles, found[i], distances[i], count)
     end_query(tree.state)
-    return True
+    return np.int64(0)
 
 
 _ROWS, _NAMES = np.empty((0, 3)), np.empty((0, 1), np.int64)

@@ -18,7 +18,8 @@ from ..jit.compiling import inlined, lean_kernel
 from ..jit.float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import DEEPEST, ROOT, is_leaf, leaf_box
-from ..store.turns import begin_query, end_query
+from ..rays.raycasting import of_row
+from ..store.turns import REFUSED, begin_query, end_query
 from .nearest import NO_POINTS, distance, insert_candidate, name_row, pruning_limit
 
 _PLACES = EIGHT * 3  # coordinates of a packet
@@ -50,9 +51,9 @@ def _load(asked, rows, packet):
         row = rows[min(lane, rows.shape[0] - 1)]
         for axis in range(points.shape[1]):
             packet.points[axis * EIGHT + lane] = points[row, axis]
-        limits[lane] = pruning_limit(asked.reaches[row]) if lane < rows.shape[0] else -1.0
+        limits[lane] = pruning_limit(of_row(asked.reaches, row)) if lane < rows.shape[0] else -1.0
         packet.counts[lane] = 0
-        union |= asked.masks[row]
+        union |= of_row(asked.masks, row)
     return union
 
 
@@ -91,10 +92,10 @@ def update_nearest(tree, leaf, bits, asked, rows, packet, slots, gaps):
         lane = np.int64(trailing_zeros(bits))
         bits = np.uint32(bits & np.uint32(bits - np.uint32(1)))
         row = rows[lane]
-        if tree.nodes[leaf].mask & asked.masks[row] == 0:
+        if tree.nodes[leaf].mask & of_row(asked.masks, row) == 0:
             continue
         gap = distance(lo, hi, asked.points[row], asked.points[row])
-        if gap <= asked.reaches[row]:
+        if gap <= of_row(asked.reaches, row):
             counts[lane] = insert_candidate(
                 slots[row], gaps[row], tree.handles, counts[lane], k, leaf >> 1, gap
             )
@@ -105,10 +106,10 @@ def update_nearest(tree, leaf, bits, asked, rows, packet, slots, gaps):
 @lean_kernel
 def nearest_packets(tree, version, asked, order, slots, distances):
     """Write the k nearest of every point as `nearest.nearest_many` does, eight rows of `order`
-    at a time.
+    at a time. Returns 0, or REFUSED.
     """
     if not begin_query(tree.state, version):
-        return False
+        return np.int64(REFUSED)
     packet = Packet(
         stack_array(_PLACES, np.float64),
         stack_array(EIGHT, np.float64),
@@ -132,7 +133,7 @@ def nearest_packets(tree, version, asked, order, slots, distances):
             row = rows[lane]
             name_row(tree.handles, slots[row], distances[row], packet.counts[lane])
     end_query(tree.state)
-    return True
+    return np.int64(0)
 
 
 entry = entry_points(

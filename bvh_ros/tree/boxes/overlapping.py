@@ -4,16 +4,24 @@
 exact.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import INT64
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, View, is_leaf, leaf_box, next_node
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query
+from ..store.workers import in_threads
+
+Ids = NDArray[np.int64]
+# From query, to query, handles, and the most of one query.
+Part: TypeAlias = tuple[int, int, Ids, int]
+FEW = 64  # handles that there is room for at first
+SORTED = 32  # of one query at most are put in order by the kernel
 
 
 class Queries(NamedTuple):
@@ -76,29 +84,51 @@ def overlap_one(tree, lo, hi, mask, found):
     return count
 
 
-@lean_kernel
-def overlap_rows(tree, version, queries, start, stop, found, sizes):
-    """Handles of the boxes that the `queries` [start, stop) touch, one query after the other;
-    sizes[i] is how many query i does.
+@inlined
+def sort_few(handles):
+    """Sort by insertion, up to SORTED of them."""
+    if handles.shape[0] > SORTED:
+        return
+    for i in range(1, handles.shape[0]):
+        handle, place = handles[i], i
+        while place > 0 and handles[place - 1] > handle:
+            handles[place] = handles[place - 1]
+            place -= 1
+        handles[place] = handle
 
-    Returns (queries done, room wanted): fewer than there are where there is no room for what the
-    next one touches, negative if the tree is changed meanwhile.
+
+@lean_kernel
+def overlap_rows(tree, version, queries, start, stop, found, offsets):
+    """Handles of the boxes that the `queries` [start, stop) touch, one query after the other:
+    those of query i end before found[offsets[i + 1]], and ascend if they are no more than SORTED.
+
+    Returns (queries done, room wanted, most handles of one): fewer queries than there are where
+    there is no room for what the next one touches; NOT_FINITE if one is no box, REFUSED if the
+    tree is changed meanwhile.
     """
     if not begin_query(tree.state, version):
-        return np.int64(-1), np.int64(0)
-    count, end, done = np.int64(0), np.int64(0), np.int64(start)
+        return np.int64(REFUSED), np.int64(0), np.int64(0)
+    count, end, done, most = np.int64(0), np.int64(0), np.int64(start), np.int64(0)
+    if start == 0:
+        offsets[0] = 0
     while done < stop:
+        lo, hi = queries.lo[done], queries.hi[done]
+        for axis in range(lo.shape[0]):
+            if not (-np.inf < lo[axis] <= hi[axis] < np.inf):
+                end_query(tree.state)
+                return np.int64(NOT_FINITE), np.int64(0), np.int64(0)
         mask = queries.masks[done if queries.masks.shape[0] > 1 else 0]
-        end = overlap(tree, queries.lo[done], queries.hi[done], mask, found, count)
+        end = overlap(tree, lo, hi, mask, found, count)
         if end > found.shape[0]:
             break
-        sizes[done] = end - count
-        count = end
+        for i in range(count, end):
+            found[i] = tree.handles[found[i]]
+        sort_few(found[count:end])
+        most, count = max(most, end - count), end
         done += 1
-    for i in range(count):
-        found[i] = tree.handles[found[i]]
+        offsets[done] = end
     end_query(tree.state)
-    return done, np.int64(end)
+    return done, np.int64(end), most
 
 
 _ROWS, _IDS = np.empty((0, 3)), np.empty(0, np.int64)
@@ -107,17 +137,51 @@ one_entry = entry_points(overlap_one, np.empty(0), np.empty(0), np.uint32(0), _I
 rows_entry = entry_points(overlap_rows, 0, _QUERIES, 0, 0, _IDS, _IDS)
 
 
-def overlap_many(
-    view: View, queries: Queries, start: int, stop: int, sizes: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """`overlap_rows` with as much room as it takes; RuntimeError if the tree is changed
-    meanwhile.
+def overlap_many(view: View, queries: Queries, threads: int) -> tuple[Ids, Ids] | None:
+    """(offsets, handles) of what all queries touch, those of each ascending; None if one is no
+    box, RuntimeError if the tree is changed meanwhile.
     """
-    parts, room, kernel = [], 64, rows_entry(queries.lo.shape[1])
-    while True:
-        found = np.empty(room, np.int64)
-        done, wanted = kernel(*view, queries, start, stop, found, sizes)
-        parts.append(found[: int(sizes[start : accepted(done)].sum())])
-        if done == stop:
-            return parts[0] if len(parts) == 1 else np.concatenate(parts)
-        start, room = done, max(2 * room, wanted)
+    count, ndim = queries.lo.shape
+    offsets, kernel = np.empty(count + 1, INT64), rows_entry(ndim)
+    found = np.empty(max(FEW, count), INT64)
+    done, end, most = kernel(*view, queries, 0, count if threads == 1 else 0, found, offsets)
+    if done == count:
+        handles = found[:end]
+    elif done == NOT_FINITE:
+        return None
+    else:
+        parts = _in_parts(view, queries, offsets, threads)
+        if parts is None:
+            return None
+        handles, most = parts
+    if most > SORTED:
+        for row in np.flatnonzero(np.diff(offsets) > SORTED).tolist():
+            handles[offsets[row] : offsets[row + 1]].sort()
+    return offsets, handles
+
+
+def _in_parts(view: View, queries: Queries, offsets: Ids, threads: int) -> tuple[Ids, int] | None:
+    """All handles, with as much room as they take, and the most of one query."""
+    count, kernel = len(offsets) - 1, rows_entry(queries.lo.shape[1])
+
+    def work(start: int, stop: int) -> list[Part]:
+        parts: list[Part] = []
+        room = FEW
+        while start < stop:
+            found = np.empty(room, INT64)
+            done, wanted, most = kernel(*view, queries, start, stop, found, offsets)
+            if done == NOT_FINITE:
+                return [(start, done, found, most)]
+            filled = offsets.item(done) if accepted(done) > start else 0
+            parts.append((start, done, found[:filled], most))
+            start, room = done, max(2 * room, wanted)
+        return parts
+
+    parts = [part for some in in_threads(work, count, threads) for part in some]
+    if any(done == NOT_FINITE for _, done, _, _ in parts):
+        return None
+    before = 0
+    for start, done, found, _ in parts:
+        offsets[start + 1 : done + 1] += before
+        before += len(found)
+    return np.concatenate([part[2] for part in parts]), max(part[3] for part in parts)

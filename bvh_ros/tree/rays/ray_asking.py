@@ -8,17 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import checks
-from ..nodes import CHANGES, WRITTEN, View
+from ..checks import INT64
+from ..nodes import View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats, Ids
-from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
+from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
 from ..timed import NOW, Timed
 from ..wide.few_rays import few_entry
 from ..wide.ray_streams import RAYS_AT_ONCE
 from ..wide.snapshot import Snapshot
 from . import ray_batches, ray_hits, raycasting
-from .raycasting import Asked, Rays
+from .ray_batches import LARGE
+from .raycasting import CLOSEST, Asked, Rays
 
 
 class RayAsking(Timed):
@@ -104,24 +106,25 @@ class RayAsking(Timed):
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
         rays = tuple.__new__(Rays, asked)
         if threads == 1 and ray_batches.are_few(origins):
-            hits = self._few_hits(rays)
+            hits = self._few_hits(rays, count)
             if hits is not None:
                 return hits
         return self.first_hits(rays, threads)
 
-    def _few_hits(self, rays: Rays) -> RayHits | None:
+    def _few_hits(self, rays: Rays, count: int) -> RayHits | None:
         """`first_hits` of few rays if the snapshot is of the tree as it is, with as little Python
         as can be; else, or if they are refused, None.
         """
-        storage, (written, _, snapshot, tree) = self._storage, self._wide
+        storage, ndim, (_, _, snapshot, tree) = self._storage, self._ndim, self._wide
         if tree is not storage.tree or storage.heirs or snapshot is None or snapshot.loose:
             return None
-        version = tree.state.item(CHANGES)
-        if tree.state.item(WRITTEN) != written:
-            return None
-        count, ndim = rays.origins.shape
-        hits = ray_batches.room_for(count, ndim, rays.mode)
-        done = few_entry(ndim)(tree, version, snapshot, rays, hits)
+        if rays.mode != CLOSEST or count >= LARGE:
+            hits = ray_batches.room_for(count, ndim, rays.mode)
+        else:
+            parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
+            hits = tuple.__new__(RayHits, parts)
+        # Whether the tree was written to since, the kernel sees.
+        done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays, hits)
         return hits if done >= 0 else None
 
     def first_hits(self, rays: Rays, threads: int) -> RayHits:

@@ -12,7 +12,7 @@ from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
 from ..jit.intrinsics import WIDTH, stack_array, trailing_zeros
-from ..nodes import NONE
+from ..nodes import NONE, WRITTEN
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS
@@ -30,8 +30,13 @@ _CHILD = np.int64(0xFFFFFFFF)
 
 @lean_kernel
 def cast_few(tree, version, snapshot, rays, hits):
-    """As `raycasting.cast_rows`."""
+    """As `raycasting.cast_rows`; REFUSED, too, where a snapshot that nothing was added to is not
+    of the tree as it is.
+    """
     if not begin_query(tree.state, version):
+        return np.int64(REFUSED)
+    if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
+        end_query(tree.state)
         return np.int64(REFUSED)
     ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
