@@ -11,7 +11,6 @@ from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours
-from .distance.nearness import NO_ORDER
 from .distance.query_rows import QueryRows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
@@ -76,10 +75,9 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
-            given = np.array(limits[:1]), np.array(limits[1:]), NO_ORDER
-            asked = Points(where[None], *given), min(many, max(len(self._held.tree), 1))
-            times, sign = self._moments.seconds(at, 1), sign_of(signed)
-            return self._held.hits(*self._moments.distances().find_near(*asked, sign, times))
+            asked = where, min(many, max(len(self._held.tree), 1)), limits, sign_of(signed)
+            second = self._moments.second(at)
+            return self._held.hits(*self._moments.distances().find_near(*asked, second))
         found, rows = self._nearness.find(where, many, limits, sign_of(signed))
         return self._held.hits(found, rows)
 

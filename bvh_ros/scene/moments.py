@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..tree import checks
-from ..tree.nodes import NONE, SLOT_MASK
-from ..tree.rays.raycasting import CLOSEST, Asked
+from ..tree.nodes import NONE
 from ..tree.store.workers import in_threads
 from .casting.arguments import Rays, every_row, row_by_row, ways_of
+from .casting.box_casting import segment
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
 from .store.obstacles import Obstacles
@@ -19,6 +19,7 @@ from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
 if TYPE_CHECKING:
+    from .casting.one_moving import OneWay
     from .casting.seen import Times
     from .distance.timed import TimedDistances
 
@@ -31,6 +32,7 @@ class Moments:
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._distances: TimedDistances | None = None
+        self._one_way: OneWay | None = None
 
     def distances(self) -> 'TimedDistances':
         """Overlaps and distances at other times."""
@@ -59,6 +61,12 @@ class Moments:
                 raise ValueError(f'until must not be before at: row {early[0]} is')
         return self._held.moves
 
+    def second(self, at: Any) -> float:
+        """One of `seconds`."""
+        if type(at) is int:
+            return self._held.second(at)
+        return float(self._held.seconds(column('at', at, 1, LAST_TIME, FIRST_TIME))[0])
+
     def seconds(self, at: Any, count: int) -> Floats:
         """`at` as the tree has it, (count,)."""
         if count == 1 and type(at) is int:
@@ -84,45 +92,26 @@ class Moments:
         (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
         return start, pace
 
-    def first(self, way: Way, mask: int, skip: bool, at: Any, until: Any) -> SceneHit | None:
-        """What a ray, or ball, meets first."""
-        held, (origin, direction, radius), skip = self._held, way, bool(skip)
-        start, pace = self._way_of_time(at, until)
-        looks = held.columns.shaped or held.uncertainty or radius > 0.0
-        still = len(at_rest(held, start + pace)) > 0
-        if looks and not still:
-            return self._first_shape(way, mask, skip, (start, pace))
-        if still:
-            hits = self.every(way, mask, skip, at, until)
+    def first(
+        self, asked: tuple[Any, Any, Any], mask: int, skip: bool, at: Any, until: Any
+    ) -> SceneHit | None:
+        """What a ray, or ball, meets first; asked = (start, goal, radius)."""
+        (start, goal, radius), held, skip = asked, self._held, bool(skip)
+        when = self._way_of_time(at, until)
+        if len(at_rest(held, when[0] + when[1])):
+            hits = self.every(segment(*asked), mask, skip, at, until)
             return hits[0] if hits else None
-        return self._first_box(origin, direction, mask, skip, (start, pace))
+        from .casting import one_moving  # no scene without velocities needs it
 
-    def _first_box(
-        self, origin: Floats, direction: Floats, mask: int, skip: bool, when: tuple[float, float]
-    ) -> SceneHit | None:
-        """What a thin ray meets first where the tree alone decides."""
-        held, place = self._held, np.zeros((2, 3))
-        tree, motion = held.tree, held.tree.motion
-        asked = Asked(1.0, checks.mask(mask), skip, CLOSEST)
-        if held.planar:
-            place[0, 2], origin, direction = origin[2], origin[:2], direction[:2]
-        assert motion is not None
-        handle, t = motion.cast(tree, (origin, origin, direction), asked, when, place)
-        return None if handle < 0 else held.hit(handle & SLOT_MASK, t, place[0], place[1])
-
-    def _first_shape(
-        self, way: Way, mask: int, skip: bool, when: tuple[float, float]
-    ) -> SceneHit | None:
-        """What a ray, or ball, meets first, while nobody comes to rest."""
-        from .casting.moving import first_then
-        from .casting.seen import Times
-
-        origin, direction, radius = way
-        masks, times = np.full(1, checks.mask(mask)), Times(*(np.full(1, one) for one in when))
-        rays = Rays(origin[None], direction[None], np.ones(1), masks)
-        found = first_then(self._held, None, rays, np.full(1, radius), bool(skip), times)
-        slot, t = found.hits.slots.item(0), found.hits.ts.item(0)
-        return None if slot == NONE else self._held.hit(slot, t, found.points[0], found.normals[0])
+        if held.columns.shaped or held.uncertainty or checks.limit('radius', radius) > 0.0:
+            if self._one_way is None:
+                self._one_way = one_moving.OneWay(held.tree.ndim)
+            way = segment(*asked)
+            hit = self._one_way.first_shape(held, way, checks.mask(mask), skip, when)
+        else:
+            ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+            hit = one_moving.first_box(held.tree, *ends, when, checks.mask(mask), skip)
+        return None if hit is None else held.hit(*hit)
 
     def every(
         self, way: Way, mask: int, skip: bool, at: Any, until: Any, most: int | None = None

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import QueryRows, query_rows, shape_query
+from .distance.query_rows import query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
 from .geometry.shapes import UINT8, Shapes, as_shapes
@@ -80,10 +80,8 @@ class OverlapQueries:
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        limits = np.array([query.tolerance]), np.array([checks.mask(mask)])
-        rows = QueryRows(query.record, query.bounds[None], *limits)
-        times = self._moments.seconds(at, 1)
-        found, order = self._moments.distances().find(rows, hulls, times)
+        asked = query, hulls, checks.mask(mask), self._moments.second(at)
+        found, order = self._moments.distances().find(*asked)
         if self._held.planar:
             found.points[: len(order), 2] = query.height
         hits = self._held.each_once(self._held.hits(found, order))

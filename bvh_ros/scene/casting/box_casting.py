@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.entries import entry_points
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import slot_of
 from ...tree.rays import ray_hits, raycasting
@@ -52,17 +52,40 @@ def too_long(start: Floats, goal: Floats) -> ValueError:
     return ValueError('the segment from start to goal is longer than the largest double')
 
 
+def segment(start: ArrayLike, goal: ArrayLike, radius: float) -> tuple[Floats, Floats, float]:
+    """Check the ends and the radius of a ball's way: (origin, direction, radius)."""
+    radius = checks.limit('radius', radius)
+    if math.isinf(radius):
+        raise ValueError('radius must be finite')
+    origin, end = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+    # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
+    (x, y, z), (u, v, w) = origin.tolist(), end.tolist()
+    way = u - x, v - y, w - z
+    if not math.isfinite(way[0] * 0.0 + way[1] * 0.0 + way[2] * 0.0):  # each of them is
+        raise too_long(origin, end)
+    return origin, np.array(way), radius
+
+
+@inlined
+def way_between(start, goal, way, place):
+    """Write the way between two points, and the first to `place`, with no normal; return whether
+    all is finite.
+    """
+    finite = True
+    for axis in range(3):
+        way[axis] = goal[axis] - start[axis]
+        finite &= math.isfinite(way[axis])  # so both ends are
+        place[0, axis], place[1, axis] = start[axis], 0.0
+    return finite
+
+
 @lean_kernel
 def first_between(tree, start, goal, mask, skip_inside, place):
     """The first box from `start` to `goal`: (slot, t), and its point and normal as the rows of
     `place`; instead of a slot NONE, NOT_FINITE or REFUSED.
     """
-    way, finite = stack_array(3, np.float64), True
-    for axis in range(3):
-        way[axis] = goal[axis] - start[axis]
-        finite &= math.isfinite(way[axis])  # so both ends are
-        place[0, axis], place[1, axis] = start[axis], 0.0
-    if not finite:
+    way = stack_array(3, np.float64)
+    if not way_between(start, goal, way, place):
         return np.int64(NOT_FINITE), np.inf
     asked = 1.0, mask, skip_inside, raycasting.CLOSEST
     handle, t = ray_hits.raycast_one(tree, start, way, *asked, place)

@@ -141,8 +141,13 @@ def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
     """By how much rays may pass boxes of obstacles that their balls touch, (n,)."""
     axes = rays.origins[:, : held.tree.ndim]
     largest = np.abs(axes).max(axis=1, initial=0.0)
-    more = radii * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
-    return np.asarray(more + most_growth(held, times.at, times.ends(rays.t_max)))
+    growth = most_growth(held, times.at, times.ends(rays.t_max))
+    return np.asarray(reach_of(radii, largest) + growth)
+
+
+def reach_of(radius: Any, largest: Any) -> Any:
+    """The same of balls that do not grow, with a largest coordinate."""
+    return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
 
 
 def _motion_of(held: Obstacles) -> Any:

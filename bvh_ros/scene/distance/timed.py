@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...tree.jit.compiling import entry_point
 from ...tree.motion.queries import rows_of
+from ...tree.nodes import CHANGES
 from ...tree.store.workers import in_threads
 from ..geometry.footprint import FOOTPRINT
 from ..geometry.records import GEOMETRY
@@ -23,7 +24,9 @@ from ..store.registry import Slots
 from .clearance import Neighbours
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
+from .nearness import NO_ORDER
 from .query_rows import QueryRows
+from .query_shape import QueryShape
 from .touching import Found
 from .touching_rows import Near, Points, Signed, bodies_of
 
@@ -43,15 +46,30 @@ _NONE = np.empty(0, np.int64)
 NOTHING = Touched(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
 
 
+class Known(NamedTuple):
+    """What kernels are told of a world while it is of one version and its arrays are these."""
+
+    version: int
+    geometry: Any
+    hulls: Any
+    then: Then
+    room: Room
+
+
 class Scratch(threading.local):
-    """What a thread's kernels write to; the room for it is kept."""
+    """What a thread's kernels write to; the room for it is kept. And what they read of one query,
+    as making arrays of one row would take longer than most queries.
+    """
 
     def __init__(self) -> None:
+        self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
+        self.offsets, self.told = np.zeros(2, np.int64), _no_rows(1, 1)
         self.make_room(FEW)
 
     def make_room(self, count: int) -> None:
         """Have room for at least so many."""
         rows = 2 * count
+        self.known: Known | None = None
         self.slots, self.handles = np.empty((2, rows), np.int64)
         self.gaps = np.empty(rows)
         self.found = Found(
@@ -76,29 +94,38 @@ class TimedDistances:
 
     # ---- one query: what is known until the next one of this thread, and its rows, in order
 
-    def find(self, query: QueryRows, hulls: Hulls | None, at: Floats) -> tuple[Found, list[int]]:
+    def find(
+        self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
+    ) -> tuple[Found, list[int]]:
         """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
-        then, offsets, done = self._then(at, hulls), np.zeros(2, np.int64), 0
+        scratch, done = self._scratch, 0
+        scratch.limits[0], scratch.masks[0] = query.tolerance, mask
+        rows = query.record, query.bounds[None], scratch.limits, scratch.masks
+        asked, offsets = tuple.__new__(QueryRows, rows), scratch.offsets
         while not done:
-            found = self._scratch.found
-            given = query, 0, offsets, self._room(then), found
+            (then, room), found = self._then_once(at, hulls), scratch.found
+            given = asked, 0, offsets, room, found
             done, wanted, compared = self._call(touch_rows, then, given, None)
-            self._scratch.have_room(wanted)
+            scratch.have_room(wanted)
         self._held.columns.pairs_compared += compared
         return found, found.order[: offsets.item(1)].tolist()
 
     def find_near(
-        self, point: Points, k: int, signed: Signed, at: Floats
+        self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed, at: float
     ) -> tuple[Found, list[int]]:
         """What is nearest to a point at a time, as `nearness.Nearness.find` has it."""
-        then, told, done, held = self._then(at, None), _no_rows(1, k), 0, self._held
+        (reach, mask), held, scratch, done = limits, self._held, self._scratch, 0
+        scratch.limits[0], scratch.masks[0] = reach, mask
+        rows = point[None], scratch.limits, scratch.masks, NO_ORDER
+        if scratch.told.handles.shape[1] != k:
+            scratch.told = _no_rows(1, k)
+        asked = 0, 1, k, len(held.tree), held.columns.shadows > 0, signed
         while not done:
-            found = self._scratch.found
-            asked = 0, 1, k, len(held.tree), held.columns.shadows > 0, signed
-            given = point, asked, self._room(then), found, told
+            (then, room), found = self._then_once(at, None), scratch.found
+            given = tuple.__new__(Points, rows), asked, room, found, scratch.told
             done, wanted, count = self._call(near_rows, then, given, signed)
-            self._scratch.have_room(wanted)
-        reach, distances = point.reaches.item(0), found.distances[:count].tolist()
+            scratch.have_room(wanted)
+        distances = found.distances[:count].tolist()
         order = [row for row in found.order[:count].tolist() if distances[row] <= reach]
         if held.columns.shadows:
             handles = held.columns.node_handle[found.slots[order]]
@@ -179,6 +206,21 @@ class TimedDistances:
         return told
 
     # ---- kernels
+
+    def _then_once(self, at: float, hulls: Hulls | None) -> tuple[Then, Room]:
+        """What a kernel is told of one time, until the next one."""
+        held, scratch, known = self._held, self._scratch, self._scratch.known
+        scratch.at[0] = at
+        version, geometry = held.tree.state.item(CHANGES), held.columns.geometry
+        ours, same = held.columns.hulls(), known is not None and known.version == version
+        lasts = hulls is None and not len(at_rest(held, at))
+        if known is None or not (same and lasts and known.geometry is geometry):
+            known = None
+        if known is None or known.hulls is not ours:
+            then = self._then(scratch.at, hulls)
+            known = Known(version, geometry, ours, then, self._room(then))
+            scratch.known = known if lasts else None
+        return known.then, known.room
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held

@@ -23,6 +23,7 @@ from .names import Families
 from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
+EXACT = 1 << 53  # ns, 104 days: each of them is a double
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
 
 
@@ -161,17 +162,21 @@ class Obstacles:
             self.tree.set_velocities(self.columns.tree_handle[slots], now, since)
 
     def second(self, stamp: int) -> float:
-        """One of `seconds`, the same number in a quarter of the time."""
-        return float(np.longdouble(stamp - self.epoch) / 10**9)
+        """One of `seconds`."""
+        since = stamp - self.epoch
+        if -EXACT < since < EXACT:
+            return since / 1e9
+        return float(np.longdouble(since) / 10**9)
 
     def seconds(self, stamps: NDArray[np.int64]) -> Floats:
         """Times in ns as the tree has them: since the first velocity was told, so that no digit of
-        the nanoseconds is lost in 100 days.
+        the nanoseconds is lost in 100 days, in which they are rounded once.
         """
         if len(stamps) == 1:
             return np.array([self.second(stamps.item())])
         since = stamps.astype(np.longdouble) - np.longdouble(self.epoch)
-        return np.asarray(since / 10**9, np.float64)
+        near = since.astype(np.float64) / 1e9
+        return np.where(np.abs(since) < EXACT, near, (since / 10**9).astype(np.float64))
 
     def leave_shadows(self, rows: Rows) -> Slots:
         """Copies of the obstacles that are about to move, of the same names and handles, that stay

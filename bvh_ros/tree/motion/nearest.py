@@ -22,7 +22,7 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import box_of
-from .sums import gap
+from .sums import gap_then, surely_below, way_gone
 
 
 class Near(NamedTuple):
@@ -39,31 +39,36 @@ class Near(NamedTuple):
 
 
 @inlined
-def _gap_now(plane, front, velocity, at, reference):
-    """As a double; inf where it exceeds the largest."""
-    high, _, exponent = gap(plane, front, velocity, at, reference)
-    return high if exponent == 0 else math.ldexp(high, exponent)
+def _apart_then(box, axis, low, high, at):
+    """How far a box is from the one from low to high on an axis, 0 where they touch; inf where
+    that exceeds the largest double.
+    """
+    lo, hi, velocity, reference = box
+    apart, gone = 0.0, way_gone(velocity[axis], at, reference)
+    told = velocity[axis], at, reference, gone
+    if not surely_below(lo[axis], high[axis], gone[0]):
+        below, _, exponent = gap_then(lo[axis], high[axis], *told)
+        apart = max(apart, below if exponent == 0 else math.ldexp(below, exponent))
+    if not surely_below(-hi[axis], -low[axis], -gone[0]):
+        above, _, exponent = gap_then(hi[axis], low[axis], *told)
+        apart = max(apart, -above if exponent == 0 else -math.ldexp(above, exponent))
+    return apart
 
 
 @lean_kernel
 def distance_then(box, low, high, at):
     """Distance of a box at a time from the one from low to high, 0 where they touch."""
-    lo, hi, velocity, reference = box
-    longest, total = 0.0, 0.0
-    for axis in range(lo.shape[0]):
-        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
-        above = -_gap_now(hi[axis], low[axis], velocity[axis], at, reference)
-        apart = max(below, 0.0, above)
+    longest, total, ndim = 0.0, 0.0, box[0].shape[0]
+    for axis in range(ndim):
+        apart = _apart_then(box, axis, low, high, at)
         longest = max(longest, apart)
         total += apart * apart
     if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
         return math.sqrt(total)
     exponent = math.frexp(longest)[1]  # as in `boxes.nearest.distance`
     total = 0.0
-    for axis in range(lo.shape[0]):
-        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
-        above = -_gap_now(hi[axis], low[axis], velocity[axis], at, reference)
-        apart = math.ldexp(max(below, 0.0, above), -exponent)
+    for axis in range(ndim):
+        apart = math.ldexp(_apart_then(box, axis, low, high, at), -exponent)
         total += apart * apart
     return math.ldexp(math.sqrt(total), exponent)
 

@@ -5,7 +5,7 @@
 import numpy as np
 
 from ..entries import entry_points
-from ..jit.compiling import lean_kernel
+from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..jit.moving_sides import is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
@@ -14,6 +14,21 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import Course, box_of, meet
+from .sums import surely_below
+
+
+@inlined
+def touches_then(box, course):
+    """Whether a course that goes nowhere touches a box that moves: exactly."""
+    lo, hi, velocity, reference = box
+    clear = True
+    for axis in range(lo.shape[0]):
+        way = velocity[axis] * (course.at - reference)
+        low, high = course.ray[ORIGIN, axis], course.ray[UPPER, axis]
+        if surely_below(high, lo[axis], -way) or surely_below(hi[axis], low, way):
+            return False
+        clear &= surely_below(lo[axis], high, way) and surely_below(low, hi[axis], -way)
+    return clear or meet(box, course, 0.0)[0]
 
 
 @lean_kernel
@@ -37,7 +52,7 @@ def overlap_then(tree, moving, course, mask, slots):
             stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
             top += 2
             continue
-        hit, _, _ = meet(box_of(tree, moving, node >> 1), course, 0.0)
+        hit = touches_then(box_of(tree, moving, node >> 1), course)
         if hit and count < slots.shape[0]:
             slots[count] = node >> 1
         count += hit

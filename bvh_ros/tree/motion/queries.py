@@ -50,7 +50,7 @@ class MotionQueries(Motion):
         kernel = casting.one_entry(tree._ndim)
         handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
         while handle < NONE and handle != NOT_FINITE:
-            self.fit(tree, *_span(at, pace, asked.t_max))
+            self.fit(tree, *span_of(at, pace, asked.t_max))
             handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)
@@ -74,7 +74,7 @@ class MotionQueries(Motion):
             if count > 0:
                 slots = np.empty(count, np.int64)
             else:
-                self.fit(tree, *_span(at, 0.0, 0.0))
+                self.fit(tree, *span_of(at, 0.0, 0.0))
 
     def nearest(
         self, tree: Any, near: tuple[Floats, Floats, Any, int, float, np.uint32]
@@ -92,7 +92,7 @@ class MotionQueries(Motion):
                 checks.finite('point', np.array((low, high)))
             if count >= 0:
                 return found[:count], distances[:count]
-            self.fit(tree, *_span(at, 0.0, 0.0))
+            self.fit(tree, *span_of(at, 0.0, 0.0))
 
     def every_ray(
         self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]
@@ -267,7 +267,7 @@ def rows_of(table: Any, count: int, rows: Any) -> Any:
     )
 
 
-def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
+def span_of(at: float, pace: float, t_max: float) -> tuple[float, float]:
     """First and last time of a ray; both now where it is too long for bounds."""
     last = at if pace == 0.0 else at + t_max * pace
     if not (abs(at) < LONGEST and abs(last) < LONGEST):
@@ -276,10 +276,10 @@ def _span(at: float, pace: float, t_max: float) -> tuple[float, float]:
 
 
 def times_of(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
-    """`_span` of all rows for which there can be bounds, and whether that is all rows."""
+    """`span_of` of all rows for which there can be bounds, and whether that is all rows."""
     if len(at) == len(pace) == len(t_max) == 1:
         one = at.item(), pace.item(), t_max.item()
-        return _span(*one), one[1] == 0.0 or one[2] < np.inf
+        return span_of(*one), one[1] == 0.0 or one[2] < np.inf
     with np.errstate(invalid='ignore', over='ignore'):
         last = np.where(pace == 0.0, at, at + t_max * pace)
         at = np.broadcast_to(at, last.shape)

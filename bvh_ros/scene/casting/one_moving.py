@@ -1,0 +1,105 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One ray, or swept ball, among obstacles that have velocities, while nobody comes to rest.
+
+The answers are those of `moving.first_then`. Here arrays of one row are kept, as making them would
+take longer than the question.
+"""
+
+import threading
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.entries import entry_points
+from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.motion.casting import cast_one, no_motion
+from ...tree.motion.queries import span_of, times_of
+from ...tree.nodes import NONE, slot_of
+from ...tree.rays.raycasting import CLOSEST, Asked
+from ...tree.store.turns import NOT_FINITE
+from ..geometry.shapes import Floats
+from ..store.obstacles import Obstacles
+from ..store.places import most_growth
+from .arguments import Hits, call, new_scratch, world_of
+from .box_casting import BoxHit, too_long, way_between
+from .first_moving import First, Ways, first_rows
+from .moving import reach_of
+
+Way = tuple[Floats, Floats, float]  # origin, direction, radius
+When = tuple[float, float]  # at, pace
+
+
+def first_box(
+    tree: DynamicBVH, start: Floats, goal: Floats, when: When, mask: np.uint32, skip: bool
+) -> BoxHit | None:
+    """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
+    motion: Any = tree.motion
+    place, kernel = np.empty((2, 3)), _first_entry(tree.ndim)
+    while True:
+        asked = start, goal, when, mask, skip, place
+        slot, t = kernel(tree.view().tree, motion.moving, *asked)
+        if slot >= NONE:
+            return None if slot == NONE else (slot, t, place[0], place[1])
+        if slot == NOT_FINITE:
+            raise too_long(start, goal)
+        motion.fit(tree, *span_of(*when, 1.0))
+
+
+@lean_kernel
+def first_between_then(tree, moving, start, goal, when, mask, skip_inside, place):
+    """The first box from `start` to `goal`, when = (at, pace): (slot, t), and its point and normal
+    as the rows of `place`; instead of a slot what `cast_one` says.
+    """
+    way, ndim = stack_array(3, np.float64), moving.kept[0].velocity.shape[0]
+    if not way_between(start, goal, way, place):
+        return np.int64(NOT_FINITE), np.inf
+    swept = start[:ndim], start[:ndim], way[:ndim]
+    asked = Asked(1.0, mask, skip_inside, CLOSEST)
+    handle, t = cast_one(tree, moving, swept, asked, when, place)
+    return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
+
+
+_POINT = np.empty(3)
+_first_entry = entry_points(
+    *(first_between_then, no_motion, _POINT, _POINT, (0.0, 0.0), np.uint32(0), False),
+    np.empty((2, 3)),
+)
+
+
+class OneWay(threading.local):
+    """Room for one way a thread."""
+
+    def __init__(self, ndim: int) -> None:
+        self.ways = Ways(
+            *(np.empty((1, ndim)), np.empty((1, ndim)), np.ones(1), np.empty(1, np.uint32)),
+            *(np.empty(1), np.empty(1), np.empty(1), np.empty(1)),
+        )
+        self.hits = Hits(np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
+        self.scratch = new_scratch(ndim)
+
+    def first_shape(
+        self, held: Obstacles, way: Way, mask: np.uint32, skip: bool, when: When
+    ) -> BoxHit | None:
+        """The first obstacle of any shape."""
+        (origin, direction, radius), (at, pace) = way, when
+        tree: Any = held.tree
+        ways, hits, ndim = self.ways, self.hits, tree.ndim
+        ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
+        ways.masks[0], ways.radii[0], ways.at[0], ways.pace[0] = mask, radius, at, pace
+        more = reach_of(radius, max(map(abs, origin[:ndim].tolist())))
+        if held.uncertainty:
+            more += np.max(most_growth(held, ways.at, ways.at + pace))
+        ways.more[0] = more
+        told = First(hits, np.zeros((1, 3)), np.zeros((1, 3)))
+        given = ways, (skip, held.uncertainty), held.columns.node_handle, self.scratch, told
+        world, motion = world_of(tree, held.columns), tree.motion
+        spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
+        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
+        if ndim == 2:
+            told.points[0, 2] = origin[2]
+        slot, point, normal = hits.slots.item(0), told.points[0], told.normals[0]
+        return None if slot == NONE else (slot, hits.ts.item(0), point, normal)
