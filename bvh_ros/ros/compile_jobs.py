@@ -235,6 +235,8 @@ def _rays_and_balls(needs: Needs) -> None:
         scene.raycast_all(START, GOAL, RADIUS)
         scene.raycast(START, GOAL)
         scene.raycast_all(START, GOAL)
+    if needs.batch:
+        with_shapes(needs).raycast_many([START], [GOAL])
 
 
 def _overlaps(needs: Needs) -> None:

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..tree.store.workers import in_threads
-from .casting import box_casting, casting, sweeping
+from .casting import box_casting, casting, sweeping, wide_rays
 from .casting.arguments import WHOLE_WAY, Found, Rays, row_by_row, ways_of
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
@@ -57,27 +56,11 @@ class RayBatches:
 
     def _thin(self, rays: Rays, skip: bool, threads: int) -> CastHits:
         """First hits of thin rays."""
-        held, count = self._held, len(rays.origins)
+        held = self._held
         if not held.columns.shaped:
             handles = held.columns.node_handle
             return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
-        rays = row_by_row(rays)
-        hits = CastHits(
-            *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
-            *(np.full((count, 3), np.nan), np.zeros((count, 3))),
-        )
-
-        def work(start: int, stop: int) -> None:
-            found = self.cast(Rays(*(rows[start:stop] for rows in rays)), skip, False)
-            rows = start + np.flatnonzero(np.diff(found.offsets))
-            hits.handles[rows] = held.columns.node_handle[found.hits.slots]
-            hits.t[rows], hits.points[rows] = found.hits.ts, found.points
-            hits.normals[rows] = found.normals
-            if held.planar:
-                hits.points[rows, 2] = rays.origins[rows, 2]
-
-        in_threads(work, count, threads)
-        return hits
+        return wide_rays.first_of_many(held.tree, held.columns, rays, skip, threads)
 
     def cast(self, rays: Rays, skip: bool, every: bool) -> Found:
         """Thin rays against the true shapes."""

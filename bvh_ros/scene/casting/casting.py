@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE, is_leaf, leaf_box
 from ...tree.rays.slab import (
@@ -88,14 +88,29 @@ def plain(geometry, footprints, slot):
     return True
 
 
+class Best(NamedTuple):
+    """The first hit so far; slot NONE without any."""
+
+    slot: Any
+    t: Any
+    feature: Any
+
+
+@inlined
+def no_hit():
+    return Best(np.int64(NONE), np.inf, np.int64(INSIDE))
+
+
 @lean_kernel
 def precedes(world, ray, radius, one, another):
-    """Whether a hit (slot, t, feature) comes before another; ties by handle.
+    """Whether a hit comes before another, each a `Best`; ties by handle.
 
     Between thin hits of axis-aligned boxes as real arithmetic says.
     """
     slot, t, feature = one
     other, other_t, other_feature = another
+    if slot == NONE or other == NONE:
+        return slot != NONE
     order = -1 if t < other_t else (1 if t > other_t else 0)
     if radius == 0.0 and (
         plain(world.geometry, world.footprints, slot)
@@ -107,6 +122,22 @@ def precedes(world, ray, radius, one, another):
             ray, lo, hi, (t, feature), other_lo, other_hi, (other_t, other_feature)
         )
     return order < 0 or (order == 0 and world.handles[slot] < world.handles[other])
+
+
+@inlined
+def with_one_more(world, ray, radius, hit, box, other):
+    """The first hits so far, of axis-aligned boxes and of other shapes, after one more. Each kind
+    by itself: exactly, a box may be before another though its t is not, with a shape between.
+    """
+    hit = Best(*hit)
+    if plain(world.geometry, world.footprints, hit.slot):
+        return (hit if precedes(world, ray, radius, hit, box) else box), other
+    return box, (hit if precedes(world, ray, radius, hit, other) else other)
+
+
+@inlined
+def first_of(world, ray, radius, box, other):
+    return box if precedes(world, ray, radius, box, other) else other
 
 
 @lean_kernel
@@ -176,17 +207,16 @@ def cast(world, ball, asked, scratch, hits, filled):
     """Write the first hit, or every hit in no order, into hits from `filled` on. Return where the
     next would go: beyond the arrays' end, hits are counted, not written.
     """
-    nodes, root, ray, box = world.nodes, world.root, scratch.ray, scratch.box
+    nodes, root, ray, bounds = world.nodes, world.root, scratch.ray, scratch.box
     stack, entries = scratch.stack, scratch.entries
-    slots, ts, features = hits
     if root == NONE or nodes[root].mask & asked.mask == 0:
         return filled
-    begin = filled
+    box, other = no_hit(), no_hit()
     grown = ball.radius + max(ball.slack, 0.0) + doubt_of(ray, ball.radius)
-    grow(nodes[root], grown, box)
-    scale, wide = prepare_ray(ray, box[0], box[1])
+    grow(nodes[root], grown, bounds)
+    scale, wide = prepare_ray(ray, bounds[0], bounds[1])
     limit = traversal_distance(min(asked.t_max, asked.latest), scale)
-    stack[0], entries[0], top = root, intersect_node(box[0], box[1], ray, limit, wide), 1
+    stack[0], entries[0], top = root, intersect_node(bounds[0], bounds[1], ray, limit, wide), 1
     while top > 0:
         top -= 1
         node, entry = stack[top], entries[top]
@@ -201,17 +231,22 @@ def cast(world, ball, asked, scratch, hits, filled):
         t, feature = enter_obstacle(world, slot, ray, radius, asked.t_max, scratch.work)
         if t == np.inf or (asked.skip_inside and feature == INSIDE):
             continue
-        if not asked.every and filled > begin:
-            best = slots[begin], ts[begin], features[begin]
-            if not precedes(world, ray, ball.radius, (slot, t, feature), best):
-                continue
-            filled = begin
-        if filled < slots.shape[0]:
-            slots[filled], ts[filled], features[filled] = slot, t, feature
-        filled += 1
-        if not asked.every:
-            limit = traversal_distance(t, scale)
-    return filled
+        hit = slot, t, np.int64(feature)
+        if asked.every:
+            filled = write(hit, hits, filled)
+            continue
+        box, other = with_one_more(world, ray, ball.radius, hit, box, other)
+        limit = traversal_distance(min(box.t, other.t), scale)
+    first = first_of(world, ray, ball.radius, box, other)
+    return filled if first.slot == NONE else write(first, hits, filled)
+
+
+@inlined
+def write(hit, hits, place):
+    """Write a hit, if there is room; return where the next would go."""
+    if place < hits.slots.shape[0]:
+        hits.slots[place], hits.ts[place], hits.features[place] = hit
+    return place + 1
 
 
 @lean_kernel

@@ -18,7 +18,7 @@ from ...tree.nodes import DEEPEST, NONE
 from ...tree.rays.slab import INSIDE, PAD, RAY_FLOATS, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
-from .casting import enter_obstacle, plain, touch
+from .casting import Best, enter_obstacle, no_hit, plain, touch
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 
 
@@ -45,14 +45,6 @@ class First(NamedTuple):
     points: Any
     normals: Any
     """(n, 3)"""
-
-
-class Best(NamedTuple):
-    """The first hit so far of axis-aligned boxes by thin rays, decided exactly, and of others."""
-
-    slot: Any
-    t: Any
-    face: Any
 
 
 @lean_kernel
@@ -97,21 +89,16 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
             _tell(world, tree, moving, ways, i, asked, (scratch, other), told)
         else:
             hits, place = told.hits, (told.points[i, :ndim], told.normals[i, :ndim])
-            hits.slots[i], hits.ts[i], hits.features[i] = box.slot, box.t, box.face
+            hits.slots[i], hits.ts[i], hits.features[i] = box.slot, box.t, box.feature
             there = box_of(tree, moving, box.slot)
-            locate(there, thin, box.t, box.face, place[0], place[1])
+            locate(there, thin, box.t, box.feature, place[0], place[1])
     end_query(tree.state)
     return why
 
 
 @inlined
-def no_hit():
-    return Best(np.int64(NONE), np.inf, np.int64(INSIDE))
-
-
-@inlined
 def walk(world, tree, moving, ways, i, asked, tools, thin):
-    """The first hits of a way, (box, other), as of `Best`: through the tree's nodes."""
+    """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
     at, pace, t_max, mask = ways.at[i], ways.pace[i], ways.t_max[i], ways.masks[i]
     nodes, ndim, more = moving.nodes, ways.origins.shape[1], ways.more[i]
     corners = stack_array(6, np.float64).reshape(2, 3)
@@ -176,7 +163,7 @@ def look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found):
     if ways.radii[i] + grown == 0.0 and plain(world.geometry, world.footprints, slot):
         hit, t, face = meet(there, thin, t_max)
         if hit and not (asked[0] and face == INSIDE):
-            was = box.slot, box.t, box.face
+            was = box.slot, box.t, box.feature
             if was[0] == NONE or is_before(tree, moving, thin, (slot, t, face), was):
                 box = Best(slot, t, face)
     else:

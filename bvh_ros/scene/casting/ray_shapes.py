@@ -119,7 +119,7 @@ def enter_rounded_boxes(origin, direction, lo, hi, radii, reach, found):
     for axis in range(lo.shape[0]):
         crossing = slab_times(origin[axis], direction[axis], lo[axis], hi[axis])
         planes[axis, 0], planes[axis, 1], planes[axis, 2], planes[axis, 3] = crossing
-    while begin <= reach and left > 0:
+    while begin <= reach and begin < np.inf and left > 0:
         end, square, along, across = next_piece(direction, planes[: lo.shape[0]], begin)
         for i in range(radii.shape[0]):
             if radii[i] > 0.0 and ss[i] == np.inf and features[i] == ROUND:

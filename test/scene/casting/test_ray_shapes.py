@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene.reference import box_of_triangles
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 
@@ -135,3 +135,12 @@ def test_a_far_start_costs_few_digits():
         reach = 0.15 if kind not in (BOX, MESH) else 0.05 + 0.1 * (math.sqrt(2) * math.cos(0.0))
         assert -reach - 1e-9 <= hit.t * 2e6 - 1e6 <= -0.15 + 1e-9
         assert scene.raycast((-1e6, 0.1, 0.15 + 1e-6), (1e6, 0.1, 0.15 + 1e-6), 0.05) is None
+
+
+@pytest.mark.parametrize('kind', ShapeKind)
+def test_a_ray_without_an_end_that_misses(kind):
+    """It comes back at all: among capsules it once looked for ever."""
+    for turn in ((0, 0, 0, 0), (0.1, 0.2, 0.3, 0.9)):
+        scene = scene_of(kind, (2, 2, 2 + 2 * (kind == CAPSULE)), turn)
+        hits = scene.raycast_many([(-5, 1.4, 1.4)], [(1, 0.3, 0.3)])
+        assert (hits.handles[0], hits.t[0]) == (NO_NODE, math.inf)
