@@ -76,7 +76,8 @@ def _compile(parameters: Path | None) -> None:
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs, use_tree
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
+    from bvh_ros.ros.job_scenes import use_tree
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH

@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bvh_ros import DynamicBVH
+from bvh_ros.ros import shape_jobs
 from bvh_ros.ros.job_scenes import (
     ABOUT_Z,
     BOXES,
     EDGE,
+    FAR,
     GOAL,
     MANY,
     MIDDLE,
@@ -30,10 +32,8 @@ from bvh_ros.ros.job_scenes import (
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 from bvh_ros.scene.store.names import as_families
 from bvh_ros.scene.store.registry import Registry
-from bvh_ros.tree.jit.worker import side_by_side
 from bvh_ros.tree.store.storage import inherit_entry
 
-FAR = (9.0, 9.0, 9.0)
 FEW = 256  # rays that go through the snapshot one by one, where there is one
 
 # What is compiled only when somebody asks.
@@ -97,8 +97,8 @@ def jobs(needs: Needs) -> list[Job]:
         ('obstacles', 9.0, _obstacles),
         ('thin rays', 6.0, _thin_rays),
         ('names', 1.5, _names),
-        ('true shapes', 19.0, _true_shapes),  # and 3 more in a fork
         *([('batches of rays', 8.0, _batches)] if needs.batch else []),
+        *shape_jobs.calls(needs),
         ('boxes', 3.0, _among_boxes),
         *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
         *_moving(needs)[:1],
@@ -111,7 +111,7 @@ def later_jobs(needs: Needs) -> list[Job]:
     """Return what is compiled only when somebody asks."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         (NEAREST, 8.0, _nearest),
-        *([(BALLS, 12.0, _balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
+        *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
         *([(POINTS, 10.0, _points)] if needs.batch else []),
         *_moving(needs)[1:],
     ]
@@ -152,7 +152,7 @@ def _nearest(needs: Needs) -> None:
         scene.nearest(START, 2)
 
 
-def _balls(needs: Needs) -> None:
+def _many_balls(needs: Needs) -> None:
     for scene in scenes(needs):
         scene.sweep_many([START], [GOAL], RADIUS)
 
@@ -221,38 +221,19 @@ def _among_boxes(needs: Needs) -> None:
         scene.overlap(START, FAR)
 
 
-def _true_shapes(needs: Needs) -> None:
-    """The first that a ball meets, before all else: the rest alone would take three times as long
-    in a process that has not compiled that, most of which it shares.
-    """
-    for scene in scenes(needs):
-        scene.raycast(START, GOAL, RADIUS)
-    side_by_side(partial(_overlaps, needs), partial(_rays_and_balls, needs))
-
-
-def _rays_and_balls(needs: Needs) -> None:
-    for scene in scenes(needs):
-        scene.raycast_all(START, GOAL, RADIUS)
-        scene.raycast(START, GOAL)
-        scene.raycast_all(START, GOAL)
-    if needs.batch:
-        with_shapes(needs).raycast_many([START], [GOAL])
-
-
-def _overlaps(needs: Needs) -> None:
-    """Of a turned box with round corners, a ball, and a box, which is compiled elsewhere."""
-    for scene in scenes(needs):
-        scene.overlap(START, FAR, ABOUT_Z, RADIUS)
-        scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0)
-        scene.overlap(START, FAR)
-
-
 def _checks(needs: Needs) -> None:
     with_boxes(needs).validate()
 
 
 def _batches(needs: Needs) -> None:
-    """Cast a batch of each size that the tree answers in a way of its own."""
+    """Of each size that is answered in a way of its own; first what compiles without boxes."""
+    from bvh_ros.tree.wide.collapse_plan import planning_entry
+    from bvh_ros.tree.wide.few_rays import few_entry
+    from bvh_ros.tree.wide.raycasting import cast_entry
+    from bvh_ros.tree.wide.snapshot import blurred_entry, collapse_entry
+
+    for entry in blurred_entry, planning_entry, collapse_entry, cast_entry, few_entry:
+        entry(2 if needs.planar else 3)
     scene = Scene(planar=needs.planar, margin=needs.margin)
     line = np.arange(MANY * 3.0).reshape(MANY, 3)
     scene.raycast_many(line[:1], line[:1])
@@ -267,26 +248,6 @@ def _threads(needs: Needs) -> None:
     """Count the rays of a batch that several threads have answered."""
     line = MIDDLE[:, : 2 if needs.planar else 3]
     DynamicBVH(line.shape[1]).raycast_many(line, line, threads=2)
-
-
-def use_tree(ndim: int) -> None:
-    """What a tree without a scene is asked."""
-    tree = DynamicBVH(ndim=ndim)
-    low, high = np.zeros(ndim), np.ones(ndim)
-    handle = tree.insert(low, high)
-    tree.raycast(low - 1.0, high)
-    tree.move(handle, low + 1.0, high + 1.0)
-    boxes = MIDDLE[:, :ndim]
-    handles = tree.insert_many(boxes, boxes + 0.9)
-    tree.move_many(handles, boxes + 0.1, boxes + 1.0)
-    tree.raycast_all(low, high)
-    tree.raycast_many(boxes, boxes)
-    tree.overlap(low, high)
-    tree.overlap_pairs()
-    tree.nearest(low, 2)
-    tree.boxcast(low, high, high)
-    tree.remove(handle)
-    tree.remove_many(handles)
 
 
 EARLY = _obstacles, _thin_rays, _names

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from bvh_ros import DynamicBVH
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ CORNERS = np.vstack((np.zeros(3), np.eye(3)))
 TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
 # Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
 START, GOAL = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
+FAR = (9.0, 9.0, 9.0)
 RADIUS = 0.5
 NUMBERS = np.arange(BOXES)
 MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
@@ -65,3 +67,23 @@ def scenes(needs: Needs) -> Iterator[Scene]:
     yield empty(needs)
     yield with_boxes(needs)
     yield with_shapes(needs)
+
+
+def use_tree(ndim: int) -> None:
+    """What a tree without a scene is asked."""
+    tree = DynamicBVH(ndim=ndim)
+    low, high = np.zeros(ndim), np.ones(ndim)
+    handle = tree.insert(low, high)
+    tree.raycast(low - 1.0, high)
+    tree.move(handle, low + 1.0, high + 1.0)
+    boxes = MIDDLE[:, :ndim]
+    handles = tree.insert_many(boxes, boxes + 0.9)
+    tree.move_many(handles, boxes + 0.1, boxes + 1.0)
+    tree.raycast_all(low, high)
+    tree.raycast_many(boxes, boxes)
+    tree.overlap(low, high)
+    tree.overlap_pairs()
+    tree.nearest(low, 2)
+    tree.boxcast(low, high, high)
+    tree.remove(handle)
+    tree.remove_many(handles)

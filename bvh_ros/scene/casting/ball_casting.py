@@ -36,7 +36,7 @@ from ..results import require_few
 from ..store.columns import Columns
 from ..store.registry import Slots
 from . import exact_balls
-from .arguments import Asked, Ball, Hits, Scratch, call, new_scratch, world_of
+from .arguments import Asked, Ball, Hits, Scratch, call, world_of
 from .casting import AT, EARLY, LATE, cast, course_of, enter_thrice, touch
 from .exact_balls import START, Root
 
@@ -83,8 +83,9 @@ def bracket(world, ball, course, scratch, slots, brackets):
 @lean_kernel
 def sweep_ball(world, radius, way, asked, hits, brackets, place):
     """`find` and `bracket`; way = (origin, direction), asked = (mask, skip_inside, every),
-    brackets = (times, features). Returns how many may be hit, and whether that is but one and
-    surely is: its point and normal are the rows of `place` then.
+    brackets = (times, features), shape (3, n). Returns how many may be hit, and whether that is
+    but one and surely is: its point and normal are place[:, 0] then. Without room in the brackets,
+    fill in those of all `hits`, shape (2, n, 3).
     """
     mask, skip_inside, every = asked
     times, features = brackets
@@ -97,17 +98,20 @@ def sweep_ball(world, radius, way, asked, hits, brackets, place):
         stack_array(DEEPEST, np.float64),
     )
     set_ray(scratch.ray, way[0], way[1])
-    slack = slack_of(world, scratch.ray, radius) if world.root != NONE else 0.0
-    larger = Ball(radius, slack)
-    count = find(world, larger, mask, skip_inside, every, scratch, hits)
-    if 0 < count <= hits.slots.shape[0]:
-        course = course_of(world, scratch.ray, radius, stack_array(3, np.float64))
-        some = times[:, :count], features[:, :count]
-        bracket(world, larger, course, scratch, hits.slots, some)
-    sure = count == 1 and is_sure(times, features)
+    met, count, sure = hits, place.shape[1], True
+    if times.shape[1] > 0:
+        slack = slack_of(world, scratch.ray, radius) if world.root != NONE else 0.0
+        larger = Ball(radius, slack)
+        count = find(world, larger, mask, skip_inside, every, scratch, hits)
+        if 0 < count <= hits.slots.shape[0]:
+            course = course_of(world, scratch.ray, radius, stack_array(3, np.float64))
+            some = times[:, :count], features[:, :count]
+            bracket(world, larger, course, scratch, hits.slots, some)
+        sure = count == 1 and is_sure(times, features)
+        met = Hits(hits.slots, times[AT], features[AT])
     if sure:
-        one = Hits(hits.slots, times[AT], features[AT])
-        touch(world, scratch, radius, one, 0, place[0], place[1])
+        for j in range(count):
+            touch(world, scratch, radius, met, j, place[0, j], place[1, j])
     return count, sure
 
 
@@ -116,14 +120,6 @@ def is_sure(times, features):
     """Whether the first is surely met, and surely inside at the start, or not."""
     doubtful = features[EARLY, 0] == INSIDE and features[LATE, 0] != INSIDE
     return times[LATE, 0] < np.inf and not doubtful
-
-
-@lean_kernel
-def touch_all(world, radius, way, scratch, hits, points, normals):
-    """Fill in points and normals of hits; way = (origin, direction)."""
-    set_ray(scratch.ray, way[0], way[1])
-    for j in range(points.shape[0]):
-        touch(world, scratch, radius, hits, j, points[j], normals[j])
 
 
 class Sweep(NamedTuple):
@@ -145,7 +141,7 @@ def cast_ball(
     `most`.
     """
     ndim = tree.ndim
-    world, place = world_of(tree, columns), np.zeros((2, 3))
+    world, place = world_of(tree, columns), np.zeros((2, 1, 3))
     if ndim == 2:
         sweep = sweep._replace(origin=sweep.origin[:2], direction=sweep.direction[:2])
     way, asked = (sweep.origin, sweep.direction), (sweep.mask, sweep.skip_inside, sweep.every)
@@ -162,7 +158,7 @@ def cast_ball(
     if sure:
         if sweep.skip_inside and brackets[1].item(AT, 0) == INSIDE:
             return ()
-        return ((hits.slots.item(0), brackets[0].item(AT, 0), place[0], place[1]),)
+        return ((hits.slots.item(0), brackets[0].item(AT, 0), place[0, 0], place[1, 0]),)
     slots, times, features = hits.slots[:count], brackets[0][:, :count], brackets[1][:, :count]
     ts, met = times[AT], features[AT]
     slots, ts, met = _in_order(columns, slots, times, features, sweep)
@@ -170,11 +166,12 @@ def cast_ball(
         slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
     if not sweep.every:
         slots, ts, met = slots[:1], ts[:1], met[:1]
-    points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
+    place = np.zeros((2, len(slots), 3))
     # Of one type, however many there are: rows of one column are contiguous, others are not.
     hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(met))
-    call(touch_all, world, sweep.radius, way, new_scratch(ndim), hits, points, normals)
-    return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
+    none = np.empty((3, 0)), np.empty((3, 0), np.int64)
+    call(sweep_ball, world, sweep.radius, way, asked, hits, none, place)
+    return zip(slots.tolist(), ts.tolist(), *place, strict=True)
 
 
 def _in_order(

@@ -69,16 +69,15 @@ def enter_shape(shape, hulls, met, radius, t_max, work):
     scale, slack = frame.scale, frame.slack
     reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
     s, feature = np.inf, np.int64(INSIDE)
-    if shape.kind == MESH:
-        if hulls is not None:
-            s, feature = enter_mesh(hulls, shape, frame, ball, reach, work)
-    elif shape.kind == CYLINDER and ball > 0.0:
+    if shape.kind == CYLINDER and ball > 0.0:
         radius, height = half[0] * scale, half[2] * scale
         s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
-    else:
+    elif shape.kind != MESH:
         s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
         if s == np.inf and shape.shaped:
             s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
+    elif hulls is not None:  # last: compiled meanwhile in another process, see `compile_jobs`
+        s, feature = enter_mesh(hulls, shape, frame, ball, reach, work)
     return time_of(s, frame.pace, t_max), feature
 
 

@@ -42,18 +42,17 @@ approach_hull = approach_by(measure_hull)
 @lean_kernel
 def enter_mesh(hulls, shape, frame, radius, reach, work):
     """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
-    origin, direction = work[0], work[1]
-    if radius > 0.0:
-        solid = hull_of(hulls, shape), frame.scale
-        s, _ = approach_hull(solid, radius, reach, frame.slack, work)
-        return s, np.int64(INSIDE if s == 0.0 else ROUND)
-    span = hulls.spans[shape.mesh]
-    first, stop = span.faces[0], span.faces[1]
-    surface = Surface(
-        hulls.vertices[span.vertices[0] : span.vertices[1]],
-        hulls.corners[first:stop],
-        hulls.nodes[2 * first : 2 * stop],
-        span.root,
-        span.radius,
-    )
-    return enter_surface(surface, frame.scale, origin, direction, reach)
+    if radius == 0.0:
+        span = hulls.spans[shape.mesh]
+        first, stop = span.faces[0], span.faces[1]
+        surface = Surface(
+            hulls.vertices[span.vertices[0] : span.vertices[1]],
+            hulls.corners[first:stop],
+            hulls.nodes[2 * first : 2 * stop],
+            span.root,
+            span.radius,
+        )
+        return enter_surface(surface, frame.scale, work[0], work[1], reach)
+    solid = hull_of(hulls, shape), frame.scale
+    s, _ = approach_hull(solid, radius, reach, frame.slack, work)
+    return s, np.int64(INSIDE if s == 0.0 else ROUND)

@@ -96,3 +96,11 @@ def entry_point(
             # numba makes it with Python code; where a signal handler raises in that, it crashes.
             raise TypeError(f'{compiled.py_func.__name__} must return a plain tuple')
     return code
+
+
+def prepare(compiled: Any, *arguments: Any) -> None:
+    """Compile what becomes a part of kernels that get arguments of these types, and keep it: while
+    another process compiles what else they are made of.
+    """
+    if inside.parts() is not None:
+        compiled.prepare(tuple(map(numba.typeof, arguments)))

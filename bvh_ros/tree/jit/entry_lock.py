@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Of processes that want the same machine code, one compiles, and the others wait for it."""
 
+import functools
 import hashlib
 import os
 import sys
@@ -16,14 +17,21 @@ POLL = 0.02  # seconds between two looks
 PATIENCE = 120.0  # seconds; who holds a lock for longer has been stopped
 
 
+@functools.cache
+def _open(folder: Path, _process: int) -> int:
+    """The folder's lock file, open once in each process: who closes it gives up all its locks."""
+    return os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+
 class EntryLock:
     """A byte of the folder's lock file. It is free as soon as its holder ends, however that ends.
 
-    A process holds at most one at a time, as numba compiles one function at a time.
+    A process that holds one waits for another only where that is of something called by what it
+    compiles: no two wait for each other.
     """
 
     def __init__(self) -> None:
-        self._file = -1
+        self._held: tuple[int, int] | None = None
 
     def acquire(self, folder: Path, what: str) -> bool:
         """Wait until nobody else compiles this; return whether there was somebody.
@@ -37,10 +45,11 @@ class EntryLock:
         began = time.monotonic()
         waited = False
         try:
-            self._file = os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            file = _open(folder, os.getpid())
             while True:
                 try:
-                    fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                    fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                    self._held = file, place
                     return waited
                 except BlockingIOError:
                     waited = True
@@ -52,6 +61,7 @@ class EntryLock:
 
     def release(self) -> None:
         """Let the others go on."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        if self._held is not None:
+            file, place = self._held
+            self._held = None
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, place)

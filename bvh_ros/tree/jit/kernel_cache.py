@@ -22,6 +22,7 @@ from numba import config
 from . import inside, kernel_sources, shipped
 from .private_folder import UnsafeError, open_private, write_whole
 
+PART = '.part'  # ends the names of files of which only compiling makes use
 # Settings of numba that leave machine code as it is, by a word in their names.
 _BESIDE_THE_CODE = 'CACHE', 'CUDA', 'THREAD'
 
@@ -131,5 +132,7 @@ def ship() -> Path:
     folder = cache_folder()
     if folder is None:
         raise OSError('there is no folder to write kernels to')
+    for part in folder.glob(f'*{PART}'):
+        part.unlink()
     shipped.finish(folder, settings(), inside.parts().code_generator())
     return folder

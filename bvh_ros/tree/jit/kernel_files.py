@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The machine code of the kernels on disk.
+"""The machine code of the kernels on disk, and beside it what their parts were simplified to.
 
 numba's own disk cache looks only at the file of the function that is called: after an edit in a
 callee's file it would still run the old code. So a kernel's code is named by a hash of every
@@ -22,12 +22,14 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba.core import caching
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import compile_result
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from . import kernel_sources, shipped
 from .entry_lock import EntryLock
-from .kernel_cache import cache_folder, settings, warn
+from .kernel_cache import PART, cache_folder, settings, warn
 from .private_folder import is_ours_alone, write_whole
 
 _SEAL = hashlib.sha256().digest_size
@@ -80,6 +82,35 @@ class _Kept(caching.CompileResultCacheImpl):
         return (name, kind, (code, _names_in(bitcode))), *rest
 
 
+class _KeptPart(caching.CompileResultCacheImpl):
+    """What is kept of a part: what it was simplified to, in LLVM's terms, to be linked."""
+
+    _locator_classes = (_Place,)
+
+    def reduce(self, data: Any) -> Any:
+        data.fndesc.typemap = data.fndesc.calltypes = None  # of no use any more, and large
+        code = data.library.serialize_using_bitcode()
+        environments = data.environment, data._find_referenced_environments()
+        return code, data.fndesc, environments, data.signature, data.reload_init
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        (name, _, bitcode), fndesc, environments, signature, reload_init = payload
+        for initialise in reload_init:
+            initialise()
+        return compile_result(
+            typing_context=target_context.typing_context,
+            target_context=target_context,
+            library=PartCode.of_bitcode(target_context.codegen(), name, bitcode),
+            environment=environments[0],
+            referenced_envs=environments[1],
+            fndesc=fndesc,
+            signature=signature,
+            reload_init=reload_init,
+            objectmode=False,
+            lifted=(),
+        )
+
+
 def _names_in(bitcode: bytes) -> bytes:
     """Bitcode that defines the same names as nothing: numba asks it which names there are."""
     module = llvm.parse_bitcode(bitcode)
@@ -93,17 +124,45 @@ def _names_in(bitcode: bytes) -> bytes:
     return names
 
 
+class PartCode(JITCodeLibrary):
+    """The code of a part: it is linked into those who call it, and nowhere else."""
+
+    @classmethod
+    def of_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> 'PartCode':
+        """What was kept."""
+        code = cls(codegen, name)
+        code._final_module = llvm.parse_bitcode(bitcode)
+        code._finalize_final_module()
+        return code
+
+    def _optimize_final_module(self) -> None:
+        """Simplify, so that whoever calls it sees how little there is to inline.
+
+        Left as it is, code is inlined otherwise than numba would (a swept ball took a quarter
+        longer), and is more work for every caller.
+        """
+        passes, builder = self._codegen._module_pass_manager(
+            loop_vectorize=False, slp_vectorize=False, opt=0, cost='cheap'
+        )
+        passes.run(self._final_module, builder)
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
 class _SealedFiles:
-    """A kernel's machine code on disk: for each signature a file, which needs no other one.
+    """Files for one kernel or part: for each signature one, which needs no other one.
 
     So processes that compile the same kernel at once just write equal files, one after the other.
     """
 
     _said = False
 
-    def __init__(self, name: str, locator: _Place) -> None:
+    def __init__(self, name: str, locator: _Place, suffix: str) -> None:
         self._name = name
         self._locator = locator
+        self._suffix = suffix
 
     @functools.cached_property
     def _stamp(self) -> str:
@@ -166,7 +225,7 @@ class _SealedFiles:
 
     def name_of(self, key: Any) -> str:
         signature = hashlib.sha256(repr((self._stamp, key)).encode()).hexdigest()
-        return f'{self._name}.{signature[:32]}.nbc'
+        return f'{self._name}.{signature[:32]}{self._suffix}'
 
     @staticmethod
     def _seal(path: Path, content: bytes) -> bytes:
@@ -179,11 +238,12 @@ class _SealedFiles:
 class KernelCache(caching.FunctionCache):
     """A kernel's machine code on disk, which one process compiles while others wait for it."""
 
-    _impl_class = _Kept
+    _impl_class: Any = _Kept
+    _suffix = '.nbc'
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        self._cache_file = _SealedFiles(self._impl.filename_base, self._impl.locator)
+        self._cache_file = _SealedFiles(self._impl.filename_base, self._impl.locator, self._suffix)
         self._lock = EntryLock()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -214,3 +274,10 @@ class KernelCache(caching.FunctionCache):
         except Exception:
             # Whole, but not for this Python, numpy or llvmlite. That may raise anything.
             return None
+
+
+class PartCache(KernelCache):
+    """The same for a part. A start that compiles nothing does not look at it."""
+
+    _impl_class = _KeptPart
+    _suffix = PART

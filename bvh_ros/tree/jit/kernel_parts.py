@@ -6,17 +6,20 @@ By default numba optimises every jitted function, assembles it and wraps it for 
 the same to its code again in each function that calls it: of ten short functions, one calling
 the next, the last is optimised ten times. Here only what Python calls is. A kernel that is called
 by another one is handed over simplified, and optimised there, in its place. That halves the time
-of a cold start, and leaves the machine code as fast as it was.
+of a cold start, and leaves the machine code as fast as it was. What it was simplified to is kept,
+so that kernels which share parts can be compiled in several processes, and each part in one.
 """
 
 import contextlib
 import gc
 import hashlib
+import itertools
 import os
+import secrets
 from collections.abc import Iterator
 from typing import Any
 
-from numba.core.codegen import JITCodeLibrary
+from numba.core.bytecode import FunctionIdentity
 from numba.core.compiler import Compiler, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
@@ -25,8 +28,17 @@ from numba.core.typed_passes import NativeLowering
 from numba.core.types import IntegerLiteral, Record
 from numba.core.types.misc import unliteral
 
-from .kernel_files import KernelCache
+from .kernel_files import KernelCache, PartCache, PartCode
 
+
+def _count_from_anywhere() -> None:
+    """numba puts a number into the name of each function, and counts from 1 in every process. Two
+    functions in parts from two processes must not have one name.
+    """
+    FunctionIdentity._unique_ids = itertools.count(secrets.randbits(60))
+
+
+_count_from_anywhere()
 if hasattr(os, 'register_at_fork'):
     # Who forks waits until no thread compiles: its child would have the lock for ever, and nobody
     # in it who gives it back.
@@ -35,6 +47,7 @@ if hasattr(os, 'register_at_fork'):
         after_in_parent=global_compiler_lock.release,
         after_in_child=global_compiler_lock.release,
     )
+    os.register_at_fork(after_in_child=_count_from_anywhere)
 
 
 def _name_by_fields(record: Record) -> tuple[str, tuple[int]]:
@@ -74,25 +87,6 @@ def _garbage_is_seldom_looked_for() -> Iterator[None]:
         gc.set_threshold(first, *others)
 
 
-class _Code(JITCodeLibrary):
-    """The code of a part: it is linked into those who call it, and nowhere else."""
-
-    def _optimize_final_module(self) -> None:
-        """Simplify, so that whoever calls it sees how little there is to inline.
-
-        Left as it is, code is inlined otherwise than numba would (a swept ball took a quarter
-        longer), and is more work for every caller.
-        """
-        passes, builder = self._codegen._module_pass_manager(
-            loop_vectorize=False, slp_vectorize=False, opt=0, cost='cheap'
-        )
-        passes.run(self._final_module, builder)
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _LowerPart(NativeLowering):
     """numba's last step, without machine code or a way in from Python."""
@@ -102,7 +96,7 @@ class _LowerPart(NativeLowering):
     def run_pass(self, state: Any) -> bool:
         flags = state.flags
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-        state.library = _Code(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = PartCode(state.targetctx.codegen(), state.func_id.func_qualname)
         super().run_pass(state)
         # What callers know it by; elsewhere that is the function that Python would call.
         entry = object()
@@ -112,8 +106,19 @@ class _LowerPart(NativeLowering):
         return True
 
 
+def _number_of(function: Any) -> int:
+    """A part has one name in all processes: where two that call it are linked, it is there once.
+    Of closures there may be several in one place.
+    """
+    if function.func.__closure__:
+        return int(function.unique_id)
+    place = f'{function.modname} {function.firstlineno} {function.func_qualname}'
+    return int(hashlib.sha256(place.encode()).hexdigest()[:15], 16)
+
+
 class _PartCompiler(Compiler):
     def define_pipelines(self) -> list[Any]:
+        self.state.func_id.unique_id = _number_of(self.state.func_id)
         steps = DefaultPassBuilder.define_nopython_pipeline(self.state)
         steps.passes = [
             (_LowerPart if step is NativeLowering else step, text) for step, text in steps.passes
@@ -125,9 +130,35 @@ class _PartCompiler(Compiler):
 class _Part(CPUDispatcher):
     """A function as other kernels call it."""
 
+    def __init__(self, function: Any, options: dict[str, Any]) -> None:
+        super().__init__(function, targetoptions=options, pipeline_class=_PartCompiler)
+        # What a closure holds has no name that other processes know it by.
+        self._files = None if function.__closure__ else PartCache(function)
+
     def compile(self, sig: Any) -> Any:
+        """Have it ready for these types. numba would count time at every step, once for each of
+        the functions that wait for this one: a tenth of all.
+        """
         with _records_named_by_fields():
-            return super().compile(sig)
+            args = tuple(sig)
+            if args not in self.overloads:
+                self.add_overload(self._ready(args))
+
+    def _ready(self, args: Any) -> Any:
+        """What was kept, or what is compiled, and kept from now on."""
+        if self._files is None:
+            return self._compiler.compile(args, None)
+        found = self._files.load_overload(args, self.targetctx)
+        if found is not None:
+            found = found._replace(entry_point=object())
+            self.targetctx.insert_user_function(found.entry_point, found.fndesc, [found.library])
+            return found
+        try:
+            found = self._compiler.compile(args, None)
+            self._files.save_overload(args, found)
+        finally:
+            self._files.release()
+        return found
 
     def add_overload(self, result: Any) -> None:
         self.overloads[tuple(result.signature.args)] = result
@@ -139,7 +170,7 @@ class Kernel(CPUDispatcher):
     def __init__(self, function: Any, options: dict[str, Any]) -> None:
         options = {'nopython': True, 'no_cfunc_wrapper': True, **options}  # C does not call us
         super().__init__(function, targetoptions=options)
-        self._part = _Part(function, targetoptions=options, pipeline_class=_PartCompiler)
+        self._part = _Part(function, options)
         self._cache = KernelCache(function)
 
     def compile(self, sig: Any) -> Any:
@@ -149,6 +180,11 @@ class Kernel(CPUDispatcher):
                 return super().compile(sig)
             finally:
                 self._cache.release()
+
+    def prepare(self, sig: Any) -> None:
+        """Have what kernels get that call this one with these types."""
+        with _garbage_is_seldom_looked_for():
+            self._part.compile(sig)
 
     def is_kept(self, sig: Any) -> bool:
         """Whether the machine code for these types need not be compiled."""

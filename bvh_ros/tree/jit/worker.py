@@ -58,37 +58,3 @@ def run_and_end(call: Callable[[], object]) -> NoReturn:
 def packed(call: Any) -> bytes:
     """Return a call as a line for a worker; what cannot be sent raises what pickle raises."""
     return base64.b64encode(pickle.dumps(call)) + b'\n'
-
-
-def side_by_side(one: Callable[[], object], other: Callable[[], object]) -> None:
-    """Run two calls; in a worker at once, in two processes that both have what it has compiled."""
-    if not (_here and hasattr(os, 'fork')):
-        one()
-        other()
-        return
-    reader, writer = os.pipe()  # nobody writes: it ends when this process does
-    child = os.fork()
-    if child == 0:
-        os.close(writer)
-        _run_in_fork(other, reader)
-    os.close(reader)
-    try:
-        one()
-        failed = os.waitpid(child, 0)[1]
-    finally:
-        os.close(writer)
-    if failed:
-        other()  # says why, if it fails here, too
-
-
-def _run_in_fork(call: Callable[[], object], parent: int) -> NoReturn:
-    def end_with_it() -> None:
-        os.read(parent, 1)
-        os._exit(1)
-
-    threading.Thread(target=end_with_it, daemon=True).start()
-    try:
-        call()
-    except BaseException:
-        os._exit(1)
-    os._exit(0)

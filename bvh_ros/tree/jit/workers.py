@@ -19,7 +19,7 @@ from .fork import Fork
 
 Process = subprocess.Popen[bytes] | Fork
 
-MOST = 4  # processes, of some 300 MB: the longest call takes half as long as all
+MOST = 8  # processes, of some 300 MB
 START = """
 import sys
 sys.path[:] = {}

@@ -16,7 +16,6 @@ import pytest
 
 from bvh_ros.tree.jit import worker
 from bvh_ros.tree.jit.entry_lock import EntryLock
-from bvh_ros.tree.jit.worker import side_by_side
 from bvh_ros.tree.jit.workers import MOST, Workers, fork_ahead, processors, run_beside
 
 PATIENCE = 60.0  # seconds
@@ -77,34 +76,7 @@ def test_what_was_imported_here_is_there_in_processes_that_were_forked_ahead(mon
     assert text.startswith('AttributeError')
 
 
-@pytest.mark.parametrize('elsewhere', [True, False])
-def test_two_calls_side_by_side(tmp_path, elsewhere):
-    makes = [partial(os.mkdir, tmp_path / name) for name in ('a', 'b')]
-    fails = partial(os.mkdir, tmp_path)
-    calls = [
-        partial(side_by_side, *two) for two in (makes, (os.getpid, fails), (fails, os.getpid))
-    ]
-    if elsewhere:
-        found = results(Workers(calls, 1), 3)
-        assert [text.partition('(')[0] for text in found.values()] == [
-            '',
-            *['FileExistsError'] * 2,
-        ]
-    else:
-        calls[0]()
-        for call in calls[1:]:
-            with pytest.raises(FileExistsError):
-                call()
-    assert {path.name for path in tmp_path.iterdir()} == {'a', 'b'}
-
-
 WHO = 'import os, pathlib; pathlib.Path({!r}).write_text(str(os.getpid()))'
-
-
-def test_in_a_worker_they_have_a_process_each(tmp_path):
-    calls = [partial(exec, WHO.format(str(tmp_path / name)), {}) for name in 'ab']
-    results(Workers([partial(side_by_side, *calls)], 1), 1)
-    assert len({*pids_in(tmp_path)} - {os.getpid()}) == 2
 
 
 @pytest.mark.skipif(processors() == 1, reason='there is nothing to gain')
@@ -165,9 +137,8 @@ def test_no_worker_outlives_who_started_it(tmp_path, how, ahead):
     command = [sys.executable, '-c', PARENT, *ahead]
     parent = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.DEVNULL)
     with parent.stdin as given:
-        two = partial(side_by_side, busy(tmp_path, 1), busy(tmp_path, 2))
-        given.write(pickle.dumps([busy(tmp_path, 0), two]))
-    until(lambda: len(pids_in(tmp_path)) == 3)
+        given.write(pickle.dumps([busy(tmp_path, 0), busy(tmp_path, 1)]))
+    until(lambda: len(pids_in(tmp_path)) == 2)
     pids = pids_in(tmp_path)
     assert all(map(is_running, pids))
     parent.send_signal(how)
@@ -183,6 +154,10 @@ from bvh_ros.tree.jit.entry_lock import EntryLock
 lock = EntryLock()
 print('here', flush=True)
 print(lock.acquire(Path(sys.argv[1]), 'this'), flush=True)
+part = EntryLock()  # of what is compiled meanwhile
+part.acquire(Path(sys.argv[1]), 'a part')
+part.release()
+print('still held', flush=True)
 time.sleep(600)
 """
 
@@ -195,7 +170,8 @@ def test_who_wants_the_same_waits_until_its_holder_has_ended(tmp_path):
 
     processes = [start()]
     try:
-        assert [processes[0].stdout.readline() for _ in range(2)] == ['here\n', 'False\n']
+        said = [processes[0].stdout.readline() for _ in range(3)]
+        assert said == ['here\n', 'False\n', 'still held\n']
         mine = EntryLock()
         assert not mine.acquire(tmp_path, 'that')
         mine.release()
