@@ -208,7 +208,7 @@ def _tell(world, tree, moving, ways, i, asked, found, told):
     """Fill in a row: the obstacle, and where it is met."""
     scratch, best = found
     hits, point, normal = told.hits, told.points[i], told.normals[i]
-    hits.slots[i], hits.ts[i], hits.features[i] = best.slot, best.t, best.face
+    hits.slots[i], hits.ts[i], hits.features[i] = best.slot, best.t, best.feature
     if best.slot == NONE:
         return
     box = box_of(tree, moving, best.slot)
