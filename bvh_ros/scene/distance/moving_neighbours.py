@@ -31,15 +31,15 @@ def neighbours(tree, moving, then, near_by, room):
     """
     low, high, at, wanted, limit, mask = near_by
     slots, handles, gaps = room.slots, room.handles[:wanted], room.gaps[:wanted]
-    count = nearest_then(tree, moving, near_by, handles, gaps)
+    count = nearest_then(tree, moving, near_by, None, handles, gaps)
     more, last, total = count == wanted, np.inf, np.int64(0)
     if more:
         last = gaps[wanted - 1]
     for i in range(count):
-        slot = slot_of(handles[i])
-        box = box_of(tree, moving, slot)
-        if not rests(box[2], box[3], at, then.left):
-            slots[total] = slot
+        slots[i] = slot_of(handles[i])
+        box = box_of(tree, moving, slots[i])
+        if then.rest.state[ROOT] == NONE or not rests(box[2], box[3], at, then.left):
+            slots[total] = slots[i]
             total += 1
     if then.rest.state[ROOT] != NONE:
         handles, gaps = room.handles[wanted : 2 * wanted], room.gaps[wanted : 2 * wanted]

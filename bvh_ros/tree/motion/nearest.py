@@ -22,7 +22,10 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import box_of
-from .sums import gap_then, surely_below, way_gone
+from .sums import gap, surely_below
+
+# Squares whose root says something, and by how much it is rounded down.
+LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
 
 
 class Near(NamedTuple):
@@ -44,15 +47,25 @@ def _apart_then(box, axis, low, high, at):
     that exceeds the largest double.
     """
     lo, hi, velocity, reference = box
-    apart, gone = 0.0, way_gone(velocity[axis], at, reference)
-    told = velocity[axis], at, reference, gone
-    if not surely_below(lo[axis], high[axis], gone[0]):
-        below, _, exponent = gap_then(lo[axis], high[axis], *told)
-        apart = max(apart, below if exponent == 0 else math.ldexp(below, exponent))
-    if not surely_below(-hi[axis], -low[axis], -gone[0]):
-        above, _, exponent = gap_then(hi[axis], low[axis], *told)
-        apart = max(apart, -above if exponent == 0 else -math.ldexp(above, exponent))
-    return apart
+    way = velocity[axis] * (at - reference)
+    below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
+    # One side tells it, as the other is surely passed; a choice costs less than a guess.
+    lower = below > above
+    plane, front = (lo[axis], high[axis]) if lower else (hi[axis], low[axis])
+    apart = _gap_now(plane, front, velocity[axis], at, reference)
+    apart = apart if lower else -apart
+    plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
+    if not surely_below(plane, front, way):
+        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
+        apart = max(below, -_gap_now(hi[axis], low[axis], velocity[axis], at, reference))
+    return max(apart, 0.0)
+
+
+@inlined
+def _gap_now(plane, front, velocity, at, reference):
+    """As a double; inf where it exceeds the largest."""
+    high, _, exponent = gap(plane, front, velocity, at, reference)
+    return high if exponent == 0 else math.ldexp(high, exponent)
 
 
 @lean_kernel
@@ -74,10 +87,11 @@ def distance_then(box, low, high, at):
 
 
 @lean_kernel
-def nearest_then(tree, moving, near, found, distances):
+def nearest_then(tree, moving, near, exact, found, distances):
     """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
     arrays (k,), nearest first; return how many there are. NOT_FINITE if it is no box or time,
-    OUTSIDE if the bounds do not hold for the time.
+    OUTSIDE if the bounds do not hold for the time. Where `exact` is None, what is told of a box
+    is how far it is at least.
     """
     low, high, at, k, reach, mask = near
     nodes, root = moving.nodes, tree.state[ROOT]
@@ -96,6 +110,7 @@ def nearest_then(tree, moving, near, found, distances):
         node = stack[top]
         if squares[top] > limit or nodes[node].mask & mask == 0:
             continue
+        square = squares[top]
         while not is_leaf(node):
             first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
             square, other = 0.0, 0.0
@@ -112,7 +127,10 @@ def nearest_then(tree, moving, near, found, distances):
                 break
         if not is_leaf(node) or nodes[node].mask & mask == 0:
             continue
-        apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
+        if exact is None:
+            apart = _at_least(square)
+        else:
+            apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
         if apart <= reach:
             count = insert_candidate(*(found, distances, tree.handles, count, k, node >> 1, apart))
             if count == k:
@@ -121,12 +139,18 @@ def nearest_then(tree, moving, near, found, distances):
     return count
 
 
+@inlined
+def _at_least(square):
+    """A distance, rounded down, from its computed square."""
+    return 0.0 if square < LEAST_SQUARE else math.sqrt(min(square, MOST_SQUARE)) * LESS
+
+
 @lean_kernel
 def nearest_one(tree, moving, near, found, distances):
     """`nearest_then`; REFUSED if the tree is of another version."""
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    count = nearest_then(tree, moving, near, found, distances)
+    count = nearest_then(tree, moving, near, True, found, distances)
     end_query(tree.state)
     return np.int64(count)
 
@@ -140,7 +164,7 @@ def nearest_rows(tree, moving, rows, found, distances):
     for i in range(rows.points.shape[0]):
         point = rows.points[i]
         near = point, point, rows.at[i], rows.k, rows.reaches[i], rows.masks[i]
-        why = min(nearest_then(tree, moving, near, found[i], distances[i]), np.int64(0))
+        why = min(nearest_then(tree, moving, near, True, found[i], distances[i]), np.int64(0))
         if why < 0:
             break
     end_query(tree.state)

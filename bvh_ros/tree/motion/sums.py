@@ -35,28 +35,15 @@ DOUBT = 2.0**-50  # of the terms of a sum of three: more than its rounding
 @lean_kernel
 def gap(plane, front, velocity, at, reference):
     """plane - front + velocity * (at - reference) as (high, low, exponent)."""
-    return gap_then(plane, front, velocity, at, reference, way_gone(velocity, at, reference))
-
-
-@inlined
-def way_gone(velocity, at, reference):
-    """velocity * (at - reference) as (high, low); and the difference, rounded."""
     since, lost = two_sum(at, -reference)
     way, below = two_product(velocity, since)
-    return way, below + velocity * lost, since
-
-
-@inlined
-def gap_then(plane, front, velocity, at, reference, gone):
-    """`gap`, with `way_gone`."""
-    way, below, since = gone
     apart, least = two_sum(plane, -front)
     if velocity == 0.0 or since == 0.0:
         if apart == 0.0 or SMALL < abs(apart) < LARGE:
             return apart, least, 0
     else:
         total, rest = two_sum(apart, way)
-        rest += below + least
+        rest += below + velocity * lost + least
         high = total + rest
         largest = max(abs(plane), abs(front), abs(way))
         if max(CANCELLED * largest, SMALL) < abs(high) and largest < LARGE:
