@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions about a scene whose obstacles have velocities, at a time or while it passes."""
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -87,8 +88,9 @@ class Moments:
     def _way_of_time(self, at: Any, until: Any) -> tuple[float, float]:
         """`_times` of one way."""
         if type(at) is int and (until is None or type(until) is int):
-            start = self._held.second(at)
-            return start, 0.0 if until is None else self._held.second(until) - start
+            second = self._held.second
+            start = second(at)
+            return start, 0.0 if until is None else second(until) - start
         (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
         return start, pace
 
@@ -98,19 +100,18 @@ class Moments:
         """What a ray, or ball, meets first; asked = (start, goal, radius)."""
         (start, goal, radius), held, skip = asked, self._held, bool(skip)
         when = self._way_of_time(at, until)
-        if len(at_rest(held, when[0] + when[1])):
+        if held.max_prediction < math.inf and len(at_rest(held, when[0] + when[1])):
             hits = self.every(segment(*asked), mask, skip, at, until)
             return hits[0] if hits else None
-        from .casting import one_moving  # no scene without velocities needs it
+        if self._one_way is None:
+            from .casting.one_moving import OneWay  # no scene without velocities needs it
 
+            self._one_way = OneWay(held)
         if held.columns.shaped or held.uncertainty or checks.limit('radius', radius) > 0.0:
-            if self._one_way is None:
-                self._one_way = one_moving.OneWay(held.tree.ndim)
-            way = segment(*asked)
-            hit = self._one_way.first_shape(held, way, checks.mask(mask), skip, when)
+            hit = self._one_way.first_shape(segment(*asked), checks.mask(mask), skip, when)
         else:
             ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
-            hit = one_moving.first_box(held.tree, *ends, when, checks.mask(mask), skip)
+            hit = self._one_way.first_box(*ends, checks.mask(mask), skip, when)
         return None if hit is None else held.hit(*hit)
 
     def every(

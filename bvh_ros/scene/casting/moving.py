@@ -16,12 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.motion.casting import Casts
+from ...tree.entries import entry_points
+from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.motion.casting import Casts, locate, no_motion
+from ...tree.motion.meeting import Course, box_of
 from ...tree.motion.queries import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import UNSUITED
-from ...tree.rays.raycasting import CLOSEST, EVERY
-from ...tree.rays.slab import INSIDE
+from ...tree.nodes import slot_of
+from ...tree.rays.ray_hits import NO_HITS
+from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
+from ...tree.rays.slab import INSIDE, RAY_FLOATS, RAY_ROWS, set_ray
 from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
@@ -29,6 +35,7 @@ from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Hits, Rays, call, new_scratch, world_of
+from .box_casting import Told
 from .first_moving import First, Ways, first_rows, first_swept
 from .frame import COORDINATES, FRAME_SLACK
 from .seen import Met, Times, meet_pairs
@@ -68,15 +75,39 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
     when: Any = (column.item() if len(column) == 1 else column for column in times)
     found = motion.first_many(tree, asked, skip, CLOSEST, tuple(when), threads)
-    rows, slots, places = motion.places(tree, (*asked, skip), times, found)
-    hits = CastHits(
-        *(np.full(count, NO_NODE, np.uint32), found.t),
-        *(np.full((count, 3), np.nan), np.zeros((count, 3))),
-    )
-    hits.handles[rows] = held.columns.node_handle[slots]
-    hits.points[rows, 2] = rays.origins[rows, 2] if ndim == 2 else 0.0
-    hits.points[rows, :ndim], hits.normals[rows, :ndim] = places
-    return hits
+    told, view = Told(np.empty(count, np.uint32), *np.empty((2, count, 3))), tree.view()
+    moving = motion.known(view, 0.0, 0.0)
+    given = rays.origins, rays.directions, *times, held.columns.node_handle, found, told
+    _describe_entry(ndim)(view.tree, moving, *given)
+    tree.check_unchanged(view)
+    return CastHits(told.handles, found.t, told.points, told.normals)
+
+
+@lean_kernel
+def describe(tree, moving, origins, directions, at, pace, node_handles, hits, told):
+    """Fill in what is told of hits, as `box_casting.describe`."""
+    ray, ndim = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), hits.normals.shape[1]
+    for i in range(origins.shape[0]):
+        told.handles[i], face = NO_NODE, INSIDE
+        for k in range(3):
+            told.points[i, k], told.normals[i, k] = np.nan, 0.0
+        if hits.ids[i] < 0:
+            continue
+        for k in range(ndim):
+            if hits.normals[i, k] != 0.0:
+                face = 2 * k + (hits.normals[i, k] > 0.0)
+        told.handles[i], told.points[i, 2] = node_handles[slot_of(hits.ids[i])], origins[i, 2]
+        set_ray(ray, origins[i, :ndim], directions[i, :ndim])
+        course = Course(ray, of_row(at, i), of_row(pace, i))
+        box = box_of(tree, moving, slot_of(hits.ids[i]))
+        locate(box, course, hits.t[i], np.int64(face), told.points[i], told.normals[i])
+
+
+_ROW, _ROWS = np.empty(0), np.empty((0, 3))
+_TOLD = Told(np.empty(0, np.uint32), _ROWS, _ROWS)
+_describe_entry = entry_points(
+    *(describe, no_motion, _ROWS, _ROWS, _ROW, _ROW, np.empty(0, np.int64), NO_HITS, _TOLD)
+)
 
 
 def first_then(

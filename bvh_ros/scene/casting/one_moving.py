@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.entries import entry_points
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
@@ -31,22 +30,6 @@ from .moving import reach_of
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 When = tuple[float, float]  # at, pace
-
-
-def first_box(
-    tree: DynamicBVH, start: Floats, goal: Floats, when: When, mask: np.uint32, skip: bool
-) -> BoxHit | None:
-    """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
-    motion: Any = tree.motion
-    place, kernel = np.empty((2, 3)), _first_entry(tree.ndim)
-    while True:
-        asked = start, goal, when, mask, skip, place
-        slot, t = kernel(tree.view().tree, motion.moving, *asked)
-        if slot >= NONE:
-            return None if slot == NONE else (slot, t, place[0], place[1])
-        if slot == NOT_FINITE:
-            raise too_long(start, goal)
-        motion.fit(tree, *span_of(*when, 1.0))
 
 
 @lean_kernel
@@ -73,7 +56,8 @@ _first_entry = entry_points(
 class OneWay(threading.local):
     """Room for one way a thread."""
 
-    def __init__(self, ndim: int) -> None:
+    def __init__(self, held: Obstacles) -> None:
+        ndim, self.held = held.tree.ndim, held
         self.ways = Ways(
             *(np.empty((1, ndim)), np.empty((1, ndim)), np.ones(1), np.empty(1, np.uint32)),
             *(np.empty(1), np.empty(1), np.empty(1), np.empty(1)),
@@ -81,10 +65,24 @@ class OneWay(threading.local):
         self.hits = Hits(np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
         self.scratch = new_scratch(ndim)
 
-    def first_shape(
-        self, held: Obstacles, way: Way, mask: np.uint32, skip: bool, when: When
+    def first_box(
+        self, start: Floats, goal: Floats, mask: np.uint32, skip: bool, when: When
     ) -> BoxHit | None:
+        """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
+        tree: Any = self.held.tree
+        place, kernel, motion = np.empty((2, 3)), _first_entry(tree.ndim), tree.motion
+        while True:
+            asked = start, goal, when, mask, skip, place
+            slot, t = kernel(tree.view().tree, motion.moving, *asked)
+            if slot >= NONE:
+                return None if slot == NONE else (slot, t, place[0], place[1])
+            if slot == NOT_FINITE:
+                raise too_long(start, goal)
+            motion.fit(tree, *span_of(*when, 1.0))
+
+    def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
         """The first obstacle of any shape."""
+        held = self.held
         (origin, direction, radius), (at, pace) = way, when
         tree: Any = held.tree
         ways, hits, ndim = self.ways, self.hits, tree.ndim

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
-from ..nodes import NONE, SLOT_MASK
+from ..nodes import NONE
 from ..rays import ray_batches
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
-from ..rays.slab import INSIDE
 from ..results import RayHits
 from ..store.turns import NOT_FINITE
 from ..store.workers import in_threads
@@ -173,28 +172,6 @@ class MotionQueries(Motion):
             for column, part in zip(hits, some, strict=True):
                 column[others[: len(part)]] = part
         return hits
-
-    def places(
-        self, tree: Any, rays: tuple[Any, ...], times: tuple[Floats, Floats], hits: RayHits
-    ) -> tuple[Ids, Ids, Places]:
-        """Where what `first_many` found is met: (rows with hits, slots, places); rays as of
-        `every_ray`.
-        """
-        view, rows = tree.view(), np.flatnonzero(hits.ids >= 0)
-        origins, directions, t_max, masks, skip = rays
-        casts = Casts(origins, origins, directions, t_max, masks, *times, skip, CLOSEST)
-        casts = rows_of(casts, len(origins), rows)
-        normals = hits.normals[rows]  # but one number of each is zero
-        towards, axes = normals.sum(axis=1), np.abs(normals) @ np.arange(tree.ndim)
-        faces = np.where(towards == 0.0, INSIDE, 2 * axes + (towards > 0.0)).astype(np.int64)
-        slots, ndim = hits.ids[rows] & SLOT_MASK, tree.ndim
-        places = Places(np.empty((len(rows), ndim)), np.empty((len(rows), ndim)))
-        found = Found(slots, hits.t[rows], faces)
-        kernel = casting.describe_entry(ndim)
-        moving = self.known(view, 0.0, 0.0)
-        kernel(view.tree, moving, casts, np.arange(len(rows) + 1), found, places)
-        tree.check_unchanged(view)
-        return rows, slots, places
 
     def _one_by_one(self, tree: Any, rays: MovingRays, hits: RayHits) -> None:
         """Answer rays by the tree's own nodes."""
