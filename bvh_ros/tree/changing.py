@@ -110,7 +110,7 @@ def insert_one(tree, lo, hi, mask, margin, branch_and_bound):
     then; or why not.
     """
     nodes, state = tree.nodes, tree.state
-    box, still = stack_array(6, np.float64).reshape(2, 3), stack_array(3, np.float64)
+    box, still = stack_array((2, 3), np.float64), stack_array(3, np.float64)
     if not _copy_box(lo, hi, box):
         return np.int64(NO_BOX)
     refused = _begin_one(state)
@@ -163,7 +163,7 @@ def move_one(tree, handle, lo, hi, margin, displacement, branch_and_bound):
     slot = find_slot(tree.handles, handle)
     if slot == NONE:
         return np.int64(UNKNOWN)
-    box = stack_array(6, np.float64).reshape(2, 3)
+    box = stack_array((2, 3), np.float64)
     if not _copy_box(lo, hi, box):
         return np.int64(NO_BOX)
     refused = _begin_one(state)

@@ -93,7 +93,7 @@ def sweep_ball(world, radius, way, asked, hits, brackets, place):
     scratch = Scratch(
         ray.reshape(RAY_ROWS, way[0].shape[0]),
         stack_array(6, np.float64)[: 2 * way[0].shape[0]].reshape(2, way[0].shape[0]),
-        stack_array(15, np.float64).reshape(5, 3),
+        stack_array((5, 3), np.float64),
         stack_array(DEEPEST, np.int64),
         stack_array(DEEPEST, np.float64),
     )

@@ -143,7 +143,7 @@ class Told(NamedTuple):
 @lean_kernel
 def describe(tree, node_handles, origins, directions, hits, told):
     """Fill in what is told of hits."""
-    place = stack_array(6, np.float64).reshape(2, 3)
+    place = stack_array((2, 3), np.float64)
     for i in range(origins.shape[0]):
         for k in range(3):
             told.points[i, k], told.normals[i, k] = np.nan, 0.0

@@ -15,7 +15,7 @@ from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
 from ...tree.nodes import DEEPEST, NONE
-from ...tree.rays.slab import INSIDE, PAD, RAY_FLOATS, RAY_ROWS, TINY, set_ray, set_swept_box
+from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from .casting import Best, enter_obstacle, no_hit, plain, touch
@@ -68,7 +68,7 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     why, ndim = np.int64(0), ways.origins.shape[1]
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     node_handles, scratch = tools
     for i in range(ways.origins.shape[0]):
         thin, suited = Course(ray, ways.at[i], ways.pace[i]), True
@@ -101,7 +101,7 @@ def walk(world, tree, moving, ways, i, asked, tools, thin):
     """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
     at, pace, t_max, mask = ways.at[i], ways.pace[i], ways.t_max[i], ways.masks[i]
     nodes, ndim, more = moving.nodes, ways.origins.shape[1], ways.more[i]
-    corners = stack_array(6, np.float64).reshape(2, 3)
+    corners = stack_array((2, 3), np.float64)
     for axis in range(ndim):
         corners[0, axis] = ways.origins[i, axis] - more
         corners[1, axis] = ways.origins[i, axis] + more
@@ -195,7 +195,7 @@ def growth_of(box, rate, at, pace, t_max):
 def see(ways, i, box, ray):
     """Write the ray as an obstacle sees it that moves."""
     _, _, velocity, reference = box
-    seen = stack_array(6, np.float64).reshape(2, 3)
+    seen = stack_array((2, 3), np.float64)
     ndim, since = ways.origins.shape[1], ways.at[i] - reference
     for axis in range(ndim):
         seen[0, axis] = ways.origins[i, axis] - velocity[axis] * since

@@ -64,7 +64,7 @@ def enter_surface(surface, scale, origin, direction, reach):
     """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
     The ray is given in lengths times `scale`.
     """
-    ray = stack_array(15, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     along = 0.0
     for axis in range(3):
         along -= origin[axis] * direction[axis]

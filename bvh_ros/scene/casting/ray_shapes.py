@@ -115,7 +115,7 @@ def enter_rounded_boxes(origin, direction, lo, hi, radii, reach, found):
             ss[i], features[i] = 0.0, INSIDE
         elif radii[i] > 0.0:
             left += 1
-    planes, begin = stack_array(12, np.float64).reshape(3, 4), 0.0
+    planes, begin = stack_array((3, 4), np.float64), 0.0
     for axis in range(lo.shape[0]):
         crossing = slab_times(origin[axis], direction[axis], lo[axis], hi[axis])
         planes[axis, 0], planes[axis, 1], planes[axis, 2], planes[axis, 3] = crossing

@@ -69,8 +69,8 @@ def gap(one, hulls, other, other_hulls, planar, points):
 
 @lean_kernel
 def ordered_gap(one, hulls, other, other_hulls, planar, points):
-    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    first = stack_array((CORE_ROWS, 3), np.float64)
+    second = stack_array((CORE_ROWS, 3), np.float64)
     way = stack_array(WAY_ROOM, np.float64)
     cores, (radius, other_radius), exponent = fill_cores(
         *(one, hulls, other, other_hulls), planar, (first, second)
@@ -106,7 +106,7 @@ def box_gap(one, other, ndim, points):
     """`gap` of two axis-aligned boxes: between their faces, and in the middle where they face
     each other.
     """
-    corners = stack_array(12, np.float64).reshape(4, 3)
+    corners = stack_array((4, 3), np.float64)
     gaps = stack_array(3, np.float64)
     fill_corners(one, corners[:2])
     fill_corners(other, corners[2:])
@@ -174,7 +174,7 @@ def apart(one, other, bodies, signed, points):
 def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
     reach, besides = asked
-    points, one = stack_array(6, np.float64).reshape(2, 3), rows.records[row]
+    points, one = stack_array((2, 3), np.float64), rows.records[row]
     for i in range(slots.shape[0]):
         slot = slots[i]
         if node_handles[slot] != besides:

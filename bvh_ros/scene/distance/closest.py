@@ -92,7 +92,7 @@ def closest_in_shape(shape, hulls, centre, point):
     """Fill in the point of a turned or round shape closest to the centre; the centre itself
     inside. Return the distance.
     """
-    matrix = stack_array(9, np.float64).reshape(3, 3)
+    matrix = stack_array((3, 3), np.float64)
     local, closest = stack_array(3, np.float64), stack_array(3, np.float64)
     fill_rotation(shape.orientation, matrix)
     for axis in range(3):
@@ -145,7 +145,7 @@ def closest_in_obstacle(shape, hulls, centre, point, normal):
         distance = closest_in_shape(shape, hulls, centre, point)
         look_back(point, centre, 3, normal)
         return distance
-    corners = stack_array(6, np.float64).reshape(2, 3)
+    corners = stack_array((2, 3), np.float64)
     fill_corners(shape, corners)
     closest_in_box(corners[0], corners[1], centre, point)
     return look_back(point, centre, 3, normal)
@@ -157,7 +157,7 @@ def closest_from_above(shape, footprint, hulls, centre, point, normal):
     if shape.shaped:
         closest_in_footprint(footprint, hulls, centre, point)
     else:
-        corners = stack_array(6, np.float64).reshape(2, 3)
+        corners = stack_array((2, 3), np.float64)
         fill_corners(shape, corners)
         closest_in_box(corners[0, :2], corners[1, :2], centre, point)
     return look_back(point, centre, 2, normal)

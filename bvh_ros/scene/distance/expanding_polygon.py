@@ -12,15 +12,13 @@ from .expanding_polytope import reach_in
 from .simplex import SLACK
 
 MOST_EDGES = 256
-CORNER_NUMBERS = 4 * MOST_EDGES
-LINE_NUMBERS = 3 * MOST_EDGES
 
 
 @lean_kernel
 def polygon_depth(one, other, normal):
     """`expanding_polytope.polytope_depth` of cores with z = 0, parted within the plane."""
-    edges = stack_array(CORNER_NUMBERS, np.float64).reshape(MOST_EDGES, 2, 2)  # from, to
-    lines = stack_array(LINE_NUMBERS, np.float64).reshape(MOST_EDGES, 3)  # as planes
+    edges = stack_array((MOST_EDGES, 2, 2), np.float64)  # from, to
+    lines = stack_array((MOST_EDGES, 3), np.float64)  # as planes
     corner = stack_array(3, np.float64)
     normal[2] = 0.0
     for axis in range(2):

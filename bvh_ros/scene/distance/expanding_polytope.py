@@ -28,7 +28,6 @@ from .simplex import SLACK, dot
 
 MOST_CORNERS = 256  # of polyhedra few are needed, about round rims all where many sides are tied
 MOST_FACES = 2 * MOST_CORNERS
-CORNER_NUMBERS, FACE_NUMBERS, PLANE_NUMBERS = 3 * MOST_CORNERS, 3 * MOST_FACES, 4 * MOST_FACES
 SIDE_SURE = 2.0**-44  # of lengths about 1: nearer to a plane, doubles do not tell the side
 
 
@@ -62,9 +61,9 @@ def polytope_depth(one, other, normal):
     They agree to SLACK, but where more sides are tied, to rounding, than a polytope has corners;
     `high` parts them all the same. Of cores that are just apart both are not above 0.
     """
-    corners = stack_array(CORNER_NUMBERS, np.float64).reshape(MOST_CORNERS, 3)
-    faces = stack_array(FACE_NUMBERS, np.int64).reshape(MOST_FACES, 3)
-    planes = stack_array(PLANE_NUMBERS, np.float64).reshape(MOST_FACES, 4)
+    corners = stack_array((MOST_CORNERS, 3), np.float64)
+    faces = stack_array((MOST_FACES, 3), np.int64)
+    planes = stack_array((MOST_FACES, 4), np.float64)
     polytope = Polytope(corners, faces, planes)
     if not first_triangle(one, other, corners, normal):
         high = reach_in(one, other, normal, corners[0])
@@ -136,7 +135,7 @@ def fill_aside(one, other, axis, way):
 @lean_kernel
 def first_triangle(one, other, corners, normal):
     """Fill in three corners; false if D is a line, across which `normal` is then."""
-    trial, way = stack_array(6, np.float64).reshape(2, 3), stack_array(3, np.float64)
+    trial, way = stack_array((2, 3), np.float64), stack_array(3, np.float64)
     edge, widest = stack_array(3, np.float64), -1.0
     for axis in range(3):
         for side in range(2):
@@ -187,7 +186,7 @@ def size_across(edge, start, place):
 @lean_kernel
 def fill_normal(corners, face, normal):
     """Fill in twice a triangle's area along its normal, with twice the digits: (3, 2)."""
-    room = stack_array(12, np.float64).reshape(2, 3, 2)
+    room = stack_array((2, 3, 2), np.float64)
     for axis in range(3):
         start = corners[face[0], axis]
         for side in range(2):
@@ -201,7 +200,7 @@ def fill_normal(corners, face, normal):
 def set_plane(polytope, number):
     """Fill in the plane of a face."""
     face, plane = polytope.faces[number], polytope.planes[number]
-    normal = stack_array(6, np.float64).reshape(3, 2)
+    normal = stack_array((3, 2), np.float64)
     fill_normal(polytope.corners, face, normal)
     largest = max(abs(normal[0, 0]), abs(normal[1, 0]), abs(normal[2, 0]))
     exponent = math.frexp(largest)[1]
@@ -222,7 +221,7 @@ def is_above(polytope, number, corner):
     height = dot(plane, corner) - plane[3]
     if not abs(height) <= SIDE_SURE:
         return height > 0.0
-    room, face = stack_array(12, np.float64).reshape(2, 3, 2), polytope.faces[number]
+    room, face = stack_array((2, 3, 2), np.float64), polytope.faces[number]
     fill_normal(polytope.corners, face, room[0])
     for axis in range(3):
         start = polytope.corners[face[0], axis]
@@ -236,7 +235,7 @@ def expand(polytope, count, number):
     how many faces there are then, 0 if there is no room.
     """
     faces, planes = polytope.faces, polytope.planes
-    seen, kept = stack_array(FACE_NUMBERS, np.int64).reshape(MOST_FACES, 3), 0
+    seen, kept = stack_array((MOST_FACES, 3), np.int64), 0
     many = 0
     for face in range(count):
         sees = is_above(polytope, face, polytope.corners[number])

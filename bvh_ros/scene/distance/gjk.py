@@ -100,7 +100,7 @@ def gap_bounds(one, other, limit, point):
 
     Rows of the simplex: the corner, and the point of this core in it.
     """
-    simplex = stack_array(24, np.float64).reshape(4, 6)
+    simplex = stack_array((4, 6), np.float64)
     weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
     for axis in range(3):
         point[axis] = one.rows[CENTRE, axis] - other.rows[CENTRE, axis]

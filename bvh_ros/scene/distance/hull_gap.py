@@ -20,8 +20,8 @@ def hull_gap(hull, point, apart, normal):
     the unit vector `normal` across the plane that proves it: next to the mesh the way between two
     points is noise, that vector is not.
     """
-    ball = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    mesh = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    ball = stack_array((CORE_ROWS, 3), np.float64)
+    mesh = stack_array((CORE_ROWS, 3), np.float64)
     way = stack_array(WAY_ROOM, np.float64)
     largest = max(hull.radius, abs(point[0]), abs(point[1]), abs(point[2]))
     exponent = math.frexp(largest)[1]

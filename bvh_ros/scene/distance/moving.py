@@ -20,7 +20,7 @@ from ...tree.motion.meeting import Course, box_of
 from ...tree.motion.overlapping import overlap_then
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
-from ...tree.rays.slab import RAY_FLOATS, RAY_ROWS, set_swept_box
+from ...tree.rays.slab import RAY_ROWS, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ..store.places import WIDER
 from .narrow_phase import near
@@ -150,8 +150,8 @@ def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, 0
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
-    grown = stack_array(6, np.float64).reshape(2, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    grown = stack_array((2, 3), np.float64)
     row, filled, wanted, compared = np.int64(begin), 0, 0, 0
     while row < then.at.shape[0]:
         at, record = then.at[row], queries.records[row : row + 1]

@@ -166,7 +166,7 @@ def put_itself(tree, moving, then, queries, slot, spare):
 def _clear(spare, pair, growths, signed, node_handles, told, row):
     """Keep an obstacle where it stands, pair = (shape, slot, reach), if it is the nearer one."""
     one, slot, reach = pair
-    points = stack_array(6, np.float64).reshape(2, 3)
+    points = stack_array((2, 3), np.float64)
     distance = clearance.apart(one, spare.shapes[0], spare, signed, points)
     if growths[0] + growths[1] > 0.0:
         distance = _swell_both(points, distance, growths, signed)

@@ -120,8 +120,8 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
 
 @lean_kernel
 def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
-    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    first = stack_array((CORE_ROWS, 3), np.float64)
+    second = stack_array((CORE_ROWS, 3), np.float64)
     # As `fill_cores`, but what many boxes need not comes after them: 5 % of a turned overlap.
     origin = one.position
     largest = max(largest_length(one, origin, planar), largest_length(other, origin, planar))

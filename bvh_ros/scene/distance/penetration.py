@@ -45,8 +45,8 @@ def penetration(one, hulls, other, other_hulls, planar, points, normal):
 
 @lean_kernel
 def ordered_penetration(one, hulls, other, other_hulls, planar, points, normal):
-    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    first = stack_array((CORE_ROWS, 3), np.float64)
+    second = stack_array((CORE_ROWS, 3), np.float64)
     cores, radii, exponent = fill_cores(*(one, hulls, other, other_hulls), planar, (first, second))
     depth = core_depth(cores, radii, planar, points, normal)
     return scaled_back(depth, exponent, one.position, points)
@@ -55,8 +55,8 @@ def ordered_penetration(one, hulls, other, other_hulls, planar, points, normal):
 @lean_kernel
 def depth_of_point(place, shape, hulls, planar, points, normal):
     """`penetration` of a point in a shape."""
-    first = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
-    second = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    first = stack_array((CORE_ROWS, 3), np.float64)
+    second = stack_array((CORE_ROWS, 3), np.float64)
     origin, largest = shape.position, largest_length(shape, shape.position, planar)
     for axis in range(2 if planar else 3):
         largest = max(largest, abs(place[axis] - origin[axis]))
@@ -106,7 +106,7 @@ def core_depth(cores, radii, planar, points, normal):
 @lean_kernel
 def part(cores, distance, normal, way):
     """`gjk.gap_bounds` fills in `way` once the first core has moved so far along a normal."""
-    rows = stack_array(15, np.float64).reshape(CORE_ROWS, 3)
+    rows = stack_array((CORE_ROWS, 3), np.float64)
     for row in range(CORE_ROWS):
         for axis in range(3):
             rows[row, axis] = cores[0].rows[row, axis]

@@ -27,7 +27,6 @@ from .simplex import dot
 WIDEST = 32.0  # x and y at first: up to 88 degrees to the side
 MOST_TRIALS = 120
 ROOM = MOST_TRIALS + 4  # corners of a square, and one more with every cut
-NUMBERS = 2 * ROOM
 GAINED = 2.0**-52  # of lengths below 1
 
 
@@ -96,11 +95,11 @@ def widest_gap(one, other, way, least, enough, pool):
     `way` leads from a point of the other core to one of this; it becomes the vector across the
     gap.
     """
-    frame = stack_array(9, np.float64).reshape(3, 3)
+    frame = stack_array((3, 3), np.float64)
     normal, corner = stack_array(3, np.float64), stack_array(3, np.float64)
     pooled = 0
-    polygon = stack_array(NUMBERS, np.float64).reshape(ROOM, 2)
-    clipped = stack_array(NUMBERS, np.float64).reshape(ROOM, 2)
+    polygon = stack_array((ROOM, 2), np.float64)
+    clipped = stack_array((ROOM, 2), np.float64)
     fill_frame(one, other, way, frame)
     for i in range(4):
         polygon[i, 0] = WIDEST if i == 0 or i == 3 else -WIDEST

@@ -49,7 +49,7 @@ def fill_box(start, goal, orientation, planar, records, bounds):
     record = records[0]
     if not (is_finite(start) and is_finite(goal) and is_finite(orientation)):
         return NOT_FINITE
-    unit, matrix = stack_array(4, np.float64), stack_array(9, np.float64).reshape(3, 3)
+    unit, matrix = stack_array(4, np.float64), stack_array((3, 3), np.float64)
     diagonal, centre = stack_array(3, np.float64), stack_array(3, np.float64)
     fill_unit(orientation, unit)
     if planar and (unit[0] != 0.0 or unit[1] != 0.0):

@@ -29,7 +29,7 @@ def separation(one, other, slack):
     within `slack`; not `sure` if edges are so nearly parallel that their cross product says
     little. The boxes are at least `gap` apart.
     """
-    turn = stack_array(9, np.float64).reshape(3, 3)  # the other's axes seen from one, in columns
+    turn = stack_array((3, 3), np.float64)  # the other's axes seen from one, in columns
     offset = stack_array(3, np.float64)
     for i in range(3):
         offset[i] = 0.0

@@ -44,7 +44,7 @@ def sink_in_obstacle(shape, bodies, centre, found, row):
     if found.distances[row] > 0.0:
         return
     ndim = 3 if bodies.footprints is None else 2
-    points = stack_array(6, np.float64).reshape(2, 3)
+    points = stack_array((2, 3), np.float64)
     if not shape.shaped:
         fill_corners(shape, points)
         sink_in_box(points[0, :ndim], points[1, :ndim], centre, found, row)
@@ -76,7 +76,7 @@ def box_depth(one, other, ndim, points, normal):
     """`penetration` of two axis-aligned boxes; across the way out, `points` are as
     `clearance.box_gap` left them.
     """
-    corners = stack_array(12, np.float64).reshape(4, 3)
+    corners = stack_array((4, 3), np.float64)
     fill_corners(one, corners[:2])
     fill_corners(other, corners[2:])
     depth = out_of_aligned(

@@ -26,7 +26,6 @@ from .sure_simplex import closest
 SURE_STEPS = 300  # a hundred are many
 IDLE_STEPS = 10  # without a better bound: beside a round rim that is all that doubles tell
 POOL = MOST_TRIALS + SURE_STEPS
-POOL_NUMBERS = 6 * POOL
 
 
 @lean_kernel
@@ -42,7 +41,7 @@ def sure_bounds(one, other, limit, measured, way):
     if certain(low, high, limit, measured):
         return low, high, False
     enough = np.inf if measured else limit
-    pool, pooled = stack_array(POOL_NUMBERS, np.float64).reshape(POOL, 6), 0
+    pool, pooled = stack_array((POOL, 6), np.float64), 0
     if one.is_round or other.is_round:
         start = stack_array(3, np.float64)
         for axis in range(3):
@@ -74,9 +73,8 @@ def walk(cores, limit, enough, low, best, way, pool, pooled):
     No corner is forgotten: the next is the best of those in `pool`, the newest among them. So it
     ends no farther off than the closest point of all that were ever seen.
     """
-    simplex, normal = stack_array(24, np.float64).reshape(4, 6), stack_array(3, np.float64)
-    weights, point = stack_array(8, np.float64).reshape(4, 2), stack_array(6, np.float64)
-    point = point.reshape(3, 2)
+    simplex, normal = stack_array((4, 6), np.float64), stack_array(3, np.float64)
+    weights, point = stack_array((4, 2), np.float64), stack_array((3, 2), np.float64)
     set_normal(way, normal)
     high, count, idle = np.inf, 0, 0
     for _ in range(SURE_STEPS):

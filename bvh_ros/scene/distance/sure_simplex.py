@@ -52,7 +52,7 @@ def at_weights(simplex, count, trial, point):
 @lean_kernel
 def over_edge(simplex, i, j, trial):
     """Weights of the point of an edge closest to the origin; false if that is one of its ends."""
-    step, corner = stack_array(6, np.float64).reshape(3, 2), stack_array(6, np.float64)
+    step, corner = stack_array((3, 2), np.float64), stack_array(6, np.float64)
     corner = corner.reshape(3, 2)
     between(simplex, i, j, step)
     at_corner(simplex, i, corner)
@@ -72,7 +72,7 @@ def over_triangle(simplex, i, j, k, trial, point):
     """Weights of the point of a triangle closest to the origin, and the point along its normal;
     false if that is not over its inside.
     """
-    room = stack_array(36, np.float64).reshape(6, 3, 2)
+    room = stack_array((6, 3, 2), np.float64)
     one, other, normal, corner, way, across = room[0], room[1], room[2], room[3], room[4], room[5]
     between(simplex, i, j, one)
     between(simplex, i, k, other)
@@ -104,7 +104,7 @@ def around_origin(simplex, trial, point):
     """Weights of the corners of a tetrahedron that make the origin; false if it does not hold it,
     or is so flat that nobody can tell.
     """
-    room = stack_array(24, np.float64).reshape(4, 3, 2)
+    room = stack_array((4, 3, 2), np.float64)
     one, other, normal, corner = room[0], room[1], room[2], room[3]
     for i in range(4):
         j, k, m = (i + 1) % 4, (i + 2) % 4, (i + 3) % 4
@@ -134,8 +134,8 @@ def closest(simplex, count, weights, point):
     before all corners. Their distances would not tell: a way that is turned by an angle gets
     shorter by the square of it only, while the far corners move by the angle itself.
     """
-    trial = stack_array(8, np.float64).reshape(4, 2)
-    place, widest = stack_array(6, np.float64).reshape(3, 2), -np.inf
+    trial = stack_array((4, 2), np.float64)
+    place, widest = stack_array((3, 2), np.float64), -np.inf
     if count == 4 and around_origin(simplex, trial, place):
         place[:] = 0.0
         accept(simplex, count, trial, place, widest, weights, point)

@@ -59,7 +59,7 @@ def reached(tree, query, mask, found):
     """Write the slots whose boxes touch the grown query's; return how many, which may be more
     than fit.
     """
-    grown = stack_array(6, np.float64).reshape(2, 3)
+    grown = stack_array((2, 3), np.float64)
     grow(query, grown)
     return overlap(tree, grown[0], grown[1], mask, found.slots, 0)
 

@@ -166,7 +166,7 @@ def reach_along(kind, half, matrix, axis):
 @lean_kernel
 def canonical_row(kind, position, orientation, size, ndim, record, bounds):
     """Fill in record and bounds (2, 3) of a row without faults."""
-    matrix = stack_array(9, np.float64).reshape(3, 3)
+    matrix = stack_array((3, 3), np.float64)
     fill_unit(orientation, record.orientation)
     fill_rotation(record.orientation, matrix)
     aligned = kind == BOX and maps_axes_to_axes(record.orientation)
@@ -200,7 +200,7 @@ def canonical_row(kind, position, orientation, size, ndim, record, bounds):
 @lean_kernel
 def canonical_rows(kinds, positions, orientations, sizes, form):
     """Fill in a `Canonical`; return whether there is a row of kind MESH."""
-    bounds, meshes = stack_array(6, np.float64).reshape(2, 3), False
+    bounds, meshes = stack_array((2, 3), np.float64), False
     for i in range(kinds.shape[0]):
         fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
         if fault == FINE:

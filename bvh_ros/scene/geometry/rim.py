@@ -139,7 +139,7 @@ def look_out_of_oval(footprint, scale, point, normal, closest):
     """Fill in the direction outwards at the oval's rim next to a point, then the closest point,
     itself inside; return the distance.
     """
-    along, across = footprint.along, stack_array(4, np.float64).reshape(2, 2)
+    along, across = footprint.along, stack_array((2, 2), np.float64)
     across[0, 0], across[0, 1] = to_oval(along, point)
     _, distance = measure_oval(oval_of(footprint, scale), across[0], across[1])
     u, v = across[1, 0], across[1, 1]

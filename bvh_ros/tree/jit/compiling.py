@@ -10,7 +10,7 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from . import inside
+from . import inside, worker
 from .workers import run_beside
 
 
@@ -99,8 +99,8 @@ def entry_point(
 
 
 def prepare(compiled: Any, *arguments: Any) -> None:
-    """Compile what becomes a part of kernels that get arguments of these types, and keep it: while
-    another process compiles what else they are made of.
+    """Compile what becomes a part of kernels that get arguments of these types, while another
+    process compiles what else they are made of. Only in a worker: who loads kernels needs none.
     """
-    if inside.parts() is not None:
+    if inside.parts() is not None and worker.is_here():
         compiled.prepare(tuple(map(numba.typeof, arguments)))

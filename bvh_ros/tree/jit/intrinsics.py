@@ -3,6 +3,7 @@
 """What numba's own language lacks: small arrays on the stack, and LLVM's vector operations."""
 
 import contextlib
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -20,28 +21,34 @@ _VECTOR = ir.VectorType(_FLOAT, LANES)
 
 
 @intrinsic(prefer_literal=True)
-def stack_array(typingctx, size, dtype):
-    """Uninitialised array of a constant `size` that lives until the calling kernel returns; it
-    must not be returned. `dtype` may be an array: of the same dtype.
+def stack_array(typingctx, shape, dtype):
+    """Uninitialised array of a constant `shape`, a number or several, that lives until the calling
+    kernel returns; it must not be returned. `dtype` may be an array: of the same dtype.
     """
-    kind = types.Array(dtype.dtype, 1, 'C')
-    length = size.literal_value
+    several = shape.types if isinstance(shape, types.BaseTuple) else (shape,)
+    lengths = [one.literal_value for one in several]
+    kind = types.Array(dtype.dtype, len(lengths), 'C')
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         item = context.get_data_type(kind.dtype)
-        room = _on_stack(builder, ir.ArrayType(item, length))
+        room = _on_stack(builder, ir.ArrayType(item, math.prod(lengths)))
         if isinstance(kind.dtype, types.Record):
             room.align = CACHE_LINE
         array = context.make_array(kind)(context, builder)
-        extent = context.get_constant(types.intp, length)
-        step = context.get_constant(types.intp, context.get_abi_sizeof(item))
+        size = context.get_abi_sizeof(item)
+        steps = [size * math.prod(lengths[axis + 1 :]) for axis in range(len(lengths))]
         data = builder.bitcast(room, item.as_pointer())
         context.populate_array(
-            array, data=data, shape=[extent], strides=[step], itemsize=step, meminfo=None
+            array,
+            data=data,
+            shape=[*map(index, lengths)],
+            strides=[*map(index, steps)],
+            itemsize=index(size),
+            meminfo=None,
         )
         return array._getvalue()
 
-    return kind(size, dtype), codegen
+    return kind(shape, dtype), codegen
 
 
 def index(value: int) -> Any:

@@ -72,14 +72,16 @@ class _Place(caching._CacheLocator):
 class _Kept(caching.CompileResultCacheImpl):
     """What is kept of a kernel: machine code, and not what that was made from, in LLVM's terms.
     numba would link it into callers, but these are given a part of their own. It is half of a
-    file, and reading it took a seventh of a start with kept kernels.
+    file, and reading it took a seventh of a start with kept kernels. Nor are environments kept
+    that hold nothing: numba would import what of itself they come from.
     """
 
     _locator_classes = (_Place,)
 
     def reduce(self, data: Any) -> Any:
-        (name, kind, (code, bitcode)), *rest = super().reduce(data)
-        return (name, kind, (code, _names_in(bitcode))), *rest
+        (name, kind, (code, bitcode)), *rest, environments = super().reduce(data)
+        used = tuple(one for one in environments if one.consts)
+        return (name, kind, (code, _names_in(bitcode))), *rest, used
 
 
 class _KeptPart(caching.CompileResultCacheImpl):

@@ -7,10 +7,15 @@ the machine's temporary folder, or in a home that somebody else lent, is nobody'
 looked at.
 """
 
+import contextlib
 import os
 import stat
 import tempfile
+import time
 from pathlib import Path
+
+DRAFT = '.tmp'  # ends the names of files that are being written
+ABANDONED = 600.0  # seconds; writing takes milliseconds
 
 
 class UnsafeError(PermissionError):
@@ -28,7 +33,8 @@ def is_ours_alone(status: os.stat_result, *, or_of_root: bool = False) -> bool:
 
 
 def open_private(ours: Path, name: str) -> Path:
-    """Return the folder `name` in our own one; both are made where they are missing.
+    """Return the folder `name` in our own one; both are made where they are missing, and what was
+    never written to its end is removed.
 
     What is above our own folder is the machine's, and not looked at.
 
@@ -46,6 +52,10 @@ def open_private(ours: Path, name: str) -> Path:
     for part in ours, folder:
         part.mkdir(mode=0o700, exist_ok=True)
         check(part)
+    for draft in folder.glob(f'*{DRAFT}'):  # of who was ended while it wrote
+        with contextlib.suppress(OSError):
+            if time.time() - draft.stat().st_mtime > ABANDONED:
+                draft.unlink()
     with tempfile.TemporaryFile(dir=folder):
         return folder
 
@@ -64,7 +74,7 @@ def check(folder: Path, *, or_of_root: bool = False) -> None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file that others see whole or not at all."""
-    descriptor, draft = tempfile.mkstemp(dir=path.parent, suffix='.tmp')
+    descriptor, draft = tempfile.mkstemp(dir=path.parent, suffix=DRAFT)
     try:
         with open(descriptor, 'wb') as file:
             file.write(content)

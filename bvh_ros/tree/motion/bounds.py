@@ -77,7 +77,7 @@ def _fit_leaf(node, box, moving):
 
 @inlined
 def _fit_inner(node, left, right, length):
-    ends, ndim = stack_array(12, np.float64).reshape(2, 6), node.sides.shape[0] // 2
+    ends, ndim = stack_array((2, 6), np.float64), node.sides.shape[0] // 2
     for lane in range(2 * ndim):
         ends[0, lane] = min(left.sides[lane], right.sides[lane])
         later = left.sides[lane] + left.rates[lane] * length

@@ -14,18 +14,7 @@ from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf
 from ..rays.raycasting import ANY, CLOSEST, Asked, Found, of_row
-from ..rays.slab import (
-    DIRECTION,
-    EXACT,
-    INSIDE,
-    ORIGIN,
-    PAD,
-    RAY_FLOATS,
-    RAY_ROWS,
-    TINY,
-    UPPER,
-    set_swept_box,
-)
+from ..rays.slab import DIRECTION, EXACT, INSIDE, ORIGIN, PAD, RAY_ROWS, TINY, UPPER, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from . import velocities
 from .bounds import FRONTS, covers, enter_node, moving_dtype, set_fronts
@@ -174,7 +163,7 @@ def cast_one(tree, moving, swept, asked, times, place):
         return OUTSIDE, np.inf
     if not begin_query(state, moving.version):
         return REFUSED, np.inf
-    course = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, pace)
+    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, pace)
     set_swept_box(course.ray, lo, hi, direction)
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
@@ -199,7 +188,7 @@ def cast_rows(tree, moving, casts, offsets, found, first):
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), np.int64(0)
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     done, exact, end, refused = np.int64(first), np.int64(0), np.int64(0), np.int64(0)
     while done < casts.lo.shape[0]:
         lo, hi, direction = casts.lo[done], casts.hi[done], casts.directions[done]
@@ -230,7 +219,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
     then of handles; each t becomes the largest up to it. Points and normals go to `places`.
     """
     slots, ts, faces = found.slots, found.ts, found.axes
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(casts.lo.shape[0]):
         set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
         course = Course(ray, of_row(casts.at, i), of_row(casts.pace, i))

@@ -9,7 +9,7 @@ from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
 from ..jit.moving_sides import is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
-from ..rays.slab import DIRECTION, ORIGIN, RAY_FLOATS, RAY_ROWS, UPPER, set_swept_box
+from ..rays.slab import DIRECTION, ORIGIN, RAY_ROWS, UPPER, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
@@ -73,7 +73,7 @@ def overlap_one(tree, moving, box, mask, at, slots):
     if covers(moving, at, 0.0, 0.0) == 0:
         end_query(tree.state)
         return np.int64(OUTSIDE)
-    course = Course(stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), at, 0.0)
+    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0)
     set_swept_box(course.ray, lo, hi, nowhere)
     count = overlap_then(tree, moving, course, mask, slots)
     for i in range(min(count, slots.shape[0])):

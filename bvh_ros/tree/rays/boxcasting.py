@@ -11,7 +11,7 @@ from ..nodes import EXACT_RAYS, NONE, RAYS, leaf_box
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
 from .ray_hits import locate
 from .raycasting import CLOSEST, Asked, Found, raycast
-from .slab import EXACT, INSIDE, ORIGIN, RAY_FLOATS, RAY_ROWS, set_swept_box
+from .slab import EXACT, INSIDE, ORIGIN, RAY_ROWS, set_swept_box
 
 
 @lean_kernel
@@ -27,7 +27,7 @@ def boxcast(tree, lo, hi, translation, mask, place):
             return NOT_FINITE, np.inf
     if not begin_query(state, ANY_VERSION):
         return REFUSED, np.inf
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     set_swept_box(ray, lo, hi, translation)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)

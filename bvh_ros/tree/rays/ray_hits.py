@@ -11,7 +11,7 @@ from ..nodes import EXACT_RAYS, NONE, RAYS, leaf_box
 from ..results import RayHits
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from .raycasting import CLOSEST, NO_RAYS, Asked, Found, of_row, raycast
-from .slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS, set_ray
+from .slab import EXACT, INSIDE, RAY_ROWS, set_ray
 
 
 @lean_kernel
@@ -59,7 +59,7 @@ def raycast_one(tree, origin, direction, t_max, mask, skip_inside, mode, place):
         return NOT_FINITE, np.inf
     if not begin_query(state, ANY_VERSION):
         return REFUSED, np.inf
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     set_ray(ray, origin, direction)
@@ -107,7 +107,7 @@ def raycast_rows(tree, version, rays, hits):
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     found = Found(slots, stack_array(1, np.float64), axes)
     exact = np.int64(0)

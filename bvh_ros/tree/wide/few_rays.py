@@ -15,7 +15,7 @@ from ..jit.intrinsics import WIDTH, stack_array, trailing_zeros
 from ..nodes import NONE, WRITTEN
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
-from ..rays.slab import EXACT, INSIDE, RAY_FLOATS, RAY_ROWS
+from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
 from .collapse_plan import DEEPEST_WIDE
@@ -38,7 +38,7 @@ def cast_few(tree, version, snapshot, rays, hits):
     if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
         end_query(tree.state)
         return np.int64(REFUSED)
-    ray = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     one = Found(slots, stack_array(1, np.float64), axes)
     records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)

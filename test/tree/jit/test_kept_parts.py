@@ -53,8 +53,9 @@ SCALE = 2.0
 """
 CALL = """
 import json, sys
+import numba
 import numpy as np
-from bvh_ros.tree.jit import compiling, kernel_parts
+from bvh_ros.tree.jit import kernel_parts
 from bvh_ros.tree import probe
 
 compiled = []
@@ -65,7 +66,7 @@ def noted(self, function):
 kernel_parts._PartCompiler.compile_extra = noted
 x = np.array([1.0, 2.0])
 kernel = getattr(probe, sys.argv[2])
-answer = compiling.prepare(kernel, x) if sys.argv[1] == 'prepare' else kernel(x)
+answer = kernel.prepare((numba.typeof(x),)) if sys.argv[1] == 'prepare' else kernel(x)
 print(json.dumps([answer, sorted(set(compiled))]))
 """
 

@@ -28,13 +28,18 @@ def package(tmp_path, monkeypatch):
         for folder in path.relative_to(root).parents:
             (root / folder / '__init__.py').touch()
         path.write_text(text)
-        for cached in (kernel_sources._digest, kernel_sources._imported):
-            cached.cache_clear()
+        forget()
         return path
 
     yield write
-    for cached in (kernel_sources._digest, kernel_sources._imported):
-        cached.cache_clear()
+    forget()
+
+
+def forget():
+    """What was read of the package before."""
+    for kept in vars(kernel_sources).values():
+        if hasattr(kept, 'cache_clear'):
+            kept.cache_clear()
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,18 @@ def test_a_damaged_file_is_compiled_again(cache):
         assert kept_files(cache) == [file]
 
 
+def test_what_was_not_written_to_its_end_is_removed(cache):
+    misses()
+    (file,) = kept_files(cache)
+    abandoned, begun = (file.with_name(name + private_folder.DRAFT) for name in 'ab')
+    for draft in abandoned, begun:
+        draft.touch()
+    os.utime(abandoned, (0.0, 0.0))
+    kernel_cache._find_folder.cache_clear()
+    assert misses() == 0
+    assert (abandoned.exists(), begun.exists()) == (False, True)
+
+
 def test_what_machine_code_was_made_from_is_not_kept(cache):
     """A second process runs it all the same, see `test_kernel_cache`."""
     assert misses() == 1
