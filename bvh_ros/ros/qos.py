@@ -23,5 +23,7 @@ class Delivery(NamedTuple):
     """False keeps to one kind of publishers."""
     ordered: bool = True
     """Whether their order matters."""
+    together: bool = False
+    """Whether small ones that come often may be handed over together, some milliseconds late."""
     raw: bool = False
     """Whether they are handed over as serialised bytes."""

@@ -162,29 +162,47 @@ def read_markers(data, big_endian, fixed, places):
     return at, fixed.shape[0]
 
 
-def read(message: bytes) -> MarkerTable:
-    """Read a serialised MarkerArray.
+def read(*messages: bytes) -> MarkerTable:
+    """Read a serialised MarkerArray, or several as if they were one.
 
     Raises
     ------
     ValueError
-        If it is not one, as a whole: truncated, or with lengths that contradict its size.
+        If one is none, as a whole: truncated, or with lengths that contradict its size. If several
+        differ in their byte order.
     """
-    data, order = reading.body_of(message)
+    bodies, orders = zip(*map(reading.body_of, messages), strict=True)
+    order = orders[0]
+    if orders.count(order) < len(orders):
+        raise ValueError('of the messages, some have the other byte order')
     big_endian = order == '>'
+    counts = [_count(data, big_endian) for data in bodies]
+    fixed = np.empty((sum(counts), FIXED_SIZE), np.uint8)
+    places = np.zeros((sum(counts), 8), np.int64)
+    row = at = 0
+    for data, count in zip(bodies, counts, strict=True):
+        own = places[row : row + count]
+        if count:
+            own[0, [FRAME_LENGTH, SPACE_LENGTH]] = -1  # the first differs from what was before
+        end, number = read_markers(data, big_endian, fixed[row : row + count], own)
+        if end < 0:
+            raise ValueError(f'marker {number} of {count} {reading.REASONS[end]}')
+        if at:
+            own[:, [FRAME, SPACE, POINTS]] += at
+        row, at = row + count, at + len(data)
+    data = bodies[0] if len(bodies) == 1 else np.concatenate(bodies)
+    return _table(data, order, fixed, places)
+
+
+def _count(data: NDArray[np.uint8], big_endian: bool) -> int:
+    """How many markers a body holds."""
+    size = len(data) + reading.HEADER_SIZE
     if len(data) < 4:
-        raise ValueError(f'the message has {len(message)} bytes and no number of markers')
+        raise ValueError(f'the message has {size} bytes and no number of markers')
     count = int(whole_number(data, 0, big_endian))
     if count * SMALLEST > len(data):  # before anything is allocated
-        raise ValueError(f'{count} markers do not fit in a message of {len(message)} bytes')
-    fixed = np.empty((count, FIXED_SIZE), np.uint8)
-    places = np.zeros((count, 8), np.int64)
-    if count:
-        places[0, [FRAME_LENGTH, SPACE_LENGTH]] = -1  # the first differs from what was before
-    end, number = read_markers(data, big_endian, fixed, places)
-    if end < 0:
-        raise ValueError(f'marker {number} of {count} {reading.REASONS[end]}')
-    return _table(data, order, fixed, places)
+        raise ValueError(f'{count} markers do not fit in a message of {size} bytes')
+    return count
 
 
 def _table(

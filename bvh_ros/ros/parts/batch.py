@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -87,8 +87,9 @@ class Batch(NodePart):
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)
 
-    def receive(self, serialised: bytes) -> None:
+    def receive(self, messages: Sequence[bytes]) -> None:
         """Begin to answer one cloud."""
+        (serialised,) = messages
         try:
             request = self._read(serialised)
         except ValueError as error:  # from whom, and what was asked, is not known

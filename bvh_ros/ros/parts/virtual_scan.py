@@ -74,8 +74,9 @@ class VirtualScan(NodePart):
             timer = node.create_timer(1.0 / settings.rate, self._scan_again)
             self._close.append(lambda: node.destroy_timer(timer))
 
-    def receive(self, pose: PoseStamped) -> None:
+    def receive(self, poses: list[PoseStamped]) -> None:
         """Take a pose, and scan from there unless a timer does."""
+        (pose,) = poses
         self._pose = pose
         if not self._settings.rate:
             self._scan(pose, nanoseconds(pose.header.stamp))

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+TOGETHER = 64  # messages
 KEPT = 10  # messages that say everything; the newest may yet be refused
 
 
@@ -21,11 +22,16 @@ class Backlog:
     ----------
     says_everything : callable
         Whether a message does.
+    joins : callable
+        Takes a message and what belongs to it; whether it may be handed over with those before.
     """
 
-    def __init__(self, says_everything: Callable[[Any], bool]) -> None:
+    def __init__(
+        self, says_everything: Callable[[Any], bool], joins: Callable[[Any, Any], bool]
+    ) -> None:
         self.superseded = 0
         self._says_everything = says_everything
+        self._joins = joins
         self._waiting: deque[tuple[Any, Any, bool]] = deque()
         self._whole = 0
 
@@ -41,8 +47,13 @@ class Backlog:
             self.superseded += 1
             self._whole -= self._waiting.popleft()[2]
 
-    def next(self) -> tuple[Any, Any]:
-        """Take out the oldest message, and what belongs to it."""
+    def next(self) -> tuple[list[Any], Any]:
+        """Take out the oldest message and those that join it, and what belongs to the oldest."""
         message, more, whole = self._waiting.popleft()
         self._whole -= whole
-        return message, more
+        messages = [message]
+        while self._waiting and len(messages) < TOGETHER and self._joins(*self._waiting[0][:2]):
+            message, _, whole = self._waiting.popleft()
+            self._whole -= whole
+            messages.append(message)
+        return messages, more

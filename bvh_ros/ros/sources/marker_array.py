@@ -34,6 +34,7 @@ class MarkerArraySource(Source):
         self._lists: dict[str, int] = {}  # list markers, and how many elements each has at most
         other = definitions.difference(MarkerArray, decoder.DEFINITION)
         self.raw = not other
+        self.together = self.raw and self.follow is None
         if other:
             self._node.get_logger().warning(
                 f"source '{self.name}': {other} is not defined here as the decoder knows it; "
@@ -47,7 +48,7 @@ class MarkerArraySource(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Remove what the markers remove, then add and modify."""
-        columns = decoder.read(message) if self.raw else table(message.markers)
+        columns = decoder.read(*message) if self.raw else table(message.markers)
         change = yield from markers.change(
             columns,
             now=now,

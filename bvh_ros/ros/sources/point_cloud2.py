@@ -35,7 +35,7 @@ class PointCloud2Source(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes, or update and delete by id."""
-        given = decoder.read(message)
+        given = decoder.read(*message)
         options = self.settings.options
         moving = options['predict'] == 'given'
         cloud = point_cloud2.BoxCloud(given, voxel=options['voxel'], moving=moving)

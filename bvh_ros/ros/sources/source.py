@@ -70,10 +70,10 @@ class Source(ABC):
         self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
         self.on_applied: Callable[[int], object] = lambda now: None  # after each message
         self.tells_all = False  # whether the message that is being applied says everything
-        self.raw = False  # whether `apply` takes a message as its serialised bytes
+        # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
+        self.raw = self.together = False
         self.follow = _follower(settings)
         self._node = node
-        self._clock = node.get_clock()
         self.longest_slice = 0.0  # s that nobody else had a turn
         self.subscription: FollowingSubscription | None = None
         self._work: Iterator[None] | None = None  # the message that is being applied
@@ -91,13 +91,14 @@ class Source(ABC):
     def subscribe(self) -> None:
         """Begin to listen."""
         self._turn = self._node.create_guard_condition(self._go_on)
+        # raw: rclpy would drop what it cannot deserialise without telling us
+        delivery = Delivery(self.depth, latched=True, follow=self.follows_publisher, raw=True)
         self.subscription = FollowingSubscription(
             self._node,
             self.message_type,
             self.settings.topic,
             self.receive,
-            # raw: rclpy would drop what it cannot deserialise without telling us
-            Delivery(self.depth, latched=True, follow=self.follows_publisher, raw=True),
+            delivery._replace(together=self.together),
             on_irregular=self._note,
             says_everything=self.says_everything,
             is_full=self._is_full,
@@ -116,28 +117,32 @@ class Source(ABC):
             self.completeness.forget('it was not listened to for a while')
         self.has_spoken = self.has_spoken and not self.settings.required
 
+    def catch_up(self) -> None:
+        """Apply what has come before somebody asks, where the executor does not see to that."""
+        if self.subscription is not None:
+            self.subscription.catch_up()
+
     def _note(self, heard: Heard, kept: bool) -> None:
         """The message that comes now does not just follow those before it."""
         self._then(partial(self.completeness.note, heard, kept=kept))
 
-    def receive(self, serialised: bytes) -> None:
-        """Apply a message, after those before it."""
-        self.messages += 1
-        now, came = self._clock.now().nanoseconds, time.perf_counter()
-        self._then(partial(self._begin, serialised, now, came), len(serialised))
+    def receive(self, messages: Sequence[bytes]) -> None:
+        """Apply a message, or several small ones as one, after those before."""
+        self.messages += len(messages)
+        now, came = self._node.get_clock().now().nanoseconds, time.perf_counter()
+        self._then(partial(self._begin, messages, now, came), sum(map(len, messages)))
 
     def apply_now(self, serialised: bytes, now: int) -> None:
         """Apply a message at once, as if it came at `now` (ns on whatever clock)."""
         self.messages += 1
         self._hurried = True
-        for _ in self._applying(serialised, now):
+        for _ in self._applying([serialised], now):
             pass
 
-    def _begin(self, serialised: bytes, now: int, came: float) -> None:
-        size = len(serialised)
+    def _begin(self, messages: Sequence[bytes], now: int, came: float) -> None:
+        self._size = size = sum(map(len, messages))
         self._hurried = self._pace.begin(size, came) or self._waits >= size
-        self._size = size
-        self._work = self._applying(serialised, now)
+        self._work = self._applying(messages, now)
 
     def _then(self, act: Callable[[], object], size: int = 0) -> None:
         """Do this when all before is applied."""
@@ -179,16 +184,19 @@ class Source(ABC):
         if self.subscription is not None:
             self.subscription.resume()
 
-    def _applying(self, serialised: bytes, now: int) -> Iterator[None]:
-        """Apply one message; what cannot be used is counted and explained, never raised."""
+    def _applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
+        """Apply messages; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
-        self.tells_all = False
+        alone, self.tells_all = len(messages) == 1, False
         try:
-            items, refusals = yield from self.apply(self._read(serialised), now)
+            items, refusals = yield from self.apply(self._read(messages), now)
+            useless = 0 < items == len(refusals)
+            if useless and not alone:
+                raise ValueError('none of several messages can be used')  # each says why, below
             self.timings.add(began)
             self.refused.add_rows(refusals)
             self.on_applied(now)
-            if items == 0 or len(refusals) < items:
+            if not useless:
                 self.spoke_at, self.has_spoken = now, True
                 if self.tells_all:
                     self.completeness.note_all_told()
@@ -198,7 +206,11 @@ class Source(ABC):
         except Exception as error:  # a fault of ours must not silence the other sources
             reason = explain(error)
         # Not earlier: an error holds in memory whatever its function was working on.
-        self.refused.add(reason)
+        if alone:
+            self.refused.add(reason)
+            return
+        for message in messages:  # some may be of use
+            yield from self._applying([message], now)
 
     def _in_slices(
         self, group: str, total: int, parts: Parts, *, whole: bool, costly: bool = False
@@ -217,9 +229,10 @@ class Source(ABC):
                 return (yield from apply(at_once=True))
         return end
 
-    def _read(self, serialised: bytes) -> Any:
+    def _read(self, messages: Sequence[bytes]) -> Any:
         if self.raw:
-            return serialised
+            return messages
+        (serialised,) = messages
         try:
             return deserialize_message(serialised, self.message_type)
         except Exception as error:  # of several classes, none of which rclpy names
@@ -228,7 +241,7 @@ class Source(ABC):
 
     @abstractmethod
     def apply(self, message: Any, now: int) -> Applying:
-        """Bring a message into the scene; yield between slices of what takes long.
+        """Bring what `_read` returns into the scene; yield between slices of what takes long.
 
         Returns
         -------
@@ -280,9 +293,8 @@ def _advance(slices: Slices) -> Refusals | None:
 
 def _follower(settings: SourceSettings) -> Follow | None:
     """What makes velocities of successive updates; None, and not imported, where none are."""
-    options = settings.options
-    if options.get('predict') != 'constant_velocity':
+    if settings.options.get('predict') != 'constant_velocity':
         return None
     from bvh_ros.scene.tracking import Tracks
 
-    return Tracks(options['smoothing'], options['max_speed'])
+    return Tracks(settings.options['smoothing'], settings.options['max_speed'])

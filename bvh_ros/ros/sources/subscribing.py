@@ -8,24 +8,20 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_policy_name_from_kind,
-)
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.backlog import Backlog
+from bvh_ros.ros.sources.kinds import BEST_EFFORT, KINDS, LATCHED, RELIABLE, Kind, asked, is_kept
 from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
+from bvh_ros.ros.sources.resting import Resting
 from bvh_ros.ros.sources.unheard import unheard
 
 if TYPE_CHECKING:
@@ -34,19 +30,7 @@ if TYPE_CHECKING:
     from rclpy.subscription import Subscription
 
 TURN = 0.01  # seconds after which others get a turn
-
-
-class Kind(NamedTuple):
-    """What a subscription asks for."""
-
-    reliability: ReliabilityPolicy
-    durability: DurabilityPolicy
-
-
-LATCHED = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
-RELIABLE = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
-BEST_EFFORT = Kind(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
-KINDS = (LATCHED, RELIABLE, BEST_EFFORT)  # each hears all that the ones before it hear
+SMALL = 4096  # bytes of messages that may be handed over together
 
 
 class FollowingSubscription:
@@ -65,7 +49,7 @@ class FollowingSubscription:
     message_type : ROS message class
     topic : str
     callback : callable
-        Takes a message, or its bytes.
+        Takes a message, or its bytes, in a list; with it those that may be handed over together.
     delivery : Delivery
     on_irregular : callable, optional
         Takes what a message's number says about those before, where it does not just follow, and
@@ -87,7 +71,7 @@ class FollowingSubscription:
         node: Node,
         message_type: type,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[[list[Any]], None],
         delivery: Delivery,
         *,
         on_irregular: Callable[[Heard, bool], None] = lambda _heard, _kept: None,
@@ -99,7 +83,7 @@ class FollowingSubscription:
         self._callback = callback
         self._on_irregular = on_irregular
         self._is_full = is_full
-        self._raw = delivery.raw
+        self._raw, self._together = delivery.raw, delivery.together
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # why a publisher is not heard, and the remedy
         self.losses = Losses(node.get_logger(), self.topic)
@@ -110,15 +94,17 @@ class FollowingSubscription:
         # Subscriptions come and go outside of their own events' callbacks.
         self._change = node.create_guard_condition(self.check)
         self._supersedes = says_everything is not None
-        self._backlog = Backlog(says_everything or (lambda _message: False))
+        self._backlog = Backlog(says_everything or (lambda _message: False), self._joins)
         self._more = node.create_guard_condition(self._hand_over_some)
+        self._is_handing_over = False
         given = overrides(node, self.topic)
-        asked = _asked(LATCHED if delivery.latched else RELIABLE, given)
+        wanted = asked(LATCHED if delivery.latched else RELIABLE, given)
         self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=delivery.depth)
         self._subscriptions: dict[Kind, Subscription] = {}
-        self._create(asked, OVERRIDABLE)  # rclpy writes the user's depth into the profile
-        self._follows = delivery.follow and asked.reliability == ReliabilityPolicy.RELIABLE
-        if asked == LATCHED and self._follows and 'durability' not in given:
+        self._resting = Resting(node, self._subscriptions.values(), self._take_what_waits)
+        self._create(wanted, OVERRIDABLE)  # rclpy writes the user's depth into the profile
+        self._follows = delivery.follow and wanted.reliability == ReliabilityPolicy.RELIABLE
+        if wanted == LATCHED and self._follows and 'durability' not in given:
             self._create(RELIABLE)
 
     def check(self) -> None:
@@ -144,10 +130,12 @@ class FollowingSubscription:
             log(f'{self.topic}: nobody publishes best effort any more')
             self._take_the_rest(BEST_EFFORT, math.inf)
             self.resume()
+            self._resting.wake()
             self._node.destroy_subscription(self._subscriptions.pop(BEST_EFFORT))
 
     def destroy(self) -> None:
         """Listen no longer."""
+        self._resting.destroy()
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
@@ -157,8 +145,12 @@ class FollowingSubscription:
 
     def resume(self) -> None:
         """Hand over what waits, soon, unless it has to wait still."""
-        if self._backlog and not self._is_full():
+        if self._backlog and not self._is_handing_over and not self._is_full():
             self._more.trigger()
+
+    def catch_up(self) -> None:
+        """Take what waits before somebody asks; usually the executor's rounds have done so."""
+        self._resting.catch_up()
 
     def publishers(self) -> int:
         """Return how many publishers there are, heard or not."""
@@ -201,12 +193,20 @@ class FollowingSubscription:
 
     def _receive(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
         self._take(kind, message, info)
+        self._take_what_waits()
+        if self._together:
+            self._resting.woken()
+
+    def _take_what_waits(self) -> int:
+        """Take and hand over what waits; return how many messages came."""
         # Who is replaced by a newer message is known once that is taken.
-        self._take_the_rest(kind, math.inf if self._supersedes else TURN)
+        limit = math.inf if self._supersedes else TURN
+        taken = sum(self._take_the_rest(kind, limit) for kind in self._subscriptions)
         self._hand_over_some()
+        return taken
 
     def _take(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
-        told = Told(message, info['publication_sequence_number'], _is_kept(kind))
+        told = Told(message, info['publication_sequence_number'], is_kept(kind))
         counts = self._counts()
         place = KINDS.index(kind) if kind in KINDS else 0
         self._merger.take(
@@ -233,30 +233,38 @@ class FollowingSubscription:
 
     def _hand_over_some(self) -> None:
         """Hand over what waits until the turn is over, and go on after others had theirs."""
-        began = time.perf_counter()
+        end = time.perf_counter() + TURN
+        self._is_handing_over = True
         try:
-            while self._backlog and not self._is_full() and time.perf_counter() - began < TURN:
-                self._hand_over(*self._backlog.next()[1])
+            while self._backlog and not self._is_full() and time.perf_counter() < end:
+                self._hand_over(*self._backlog.next())
         finally:
+            self._is_handing_over = False
             self.resume()
 
-    def _hand_over(self, told: Told, heard: Heard) -> None:
+    def _joins(self, message: Any, more: tuple[Told, Heard]) -> bool:
+        return self._together and more[1] is NEXT and len(message) <= SMALL
+
+    def _hand_over(self, messages: list[Any], first: tuple[Told, Heard]) -> None:
+        told, heard = first
         if heard is not NEXT:
             self._on_irregular(heard, told.kept)
-        self._callback(told.message)
+        self._callback(messages)
 
-    def _take_the_rest(self, kind: Kind, limit: float) -> None:
-        """Take what already waits, for so many seconds."""
+    def _take_the_rest(self, kind: Kind, limit: float) -> int:
+        """Take what already waits, for so many seconds; return how many messages that were."""
         handle = self._subscriptions[kind].handle
-        began = time.perf_counter()
-        for _ in range((self._wanted.depth or DEPTH) - len(self._backlog)):
+        end = time.perf_counter() + limit
+        most = (self._wanted.depth or DEPTH) - len(self._backlog)
+        for count in range(most):
             with handle:
                 taken = handle.take_message(self._message_type, self._raw)
             if taken is None:
-                return
+                return count
             self._take(kind, *taken)
-            if time.perf_counter() - began >= limit:
-                return
+            if time.perf_counter() >= end:
+                return count + 1
+        return max(most, 0)
 
     def _counts(self) -> dict[Kind, int]:
         """How many publishers each subscription hears."""
@@ -271,16 +279,3 @@ class FollowingSubscription:
             return
         self.incompatible = unheard(self.topic, policy, self._profile(kind))
         self._node.get_logger().warning(f'{self.topic}: {self.incompatible}')
-
-
-def _asked(kind: Kind, given: dict[str, Any]) -> Kind:
-    """What to ask for with the user's overrides."""
-    reliability, durability = given.get('reliability'), given.get('durability')
-    return Kind(
-        ReliabilityPolicy[reliability.upper()] if reliability else kind.reliability,
-        DurabilityPolicy[durability.upper()] if durability else kind.durability,
-    )
-
-
-def _is_kept(kind: Kind) -> bool:
-    return kind.durability == DurabilityPolicy.TRANSIENT_LOCAL

@@ -120,6 +120,7 @@ def known_times(scene: Scene, sources: Sequence[Source], settings: Settings) -> 
     times = KnownTimes(scene, settings.max_prediction, settings.history)
     for source in sources:
         source.on_applied = times.past.note
+        source.together = False  # each message is a time of its own
     return times
 
 

@@ -61,6 +61,8 @@ class World:
             If a source is missing or silent for too long; an answer might look free. Or if what is
             asked for is still being compiled.
         """
+        for source in self.sources:
+            source.catch_up()
         early = thin_ray and not self.scene.any_shaped
         problem = self._silence(now) if early else self.problem(now)
         if problem:

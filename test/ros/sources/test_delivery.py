@@ -67,7 +67,7 @@ def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
     node, executor = ros
     heard, topic = [], f'gone_{os.getpid()}'
     subscription = FollowingSubscription(
-        node, MarkerArray, topic, heard.append, Delivery(latched=True, raw=True)
+        node, MarkerArray, topic, heard.extend, Delivery(latched=True, raw=True)
     )
     sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
     for first in (0, 100, 200):
@@ -99,7 +99,7 @@ def test_a_burst_costs_few_rounds_of_the_executor(ros):
     heard, rounds = [], 0
     topic = f'burst_{os.getpid()}'
     subscription = FollowingSubscription(
-        node, MarkerArray, topic, heard.append, Delivery(raw=True)
+        node, MarkerArray, topic, heard.extend, Delivery(raw=True)
     )
     publisher = node.create_publisher(MarkerArray, topic, DEEP)
     while not publisher.get_subscription_count():

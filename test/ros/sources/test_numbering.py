@@ -8,7 +8,7 @@ import random
 import pytest
 
 from bvh_ros.ros.sources import completeness, merging
-from bvh_ros.ros.sources.backlog import KEPT, Backlog
+from bvh_ros.ros.sources.backlog import KEPT, TOGETHER, Backlog
 from bvh_ros.ros.sources.completeness import SETTLED, Completeness
 from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
@@ -102,16 +102,29 @@ def test_two_copies_are_one_and_the_better_one_orders(monkeypatch):
 
 
 def test_every_change_waits_but_few_that_say_everything():
-    backlog = Backlog(str.isupper)
+    backlog = Backlog(str.isupper, lambda *_: False)
     for message in ['a', 'b', *'ABCD', 'c', *'EFGHIJKLM', 'd']:
         backlog.add(message, None)
-    waiting = ''.join(backlog.next()[0] for _ in range(len(backlog)))
+    waiting = ''.join(backlog.next()[0][0] for _ in range(len(backlog)))
     assert waiting == 'DcEFGHIJKLMd'
     assert sum(map(str.isupper, waiting)) == KEPT
     assert backlog.superseded == 5
     for message in 'abc' * 1000:
         backlog.add(message, None)
     assert len(backlog) == 3000
+
+
+def test_small_messages_are_taken_out_together():
+    backlog = Backlog(lambda _: False, lambda message, more: message.islower() and more == 'next')
+    for message, more in [('A', ''), ('b', 'next'), ('c', 'next'), ('D', 'next'), ('e', 'lost')]:
+        backlog.add(message, more)
+    assert backlog.next() == (['A', 'b', 'c'], '')
+    assert backlog.next() == (['D'], 'next')
+    assert backlog.next() == (['e'], 'lost')
+    for _ in range(3 * TOGETHER):
+        backlog.add('f', 'next')
+    assert [len(backlog.next()[0]) for _ in range(3)] == [TOGETHER] * 3
+    assert not len(backlog)
 
 
 def test_losses_are_logged_every_two_seconds_and_none_is_left_out(monkeypatch, caplog):
