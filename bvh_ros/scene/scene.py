@@ -4,6 +4,7 @@
 
 import copy
 import math
+from typing import NoReturn
 
 from numpy.typing import ArrayLike
 
@@ -106,6 +107,12 @@ class Scene:
         held = copy.deepcopy(self._held)
         other._begin(held, self._updates.of(held))
         return other
+
+    def __deepcopy__(self, memo: object) -> 'Scene':
+        return self.copy()
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError('a Scene is neither pickled nor shared: copy() makes an independent one')
 
     # ---- changes
 

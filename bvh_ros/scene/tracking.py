@@ -42,7 +42,7 @@ class Tracks:
     An update with the stamp of the one before changes no velocity, unless it is a jump, nor does
     one that comes up to 1 s too late; one that is older begins anew, as after a clock that was set
     back. A jump is farther than `max_speed` allows in the time between, and 0.02 s more, as stamps
-    jitter.
+    jitter, or makes the velocity that would be told larger than that.
 
     Parameters
     ----------

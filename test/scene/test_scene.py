@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Refusals, bad arguments, masks, churn, and what a plain scene leaves out."""
 
+import copy
+import pickle
 import subprocess
 import sys
 
@@ -107,6 +109,20 @@ def test_bad_arguments_are_a_value_error_and_change_nothing(change):
         change(scene)
     assert scene.names() == [(1, 'old')]
     assert scene.newest == 1
+
+
+def test_a_scene_is_copied_but_neither_pickled_nor_shared():
+    scene = Scene()
+    scene.update('test', ['x'], BOX, stamp=1)
+    other = copy.deepcopy(scene)
+    scene.clear()
+    assert (len(scene), [hit.name for hit in other.raycast_all((0, 0, 0), (1, 0, 0))]) == (
+        0,
+        ['x'],
+    )
+    for share in (copy.copy, pickle.dumps):
+        with pytest.raises(TypeError, match=r'copy\(\)'):
+            share(scene)
 
 
 def test_node_handles_end_with_a_clear_error():
