@@ -21,6 +21,7 @@ from bvh_ros.client.single_calls import SingleCalls
 from bvh_ros.client.waiting import Waiting
 
 LOOK = 0.2  # seconds between two looks whether the node still compiles
+PATIENCE = 1.0  # seconds for an answer to that: who compiles is busy
 
 
 class BvhClient(SingleCalls, BatchCalls):
@@ -80,7 +81,8 @@ class BvhClient(SingleCalls, BatchCalls):
     def _compiling(self, timeout: float) -> str:
         """Ask a question that is answered once all are; say how far compiling has come."""
         try:
-            self.raycast_all((0.0, 0.0), (0.0, 0.0), timeout=min(max(timeout, 0.0), LOOK))
+            patience = min(max(timeout, LOOK), PATIENCE)
+            self.raycast_all((0.0, 0.0), (0.0, 0.0), timeout=patience)
         except BvhTimeoutError:
             return 'compiling, or busy'
         except BvhError as error:

@@ -149,7 +149,7 @@ def wait_until_ready(
     deadline = time.monotonic() + START_TIMEOUT
     while True:
         try:
-            client.wait_until_ready(timeout=1.0)
+            client.wait_until_ready(timeout=0.5)
             return
         except BvhTimeoutError as error:
             if process.poll() is not None:
