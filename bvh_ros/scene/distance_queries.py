@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from .distance import clearance, nearness
-from .distance.clearance import Neighbours
+from .distance.clearance import Neighbours, name_entry
 from .distance.query_rows import QueryRows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
@@ -164,11 +164,13 @@ class DistanceQueries:
         ValueError
             As `nearest`; the message names the first bad row.
         """
-        where = checks.points('points', points, 3)
+        where = checks.rows('points', points, 3)
+        checks.finite('points', where)
         count, many = len(where), checks.whole('k', k, 1)
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
-        asked = Points(where, reaches, masks, self._nearness.order_of(where))
+        # As Points(...), which would take one more call of a function of Python's.
+        asked = tuple.__new__(Points, (where, reaches, masks, self._nearness.order_of(where)))
         sign: Signed = sign_of(signed)
         threads = checks.whole('threads', threads, 1)
         if self._moments.meant(at, None, count):
@@ -229,10 +231,8 @@ class DistanceQueries:
         else:
             found = self._clearances.find_rows(rows, hulls, (reaches, NONE, sign), threads)
         handles = self._held.columns.node_handle
-        near = np.flatnonzero(found.slots != NONE)
-        named = np.empty(len(found.slots), np.uint32)
-        named.fill(NO_NODE)
-        named[near] = handles[found.slots[near]]
+        named = np.empty(len(found.slots), checks.UINT32)
+        name_entry()(handles, found.slots, named)
         return named, found.distances, found.points[:, 0], found.points[:, 1]
 
 

@@ -18,6 +18,9 @@ from .moments import Moments
 from .results import NO_NODE, BoxHits, SceneHit, require_few
 from .store.obstacles import Obstacles
 
+# One for all rows.
+BOXES, UNTURNED = np.zeros(1, UINT8), np.zeros((1, 4))
+
 
 class OverlapQueries:
     """What touches. Any number of threads may ask while none changes the scene."""
@@ -153,20 +156,18 @@ class OverlapQueries:
         ValueError
             As `overlap`; the message names the first bad row. If `want` is none of these.
         """
-        places = checks.points('centers', centers, 3)
-        edges = checks.floats('sizes', sizes)
+        places = checks.rows('centers', centers, 3)
+        edges, turns = checks.floats('sizes', sizes), UNTURNED
         if edges.shape == (3,):
-            one, edges = checks.point('sizes', edges, 3), np.empty(places.shape)
-            edges[:] = one
-        edges = checks.rows('sizes', edges, 3, len(places))
-        checks.finite('sizes', edges)
-        turns = np.zeros((len(places), 4))
+            edges = checks.point('sizes', edges, 3)[None]
+        else:
+            edges = checks.rows('sizes', edges, 3, len(places))
         if orientations is not None:
-            turns = checks.points('orientations', orientations, 4, len(places))
-        kinds = np.zeros(len(places), UINT8)  # BOX
-        return self._answer(
-            Shapes(kinds, places, turns, edges), (tolerance, mask), want, threads, at
-        )
+            turns = checks.rows('orientations', orientations, 4, len(places))
+        names = 'centers', 'sizes', 'orientations'
+        # As Shapes(...), which would take one more call of a function of Python's.
+        shapes = tuple.__new__(Shapes, (BOXES, places, turns, edges, None))
+        return self._answer(shapes, (tolerance, mask, names), want, threads, at)
 
     def overlap_shape_many(
         self,
@@ -195,23 +196,32 @@ class OverlapQueries:
         one = as_shapes(shape)
         if len(one.kind) != 1:
             raise ValueError(f'shape must be one row of Shapes, not {len(one.kind)}')
-        places = checks.points('positions', positions, 3)
+        places = checks.rows('positions', positions, 3)
         count = len(places)
-        turns = one.orientation.repeat(count, axis=0)
+        kinds, turns, sizes, mesh = one.kind, one.orientation, one.size, one.mesh
         if orientations is not None:
-            turns = checks.points('orientations', orientations, 4, count)
-        kinds, sizes = one.kind.repeat(count), one.size.repeat(count, axis=0)
-        mesh = None if one.mesh is None else one.mesh.repeat(count)
-        rows = Shapes(kinds, places, turns, sizes, mesh)
-        return self._answer(rows, (tolerance, mask), want, threads, at)
+            turns = checks.rows('orientations', orientations, 4, count)
+        elif mesh is not None:
+            turns = turns.repeat(count, axis=0)
+        if mesh is not None:
+            kinds, sizes, mesh = kinds.repeat(count), sizes.repeat(count, 0), mesh.repeat(count)
+        rows = tuple.__new__(Shapes, (kinds, places, turns, sizes, mesh))
+        names = 'positions', '', '' if orientations is None else 'orientations'
+        return self._answer(rows, (tolerance, mask, names), want, threads, at)
 
     def _answer(
-        self, shapes: Shapes, limits: tuple[ArrayLike, ArrayLike], want: str, threads: int, at: Any
+        self,
+        shapes: Shapes,
+        asked: tuple[ArrayLike, ArrayLike, tuple[str, ...]],
+        want: str,
+        threads: int,
+        at: Any,
     ) -> Any:
-        """What `overlap_many` returns of any shapes; limits = (tolerance, mask)."""
+        """What `overlap_many` returns of any shapes; asked = (tolerance, mask, names)."""
         if not isinstance(want, str) or want not in WANTED:
             raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
-        rows, hulls = query_rows(shapes, *limits, self._held.planar)
+        tolerance, mask, names = asked
+        rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
         threads, count = checks.whole('threads', threads, 1), len(rows.records)
         if self._moments.meant(at, None, count):
             times = self._moments.seconds(at, count)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..tree import checks
 from .casting import box_casting, casting, sweeping, wide_rays
 from .casting.arguments import WHOLE_WAY, Found, Rays, row_by_row, ways_of
 from .casting.sweeping import Balls
@@ -30,11 +31,11 @@ class RayBatches:
         if self._moments.meant(*times, count):
             radii = np.zeros(1) if radii is None else radii
             return self._moments.first_of_many(rays, radii, skip, times, threads)
-        thick = 0 if radii is None else np.count_nonzero(radii)
+        thick = 0 if radii is None or radii is checks.NOTHING else np.count_nonzero(radii)
         if radii is None or not thick:
             return self._thin(rays, skip, threads)
         ways = rays.directions if rays.t_max is WHOLE_WAY else ways_of(rays, radii)
-        balls = Balls(rays.origins, ways, radii, rays.masks)
+        balls = tuple.__new__(Balls, (rays.origins, ways, radii, rays.masks))
         if thick == len(radii):
             return self._balls(balls, rays.t_max, skip, threads)
         each, both = row_by_row(rays), (np.flatnonzero(radii == 0.0), np.flatnonzero(radii))

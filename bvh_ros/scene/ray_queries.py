@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting
-from .casting.arguments import WHOLE_WAY, Rays
+from .casting.arguments import WHOLE_WAY, Rays, ways_entry
 from .geometry.shapes import Floats
 from .moments import Moments
 from .ray_batches import RayBatches
@@ -143,13 +143,14 @@ class RayQueries:
         origins = checks.rows('origins', origins, 3)
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
-        checks.finite('origins', origins)
-        checks.finite('directions', directions)
+        if radius is not None or at is not None or self._held.planar or self._held.columns.shaped:
+            checks.finite('origins', origins)  # else the tree's kernel looks
+            checks.finite('directions', directions)
         limits, masks = (
             checks.limits_or_one('t_max', t_max, count),
             checks.masks_or_one(mask, count),
         )
-        rays = Rays(origins, directions, limits, masks)
+        rays = tuple.__new__(Rays, (origins, directions, limits, masks))
         threads = checks.whole('threads', threads, 1)
         radii = None if radius is None else checks.lengths_or_one('radius', radius, count)
         return self._batches.first(rays, radii, skip, (at, until), threads)
@@ -188,16 +189,17 @@ class RayQueries:
         origins = checks.rows('starts', starts, 3)
         count, skip = len(origins), bool(skip_inside)
         ends = checks.rows('goals', goals, 3, count)
-        with np.errstate(over='ignore', invalid='ignore'):
-            ways = ends - origins
-        far = checks.first_not_finite(ways)
+        ways = np.empty((count, 3))
+        far = ways_entry()(origins, ends, ways)
         if far >= 0:
             checks.finite('starts', origins)
             checks.finite('goals', ends)
             raise ValueError(f'the segment of row {far} is longer than the largest double')
-        rays = Rays(origins, ways, WHOLE_WAY, checks.masks_or_one(mask, count))
+        # As Rays(...), which would take one more call of a function of Python's.
+        asked = origins, ways, WHOLE_WAY, checks.masks_or_one(mask, count)
         threads = checks.whole('threads', threads, 1)
         radii = checks.lengths_or_one('radius', radius, count)
+        rays = tuple.__new__(Rays, asked)
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def _cast_one(

@@ -18,8 +18,9 @@ Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
 FLOAT64, INT64, UINT32 = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint32)
+BOOL = np.dtype(np.bool_)
 # One for all rows, where nothing else is asked for.
-FOREVER, EVERYTHING = np.array([np.inf]), np.array([EVERY])
+FOREVER, NOTHING, EVERYTHING = np.array([np.inf]), np.zeros(1), np.array([EVERY])
 
 # What others' objects raise when they are asked for numbers, warnings made errors among them. Not
 # every Exception: a signal handler's, say a TimeoutError, is not about the argument.
@@ -268,6 +269,8 @@ def limits_or_one(name: str, value: Any, count: int) -> Floats:
 
 def lengths_or_one(name: str, value: Any, count: int) -> Floats:
     """As `limits_or_one`, but finite."""
+    if type(value) is float and value == 0.0:
+        return NOTHING
     lengths = limits_or_one(name, value, count)
     if type(value) is not float or value == math.inf:
         endless = np.flatnonzero(lengths == np.inf)

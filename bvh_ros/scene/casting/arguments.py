@@ -8,6 +8,8 @@ branch that asks for an argument that is None, so that a planar scene compiles n
 shapes, and a scene without meshes nothing of theirs.
 """
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point
+from ...tree.jit.compiling import entry_point, lean_kernel
 from ...tree.nodes import DEEPEST
 from ...tree.rays.slab import RAY_ROWS
 from ..geometry.shapes import Floats
@@ -115,6 +117,25 @@ def ways_of(rays: Rays, radii: Floats) -> Floats:
     if len(endless):
         raise ValueError(f't_max must end the way of a ball: row {endless[0]} has none')
     return np.asarray(ways)
+
+
+@lean_kernel
+def fill_ways(starts, goals, ways):
+    """Fill in the ways (n, 3) from starts to goals; return the first row that is not finite, or -1
+    without any.
+    """
+    for i in range(starts.shape[0]):
+        for axis in range(3):
+            ways[i, axis] = goals[i, axis] - starts[i, axis]
+            if not np.isfinite(ways[i, axis]):
+                return np.int64(i)
+    return np.int64(-1)
+
+
+@functools.cache
+def ways_entry() -> Callable[..., Any]:
+    """The machine code of `fill_ways`."""
+    return entry_point(fill_ways, *(np.empty((0, 3)),) * 3)
 
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:

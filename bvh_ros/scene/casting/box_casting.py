@@ -124,12 +124,15 @@ def first_of_many(
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
     asked = *flat, rays.t_max, rays.masks, skip_inside, raycasting.CLOSEST, threads == 1
-    hits = tree.first_hits(raycasting.Rays(*asked), threads)
-    told = Told(np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))
+    # As Rays(...), which would take one more call of a function of Python's.
+    hits = tree.first_hits(tuple.__new__(raycasting.Rays, asked), threads)
+    normals = hits.normals if ndim == 3 else np.empty((count, 3))
+    handles, points = np.empty(count, checks.UINT32), np.empty((count, 3))
+    told = tuple.__new__(Told, (handles, points, normals))
     _describe_entry(ndim)(
         tree.view().tree, node_handles, rays.origins, rays.directions, hits, told
     )
-    return CastHits(told.handles, hits.t, told.points, told.normals)
+    return tuple.__new__(CastHits, (handles, hits.t, points, normals))
 
 
 class Told(NamedTuple):
@@ -142,19 +145,19 @@ class Told(NamedTuple):
 
 @lean_kernel
 def describe(tree, node_handles, origins, directions, hits, told):
-    """Fill in what is told of hits."""
+    """Fill in what is told of hits, whose normals may be the same memory."""
     place = stack_array((2, 3), np.float64)
     for i in range(origins.shape[0]):
+        axis = np.int64(INSIDE)
         for k in range(3):
-            told.points[i, k], told.normals[i, k] = np.nan, 0.0
+            normal = hits.normals[i, k] if k < hits.normals.shape[1] else 0.0
+            told.points[i, k], told.normals[i, k] = np.nan, normal
+            if normal != 0.0:
+                axis = np.int64(k)
         if hits.ids[i] < 0:
             told.handles[i] = NO_NODE
             continue
-        slot, axis = slot_of(hits.ids[i]), INSIDE
-        for k in range(hits.normals.shape[1]):
-            if hits.normals[i, k] != 0.0:
-                told.normals[i, k], axis = hits.normals[i, k], k
-        origin, direction = origins[i], directions[i]
+        slot, origin, direction = slot_of(hits.ids[i]), origins[i], directions[i]
         place[0, 2] = origin[2]
         locate(tree.nodes, tree.tight, origin, direction, slot, hits.t[i], axis, place)
         told.handles[i] = node_handles[slot]

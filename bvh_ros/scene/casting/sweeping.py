@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...tree.checks import BOOL, UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
@@ -191,13 +192,12 @@ def first_of_many(
     """First hits of n balls."""
     world, count, ndim, view = world_of(tree, columns), len(balls.origins), tree.ndim, tree.view()
     origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
-    flat = Balls(origins, directions, balls.radii, balls.masks)
+    flat = tuple.__new__(Balls, (origins, directions, balls.radii, balls.masks))
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
     through = view.tree.state, view.version, snapshot
-    told = Told(
-        *(np.empty(count, np.uint32), np.empty(count), np.empty((count, 3))),
-        *(np.empty((count, 3)), np.empty(count, np.bool_)),
-    )
+    columns_told = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
+    more = np.empty((count, 3)), np.empty(count, BOOL)
+    told = tuple.__new__(Told, (*columns_told, *more))
 
     def work(start: int, stop: int) -> int:
         unsure = 0
@@ -216,4 +216,4 @@ def first_of_many(
     if ndim == 2:
         met = told.handles != NO_NODE
         told.points[met, 2] = balls.origins[met, 2]
-    return CastHits(*told[:4])
+    return tuple.__new__(CastHits, told[:4])

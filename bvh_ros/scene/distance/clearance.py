@@ -6,21 +6,25 @@ No two shapes are nearer than their boxes. So the tree is asked for the nearest 
 them, until the next box is farther than the nearest shape among those it has named.
 """
 
+import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree import checks
 from ...tree.boxes.nearest import nearest
+from ...tree.checks import INT64
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE
+from ...tree.nodes import COUNT, NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import begin_query, end_query
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
+from ..results import NO_NODE
 from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from .closest import fill_corners, length
@@ -202,6 +206,20 @@ def keep_nearer(node_handles, found, points, told, row):
             told.points[row, side, axis] = points[side, axis]
 
 
+@lean_kernel
+def name_slots(node_handles, slots, names):
+    """Fill in the node handles (n,) uint32 of slots (n,), NO_NODE for NONE."""
+    for i in range(slots.shape[0]):
+        names[i] = node_handles[slots[i]] if slots[i] != NONE else NO_NODE
+
+
+@functools.cache
+def name_entry() -> Callable[..., Any]:
+    """The machine code of `name_slots`."""
+    numbers = np.empty(0, np.int64)
+    return entry_point(name_slots, numbers, numbers, np.empty(0, np.uint32))
+
+
 class Clearances:
     """Distances in one scene."""
 
@@ -218,9 +236,10 @@ class Clearances:
         """
         reaches, besides, signed = asked
         count, columns, view = len(rows.records), self._columns, self._tree.view()
-        bodies, everybody = bodies_of(columns, hulls), len(self._tree)
-        told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
-        question = reaches, everybody, besides, signed
+        bodies, everybody = bodies_of(columns, hulls), view.tree.state.item(COUNT)
+        # As Neighbours(...), which would take one more call of a function of Python's.
+        parts = np.empty(count, INT64), np.empty(count), np.empty((count, 2, 3))
+        told, question = tuple.__new__(Neighbours, parts), (reaches, everybody, besides, signed)
 
         def work(start: int, stop: int) -> None:
             wanted = FEW

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.boxes.ordering import neighbour_order
+from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
+from ...tree.nodes import COUNT
 from ...tree.store.turns import IS_CHANGED
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
@@ -99,11 +101,10 @@ class Nearness:
         """The k obstacles nearest to each of n points, as `find` has them."""
         count, columns, view = len(points.points), self._columns, self._tree.view()
         bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
-        near = Near(
-            *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
-            np.empty((count, k, 3)),
-        )
-        everybody = len(self._tree)
+        # As Near(...), which would take one more call of a function of Python's.
+        parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
+        near = tuple.__new__(Near, (*parts, np.empty((count, k, 3))))
+        everybody = view.tree.state.item(COUNT)
         asked = k, everybody, columns.shadows > 0, signed
 
         def work(start: int, stop: int) -> None:

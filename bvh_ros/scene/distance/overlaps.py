@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which obstacles touch a query shape, and which touch each other."""
 
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.boxes.within import boxes_within
+from ...tree.checks import BOOL, INT64, UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
+from ...tree.nodes import View
 from ...tree.store.turns import IS_CHANGED
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
@@ -35,6 +38,8 @@ from .touching_rows import (
 
 FEW = 64  # handles that there is room for at first
 NOBODY = np.empty(0, np.uint32)
+NOT_WANTED = NOBODY, np.empty(0), np.empty((0, 3))
+TOLD_AS = {ANY: BOOL, COUNT: INT64, FIRST: UINT32}
 # Of an answer: node handles of all that are met, in parts, and what is counted. It has a name, as
 # Python makes an annotation of a function within a function anew at each call, in 3 us.
 Part: TypeAlias = tuple[list[NDArray[np.uint32]], int, int]
@@ -90,7 +95,7 @@ class Overlaps:
             told.numbers[:] = np.diff(self._every(rows, hulls, threads)[0])
         if wanted == HITS:
             return BoxHits(told.handles, told.numbers, told.distances, told.points)
-        return told.numbers.astype({ANY: np.bool_, COUNT: np.int64, FIRST: np.uint32}[wanted])
+        return told.numbers.astype(TOLD_AS[wanted])
 
     def _every(
         self, rows: QueryRows, hulls: Hulls | None, threads: int
@@ -126,34 +131,47 @@ class Overlaps:
         shaped = columns.shaped > 0 or np.count_nonzero(rows.records['shaped']) > 0
         bodies = bodies_of(columns, hulls) if shaped else None
         hits = count if wanted == HITS else 0
-        told = Answers(
-            *(np.empty(count, np.int64), np.empty(count, np.bool_)),
-            *(np.empty(hits, np.uint32), np.empty(hits), np.empty((hits, 3))),
-        )
+        first = NOT_WANTED
         if hits:
-            told.handles[:], told.distances[:], told.points[:] = NO_NODE, np.inf, np.nan
-
-        def work(start: int, stop: int) -> Part:
-            parts, compared, more, room = [NOBODY], 0, 0, FEW
-            while start < stop:
-                found, answers = self._scratch.found, told
-                if wanted == ALL:
-                    answers = told._replace(handles=np.empty(room, np.uint32))
-                given = rows, wanted, (start, stop), columns.node_handle, found, answers
-                start, needed, written, pairs, digits = self._rows(view, bodies, given)
-                if written:
-                    parts.append(answers.handles[:written])
-                compared, more, room = compared + pairs, more + digits, max(2 * room, needed)
-                if needed > len(found.slots):
-                    self._scratch.make_room(needed)
-            return parts, compared, more
-
+            first = np.empty(hits, np.uint32), np.empty(hits), np.empty((hits, 3))
+            first[0][:], first[1][:], first[2][:] = NO_NODE, np.inf, np.nan
+        # As Answers(...), which would take one more call of a function of Python's.
+        told = tuple.__new__(Answers, (np.empty(count, INT64), np.empty(count, BOOL), *first))
+        work = partial(self._work, view, bodies, rows, wanted, told)
         handles: list[NDArray[np.uint32]] = []
         for parts, compared, more in in_threads(work, count, threads):
-            columns.pairs_compared += compared
-            columns.pairs_in_more_digits += more
+            if compared:
+                columns.pairs_compared += compared
+                columns.pairs_in_more_digits += more
             handles += parts
-        return told, np.concatenate(handles) if len(handles) > 1 else NOBODY
+        if len(handles) > 1:
+            return told, np.concatenate(handles)
+        return told, handles[0] if handles else NOBODY
+
+    def _work(
+        self,
+        view: View,
+        bodies: Any,
+        rows: QueryRows,
+        wanted: int,
+        told: Answers,
+        start: int,
+        stop: int,
+    ) -> Part:
+        """Answer the rows [start, stop)."""
+        parts, compared, more, room = [], 0, 0, FEW
+        while start < stop:
+            found, answers = self._scratch.found, told
+            if wanted == ALL:
+                answers = told._replace(handles=np.empty(room, np.uint32))
+            given = rows, wanted, (start, stop), self._columns.node_handle, found, answers
+            start, needed, written, pairs, digits = self._rows(view, bodies, given)
+            if written:
+                parts.append(answers.handles[:written])
+            compared, more, room = compared + pairs, more + digits, max(2 * room, needed)
+            if needed > len(found.slots):
+                self._scratch.make_room(needed)
+        return parts, compared, more
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32

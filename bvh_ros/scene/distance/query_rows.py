@@ -2,19 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shapes that overlap and distance queries ask about, other than boxes between corners."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
 from ...tree.nodes import ALL
-from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise, different
+from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise, different, rows_entry
 from ..geometry.polygon import outlined
-from ..geometry.records import Records
-from ..geometry.shapes import MESH, Floats, Shapes, as_shapes
+from ..geometry.records import GEOMETRY, Records
+from ..geometry.shapes import MESH, UINT8, Floats, Shapes, as_shapes
 from ..store.mesh_store import Hulls, MeshStore
 from .query_shape import QueryShape
+
+_NO_ROWS = np.empty((0, 3))
 
 
 class QueryRows(NamedTuple):
@@ -43,21 +45,40 @@ class QueryRows(NamedTuple):
 
 
 def query_rows(
-    given: Shapes, tolerance: ArrayLike, mask: ArrayLike, planar: bool
+    given: Shapes, tolerance: ArrayLike, mask: ArrayLike, planar: bool, *names: str
 ) -> tuple[QueryRows, Hulls | None]:
-    """Check arguments, `given` from `as_shapes`; the rows, and the arrays of their meshes if they
-    have any.
+    """Check arguments, `given` from `as_shapes`, or without meshes with one kind, orientation or
+    size for all; the rows, and the arrays of their meshes if they have any. `names`: what the
+    positions, sizes and orientations are called where they are not finite; '' if by their row.
     """
-    form, count = canonicalise(given), len(given.kind)
+    count = len(given.position)
+    bounds = np.empty((count, 2, 3))
+    # As Canonical(...), which would take one more call of a function of Python's.
+    columns = np.empty(count, GEOMETRY), _NO_ROWS, _NO_ROWS, np.empty(count, UINT8)
+    form: Canonical = tuple.__new__(Canonical, columns)
+    if given.mesh is not None or rows_entry(3)(*given[:4], form, bounds):
+        given = _row_by_row(given, count)
+        form = canonicalise(given)
+        bounds[:, 0], bounds[:, 1] = form.lo, form.hi
     if np.count_nonzero(form.faults):  # but for FINE, which is 0
+        for name, rows in zip(
+            names, (given.position, given.size, given.orientation), strict=False
+        ):
+            if name:
+                checks.finite(name, rows)
         bad = int(np.argmax(form.faults != FINE))
         reason = REASONS[form.faults[bad]]
         raise ValueError(f'the shape of row {bad} cannot be used: {reason}')
-    bounds = np.empty((count, 2, 3))  # filled: np.stack takes eight times as long
-    bounds[:, 0], bounds[:, 1] = form.lo, form.hi
     tolerances = checks.lengths_or_one('tolerance', tolerance, count)
-    hulls = _hulls(given, form, planar)
-    return QueryRows(form.records, bounds, tolerances, checks.masks_or_one(mask, count)), hulls
+    parts = form.records, bounds, tolerances, checks.masks_or_one(mask, count)
+    return tuple.__new__(QueryRows, parts), _hulls(given, form, planar)
+
+
+def _row_by_row(given: Shapes, count: int) -> Shapes:
+    """With all columns of so many rows."""
+    every: Any = (np.broadcast_to(rows, (count, *rows.shape[1:])) for rows in given[:4])
+    kind, position, orientation, size = map(np.ascontiguousarray, every)
+    return Shapes(kind, position, orientation, size, given.mesh)
 
 
 def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QueryShape, Hulls | None]:

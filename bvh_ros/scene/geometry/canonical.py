@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
+from ...tree.rays.raycasting import of_row
 from .meshes import Mesh
 from .records import GEOMETRY, Records
 from .rotation import fill_rotation
@@ -30,6 +31,7 @@ SNAP = 2.0**-50
 # what the true shape touches. From above heights count only of what leans.
 OUTWARD = 2.0**-45
 LEAST = 5e-324
+NO_BOUNDS = np.empty((0, 2, 3))
 
 MOST_PLACES = 1 << 18  # of vertices that are turned at once
 
@@ -198,43 +200,44 @@ def canonical_row(kind, position, orientation, size, ndim, record, bounds):
 
 
 @lean_kernel
-def canonical_rows(kinds, positions, orientations, sizes, form):
-    """Fill in a `Canonical`; return whether there is a row of kind MESH."""
-    bounds, meshes = stack_array((2, 3), np.float64), False
-    for i in range(kinds.shape[0]):
-        fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
+def canonical_rows(kinds, positions, orientations, sizes, form, within):
+    """Fill in a `Canonical`, or instead of its bounds those of `within` (n, 2, 3) unless that has
+    no rows; return whether there is a row of kind MESH. All but positions: one for all, or (n,).
+    """
+    own, meshes, ndim = stack_array((2, 3), np.float64), False, form.lo.shape[1]
+    for i in range(positions.shape[0]):
+        bounds = within[i] if within.shape[0] > 0 else own
+        kind, turn = of_row(kinds, i), orientations[i if orientations.shape[0] > 1 else 0]
+        size = sizes[i if sizes.shape[0] > 1 else 0]
+        fault = fault_of(kind, positions[i], turn, size)
         if fault == FINE:
-            canonical_row(
-                *(kinds[i], positions[i], orientations[i], sizes[i], form.lo.shape[1]),
-                *(form.records[i], bounds),
-            )
+            canonical_row(kind, positions[i], turn, size, ndim, form.records[i], bounds)
             if not (is_finite(bounds[0]) and is_finite(bounds[1])):
                 fault = TOO_LARGE
-            for axis in range(form.lo.shape[1]):
+            for axis in range(ndim if within.shape[0] == 0 else 0):
                 form.lo[i, axis], form.hi[i, axis] = bounds[0, axis], bounds[1, axis]
         form.faults[i] = fault
-        meshes = meshes or kinds[i] == MESH
+        meshes = meshes or kind == MESH
     return meshes
 
 
 def _empty_form(count: int, ndim: int) -> Canonical:
-    lo, hi = np.empty((count, ndim)), np.empty((count, ndim))
     # As Canonical(...), which would take one more call of a function of Python's.
-    columns = np.empty(count, GEOMETRY), lo, hi, np.empty(count, UINT8)
+    columns = np.empty(count, GEOMETRY), *np.empty((2, count, ndim)), np.empty(count, UINT8)
     return tuple.__new__(Canonical, columns)
 
 
 @functools.cache
-def _canonical_rows(ndim: int) -> Callable[..., Any]:
+def rows_entry(ndim: int) -> Callable[..., Any]:
     """The machine code of `canonical_rows`."""
-    rows = np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3))
-    return entry_point(canonical_rows, np.empty(0, np.uint8), *rows, _empty_form(0, ndim))
+    rows = np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)), _empty_form(0, ndim)
+    return entry_point(canonical_rows, np.empty(0, np.uint8), *rows, NO_BOUNDS)
 
 
 def canonicalise(shapes: Shapes, ndim: int = 3) -> Canonical:
     """Look at shapes alone, which must be from `as_shapes`: nothing here depends on the world."""
     form = _empty_form(len(shapes.kind), ndim)
-    if _canonical_rows(ndim)(*shapes[:4], form) or shapes.mesh is not None:
+    if rows_entry(ndim)(*shapes[:4], form, NO_BOUNDS) or shapes.mesh is not None:
         _place_meshes(shapes, form)
     return form
 

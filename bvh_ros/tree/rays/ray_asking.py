@@ -104,12 +104,7 @@ class RayAsking(Timed):
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
         # As Rays(...), which would take one more call of a function of Python's.
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        rays = tuple.__new__(Rays, asked)
-        if threads == 1 and ray_batches.are_few(origins):
-            hits = self._few_hits(rays, count)
-            if hits is not None:
-                return hits
-        return self.first_hits(rays, threads)
+        return self.first_hits(tuple.__new__(Rays, asked), threads)
 
     def _few_hits(self, rays: Rays, count: int) -> RayHits | None:
         """`first_hits` of few rays if the snapshot is of the tree as it is, with as little Python
@@ -132,6 +127,10 @@ class RayAsking(Timed):
         for by one thread.
         """
         count = len(rays.origins)
+        if threads == 1 and ray_batches.are_few(rays.origins):
+            few = self._few_hits(rays, count)
+            if few is not None:
+                return few
         hits = ray_batches.room_for(count, self._ndim, rays.mode)
         view = self.view()
         snapshot = self.snapshot_for(count, view)

@@ -27,7 +27,8 @@ def in_threads(
     up the others. A piece has at least `together` rows: below that, a batch loses what it gains
     from answering rows together.
     """
-    threads = max(1, min(checks.whole('threads', threads, 1), count))
+    if type(threads) is not int or threads != 1:  # else it is not worth a microsecond
+        threads = max(1, min(checks.whole('threads', threads, 1), count))
     if threads == 1:
         return [work(0, count)]
     pieces = max(threads, min(PIECES_A_THREAD * threads, count // together))
