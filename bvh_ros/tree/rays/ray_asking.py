@@ -127,7 +127,7 @@ class RayAsking(Timed):
         for by one thread.
         """
         count = len(rays.origins)
-        if threads == 1 and ray_batches.are_few(rays.origins):
+        if threads == 1 and ray_batches.are_few(rays):
             few = self._few_hits(rays, count)
             if few is not None:
                 return few

@@ -38,6 +38,7 @@ def both_ways(
     answers, loose = [], []
     for few in (0, 10**9):
         monkeypatch.setattr(ray_batches, 'FEW_RAYS', few)
+        monkeypatch.setattr(ray_batches, 'FEW_TOGETHER', few)
         answers.append(tree.raycast_many(*asked))
         blocked = tree.occluded_many(*asked)
         assert (blocked == (answers[-1].ids >= 0)).all()
@@ -136,11 +137,13 @@ def test_slots() -> None:
             tree.slot(int(stale))
 
 
-def test_a_scan_goes_in_lists(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rays from one place do, already where others would not; the answer is the same."""
+def test_a_scan_and_segments_go_in_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays from one place, and those that end, do, already where others would not; the answer is
+    the same.
+    """
     tree, _, ways = world(3)
     tree.raycast_many(ways, ways)  # from then on there is a snapshot
-    count, lists = ray_batches.FEW_OF_A_SCAN, []
+    count, lists = ray_batches.FEW_TOGETHER, []
     make = ray_batches.make_scratch
     monkeypatch.setattr(
         ray_batches, 'make_scratch', lambda *sizes: lists.append(sizes) or make(*sizes)
@@ -157,3 +160,7 @@ def test_a_scan_goes_in_lists(monkeypatch: pytest.MonkeyPatch) -> None:
         moved[other, 1] = 3.0
         tree.raycast_many(moved, ways)
     assert len(lists) == 1
+    ends = np.full(count, 3.0)
+    segments = tree.raycast_many(moved, ways, ends)
+    assert len(lists) == 2
+    check_one_by_one(tree, segments, moved, ways, ends, masks)
