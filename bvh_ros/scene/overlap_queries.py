@@ -159,7 +159,7 @@ class OverlapQueries:
         places = checks.rows('centers', centers, 3)
         edges, turns = checks.floats('sizes', sizes), UNTURNED
         if edges.shape == (3,):
-            edges = checks.point('sizes', edges, 3)[None]
+            edges = edges[None]
         else:
             edges = checks.rows('sizes', edges, 3, len(places))
         if orientations is not None:
