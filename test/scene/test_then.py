@@ -172,6 +172,41 @@ def test_who_drives_meets_where_they_stand_from_some_time_on():
             assert many.t.tolist() == [hits[0].t if hits else np.inf] * 2
 
 
+def test_what_is_kept_of_a_world_goes_with_it():
+    """One question after the other, while arrays grow and somebody goes."""
+    scene, at, up = Scene(), NOW + SECOND, [0.0, 1.0, 0.0]
+    places = np.column_stack((np.arange(300.0), np.zeros((300, 2))))
+    names = [str(number) for number in range(300)]
+
+    def seen():
+        touched = scene.overlap([-1, 0.9, -1], [400, 1.1, 1], at=at)
+        near = [hit.name for hit in scene.nearest([0, 1, 0], 2, at=at)]
+        ball = scene.raycast([-5, 1, 0], [400, 1, 0], 0.1, at=at)
+        assert ball.name == near[0]
+        return len(touched), near
+
+    for count in (1, 2, 300):
+        boxes = Shapes.boxes(places[:count], [0.5, 0.5, 0.5])
+        scene.update('s', names[:count], boxes, stamp=NOW, velocities=[up] * count)
+        assert seen() == (count, names[: min(2, count)])
+    scene.update('s', ['0'], Shapes.boxes([[0, 5, 0]], [0.5, 0.5, 0.5]), stamp=NOW)
+    assert seen() == (299, ['1', '2'])
+
+
+def test_one_time_is_the_same_number_as_in_a_batch():
+    rng, held = np.random.default_rng(3), Scene()._held
+    held.epoch = NOW
+    near = NOW + rng.integers(-(1 << 53) + 1, 1 << 53, 3000)
+    far = NOW + rng.integers(1 << 53, 1 << 60, 3000)
+    ends = np.array([-(1 << 63), (1 << 63) - 1, NOW])
+    for stamps in (near, np.concatenate((near, far, ends))):
+        each = [held.second(stamp) for stamp in stamps.tolist()]
+        assert held.seconds(stamps).tolist() == each
+    assert held.seconds(near).tolist() == [
+        float(Fraction(stamp - NOW, SECOND)) for stamp in near.tolist()
+    ]
+
+
 def test_boxes_are_decided_exactly():
     rng = np.random.default_rng(13)
     places, speeds = rng.uniform(-1, 1, (300, 3)), rng.uniform(-1, 1, (300, 3))
@@ -181,7 +216,7 @@ def test_boxes_are_decided_exactly():
     lo, hi = scene._held.tree.boxes(scene._held.columns.tree_handle[:300])
     names = [scene._held.registry.name(slot) for slot in range(300)]
     time = 3 * SECOND // 7
-    seconds = float(np.longdouble(time) / 10**9)
+    seconds = time / SECOND
     speeds = speeds[[int(name) for name in names]]
     for row in range(300):
         # A corner of the query as near to the box's as doubles go, on either side.
