@@ -45,8 +45,9 @@ class OnDemand(NodePart):
         if job is None:
             return
         if name not in self._under_way:
-            self.node.get_logger().info(f'compiling {name}: somebody asks for the first time')
-            self._under_way[name] = Compilation([job], 1)
+            compilation = self._under_way[name] = Compilation([job], 1)
+            if compilation.seconds:  # else it was compiled before, and is but loaded
+                self.node.get_logger().info(f'compiling {name}: somebody asks for the first time')
             self._close.append(partial(self._end, name))
         compilation = self._under_way[name]
         compilation.go_on()
