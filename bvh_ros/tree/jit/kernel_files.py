@@ -129,6 +129,8 @@ def _names_in(bitcode: bytes) -> bytes:
 class PartCode(JITCodeLibrary):
     """The code of a part: it is linked into those who call it, and nowhere else."""
 
+    _dynamic_globals: list[str]
+
     @classmethod
     def of_bitcode(cls, codegen: Any, name: str, bitcode: bytes) -> 'PartCode':
         """What was kept."""
@@ -150,6 +152,11 @@ class PartCode(JITCodeLibrary):
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
+        if self._dynamic_globals:
+            # numba asks for the address of a function that is handed over, too, and nobody uses
+            # it: a part that only names it can be kept.
+            code = str(self._final_module)
+            self._dynamic_globals = [n for n in self._dynamic_globals if code.count(n) > 1]
         self._finalized = True
 
 

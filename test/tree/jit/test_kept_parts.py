@@ -6,10 +6,13 @@ import json
 import shutil
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import pytest
+from numba.core.registry import cpu_target
 from tree.jit.alone import run_alone
 
 import bvh_ros
+from bvh_ros.tree.jit import kernel_files
 
 PROBE = """
 from bvh_ros.tree.jit.compiling import lean_kernel
@@ -105,3 +108,17 @@ def test_a_damaged_part_or_one_of_other_sources_is_compiled_again(call, tmp_path
     probe = tmp_path / 'bvh_ros' / 'tree' / 'probe.py'
     probe.write_text(PROBE.replace('SCALE = 2.0', 'SCALE = 3.0'))
     assert call('call', 'squares') == [82.0, ['power', 'shared']]
+
+
+def test_a_part_is_kept_that_only_names_an_address():
+    """As numba does of a function that is handed over; one that reads there is of one process."""
+    word = '@numba.dynamic.globals.7f = global i64 5\n'
+    for body, reads in (
+        ('ret i64 1', False),
+        (f'%x = load i64, ptr {word.split()[0]}\nret i64 %x', True),
+    ):
+        code = llvm.parse_assembly(f'{word}define i64 @part() {{ {body} }}').as_bitcode()
+        generator = cpu_target.target_context.codegen()
+        assert (
+            kernel_files.PartCode.of_bitcode(generator, 'part', code).has_dynamic_globals is reads
+        )
