@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.subscription import Subscription
 
-REST = 0.005  # seconds, in which many small messages come for one round of the executor
+REST = 0.01  # seconds, in which many small messages come for one round of the executor
 BUSY = 0.002  # seconds between messages
 
 
