@@ -24,8 +24,6 @@ class Part(NamedTuple):
     expires: ArrayLike = 0
     categories: ArrayLike | None = None
     velocities: ArrayLike | Follow | None = None
-    latest: int | None = None
-    """Rows with later stamps are refused, ns."""
 
     def cut(self, length: int) -> Iterator['Part']:
         """The same in parts of at most so many rows."""
@@ -51,7 +49,7 @@ class Part(NamedTuple):
             shapes = given.take(rows)
             rest: list[Any] = [None if each is None else each[rows] for each in columns]
             rest[3] = follow or rest[3]
-            yield Part(names.take(rows), shapes, *rest)._replace(latest=self.latest)
+            yield Part(names.take(rows), shapes, *rest)
 
 
 def require_a_name_each(names: Families, count: int) -> None:

@@ -68,14 +68,6 @@ def reach_of(held: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floa
         return np.multiply(fastest, held.max_prediction, out=way, where=fastest > 0.0)
 
 
-def none_later(valid: Validated, latest: int) -> Validated:
-    """The rows that are not stamped later, ns."""
-    wrong = np.zeros(len(valid.reasons.good), np.bool_)
-    for some in valid[:2]:
-        wrong[some.row[some.stamp > latest]] = True
-    return _without(valid, wrong, 'its stamp is too far in the future')
-
-
 def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validated:
     """Refuse some rows."""
     if not wrong.any():

@@ -14,7 +14,7 @@ from .geometry.shapes import UINT8, Shapes, as_shapes
 from .parts import Part, require_a_name_each
 from .refusals import Refusals
 from .region import Region, within
-from .speeds import Follow, none_later, reach_of, speeds_of
+from .speeds import Follow, reach_of, speeds_of
 from .store import updating
 from .store.names import Families, Names, as_families
 from .store.obstacles import Obstacles
@@ -150,8 +150,6 @@ class Updates:
         held = self._held
         updating.text('source', source), updating.text('group', group)
         names, slots, valid = self._validated(source, part)
-        if part.latest is not None:
-            valid = none_later(valid, part.latest)
         speeds = reach = None
         if part.velocities is not None:
             speeds, valid = speeds_of(held, part.velocities, valid)
@@ -280,16 +278,12 @@ class Updates:
 
 
 def _latest(part: Part, valid: Validated, whole: bool) -> int:
-    """The latest stamp of the rows that are applied, ns; of the message if that is `whole`, but
-    for what is not believed.
-    """
+    """The latest stamp of the rows that are applied, ns; of the message if that is `whole`."""
     stamp: Any = part.stamp
     if not whole and not len(valid.known.row) + len(valid.added.row):
         return FIRST_TIME
     if type(stamp) is int:
-        return stamp if part.latest is None or stamp <= part.latest else FIRST_TIME
+        return stamp
     if whole:
-        stamps = np.atleast_1d(stamp)
-        believed = True if part.latest is None else stamps <= part.latest
-        return int(np.max(stamps, initial=FIRST_TIME, where=believed))
+        return int(np.max(stamp, initial=FIRST_TIME))
     return max(int(some.stamp.max()) for some in valid[:2] if len(some.stamp))

@@ -149,18 +149,3 @@ def test_rows_whose_velocity_is_not_finite_are_refused():
     assert scene.update('s', ['c', 'd'], boxes, stamp=NOW, velocities=speeds)[0].name == 'c'
     assert 'c' not in scene
     assert 'd' in scene
-
-
-@pytest.mark.parametrize('whole', [False, True])
-def test_a_stamp_that_is_not_believed_is_not_the_newest(whole):
-    boxes = Shapes.boxes([[0, 0, 0], [3, 0, 0]], [1, 1, 1])
-    for stamps, newest in (
-        (NOW + 9 * SECOND, NOW),
-        ([NOW + 9 * SECOND] * 2, NOW),
-        ([NOW + SECOND, NOW + 9 * SECOND], NOW + SECOND),
-    ):
-        scene = Scene()
-        scene.update('s', ['one'], boxes.take([0]), stamp=NOW)
-        part = Part(['one', 'two'], boxes, stamps)._replace(latest=NOW + 2 * SECOND)
-        assert not list(scene.in_slices('s', '', 2, part.cut, whole=whole))
-        assert (scene.newest, len(scene)) == (newest, 1)

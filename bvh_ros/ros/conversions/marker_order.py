@@ -40,9 +40,10 @@ class Order(NamedTuple):
     removed: Integers  # rows of the names that go first
 
 
-def order_of(table: MarkerTable) -> Order:
-    """Read the actions of markers in order."""
+def order_of(table: MarkerTable, refused: Mask) -> Order:
+    """Read the actions of markers in order; refused ones ask for nothing."""
     wish = _wishes(table)
+    wish[refused] = NOTHING
     adds = wish <= MESH
     if (wish == SINGLE).all():
         none = np.empty(0, np.int64)

@@ -41,6 +41,7 @@ TYPE_NAMES = (
 _KINDS = np.zeros(12, np.uint8)
 for _kinds in (SINGLE_SHAPES, LISTED_SHAPES):
     _KINDS[list(_kinds)] = list(_kinds.values())
+TOO_FAR_AHEAD = 'its stamp is too far in the future'
 AT_A_TIME = 256  # lists or frames between two pauses
 ELEMENTS = 8192  # between two pauses
 IntoNode = Callable[[str, int], 'Transform | None']
@@ -62,7 +63,13 @@ class Change(NamedTuple):
 
 
 def change(
-    table: MarkerTable, *, now: int, into_node: IntoNode, prefix: str = '', planar: bool = False
+    table: MarkerTable,
+    *,
+    now: int,
+    into_node: IntoNode,
+    latest: int | None = None,
+    prefix: str = '',
+    planar: bool = False,
 ) -> Generator[None, None, Change]:
     """Read markers; pause now and then, nothing is changed yet.
 
@@ -74,13 +81,16 @@ def change(
     into_node : callable
         From a frame and a stamp to the transform into the node's frame, or None if there is none
         to apply; raises FrameError.
+    latest : int, optional
+        No later stamp is believed, ns: what such a marker removes stays.
     prefix : str
         Begins every obstacle's name.
     planar : bool
         Whether the scene is.
     """
     reader = _Reader(table, into_node, prefix, planar)
-    order = order_of(table)
+    reader.refuse_later_than(latest)
+    order = order_of(table, reader.faulty)
     reader.faulty[order.wish == NOTHING] = True
     good = order.alive.copy()
     yield from reader.find_frames(good)
@@ -130,6 +140,11 @@ class _Reader:
     def refuse(self, row: int, reason: str) -> None:
         self.faulty[row] = True
         self.reasons[row] = reason
+
+    def refuse_later_than(self, latest: int | None) -> None:
+        if latest is not None:
+            for row in np.flatnonzero(self.table.stamp > latest).tolist():
+                self.refuse(row, TOO_FAR_AHEAD)
 
     def refusals(self) -> Refusals:
         return Refusals(Block(np.flatnonzero(self.faulty), self.names.of, self._reason))

@@ -53,12 +53,13 @@ class MarkerArraySource(Source):
             columns,
             now=now,
             into_node=self.frames.into_node,
+            latest=self._latest(now),
             prefix=self.settings.prefix,
             planar=self.scene.planar,
         )
         self.tells_all = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)
-        part = part._replace(velocities=self.follow, latest=self._latest(now))
+        part = part._replace(velocities=self.follow)
         count, refusals = len(change.names), change.refusals
         removed = self._with_elements(change.removed)
         gone = self.scene.find(self.name, removed, change.namespaces)

@@ -12,7 +12,7 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.cloud_head import field_names
 from bvh_ros.ros.conversions import point_cloud2
-from bvh_ros.ros.conversions.markers import moved
+from bvh_ros.ros.conversions.markers import TOO_FAR_AHEAD, moved
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
 
@@ -43,7 +43,9 @@ class PointCloud2Source(Source):
         stamp = given.stamp
         transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'
-        latest, items, skipped = self._latest(now), 0, 0
+        items = skipped = 0
+        if (latest := self._latest(now)) is not None and stamp > latest:
+            raise ValueError(f'{TOO_FAR_AHEAD}; what it replaces or deletes stays')
 
         def parts(length: int) -> Iterator[Part]:
             nonlocal items, skipped
@@ -58,7 +60,7 @@ class PointCloud2Source(Source):
                 if moving and transform is not None:
                     speeds = transform.vectors(speeds)
                 part = Part(names, moved(boxes.shapes, transform), stamp or now)
-                yield part._replace(velocities=speeds, latest=latest)
+                yield part._replace(velocities=speeds)
 
         whole = not cloud.by_id
         refusals = yield from self._in_slices('', cloud.total, parts, whole=whole)

@@ -17,6 +17,7 @@ from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Scene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
+DELETE, DELETE_ALL = 2, 3
 NOW = 1_000_000_000_000
 
 
@@ -56,12 +57,34 @@ def into_map(frame_id, stamp):
     raise FrameError(f"no transform from '{frame_id}'")
 
 
-def change(*array, prefix=''):
-    return ended(markers.change(table(array), now=NOW, into_node=into_map, prefix=prefix))
+def change(*array, prefix='', latest=None):
+    given = {'now': NOW, 'into_node': into_map, 'prefix': prefix, 'latest': latest}
+    return ended(markers.change(table(array), **given))
 
 
 def names_of(change):
     return list(change.names.texts())
+
+
+def test_a_stamp_that_is_not_believed_adds_and_removes_nothing():
+    late = {'stamp': NOW + 2}
+    given = [
+        marker(1),
+        marker(2, **late),
+        marker(3, action=DELETE),
+        marker(4, action=DELETE, **late),
+        marker(1, action=DELETE, **late),
+        marker(0, ns='b', action=DELETE_ALL, **late),
+        marker(0, ns='', action=DELETE_ALL, **late),
+        marker(5, stamp=NOW + 1),
+    ]
+    found = change(*given, latest=NOW + 1)
+    assert names_of(found) == ['a/1', 'a/5']
+    assert list(found.removed.texts()) == ['a/3']
+    assert (found.clears, found.namespaces) == (False, [])
+    assert [refusal.row for refusal in found.refusals] == [1, 3, 4, 5, 6]
+    assert {refusal.reason for refusal in found.refusals} == {markers.TOO_FAR_AHEAD}
+    assert not change(*given[:3]).refusals
 
 
 def test_thousands_become_one_change():

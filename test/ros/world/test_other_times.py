@@ -153,7 +153,20 @@ def test_what_clouds_are_refused_and_frames(clean):
     assert 'not vx, vz' in clean.status('source tracks').values['last reason']
     tell(clean, [[1, 20, 0, 0, 0, 0, 0]], now + 3600 * SECOND)
     assert 'future' in clean.status('source tracks').values['last reason']
+    # Nor is it believed that one is gone: without a size.
+    columns = dict.fromkeys(('x', 'y', 'z', 'vx', 'vy', 'vz'), np.zeros(1))
+    sizes = dict.fromkeys(('sx', 'sy', 'sz'), np.full(1, nan))
+    gone, count = (
+        ask.messages.cloud({'id': np.ones(1), **columns, **sizes}),
+        heard(clean, 'tracks'),
+    )
+    gone.header.stamp = stamp(now + 3600 * SECOND)
+    clean.publish('tracks', gone)
+    clean.until(lambda: heard(clean, 'tracks') > count)
     assert ask(clean, 'raycast', (5, 0, 0), (30, 0, 0))[0].pose.position.x == 9.5
+    gone.header.stamp = stamp(now)
+    clean.publish('tracks', gone)
+    clean.until(lambda: not ask(clean, 'raycast', (5, 0, 0), (30, 0, 0)))
     # +x of the other frame is +y of the node's.
     tell(clean, [[3, 1, 0, 0, 2, 0, 0]], now, frame='turned')
     (told,) = ask(clean, 'raycast', (0, -5, 5), (0, 9, 5))
