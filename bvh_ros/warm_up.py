@@ -44,6 +44,8 @@ def main(args: Sequence[str] | None = None) -> int:
         )
         return 1
     try:
+        if kernel_cache.cache_folder() is None:
+            raise OSError('there is no folder to write kernels to')
         _compile(options.params_file)
         folder = kernel_cache.ship()
     except KeyboardInterrupt:
