@@ -19,7 +19,7 @@ from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
 from ..results import RayHits
 from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
 from ..wide.best_hit import ASK, MEETS, MISSES
-from ..wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, make_scratch, sort_by_octant
+from ..wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, make_scratch, scratch_for, sort_by_octant
 from ..wide.raycasting import DECIDED_EXACTLY, FOUND, OCTANTS, TALLY, start_group, traverse
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
@@ -212,5 +212,5 @@ def cast(view: View, snapshot: Snapshot, rays: MovingRays, hits: RayHits) -> Non
     RuntimeError if the tree is changed meanwhile.
     """
     count, ndim = rays.origins.shape
-    scratch = make_scratch(count, ndim, snapshot.depth)
+    scratch = scratch_for(count, ndim, snapshot.depth)
     accepted(cast_entry(ndim)(*view, snapshot, rays, scratch, hits))

@@ -11,7 +11,7 @@ from ..checks import INT64
 from ..nodes import View
 from ..results import RayHits
 from ..wide.few_rays import few_entry
-from ..wide.ray_streams import make_scratch
+from ..wide.ray_streams import scratch_for
 from ..wide.raycasting import cast_entry
 from ..wide.snapshot import Snapshot
 from .ray_hits import rows_entry
@@ -40,7 +40,7 @@ def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> in
     elif are_few(rays):
         done = few_entry(ndim)(tree, version, snapshot, rays, hits)
     else:
-        scratch = make_scratch(count, ndim, snapshot.depth)
+        scratch = scratch_for(count, ndim, snapshot.depth)
         done = cast_entry(ndim)(tree, version, snapshot, rays, scratch, hits)
     return done
 

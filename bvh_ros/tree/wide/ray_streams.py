@@ -12,6 +12,7 @@ The lists of a node's children lie behind each other in one array, above those o
 the traversal is depth first, so what is above is done with when a node is visited.
 """
 
+import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,10 @@ from .snapshot import LOOSE_NODES
 # most part, the rays and answers of those that are sorted by octant in one go.
 RAYS_AT_ONCE = 4096
 RAYS_SORTED = 8 * RAYS_AT_ONCE
+
+# Scratch for so many rays is kept by a thread, 0.6 MB among 10,000 boxes: to make it takes 5 us, a
+# sixth of 400 short rays, and less than 3 % of more rays.
+KEPT_RAYS = 1024
 
 # Sixteen children, and as many lists that nobody reads, see `child_lists`.
 LISTS = 2 * WIDTH
@@ -71,6 +76,26 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
         np.empty(together, np.uint32),
         np.empty((WIDTH * depth + LOOSE_NODES, 4), np.int32),
     )
+
+
+class Kept(threading.local):
+    """What a thread keeps of it, by number of dimensions. Kernels write it before they read it."""
+
+    def __init__(self) -> None:
+        self.rooms: dict[int, Scratch] = {}
+
+
+_kept = Kept()
+
+
+def scratch_for(count: int, ndim: int, depth: int) -> Scratch:
+    """`make_scratch`, or what is kept of as much or more."""
+    if count > KEPT_RAYS:
+        return make_scratch(count, ndim, depth)
+    scratch = _kept.rooms.get(ndim)
+    if scratch is None or len(scratch.stack) < WIDTH * depth + LOOSE_NODES:
+        scratch = _kept.rooms[ndim] = make_scratch(KEPT_RAYS, ndim, depth)
+    return scratch
 
 
 @lean_kernel

@@ -144,9 +144,9 @@ def test_a_scan_and_segments_go_in_lists(monkeypatch: pytest.MonkeyPatch) -> Non
     tree, _, ways = world(3)
     tree.raycast_many(ways, ways)  # from then on there is a snapshot
     count, lists = ray_batches.FEW_TOGETHER, []
-    make = ray_batches.make_scratch
+    make = ray_batches.scratch_for
     monkeypatch.setattr(
-        ray_batches, 'make_scratch', lambda *sizes: lists.append(sizes) or make(*sizes)
+        ray_batches, 'scratch_for', lambda *sizes: lists.append(sizes) or make(*sizes)
     )
     ways = np.tile(ways, (3, 1))[:count]
     origins = np.full((count, 3), 0.5)

@@ -71,7 +71,7 @@ def run() -> None:
     ray_streams_made, snapshot_taken = ray_streams.make_scratch, wide.take_snapshot
     from bvh_ros.tree.rays import ray_batches
 
-    ray_batches.make_scratch = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
+    ray_batches.scratch_for = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
 
     def take(*arguments):
         taken = snapshot_taken(*arguments)

@@ -4,6 +4,8 @@
 without masks, in few octants and many.
 """
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,13 @@ from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.rays import ray_batches
-from bvh_ros.tree.wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, Scratch, make_scratch
+from bvh_ros.tree.wide.ray_streams import (
+    KEPT_RAYS,
+    RAYS_AT_ONCE,
+    RAYS_SORTED,
+    Scratch,
+    make_scratch,
+)
 from bvh_ros.tree.wide.snapshot import LEAST_RAYS
 
 OCTANTS: dict[str, tuple[int, ...]] = {
@@ -114,10 +122,36 @@ def test_what_is_noted_stays_in_its_memory(monkeypatch: pytest.MonkeyPatch) -> N
         fence.append(np.full(len(scratch.found) + 1, 77, np.int32))
         return scratch._replace(found=fence[-1][:-1])
 
-    monkeypatch.setattr(ray_batches, 'make_scratch', fenced)
+    monkeypatch.setattr(ray_batches, 'scratch_for', fenced)
     monkeypatch.setattr(ray_batches, 'FEW_RAYS', 0)
     for start in range(0, int(hit.sum()) - 64, 64):
         rows = np.flatnonzero(hit)[start : start + 64]
         assert (tree.raycast_many(origins[rows], ways[rows]).ids >= 0).all()
     assert len(fence) > 50
     assert all(room[-1] == 77 for room in fence)
+
+
+def test_kept_scratch_is_large_enough_for_all() -> None:
+    """Batches of any size among trees of any depth and dimension take turns, in several threads:
+    what one leaves behind is nothing to the next.
+    """
+    size = 2.0 ** (np.arange(200) / 8)[:, None]
+    deep = DynamicBVH.from_boxes(size * [1.0, -1, -1], size * [1.5, 1, 1])
+    flat = scene(2, 300, 2 * KEPT_RAYS, OCTANTS['all octants'])
+    solid = scene(3, 300, 2 * KEPT_RAYS, OCTANTS['all octants'])
+    every = [flat, solid, (deep, *solid[1:])]
+    whole = [tree.raycast_many(origins, ways) for tree, origins, ways in every]
+
+    def ask(seed: int) -> bool:
+        rng, same = np.random.default_rng(seed), True
+        for _ in range(60):
+            which, count = rng.integers(3), rng.integers(350, KEPT_RAYS + 100)
+            tree, origins, ways = every[which]
+            rows = rng.permutation(len(origins))[:count]
+            hits = tree.raycast_many(origins[rows], ways[rows], 1e9)
+            for part, all_ in zip(hits, whole[which], strict=True):
+                same &= bool((part == all_[rows]).all())
+        return same
+
+    with ThreadPoolExecutor(3) as pool:
+        assert all(pool.map(ask, range(4)))
