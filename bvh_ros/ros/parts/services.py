@@ -198,6 +198,7 @@ class TriggerServices(NodePart):
         self.service(Trigger, name, callback, callback_group=self._group)
 
     def _clear(self) -> Acting:
+        self._world.catch_up()
         removed = self._scene.clear()
         self._world.forget()
         for source in self._sources:

@@ -61,14 +61,18 @@ class World:
             If a source is missing or silent for too long; an answer might look free. Or if what is
             asked for is still being compiled.
         """
-        for source in self.sources:
-            source.catch_up()
+        self.catch_up()
         early = thin_ray and not self.scene.any_shaped
         problem = self._silence(now) if early else self.problem(now)
         if problem:
             raise IncompleteWorldError(problem)
         self.scene.expire(now, EXPIRED_AT_ONCE)
         return self.scene
+
+    def catch_up(self) -> None:
+        """Apply what has come, before somebody asks or clears."""
+        for source in self.sources:
+            source.catch_up()
 
     def problem(self, now: int) -> str:
         """Say why not every question can be answered, or return an empty text."""

@@ -152,3 +152,16 @@ def test_several_messages_read_as_one(messages):
         assert np.array_equal(read.colours(row), whole.colours(row))
     with pytest.raises(ValueError, match='7 markers do not fit'):
         marker_array.read(raws[0], BROKEN, raws[2])
+
+
+def test_what_came_before_a_clear_goes(world, messages, ros):
+    node, _ = ros
+    topic = f'{world.namespace}/bvh/obstacles'
+    publisher = node.create_publisher(MarkerArray, topic, QoSProfile(depth=DEPTH))
+    world.until(publisher.get_subscription_count)
+    for turn in range(20):
+        for k in range(40):
+            publisher.publish(MarkerArray(markers=[messages.marker(k, (k, turn, 0))]))
+        world.trigger('clear')  # the same thread sends it, the same one there receives it
+        assert world.everything() == set()
+    node.destroy_publisher(publisher)
