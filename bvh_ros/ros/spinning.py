@@ -68,11 +68,10 @@ class SturdyExecutor(SingleThreadedExecutor):
 
     def _looks_at_events(self) -> bool:
         """Now and then, for as long as a round takes to ask for all of them."""
-        since = time.monotonic() - self._events_seen
-        if since >= EVENTS_EVERY:
-            self._events_seen += since
-            return True
-        return since < ALL_EVENTS
+        now = time.monotonic()
+        if now - self._events_seen >= EVENTS_EVERY:
+            self._events_seen = now
+        return now - self._events_seen < ALL_EVENTS
 
     def _attempt(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:

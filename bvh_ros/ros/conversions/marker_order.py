@@ -22,6 +22,11 @@ ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
 SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
 LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
 TRIANGLES = 11
+TYPE_NAMES = (
+    *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
+    *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
+    'ARROW_STRIP',
+)
 
 SINGLE, LISTED, MESH, REMOVAL, SWEEP, NOTHING = range(6)  # what a marker asks for
 NEVER = -1  # instead of a row
@@ -103,3 +108,14 @@ def _wishes(table: MarkerTable) -> Integers:
     wish[action == DELETE] = REMOVAL
     wish[action == DELETE_ALL] = SWEEP
     return wish
+
+
+def why_not(table: MarkerTable, row: int) -> str:
+    """Say why a marker of this type and action cannot be used."""
+    kind, action = int(table.type[row]), int(table.action[row])
+    if action != ADD_OR_MODIFY:
+        return f'unknown marker action {action}'
+    if table.lifetime[row] < 0:
+        return f'negative lifetime {table.lifetime[row] / 1e9:g} s'
+    type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
+    return f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'

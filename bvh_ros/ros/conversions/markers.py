@@ -13,7 +13,6 @@ import numpy as np
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.marker_names import MarkerNames
 from bvh_ros.ros.conversions.marker_order import (
-    ADD_OR_MODIFY,
     LISTED,
     LISTED_SHAPES,
     MESH,
@@ -24,6 +23,7 @@ from bvh_ros.ros.conversions.marker_order import (
     Mask,
     last_of_lists,
     order_of,
+    why_not,
 )
 from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
 from bvh_ros.ros.conversions.mesh_reading import examined
@@ -32,11 +32,6 @@ from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
 from bvh_ros.scene.geometry.canonical import FINE, canonicalise
 from bvh_ros.scene.geometry.shapes import as_shapes
 
-TYPE_NAMES = (
-    *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
-    *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
-    'ARROW_STRIP',
-)
 # By marker type.
 _KINDS = np.zeros(12, np.uint8)
 for _kinds in (SINGLE_SHAPES, LISTED_SHAPES):
@@ -288,15 +283,7 @@ class _Reader:
     def _reason(self, row: int) -> str:
         if row in self.reasons:
             return self.reasons[row]
-        kind, action = int(self.table.type[row]), int(self.table.action[row])
-        if action != ADD_OR_MODIFY:
-            return f'unknown marker action {action}'
-        if self.table.lifetime[row] < 0:
-            return f'negative lifetime {self.table.lifetime[row] / 1e9:g} s'
-        type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
-        return (
-            f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'
-        )
+        return why_not(self.table, row)
 
 
 def moved(shapes: Shapes, transform: Transform | None) -> Shapes:

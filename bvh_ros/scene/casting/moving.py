@@ -27,7 +27,7 @@ from ...tree.motion.wide_casting import UNSUITED
 from ...tree.nodes import slot_of
 from ...tree.rays.ray_hits import NO_HITS
 from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
-from ...tree.rays.slab import INSIDE, RAY_FLOATS, RAY_ROWS, set_ray
+from ...tree.rays.slab import INSIDE, RAY_ROWS, set_ray
 from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
@@ -86,7 +86,7 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
 @lean_kernel
 def describe(tree, moving, origins, directions, at, pace, node_handles, hits, told):
     """Fill in what is told of hits, as `box_casting.describe`."""
-    ray, ndim = stack_array(RAY_FLOATS, np.float64).reshape(RAY_ROWS, 3), hits.normals.shape[1]
+    ray, ndim = stack_array((RAY_ROWS, 3), np.float64), hits.normals.shape[1]
     for i in range(origins.shape[0]):
         told.handles[i], face = NO_NODE, INSIDE
         for k in range(3):
@@ -173,10 +173,10 @@ def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
     axes = rays.origins[:, : held.tree.ndim]
     largest = np.abs(axes).max(axis=1, initial=0.0)
     growth = most_growth(held, times.at, times.ends(rays.t_max))
-    return np.asarray(reach_of(radii, largest) + growth)
+    return np.asarray(ball_reach(radii, largest) + growth)
 
 
-def reach_of(radius: Any, largest: Any) -> Any:
+def ball_reach(radius: Any, largest: Any) -> Any:
     """The same of balls that do not grow, with a largest coordinate."""
     return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
 

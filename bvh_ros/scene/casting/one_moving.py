@@ -26,7 +26,7 @@ from ..store.places import most_growth
 from .arguments import Hits, call, new_scratch, world_of
 from .box_casting import BoxHit, too_long, way_between
 from .first_moving import First, Ways, first_rows
-from .moving import reach_of
+from .moving import ball_reach
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 When = tuple[float, float]  # at, pace
@@ -88,7 +88,7 @@ class OneWay(threading.local):
         ways, hits, ndim = self.ways, self.hits, tree.ndim
         ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
         ways.masks[0], ways.radii[0], ways.at[0], ways.pace[0] = mask, radius, at, pace
-        more = reach_of(radius, max(map(abs, origin[:ndim].tolist())))
+        more = ball_reach(radius, max(map(abs, origin[:ndim].tolist())))
         if held.uncertainty:
             more += np.max(most_growth(held, ways.at, ways.at + pace))
         ways.more[0] = more

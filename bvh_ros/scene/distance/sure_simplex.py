@@ -52,8 +52,7 @@ def at_weights(simplex, count, trial, point):
 @lean_kernel
 def over_edge(simplex, i, j, trial):
     """Weights of the point of an edge closest to the origin; false if that is one of its ends."""
-    step, corner = stack_array((3, 2), np.float64), stack_array(6, np.float64)
-    corner = corner.reshape(3, 2)
+    step, corner = stack_array((3, 2), np.float64), stack_array((3, 2), np.float64)
     between(simplex, i, j, step)
     at_corner(simplex, i, corner)
     square, along = dot2(step, step), dot2(corner, step)

@@ -150,7 +150,8 @@ def overlap_many(view: View, queries: Queries, threads: int) -> tuple[Ids, Ids] 
     elif done == NOT_FINITE:
         return None
     else:
-        parts = _in_parts(view, queries, offsets, threads)
+        first = 0, accepted(done), found[: offsets.item(done)], most
+        parts = _in_parts(view, queries, offsets, threads, first)
         if parts is None:
             return None
         handles, most = parts
@@ -160,13 +161,18 @@ def overlap_many(view: View, queries: Queries, threads: int) -> tuple[Ids, Ids] 
     return offsets, handles
 
 
-def _in_parts(view: View, queries: Queries, offsets: Ids, threads: int) -> tuple[Ids, int] | None:
-    """All handles, with as much room as they take, and the most of one query."""
-    count, kernel = len(offsets) - 1, rows_entry(queries.lo.shape[1])
+def _in_parts(
+    view: View, queries: Queries, offsets: Ids, threads: int, first: Part
+) -> tuple[Ids, int] | None:
+    """All handles, after those of the `first` part with as much room as they take, and the most of
+    one query.
+    """
+    begun, kernel = first[1], rows_entry(queries.lo.shape[1])
 
     def work(start: int, stop: int) -> list[Part]:
         parts: list[Part] = []
-        room = FEW
+        start, stop = begun + start, begun + stop
+        room = max(FEW, stop - start)
         while start < stop:
             found = np.empty(room, INT64)
             done, wanted, most = kernel(*view, queries, start, stop, found, offsets)
@@ -177,7 +183,8 @@ def _in_parts(view: View, queries: Queries, offsets: Ids, threads: int) -> tuple
             start, room = done, max(2 * room, wanted)
         return parts
 
-    parts = [part for some in in_threads(work, count, threads) for part in some]
+    rows = len(offsets) - 1 - begun
+    parts = [first, *(part for some in in_threads(work, rows, threads) for part in some)]
     if any(done == NOT_FINITE for _, done, _, _ in parts):
         return None
     before = 0
