@@ -16,11 +16,10 @@ from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
-from ...tree.motion.meeting import Course, box_of
+from ...tree.motion.meeting import box_of
 from ...tree.motion.overlapping import overlap_then
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
-from ...tree.rays.slab import RAY_ROWS, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ..store.places import WIDER
 from .narrow_phase import near
@@ -106,16 +105,13 @@ def place_footprint(footprints, spare, slot, way):
 
 
 @lean_kernel
-def reach_then(tree, moving, then, asked, ray, slots):
+def reach_then(tree, moving, then, asked, slots):
     """Write the slots of boxes that a box touches, asked = (its corners, mask, at); return how
     many, which may be more than fit.
     """
     (corners, mask, at), ndim = asked, moving.kept[0].velocity.shape[0]
-    nowhere = stack_array(3, np.float64)
-    nowhere[:] = 0.0
-    set_swept_box(ray, corners[0, :ndim], corners[1, :ndim], nowhere)
-    course = Course(ray, at, 0.0)
-    total = overlap_then(tree, moving, course, mask, slots)
+    box = corners[0, :ndim], corners[1, :ndim], at
+    total = overlap_then(tree, moving, box, mask, slots, 0)
     if then.rest.state[ROOT] == NONE or total > slots.shape[0]:
         return total
     count = np.int64(0)
@@ -150,7 +146,6 @@ def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, 0
-    ray = stack_array((RAY_ROWS, 3), np.float64)
     grown = stack_array((2, 3), np.float64)
     row, filled, wanted, compared = np.int64(begin), 0, 0, 0
     while row < then.at.shape[0]:
@@ -161,7 +156,7 @@ def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
         tolerance, mask = of_row(queries.tolerances, row), of_row(queries.masks, row)
         reach = tolerance + most_growth(then, at)
         grow(QueryShape(record, queries.bounds[row], False, reach, 0.0), grown)
-        count = reach_then(tree, moving, then, (grown, mask, at), ray, room.slots)
+        count = reach_then(tree, moving, then, (grown, mask, at), room.slots)
         wanted = filled + count
         if wanted > found.slots.shape[0] or count > room.slots.shape[0]:
             break

@@ -72,14 +72,14 @@ class BoxQueries(Timed):
         low = checks.rows('lo', lo, ndim)
         count = len(low)
         high, masks = checks.rows('hi', hi, ndim, count), checks.masks_or_one(mask, count)
-        motion = self._motion
+        threads, motion = checks.whole('threads', threads, 1), self._motion
         if motion is not None or at is not NOW:
             motion = self._motion_at(at, count=count)
         if motion is not None:
-            boxes = box_checks.boxes(low, high, ndim)
-            return motion.overlap_many(self, boxes, masks, at, threads)
-        queries = overlapping.Queries(low, high, masks)
-        found = overlapping.overlap_many(self.view(), queries, checks.whole('threads', threads, 1))
+            found = motion.overlap_many(self, (low, high), masks, at, threads)
+        else:
+            queries = overlapping.Queries(low, high, masks)
+            found = overlapping.overlap_many(self.view(), queries, threads)
         if found is None:
             box_checks.boxes(low, high, ndim)
             raise box_checks.were_changed()

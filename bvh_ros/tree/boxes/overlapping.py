@@ -4,7 +4,9 @@
 exact.
 """
 
-from typing import NamedTuple, TypeAlias
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +15,8 @@ from ..checks import INT64
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..nodes import DEEPEST, NONE, ROOT, View, is_leaf, leaf_box, next_node
+from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box, next_node
+from ..rays.raycasting import of_row
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query
 from ..store.workers import in_threads
 
@@ -97,10 +100,12 @@ def sort_few(handles):
         handles[place] = handle
 
 
-@lean_kernel
-def overlap_rows(tree, version, queries, start, stop, found, offsets):
-    """Handles of the boxes that the `queries` [start, stop) touch, one query after the other:
-    those of query i end before found[offsets[i + 1]], and ascend if they are no more than SORTED.
+@inlined
+def fill_rows(tree, version, asked, start, stop, found, offsets, look):
+    """Handles of the boxes that the queries [start, stop) touch, asked = (queries, what else
+    `look` needs), one query after the other: those of query i end before found[offsets[i + 1]],
+    and ascend if they are no more than SORTED. look(tree, asked, i, found, count) writes slots as
+    `overlap` does.
 
     Returns (queries done, room wanted, most handles of one): fewer queries than there are where
     there is no room for what the next one touches; NOT_FINITE if one is no box, REFUSED if the
@@ -112,13 +117,12 @@ def overlap_rows(tree, version, queries, start, stop, found, offsets):
     if start == 0:
         offsets[0] = 0
     while done < stop:
-        lo, hi = queries.lo[done], queries.hi[done]
+        lo, hi = asked[0].lo[done], asked[0].hi[done]
         for axis in range(lo.shape[0]):
             if not (-np.inf < lo[axis] <= hi[axis] < np.inf):
                 end_query(tree.state)
                 return np.int64(NOT_FINITE), np.int64(0), np.int64(0)
-        mask = queries.masks[done if queries.masks.shape[0] > 1 else 0]
-        end = overlap(tree, lo, hi, mask, found, count)
+        end = look(tree, asked, done, found, count)
         if end > found.shape[0]:
             break
         for i in range(count, end):
@@ -131,27 +135,43 @@ def overlap_rows(tree, version, queries, start, stop, found, offsets):
     return done, np.int64(end), most
 
 
+@inlined
+def _look(tree, asked, row, found, count):
+    queries = asked[0]
+    mask = of_row(queries.masks, row)
+    return overlap(tree, queries.lo[row], queries.hi[row], mask, found, count)
+
+
+@lean_kernel
+def overlap_rows(tree, version, queries, start, stop, found, offsets):
+    """`fill_rows`."""
+    return fill_rows(tree, version, (queries,), start, stop, found, offsets, _look)
+
+
 _ROWS, _IDS = np.empty((0, 3)), np.empty(0, np.int64)
 _QUERIES = Queries(_ROWS, _ROWS, np.empty(0, np.uint32))
 one_entry = entry_points(overlap_one, np.empty(0), np.empty(0), np.uint32(0), _IDS)
 rows_entry = entry_points(overlap_rows, 0, _QUERIES, 0, 0, _IDS, _IDS)
 
 
-def overlap_many(view: View, queries: Queries, threads: int) -> tuple[Ids, Ids] | None:
+def overlap_many(
+    view: Any, queries: Any, threads: int, entry: Any = rows_entry
+) -> tuple[Ids, Ids] | None:
     """(offsets, handles) of what all queries touch, those of each ascending; None if one is no
-    box, RuntimeError if the tree is changed meanwhile.
+    box, RuntimeError if the tree is changed meanwhile. `view` and `queries` are what the kernel of
+    `entry` takes.
     """
     count, ndim = queries.lo.shape
-    offsets, kernel = np.empty(count + 1, INT64), rows_entry(ndim)
+    offsets, ask = np.empty(count + 1, INT64), functools.partial(entry(ndim), *view, queries)
     found = np.empty(max(FEW, count), INT64)
-    done, end, most = kernel(*view, queries, 0, count if threads == 1 else 0, found, offsets)
+    done, end, most = ask(0, count if threads == 1 else 0, found, offsets)
     if done == count:
         handles = found[:end]
     elif done == NOT_FINITE:
         return None
     else:
         first = 0, accepted(done), found[: offsets.item(done)], most
-        parts = _in_parts(view, queries, offsets, threads, first)
+        parts = _in_parts(ask, offsets, threads, first)
         if parts is None:
             return None
         handles, most = parts
@@ -162,12 +182,12 @@ def overlap_many(view: View, queries: Queries, threads: int) -> tuple[Ids, Ids] 
 
 
 def _in_parts(
-    view: View, queries: Queries, offsets: Ids, threads: int, first: Part
+    ask: Callable[..., Any], offsets: Ids, threads: int, first: Part
 ) -> tuple[Ids, int] | None:
     """All handles, after those of the `first` part with as much room as they take, and the most of
     one query.
     """
-    begun, kernel = first[1], rows_entry(queries.lo.shape[1])
+    begun = first[1]
 
     def work(start: int, stop: int) -> list[Part]:
         parts: list[Part] = []
@@ -175,7 +195,7 @@ def _in_parts(
         room = max(FEW, stop - start)
         while start < stop:
             found = np.empty(room, INT64)
-            done, wanted, most = kernel(*view, queries, start, stop, found, offsets)
+            done, wanted, most = ask(start, stop, found, offsets)
             if done == NOT_FINITE:
                 return [(start, done, found, most)]
             filled = offsets.item(done) if accepted(done) > start else 0

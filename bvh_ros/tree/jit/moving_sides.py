@@ -4,8 +4,8 @@
 other sign, so that each of them is ahead of its front where its gap is positive.
 
 A node's fields `sides` and `rates` hold 2 ndim numbers each, and `EIGHT` fit where each of them
-begins; `fronts` holds what of a query meets them, in the same lanes, and from `EIGHT` on how fast
-that moves. Only to prune by.
+begins; `fronts` holds what of a query meets them, in the same lanes, inf where there is no side,
+and from `EIGHT` on how fast that moves. Only to prune by.
 """
 
 from typing import Any
@@ -123,6 +123,20 @@ def is_beside(typingctx, nodes, node, fronts, ahead):
         return _any(builder, builder.fcmp_ordered('>', gaps, zero))
 
     return types.boolean(nodes, types.int64, fronts, types.float64), codegen
+
+
+@intrinsic
+def is_behind(typingctx, nodes, node, fronts, ahead, least):
+    """Whether each side is behind its front, by so much at least: a number."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        rates = _field(context, builder, signature, args, 'rates')
+        gaps = _gaps(context, builder, signature, args, rates)
+        most = splat(builder, builder.fneg(args[4]), gaps.type.count)
+        return builder.not_(_any(builder, builder.fcmp_unordered('>', gaps, most)))
+
+    given = nodes, types.int64, fronts, types.float64, types.float64
+    return types.boolean(*given), codegen
 
 
 @intrinsic

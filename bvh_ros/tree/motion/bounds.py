@@ -37,12 +37,14 @@ FRONTS = 2 * EIGHT
 @functools.cache
 def moving_dtype(ndim: int) -> np.dtype[Any]:
     """Record of a node: bounds at the start of the span, and how fast they move; the upper ones
-    with the other sign, see `moving_sides`.
+    with the other sign, see `moving_sides`. Of a leaf no side is further out than `loose` at any
+    time of the span; NaN where a bound is none.
     """
     links = [('left', np.int32), ('right', np.int32), ('mask', np.uint32)]
     sides: Any = np.float64, (2 * ndim,)
     fields = [('sides', sides, 0), ('rates', sides, CACHE_LINE)]
     fields += [(*link, 16 * ndim + 4 * k) for k, link in enumerate(links)]
+    fields += [('loose', np.float64, CACHE_LINE + 16 * ndim)]
     names, formats, offsets = zip(*fields, strict=True)
     # Whole cache lines: three quarters of the time of records that lie across one more.
     return np.dtype(
@@ -59,12 +61,14 @@ def _set_side(node, lane, first, last, per_second, extent):
     node.sides[lane], node.rates[lane] = first - extent * WIDER - LEAST, rate
     if not (math.isfinite(node.sides[lane]) and math.isfinite(node.rates[lane])):
         node.sides[lane], node.rates[lane] = -np.inf, 0.0
+        node.loose = np.nan
 
 
 @inlined
 def _fit_leaf(node, box, moving):
     lo, hi, velocity, reference = box
     start, stop, ndim = moving.start, moving.stop, lo.shape[0]
+    node.loose = 0.0
     for axis in range(ndim):
         way, later = velocity[axis] * (start - reference), velocity[axis] * (stop - reference)
         extent = abs(lo[axis]) + abs(hi[axis])
@@ -73,6 +77,8 @@ def _fit_leaf(node, box, moving):
         _set_side(node, axis, lower[0], lower[1], per_second, extent)
         upper = -(hi[axis] + way), -(hi[axis] + later)
         _set_side(node, ndim + axis, upper[0], upper[1], per_second, extent)
+        # As much as it is widened by is lost by rounding at most, and once more by who asks.
+        node.loose += 3.0 * (extent * WIDER + LEAST)
 
 
 @inlined
@@ -132,7 +138,7 @@ def covers(moving, at, pace, t_max):
 def set_fronts(fronts, moving, lo, hi, direction):
     """Write what `moving_sides` asks for, (FRONTS,), of a box that goes somewhere."""
     ndim = moving.kept[0].velocity.shape[0]
-    fronts[:] = 0.0
+    fronts[:EIGHT], fronts[EIGHT:] = np.inf, 0.0
     for axis in range(ndim):
         fronts[axis], fronts[ndim + axis] = hi[axis], -lo[axis]
         fronts[EIGHT + axis], fronts[EIGHT + ndim + axis] = direction[axis], -direction[axis]

@@ -81,7 +81,14 @@ class Motion:
                 raise ValueError('a row was changed while it was read')
             self.fit(tree, *spans()[0])
 
-    def fit(self, tree: Any, first: float, last: float) -> None:
+    def fitted(self, tree: Any, version: int, first: float, last: float) -> Moving:
+        """Bounds of a version of the tree that hold for this time."""
+        moving = self.moving
+        if moving.version != version or not moving.start <= first <= last <= moving.stop:
+            return self.fit(tree, first, last)
+        return moving
+
+    def fit(self, tree: Any, first: float, last: float) -> Moving:
         """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
         been asked for others since it changed, they are fitted to a longer time that holds both.
         RuntimeError if it is being changed.
@@ -102,6 +109,7 @@ class Motion:
         if fit_entry(ndim)(arrays, moving, order) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         self.moving = moving
+        return moving
 
     def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
         """What is swept for rays, so many, whose times lie in a span; None while that does not pay

@@ -2,14 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a box touches at some time: what it meets where it goes nowhere."""
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..boxes.overlapping import fill_rows
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import is_beside
+from ..jit.moving_sides import is_behind, is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
-from ..rays.slab import DIRECTION, ORIGIN, RAY_ROWS, UPPER, set_swept_box
+from ..rays.raycasting import of_row
+from ..rays.slab import RAY_ROWS, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import FRONTS, covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
@@ -17,31 +22,43 @@ from .meeting import Course, box_of, meet
 from .sums import surely_below
 
 
-@inlined
-def touches_then(box, course):
-    """Whether a course that goes nowhere touches a box that moves: exactly."""
-    lo, hi, velocity, reference = box
-    clear = True
-    for axis in range(lo.shape[0]):
-        way = velocity[axis] * (course.at - reference)
-        low, high = course.ray[ORIGIN, axis], course.ray[UPPER, axis]
-        if surely_below(high, lo[axis], -way) or surely_below(hi[axis], low, way):
-            return False
-        clear &= surely_below(lo[axis], high, way) and surely_below(low, hi[axis], -way)
-    return clear or meet(box, course, 0.0)[0]
+class QueriesThen(NamedTuple):
+    """As `boxes.overlapping.Queries`, and when."""
+
+    lo: NDArray[np.float64]
+    hi: NDArray[np.float64]
+    masks: NDArray[np.uint32]
+    at: NDArray[np.float64]
+    """s, a time a box, or one for all."""
 
 
 @lean_kernel
-def overlap_then(tree, moving, course, mask, slots):
-    """Write the slots, in no order, of what a course touches that goes nowhere, while no time
-    passes; return how many, of which as many are written as there is room for.
-    """
-    nodes, root, ahead = moving.nodes, tree.state[ROOT], course.at - moving.start
+def touches_then(box, low, high, at):
+    """Whether a box that moves touches the one from low to high at a time: exactly."""
+    lo, hi, velocity, reference = box
+    clear, nowhere = True, stack_array(3, np.float64)
+    for axis in range(lo.shape[0]):
+        way, nowhere[axis] = velocity[axis] * (at - reference), 0.0
+        if surely_below(high[axis], lo[axis], -way) or surely_below(hi[axis], low[axis], way):
+            return False
+        clear &= surely_below(lo[axis], high[axis], way)
+        clear &= surely_below(low[axis], hi[axis], -way)
+    if clear:
+        return True
+    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0)
+    set_swept_box(course.ray, low, high, nowhere)
+    return meet(box, course, 0.0)[0]
+
+
+@lean_kernel
+def overlap_then(tree, moving, box, mask, found, count):
+    """As `boxes.overlapping.overlap`, box = (lo, hi, at)."""
+    (lo, hi, at), nodes, root = box, moving.nodes, tree.state[ROOT]
     if root == NONE:
-        return np.int64(0)
-    bounded, count = covers(moving, course.at, 0.0, 0.0) > 0, np.int64(0)
+        return np.int64(count)
+    bounded, ahead = covers(moving, at, 0.0, 0.0) > 0, at - moving.start
     stack, fronts = stack_array(DEEPEST, np.int64), stack_array(FRONTS, np.float64)
-    set_fronts(fronts, moving, course.ray[ORIGIN], course.ray[UPPER], course.ray[DIRECTION])
+    set_fronts(fronts, moving, lo, hi, lo)
     stack[0], top = root, 1
     while top > 0:
         top -= 1
@@ -52,35 +69,49 @@ def overlap_then(tree, moving, course, mask, slots):
             stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
             top += 2
             continue
-        hit = touches_then(box_of(tree, moving, node >> 1), course)
-        if hit and count < slots.shape[0]:
-            slots[count] = node >> 1
-        count += hit
+        touches = bounded and is_behind(nodes, node, fronts, ahead, nodes[node].loose)
+        if touches or touches_then(box_of(tree, moving, node >> 1), lo, hi, at):
+            if count < found.shape[0]:
+                found[count] = node >> 1
+            count += 1
     return np.int64(count)
 
 
 @lean_kernel
 def overlap_one(tree, moving, box, mask, at, slots):
-    """Handles, in no order, of what the box = (lo, hi, nowhere) touches, to `slots`: how many, of
-    which as many are written as there is room for; NOT_FINITE if it is no box, OUTSIDE, or
-    REFUSED.
+    """Handles, in no order, of what the box = (lo, hi) touches, to `slots`: how many, of which as
+    many are written as there is room for; NOT_FINITE if it is no box, OUTSIDE, or REFUSED.
     """
-    lo, hi, nowhere = box
-    if not is_sound(lo, hi, nowhere, (at, 0.0)):
+    lo, hi = box
+    if not is_sound(lo, hi, lo, (at, 0.0)):
         return np.int64(NOT_FINITE)
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     if covers(moving, at, 0.0, 0.0) == 0:
         end_query(tree.state)
         return np.int64(OUTSIDE)
-    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0)
-    set_swept_box(course.ray, lo, hi, nowhere)
-    count = overlap_then(tree, moving, course, mask, slots)
+    count = overlap_then(tree, moving, (lo, hi, at), mask, slots, 0)
     for i in range(min(count, slots.shape[0])):
         slots[i] = tree.handles[slots[i]]
     end_query(tree.state)
     return count
 
 
-_ROW, _IDS = np.empty(0), np.empty(0, np.int64)
-one_entry = entry_points(overlap_one, no_motion, (_ROW,) * 3, np.uint32(0), 0.0, _IDS)
+@inlined
+def _look(tree, asked, row, found, count):
+    queries, moving = asked
+    box = queries.lo[row], queries.hi[row], of_row(queries.at, row)
+    return overlap_then(tree, moving, box, of_row(queries.masks, row), found, count)
+
+
+@lean_kernel
+def overlap_rows(tree, moving, queries, start, stop, found, offsets):
+    """`boxes.overlapping.fill_rows`; the bounds hold for all times for which they can."""
+    asked = queries, moving
+    return fill_rows(tree, moving.version, asked, start, stop, found, offsets, _look)
+
+
+_ROW, _ROWS, _IDS = np.empty(0), np.empty((0, 3)), np.empty(0, np.int64)
+_QUERIES = QueriesThen(_ROWS, _ROWS, np.empty(0, np.uint32), _ROW)
+one_entry = entry_points(overlap_one, no_motion, (_ROW, _ROW), np.uint32(0), 0.0, _IDS)
+rows_entry = entry_points(overlap_rows, no_motion, _QUERIES, 0, 0, _IDS, _IDS)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
+from ..boxes.overlapping import overlap_many
 from ..nodes import NONE
 from ..rays import ray_batches
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
@@ -28,7 +29,6 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STILL = np.zeros(1)
 FEW = 64  # boxes that there is room for at first
-NOWHERE = {ndim: np.zeros(ndim) for ndim in (2, 3)}
 
 
 class MotionQueries(Motion):
@@ -59,10 +59,10 @@ class MotionQueries(Motion):
     def overlap(self, tree: Any, box: tuple[Floats, Floats], mask: np.uint32, at: Any) -> Ids:
         """Handles of what a box touches, ascending."""
         at, ndim = time_checks.moment('at', at), tree._ndim
-        swept, kernel = (*box, NOWHERE[ndim]), overlapping.one_entry(ndim)
+        kernel = overlapping.one_entry(ndim)
         slots = np.empty(FEW, np.int64)
         while True:
-            count = kernel(tree._settled().tree, self.moving, swept, mask, at, slots)
+            count = kernel(tree._settled().tree, self.moving, box, mask, at, slots)
             if count == NOT_FINITE:
                 box_checks.box(*box, ndim)
             if 0 <= count <= len(slots):
@@ -191,21 +191,14 @@ class MotionQueries(Motion):
         boxes: tuple[Floats, Floats],
         masks: NDArray[np.uint32],
         at: Any,
-        threads: int = 1,
-    ) -> tuple[Ids, Ids]:
-        """What boxes that go nowhere meet: (offsets, handles)."""
-        count = len(boxes[0])
-        times = time_checks.moments('at', at, count), STILL
-        casts = Casts(*boxes, np.zeros_like(boxes[0]), STILL, masks, *times, False, EVERY)
-
-        def work(start: int, stop: int) -> tuple[Ids, Ids]:
-            offsets, handles, _, _ = self.every(tree, rows_of(casts, count, slice(start, stop)))
-            return np.diff(offsets), handles
-
-        sizes, handles = zip(*in_threads(work, count, threads), strict=True)
-        offsets = np.zeros(count + 1, np.int64)
-        np.cumsum(np.concatenate(sizes), out=offsets[1:])
-        return offsets, np.concatenate(handles)
+        threads: int,
+    ) -> tuple[Ids, Ids] | None:
+        """What boxes touch at times: (offsets, handles); None if one is no box."""
+        times, view = time_checks.moments('at', at, len(boxes[0])), tree.view()
+        moving = self.fitted(tree, view.version, *times_of(times, STILL, STILL)[0])
+        queries = overlapping.QueriesThen(*boxes, masks, times)
+        arrays, entry = (view.tree, moving), overlapping.rows_entry
+        return overlap_many(arrays, queries, threads, entry)
 
     def nearest_many(
         self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: Any

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.tree.jit.float64x8 import EIGHT
-from bvh_ros.tree.jit.moving_sides import enter_sides, is_beside, square_beside
+from bvh_ros.tree.jit.moving_sides import enter_sides, is_behind, is_beside, square_beside
 from bvh_ros.tree.motion.bounds import FRONTS, moving_dtype
 
 
@@ -17,31 +17,35 @@ from bvh_ros.tree.motion.bounds import FRONTS, moving_dtype
 def at_once(nodes, node, fronts, ahead, pace):
     told = enter_sides(nodes, node, fronts, ahead, pace)
     beside = is_beside(nodes, node, fronts, ahead)
-    return (*told, beside, square_beside(nodes, node, fronts, ahead))
+    behind = is_behind(nodes, node, fronts, ahead, nodes[node].loose)
+    return (*told, beside, behind, square_beside(nodes, node, fronts, ahead))
 
 
 def one_by_one(node, fronts, ahead, pace):
-    missed, entry, leave, beside, square = False, 0.0, math.inf, False, 0.0
+    missed, entry, leave, beside, behind, square = False, 0.0, math.inf, False, True, 0.0
     for lane, (side, rate) in enumerate(zip(node['sides'], node['rates'], strict=True)):
         gap = side + rate * ahead - fronts[lane]
         speed = fronts[EIGHT + lane] - rate * pace
+        behind &= bool(gap <= -node['loose'])
         if gap > 0.0:
             beside, square, missed = True, square + gap * gap, missed or speed <= 0.0
             entry = max(entry, gap / speed) if speed > 0.0 else entry
         elif gap <= 0.0 and -math.inf < speed < 0.0:
             leave = min(leave, gap / speed)
-    return missed, entry, leave, beside, square
+    return missed, entry, leave, beside, behind, square
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_all_sides_at_once_are_as_one_by_one(ndim):
     rng, kind, told = np.random.default_rng(ndim), moving_dtype(ndim), set()
+    behind = set()
     for _ in range(2000):
         nodes = np.frombuffer(bytearray(b'\xff' * 2 * kind.itemsize), kind)  # else NaN
         sides = rng.integers(-4, 5, (2, 2 * ndim)).astype(float)
         sides[rng.random(sides.shape) < 0.05] = -np.inf
         nodes['sides'], nodes['rates'] = sides, rng.integers(-2, 3, (2, 2 * ndim))
-        fronts = np.zeros(FRONTS)
+        nodes['loose'] = rng.choice([0.0, 0.5, 2.0, math.nan])
+        fronts = np.repeat([math.inf, 0.0], FRONTS // 2)
         fronts[: 2 * ndim] = rng.integers(-4, 5, 2 * ndim) * 0.75
         fronts[EIGHT : EIGHT + 2 * ndim] = rng.choice([-1e308, -1.0, 0.0, 1.0, 3.0], 2 * ndim)
         ahead, pace = float(rng.integers(0, 3)), float(rng.choice([0.0, 1.0, -2.0, 1e308]))
@@ -49,4 +53,6 @@ def test_all_sides_at_once_are_as_one_by_one(ndim):
             wanted = one_by_one(nodes[1], fronts, ahead, pace)
         assert at_once(nodes, 1, fronts, ahead, pace) == wanted
         told.add((wanted[0], wanted[1] > 0.0, wanted[2] < math.inf))
+        behind.add(wanted[4])
     assert len(told) == 8
+    assert len(behind) == 2
