@@ -26,7 +26,7 @@ from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
-from .arguments import Rays
+from .arguments import WHOLE_WAY, Rays
 
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
@@ -103,15 +103,16 @@ def every(
     """All boxes from `origin` to `origin + direction`, nearest first, ties by handle;
     TooManyHitsError if there are more than `most`.
     """
-    origins, directions = origin[None, : tree.ndim], direction[None, : tree.ndim]
     view = tree.view()
-    found = tree.every_hit(view, origins, directions, 1.0, mask, skip_inside)[1]
+    asked = WHOLE_WAY, np.array([mask]), skip_inside, raycasting.EVERY, True
+    rays = raycasting.Rays(origin[None, : tree.ndim], direction[None, : tree.ndim], *asked)
+    _, end, found = raycasting.every_hit(view, rays, False)
     tree.check_unchanged(view)
-    require_few(len(found.slots), most)
+    require_few(end, most)
     nodes, tight = view.tree.nodes, view.tree.tight
-    places = np.zeros((len(found.slots), 2, 3))
+    places = np.zeros((end, 2, 3))
     places[:, 0, 2] = origin[2]
-    hits = zip(*(column.tolist() for column in found), places, strict=True)
+    hits = zip(*(column[:end].tolist() for column in found), places, strict=True)
     for slot, t, axis, place in hits:
         locate(nodes, tight, origin, direction, slot, t, axis, place)
         yield slot, t, place[0], place[1]

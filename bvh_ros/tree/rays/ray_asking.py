@@ -11,14 +11,14 @@ from .. import checks
 from ..checks import INT64
 from ..nodes import View
 from ..results import RayHit, RayHits
-from ..store.arrays import Floats, Ids
+from ..store.arrays import Floats
 from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
 from ..timed import NOW, Timed
 from ..wide.few_rays import few_entry
 from ..wide.ray_streams import RAYS_AT_ONCE
 from ..wide.snapshot import Snapshot
-from . import ray_batches, ray_hits, raycasting
+from . import ray_batches, ray_hits
 from .ray_batches import LARGE
 from .raycasting import CLOSEST, Asked, Rays
 
@@ -160,24 +160,3 @@ class RayAsking(Timed):
         if exact >= 0:
             ray_hits.count_entry(self._ndim)(view.tree, count, exact)
         return exact
-
-    def every_hit(
-        self,
-        view: View,
-        origins: Floats,
-        directions: Floats,
-        t_max: ArrayLike,
-        mask: ArrayLike,
-        skip_inside: bool,
-    ) -> tuple[Ids, raycasting.Found]:
-        """`raycast_all_many` of good input: offsets, and slots, t and axes entered; right if the
-        tree is unchanged afterwards.
-        """
-        count, mode = len(origins), raycasting.EVERY
-        t_max, mask = (
-            checks.limits_or_one('t_max', t_max, count),
-            checks.masks_or_one(mask, count),
-        )
-        skip_inside = checks.flag('skip_inside', skip_inside)
-        rays = Rays(origins, directions, t_max, mask, skip_inside, mode)
-        return raycasting.every_hit(view, rays)

@@ -5,13 +5,13 @@
 import numpy as np
 
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
+from ..jit.compiling import lean_kernel
 from ..jit.intrinsics import stack_array
 from ..nodes import EXACT_RAYS, NONE, RAYS, leaf_box
 from ..results import RayHits
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from .raycasting import CLOSEST, NO_RAYS, Asked, Found, of_row, raycast
-from .slab import EXACT, INSIDE, RAY_ROWS, set_ray
+from .slab import EXACT, INSIDE, RAY_ROWS, is_finite, set_ray
 
 
 @lean_kernel
@@ -38,14 +38,6 @@ def locate(nodes, tight, origin, direction, slot, t, axis, place):
 def locate_hit(tree, origin, direction, slot, t, axis, place):
     """`locate`, as Python calls it."""
     locate(tree.nodes, tree.tight, origin, direction, slot, t, axis, place)
-
-
-@inlined
-def is_finite(origin, direction):
-    finite = True
-    for k in range(origin.shape[0]):
-        finite &= np.isfinite(origin[k]) & np.isfinite(direction[k])
-    return finite
 
 
 @lean_kernel

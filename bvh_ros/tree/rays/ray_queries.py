@@ -12,6 +12,7 @@ from ..store.arrays import Floats, Ids
 from ..timed import NOW
 from . import raycasting
 from .ray_asking import RayAsking
+from .raycasting import EVERY, Rays
 
 # An array: numpy takes as long to make one of a number as for all else.
 _NO_BOX = np.array(NONE)
@@ -90,18 +91,20 @@ class RayQueries(RayAsking):
         """
         origin = checks.point('origin', origin, self._ndim)
         direction = checks.point('direction', direction, self._ndim)
-        asked = checks.limit('t_max', t_max), checks.mask(mask), skip_inside
+        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
         motion = self._motion_at(at, pace)
         if motion is not None:
-            rays = origin[None], direction[None], *asked
-            _, ids, found, places = motion.every_ray(self, rays, (at, pace))
+            some = origin[None], direction[None], limit, seen, skip_inside
+            _, ids, found, places = motion.every_ray(self, some, (at, pace))
             rows = zip(ids.tolist(), found.ts.tolist(), *places, strict=True)
             return [RayHit(*row) for row in rows]
-        view = self.view()
-        found = self.every_hit(view, origin[None], direction[None], *asked)[1]
+        view, skip = self.view(), checks.flag('skip_inside', skip_inside)
+        asked = np.array([limit]), np.array([seen]), skip, EVERY, True
+        rays = Rays(origin[None], direction[None], *asked)
+        _, end, found = raycasting.every_hit(view, rays, False)
         hits = [
             self._hit(view, origin, direction, *row)
-            for row in zip(*(column.tolist() for column in found), strict=True)
+            for row in zip(*(column[:end].tolist() for column in found), strict=True)
         ]
         self.check_unchanged(view)
         return hits
@@ -177,15 +180,25 @@ class RayQueries(RayAsking):
         """Every hit of n rays: (offsets, ids, t); those of ray i are ``[offsets[i]:offsets[i +
         1]]``, nearest first.
         """
-        origins = checks.points('origins', origins, self._ndim)
-        directions = checks.points('directions', directions, self._ndim, len(origins))
-        motion = self._motion_at(at, pace, len(origins))
+        ndim = self._ndim
+        origins = checks.rows('origins', origins, ndim)
+        directions = checks.rows('directions', directions, ndim, len(origins))
+        motion = self._motion
+        if motion is not None or not at is pace is NOW:
+            motion = self._motion_at(at, pace, len(origins))
         if motion is not None:
-            rays = origins, directions, t_max, mask, skip_inside
-            offsets, ids, found, _ = motion.every_ray(self, rays, (at, pace))
+            way = (
+                checks.points('origins', origins, ndim),
+                checks.points('directions', directions, ndim),
+            )
+            some = *way, t_max, mask, skip_inside
+            offsets, ids, found, _ = motion.every_ray(self, some, (at, pace))
             return offsets, ids, found.ts
-        view = self.view()
-        offsets, found = self.every_hit(view, origins, directions, t_max, mask, skip_inside)
-        ids = view.tree.handles[found.slots]
-        self.check_unchanged(view)
-        return offsets, ids, found.ts
+        count = len(origins)
+        limits = checks.limits_or_one('t_max', t_max, count)
+        masks = checks.masks_or_one(mask, count)
+        skip = checks.flag('skip_inside', skip_inside)
+        # As Rays(...), which would take one more call of a function of Python's.
+        rays = tuple.__new__(Rays, (origins, directions, limits, masks, skip, EVERY, True))
+        offsets, end, found = raycasting.every_hit(self.view(), rays, True)
+        return offsets, found.slots[:end], found.ts[:end]

@@ -6,16 +6,18 @@ The nearer child first, the other on a stack with its entry distance, and no vis
 entered after the best hit.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import checks
+from ..checks import INT64
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
-from ..store.turns import accepted, begin_query, count_rays, end_query
+from ..nodes import DEEPEST, NONE, ROOT, View, is_leaf, leaf_box
+from ..store.turns import NOT_FINITE, REFUSED, accepted, begin_query, count_rays, end_query
 from .slab import (
     EXACT,
     INSIDE,
@@ -25,6 +27,7 @@ from .slab import (
     compare_hits,
     intersect_exact,
     intersect_node,
+    is_finite,
     prepare_ray,
     set_ray,
     traversal_distance,
@@ -34,6 +37,8 @@ Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 CLOSEST, ANY, EVERY = range(3)
+FEW = 64  # hits that there is room for at first
+FEW_HITS = 12  # of one ray: sorted by insertion alone
 
 
 class Rays(NamedTuple):
@@ -169,60 +174,91 @@ def is_before(tree, ray, hit, other):
     return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
 
 
-@lean_kernel
-def raycast_every_row(tree, version, ray, rays, offsets, found, first):
-    """All hits of every ray of `rays` from `first` on; those of ray i go to [offsets[i],
-    offsets[i + 1]) of `found`, in no order. `ray` is scratch.
-
-    Returns (rays done, room wanted): fewer than there are where there is no room for the hits of
-    the next one, negative if the tree is changed meanwhile.
+@inlined
+def sort_hits(tree, ray, found, start, end):
+    """Bring the hits [start, end) of a ray into the order of the exact distance, then of handles.
+    Each t then becomes the largest up to it: within 2 ulp still, and never falling.
     """
+    slots, ts, axes = found.slots, found.ts, found.axes
+    if end - start > FEW_HITS:
+        sort_roughly(tree.handles, found, start, end)
+    for i in range(start + 1, end):
+        hit, place = (slots[i], ts[i], axes[i]), i
+        while place > start and is_before(
+            tree, ray, hit, (slots[place - 1], ts[place - 1], axes[place - 1])
+        ):
+            slots[place], ts[place] = slots[place - 1], ts[place - 1]
+            axes[place] = axes[place - 1]
+            place -= 1
+        slots[place], ts[place], axes[place] = hit
+    for i in range(start + 1, end):
+        ts[i] = max(ts[i], ts[i - 1])
+
+
+@lean_kernel
+def sort_roughly(handles, found, start, end):
+    """Bring hits into the order of the computed distance, then of handles: by insertion among
+    those far apart, and ever closer (Shell 1959).
+    """
+    slots, ts, axes = found.slots, found.ts, found.axes
+    gap = end - start
+    while gap > 1:
+        gap = max((gap * 5 - 1) // 11, 1)
+        for i in range(start + gap, end):
+            slot, t, axis, place = slots[i], ts[i], axes[i], i
+            while place >= start + gap:
+                other, before = place - gap, ts[place - gap]
+                if before < t or (before == t and handles[slots[other]] < handles[slot]):
+                    break
+                slots[place], ts[place], axes[place] = slots[other], before, axes[other]
+                place = other
+            slots[place], ts[place], axes[place] = slot, t, axis
+
+
+@lean_kernel
+def raycast_every_row(tree, version, rays, named, offsets, found, before):
+    """All hits of every ray, nearest first; those of ray i go to [offsets[i], offsets[i + 1]) of
+    `found`, where handles take the place of slots if they are to be `named`. before = (rays done
+    so far, how many of them took exact arithmetic).
+
+    Returns (rays done, room wanted, how many took exact arithmetic): fewer than there are where
+    there is no room for the hits of the next one; instead NOT_FINITE if a ray is not, REFUSED if
+    the tree is changed meanwhile.
+    """
+    (done, exact), end = before, np.int64(0)
     if not begin_query(tree.state, version):
-        return np.int64(-1), np.int64(0)
-    done, exact, end = np.int64(first), np.int64(0), np.int64(0)
+        return np.int64(REFUSED), end, exact
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    if done == 0:
+        offsets[0] = 0
     while done < rays.origins.shape[0]:
-        set_ray(ray, rays.origins[done], rays.directions[done])
+        origin, direction, start = rays.origins[done], rays.directions[done], offsets[done]
+        if not is_finite(origin, direction):
+            end_query(tree.state)
+            return np.int64(NOT_FINITE), end, exact
+        set_ray(ray, origin, direction)
         t_max, mask = of_row(rays.t_max, done), of_row(rays.masks, done)
         asked = Asked(t_max, mask, rays.skip_inside, EVERY)
-        end = raycast(tree, ray, asked, found, offsets[done])
+        end = raycast(tree, ray, asked, found, start)
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
+        sort_hits(tree, ray, found, start, end)
+        if named:
+            for i in range(start, end):
+                found.slots[i] = tree.handles[found.slots[i]]
         done += 1
         offsets[done] = end
-    count_rays(tree.state, done - first, exact)
+    if done == rays.origins.shape[0]:
+        count_rays(tree.state, done, exact)
     end_query(tree.state)
-    return done, np.int64(end)
-
-
-@lean_kernel
-def sort_hits_exactly(tree, ray, rays, offsets, found):
-    """Bring hits that are sorted by computed distance into the order of the exact one, then of
-    handles. `ray` is scratch.
-
-    Few are out of place, so insertion does it. Each t then becomes the largest up to it: within 2
-    ulp still, and never falling.
-    """
-    slots, ts, axes = found.slots, found.ts, found.axes
-    for i in range(rays.origins.shape[0]):
-        set_ray(ray, rays.origins[i], rays.directions[i])
-        for j in range(offsets[i] + 1, offsets[i + 1]):
-            slot, t, axis = slots[j], ts[j], axes[j]
-            place = j
-            while place > offsets[i] and is_before(
-                tree, ray, (slot, t, axis), (slots[place - 1], ts[place - 1], axes[place - 1])
-            ):
-                slots[place], ts[place] = slots[place - 1], ts[place - 1]
-                axes[place] = axes[place - 1]
-                place -= 1
-            slots[place], ts[place], axes[place] = slot, t, axis
-        for j in range(offsets[i] + 1, offsets[i + 1]):
-            ts[j] = max(ts[j], ts[j - 1])
+    return np.int64(done), end, exact
 
 
 def room_for_hits(count: int) -> Found:
     """Arrays for so many hits."""
-    return Found(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+    parts = np.empty(count, INT64), np.empty(count), np.empty(count, INT64)
+    return tuple.__new__(Found, parts)
 
 
 def more_room(found: Found, wanted: int) -> Found:
@@ -234,27 +270,25 @@ def more_room(found: Found, wanted: int) -> Found:
 
 
 NO_RAYS = Rays(*(np.empty((0, 3)),) * 2, np.empty(0), np.empty(0, np.uint32), False, CLOSEST)
-_NO_RAY, _NUMBERS = np.empty((RAY_ROWS, 3)), np.empty(0, np.int64)
-every_entry = entry_points(raycast_every_row, 0, _NO_RAY, NO_RAYS, _NUMBERS, room_for_hits(0), 0)
-sorting_entry = entry_points(sort_hits_exactly, _NO_RAY, NO_RAYS, _NUMBERS, room_for_hits(0))
+every_entry = entry_points(
+    *(raycast_every_row, 0, NO_RAYS, False, np.empty(0, np.int64), room_for_hits(0), (0, 0))
+)
 
 
-def every_hit(view: Any, rays: Rays) -> tuple[Ids, Found]:
-    """All hits of all rays in their order, with as much room as it takes: offsets and what was
-    found. RuntimeError if the tree is changed before they are found.
+def every_hit(view: View, rays: Rays, named: bool) -> tuple[Ids, int, Found]:
+    """All hits of all rays in their order, with as much room as it takes: offsets, how many there
+    are in all, and what was found, as `raycast_every_row` has it. ValueError if a ray is not
+    finite, RuntimeError if the tree is changed before they are found.
     """
     count, ndim = rays.origins.shape
-    offsets, scratch = np.zeros(count + 1, np.int64), np.empty((RAY_ROWS, ndim))
-    done, found = 0, room_for_hits(64)
-    while done < count:
-        done, wanted = every_entry(ndim)(*view, scratch, rays, offsets, found, done)
-        if accepted(done) < count:
-            found = more_room(found, wanted)
-    total = offsets[-1]
-    found = Found(found.slots[:total], found.ts[:total], found.axes[:total])
-    if total > 1:
-        rows = np.repeat(np.arange(count), np.diff(offsets))
-        order = np.lexsort((view.tree.handles[found.slots], found.ts, rows))
-        found = Found(found.slots[order], found.ts[order], found.axes[order])
-        sorting_entry(ndim)(view.tree, scratch, rays, offsets, found)
-    return offsets, found
+    offsets, found, kernel = np.empty(count + 1, INT64), room_for_hits(FEW), every_entry(ndim)
+    tree, version = view
+    done, end, exact = kernel(tree, version, rays, named, offsets, found, (0, 0))
+    while done != count:
+        if done == NOT_FINITE:
+            checks.finite('origins', rays.origins)
+            checks.finite('directions', rays.directions)
+        accepted(done)
+        found = more_room(found, end)
+        done, end, exact = kernel(tree, version, rays, named, offsets, found, (done, exact))
+    return offsets, end, found

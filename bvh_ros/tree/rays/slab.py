@@ -46,6 +46,14 @@ RAY_FLOATS = 3 * RAY_ROWS
 
 
 @inlined
+def is_finite(origin, direction):
+    finite = True
+    for k in range(origin.shape[0]):
+        finite &= np.isfinite(origin[k]) & np.isfinite(direction[k])
+    return finite
+
+
+@inlined
 def set_ray(ray, origin, direction):
     """Write the rows of a ray."""
     set_swept_box(ray, origin, origin, direction)

@@ -250,6 +250,32 @@ def test_scenes_that_change(ndim: int, margin: float) -> None:
         tree.validate()
 
 
+@pytest.mark.parametrize('way', [(3.0, 1.0, 0.0), (-3.0, -1.0, 0.0), (1.0, 0.1, 0.0)])
+def test_hundreds_of_hits_in_order(way: tuple[float, ...]) -> None:
+    """More than there is room for at first, many of them at one distance (3 y is x on the way) or
+    at zero, and of many boxes twice.
+    """
+    rng = np.random.default_rng(8)
+    lo = np.c_[rng.integers(-90, 90, (400, 1)), np.zeros((400, 2))]
+    lo[::2, :2] = np.c_[lo[::2, 0] * 3, lo[::2, 0]]
+    lo[-90:] = lo[:90]
+    hi = lo + np.c_[rng.integers(1, 200, 400), rng.integers(5, 90, 400), np.zeros(400)]
+    lo[::3, 1] = -40.0
+    tree = DynamicBVH.from_boxes(lo, hi)
+    origins, ways = np.array([[-200.0, -66, 0], [0, 0, 0], [200, 66, 0]]), np.array([way] * 3)
+    offsets, ids, ts = tree.raycast_all_many(origins, ways)
+    for row, hits in enumerate(exact_hits(lo, hi, origins, ways)):
+        some = slice(offsets[row], offsets[row + 1])
+        own = seen(hits, tree.ids())
+        assert ids[some].tolist() == [tree.ids()[hit.row] for hit in own]
+        assert (np.diff(ts[some]) >= 0.0).all()
+        one_by_one = tree.raycast_all(origins[row], way)
+        assert [(hit.id, hit.t) for hit in one_by_one] == list(
+            zip(ids[some], ts[some], strict=True)
+        )
+    assert len(ids) > 400
+
+
 @pytest.mark.parametrize('threads', [2, 3, 64])
 @pytest.mark.parametrize('count', [1, 7, 5000])
 def test_threads_answer_alike(threads: int, count: int) -> None:
