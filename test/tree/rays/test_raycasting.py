@@ -260,7 +260,7 @@ def test_hundreds_of_hits_in_order(way: tuple[float, ...]) -> None:
     lo[::2, :2] = np.c_[lo[::2, 0] * 3, lo[::2, 0]]
     lo[-90:] = lo[:90]
     hi = lo + np.c_[rng.integers(1, 200, 400), rng.integers(5, 90, 400), np.zeros(400)]
-    lo[::3, 1] = -40.0
+    lo[::3, 1] -= 100.0
     tree = DynamicBVH.from_boxes(lo, hi)
     origins, ways = np.array([[-200.0, -66, 0], [0, 0, 0], [200, 66, 0]]), np.array([way] * 3)
     offsets, ids, ts = tree.raycast_all_many(origins, ways)
