@@ -40,6 +40,9 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     options = parser.parse_args(args)
     if not 1 <= options.port <= MOST_PORT:
         parser.error(f'--port must be 1 to {MOST_PORT}')
+    path = Path(options.what)
+    if not path.exists() and (not options.what.startswith('/') or path.suffix):
+        parser.error(f'there is no file or folder {path}; names of nodes begin with /')
     return options
 
 
@@ -61,8 +64,6 @@ def _open(what: str, topic: str, ended: threading.Event) -> ShownWorld:
         from bvh_ros.view.recorded import open_recording
 
         return open_recording(path, topic)
-    if not what.startswith('/') or path.suffix:
-        raise RuntimeError(f'there is no file or folder {what}; names of nodes begin with /')
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

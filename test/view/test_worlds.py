@@ -12,7 +12,7 @@ import pytest
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Scene, Shapes
 from bvh_ros.view.grouping import Namespaces, namespace_of
-from bvh_ros.view.main import _is_local, _open
+from bvh_ros.view.main import _is_local, _open, main
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import SavedTree, ShownWorld
 
@@ -120,3 +120,12 @@ def test_a_saved_tree_needs_no_ros_and_the_worlds_no_viser():
 )
 def test_who_can_reach_the_page(host, local):
     assert _is_local(host) == local
+
+
+@pytest.mark.parametrize('what', ['/nowhere/tree.npz', 'bvh', 'nowhere/bag'])
+def test_what_there_is_not_is_said_before_anything_is_served(what, capsys):
+    with pytest.raises(SystemExit):
+        main([what])
+    said = capsys.readouterr()
+    assert not said.out
+    assert f'there is no file or folder {what}' in said.err
