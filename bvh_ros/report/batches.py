@@ -109,13 +109,17 @@ def _plot(path: Path, rows: list[list[Cell]]) -> None:
 
     shown = {row[0]: [r for r in rows if r[:2] == [row[0], ANYWHERE]] for row in rows}
     figure = Figure(figsize=(4 * len(shown), 3.4), layout='constrained')
-    panels = figure.subplots(1, len(shown), squeeze=False)[0]
+    panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
     for axes, (size, points) in zip(panels, shown.items(), strict=True):
         counts = np.array([row[2] for row in points])
         for column, name in enumerate(PEERS, 3):
             axes.plot(counts, [row[column] for row in points] / counts, 'o-', label=name)
-        axes.set(xscale='log', yscale='log', xlabel='rays in a batch', ylabel='us a ray')
-        axes.set_title(f'{size:,} boxes')
+        axes.set(xscale='log', yscale='log', xlabel='rays in a batch', title=f'{size:,} boxes')
+        axes.xaxis.set_major_formatter('{x:,.0f}')
+        axes.yaxis.set_major_formatter('{x:g}')
+        axes.yaxis.set_minor_formatter('')
+        axes.grid(alpha=0.3, which='both')
+    panels[0].set_ylabel('us a ray')
     panels[0].legend()
     figure.savefig(path)
 
