@@ -71,7 +71,8 @@ def make_asked(size: int, calls: int) -> Asked:
     )
 
 
-def _each(function: Callable[..., Any], *columns: Any) -> Job:
+def each(function: Callable[..., Any], *columns: Any) -> Job:
+    """Call it with each row of the columns."""
     rows = list(zip(*columns, strict=True))
 
     def run() -> None:
@@ -98,11 +99,11 @@ def tree_jobs(asked: Asked) -> dict[str, Job]:
             changed.remove(handle)
 
     return {
-        'tree: raycast': _each(tree.raycast, *rays),
-        'tree: occluded': _each(tree.occluded, *rays),
-        'tree: overlap': _each(tree.overlap, *small),
-        'tree: nearest': _each(tree.nearest, rays.origins),
-        'tree: boxcast': _each(tree.boxcast, *small, small.hi - small.lo),
+        'tree: raycast': each(tree.raycast, *rays),
+        'tree: occluded': each(tree.occluded, *rays),
+        'tree: overlap': each(tree.overlap, *small),
+        'tree: nearest': each(tree.nearest, rays.origins),
+        'tree: boxcast': each(tree.boxcast, *small, small.hi - small.lo),
         'tree: move': Job(move, len(handles)),
         'tree: insert and remove': Job(insert_and_remove, len(handles)),
     }
@@ -135,11 +136,11 @@ def scene_jobs(asked: Asked) -> dict[str, Job]:
         scene.raycast(start, goal, RADIUS)
 
     return {
-        'scene: raycast': _each(scene.raycast, starts, asked.goals),
-        'scene: swept ball': _each(swept, starts, asked.goals),
-        'scene: overlap': _each(scene.overlap, *asked.small),
-        'scene: turned overlap': _each(scene.overlap, *asked.small, asked.turns),
-        'scene: nearest': _each(scene.nearest, starts),
+        'scene: raycast': each(scene.raycast, starts, asked.goals),
+        'scene: swept ball': each(swept, starts, asked.goals),
+        'scene: overlap': each(scene.overlap, *asked.small),
+        'scene: turned overlap': each(scene.overlap, *asked.small, asked.turns),
+        'scene: nearest': each(scene.nearest, starts),
         'scene: update of one': updates(1),
         'scene: update of ten': updates(TEN),
     }
@@ -151,7 +152,7 @@ def peer_jobs(asked: Asked) -> dict[str, Job]:
     if Embree().installed():
         scene = Embree().scene(triangles(asked.boxes))
         rays = [part.astype(np.float32)[:, None] for part in asked.rays]
-        found['Embree: tree: raycast'] = _each(scene.run, *rays)
+        found['Embree: tree: raycast'] = each(scene.run, *rays)
     library = Coal()
     if not library.installed():
         return found
@@ -170,6 +171,6 @@ def peer_jobs(asked: Asked) -> dict[str, Job]:
             manager.update()
 
     for room, changed in (('tree', 'move'), ('scene', 'update of one')):
-        found[f'coal: {room}: overlap'] = _each(overlap, small)
+        found[f'coal: {room}: overlap'] = each(overlap, small)
         found[f'coal: {room}: {changed}'] = Job(update, len(small))
     return found

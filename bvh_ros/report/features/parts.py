@@ -61,6 +61,7 @@ def parts_on(page: Page, brief: bool) -> None:
             'planar': Job(boxes, planar=True),
             'margin 0.1 m': Job(boxes, margin=0.1),
             'masks': Job(boxes, masks=True),
+            'velocities, asked 0.3 s later': Job(boxes, moving=True),
             'batch of rays': Job(boxes, batch=2 if brief else 20),
         }
         for name, kind in KINDS.items():
@@ -104,9 +105,10 @@ def parts_off(page: Page, brief: bool) -> int:
             'meshes': Job(meshes, turns=1),
             'planar scene': Job(boxes, planar=True, turns=1),
             'margin': Job(boxes, margin=0.1, turns=1),
+            'velocities': Job(boxes, moving=True, turns=1),
         }
         if brief:
-            jobs = {name: jobs[name] for name in ('batches of rays', 'margin')}
+            jobs = {name: jobs[name] for name in ('margin', 'velocities')}
         without = run_apart(Job(boxes, turns=1))
         rows = [_difference(name, without, run_apart(job), count) for name, job in jobs.items()]
     page.add('### Each part off')

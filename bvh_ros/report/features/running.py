@@ -44,6 +44,7 @@ class Job(NamedTuple):
     margin: float = 0.0
     masks: bool = False
     batch: int = 0
+    moving: bool = False
     turns: int = 9
 
 

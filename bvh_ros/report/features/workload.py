@@ -19,6 +19,7 @@ from bvh_ros.scene import Mesh, Numbered, Scene, Shapes
 
 OVERLAPS = 100
 STEP = 0.05  # m that obstacles go from frame to frame
+SPEED, LATER = 1.5, 300_000_000  # m/s; ns after they were told
 
 Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
 
@@ -44,7 +45,10 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
     names = Numbered('o', np.arange(count))
     scene = Scene(planar=job['planar'], margin=job['margin'])
     categories = 1 + np.arange(count) % 2 if job['masks'] else 1
-    refused = scene.update('a', names, shapes, stamp=0, categories=categories)
+    told: dict[str, Any] = {'categories': categories}
+    if job['moving']:
+        told['velocities'] = np.full((count, 3), SPEED)
+    refused = scene.update('a', names, shapes, stamp=0, **told)
     if refused:
         raise ValueError(f'a row of the scene is refused: {refused[0].reason}')
     scene.raycast(*rays[0])
@@ -54,19 +58,21 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
         nonlocal frame
         frame += 1
         moved = shapes._replace(position=shapes.position + STEP * (frame % 2))
-        scene.update('a', names, moved, stamp=frame, categories=categories)
+        scene.update('a', names, moved, stamp=frame, **told)
 
-    mask = 2 if job['masks'] else 0xFFFFFFFF
+    ask: dict[str, Any] = {'mask': 2 if job['masks'] else 0xFFFFFFFF}
+    if job['moving']:
+        ask['at'] = LATER
     boxes = [(goal - 0.5, goal + 0.5) for _, goal in rays[:OVERLAPS]]
     work: Work = {
         'update': (update, count),
-        'raycast': (lambda: [scene.raycast(*ray, mask=mask) for ray in rays], len(rays)),
-        'overlap': (lambda: [scene.overlap(*box, mask=mask) for box in boxes], len(boxes)),
+        'raycast': (lambda: [scene.raycast(*ray, **ask) for ray in rays], len(rays)),
+        'overlap': (lambda: [scene.overlap(*box, **ask) for box in boxes], len(boxes)),
     }
     if job['batch']:
         starts = np.tile(given['starts'], (job['batch'], 1))
         ways = np.tile(given['goals'] - given['starts'], (job['batch'], 1))
-        work['batch'] = (lambda: scene.raycast_many(starts, ways, 1.0, mask), len(starts))
+        work['batch'] = (lambda: scene.raycast_many(starts, ways, 1.0, **ask), len(starts))
     return scene, work
 
 
