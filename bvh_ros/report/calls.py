@@ -82,6 +82,11 @@ def each(function: Callable[..., Any], *columns: Any) -> Job:
     return Job(run, len(rows))
 
 
+def _one_by_one(*columns: Floats) -> list[list[Floats]]:
+    """Each row as an array of one."""
+    return [[row[None] for row in column] for column in columns]
+
+
 def tree_jobs(asked: Asked) -> dict[str, Job]:
     """Calls of a tree, by name."""
     tree, changed = (DynamicBVH.from_boxes(*asked.boxes) for _ in range(2))
@@ -98,6 +103,7 @@ def tree_jobs(asked: Asked) -> dict[str, Job]:
         for handle in [changed.insert(low, high) for low, high in zip(lo, hi, strict=True)]:
             changed.remove(handle)
 
+    origins, directions, low, high = _one_by_one(*rays, *small)
     return {
         'tree: raycast': each(tree.raycast, *rays),
         'tree: occluded': each(tree.occluded, *rays),
@@ -106,6 +112,11 @@ def tree_jobs(asked: Asked) -> dict[str, Job]:
         'tree: boxcast': each(tree.boxcast, *small, small.hi - small.lo),
         'tree: move': Job(move, len(handles)),
         'tree: insert and remove': Job(insert_and_remove, len(handles)),
+        'tree: raycast_many of one': each(tree.raycast_many, origins, directions),
+        'tree: occluded_many of one': each(tree.occluded_many, origins, directions),
+        'tree: raycast_all_many of one': each(tree.raycast_all_many, origins, directions),
+        'tree: overlap_many of one': each(tree.overlap_many, low, high),
+        'tree: nearest_many of one': each(tree.nearest_many, origins),
     }
 
 
@@ -135,6 +146,9 @@ def scene_jobs(asked: Asked) -> dict[str, Job]:
     def swept(start: Floats, goal: Floats) -> None:
         scene.raycast(start, goal, RADIUS)
 
+    begins, ends, ways = _one_by_one(starts, asked.goals, asked.rays.directions)
+    edges = _one_by_one(asked.small.hi - asked.small.lo)[0]
+    shapes = [Shapes.boxes(place, edge) for place, edge in zip(begins, edges, strict=True)]
     return {
         'scene: raycast': each(scene.raycast, starts, asked.goals),
         'scene: swept ball': each(swept, starts, asked.goals),
@@ -143,6 +157,11 @@ def scene_jobs(asked: Asked) -> dict[str, Job]:
         'scene: nearest': each(scene.nearest, starts),
         'scene: update of one': updates(1),
         'scene: update of ten': updates(TEN),
+        'scene: raycast_many of one': each(scene.raycast_many, begins, ways),
+        'scene: sweep_many of one': each(scene.sweep_many, begins, ends),
+        'scene: overlap_many of one': each(scene.overlap_many, begins, edges),
+        'scene: nearest_many of one': each(scene.nearest_many, begins),
+        'scene: clearance_many of one': each(scene.clearance_many, shapes),
     }
 
 
