@@ -10,7 +10,8 @@ import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.bounds import FRONTS, covers, set_fronts
+from ...tree.jit.moving_sides import FRONTS
+from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet

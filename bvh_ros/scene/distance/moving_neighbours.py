@@ -13,8 +13,8 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
 from ...tree.motion.meeting import box_of
-from ...tree.motion.nearest import nearest_then
-from ...tree.nodes import NONE, ROOT, slot_of
+from ...tree.motion.nearest import at_least, nearest_bounds
+from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from . import clearance
@@ -30,19 +30,19 @@ def neighbours(tree, moving, then, near_by, room):
     move and of those at rest: (whether there may be more, how far those are at least, how many).
     """
     low, high, at, wanted, limit, mask = near_by
-    slots, handles, gaps = room.slots, room.handles[:wanted], room.gaps[:wanted]
-    count = nearest_then(tree, moving, near_by, None, handles, gaps)
-    more, last, total = count == wanted, np.inf, np.int64(0)
+    slots, gaps = room.slots, room.gaps[:wanted]
+    total, _ = nearest_bounds(tree, moving, near_by, slots[:wanted], gaps)
+    more, last = total == wanted, np.inf
     if more:
-        last = gaps[wanted - 1]
-    for i in range(count):
-        slots[i] = slot_of(handles[i])
-        box = box_of(tree, moving, slots[i])
-        if then.rest.state[ROOT] == NONE or not rests(box[2], box[3], at, then.left):
-            slots[total] = slots[i]
-            total += 1
+        last = at_least(gaps[wanted - 1])
     if then.rest.state[ROOT] != NONE:
-        handles, gaps = room.handles[wanted : 2 * wanted], room.gaps[wanted : 2 * wanted]
+        count, total = total, np.int64(0)
+        for i in range(count):
+            box = box_of(tree, moving, slots[i])
+            if not rests(box[2], box[3], at, then.left):
+                slots[total] = slots[i]
+                total += 1
+        handles, gaps = room.handles[:wanted], room.gaps[wanted : 2 * wanted]
         count = nearest(then.rest, low, high, wanted, limit, mask, handles, gaps)
         if count == wanted:
             more, last = True, min(last, gaps[wanted - 1])

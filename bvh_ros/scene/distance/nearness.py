@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.boxes.ordering import neighbour_order
+from ...tree.boxes.ordering import order_of
 from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
@@ -89,13 +89,9 @@ class Nearness:
 
     def order_of(self, points: Floats) -> NDArray[np.int64]:
         """The order in which many points are asked: neighbours load the same nodes."""
-        if len(points) < MANY or not len(self._tree):
+        if len(points) < MANY:
             return NO_ORDER
-        nodes, _, _, root = self._tree.arrays()
-        keys, order, spare = np.empty((3, len(points)), np.int64)
-        here, bounds = along_axes(points, self._tree.ndim), nodes[root]
-        neighbour_order(here, bounds['lo'], bounds['hi'], keys, order, spare)
-        return order
+        return order_of(self._tree, along_axes(points, self._tree.ndim))
 
     def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near:
         """The k obstacles nearest to each of n points, as `find` has them."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .. import box_checks, checks
 from ..checks import INT64
-from ..nodes import ALL, COUNT, NONE, ROOT, aligned_empty
+from ..nodes import ALL, COUNT, NONE, aligned_empty
 from ..rays import boxcasting
 from ..rays.raycasting import CLOSEST, Asked
 from ..results import RayHit
@@ -241,13 +241,10 @@ class BoxQueries(Timed):
         asked = nearest.Points(where, k, reaches, checks.masks_or_one(mask, count))
         ids, distances = np.empty((count, k), INT64), np.empty((count, k))
         view = self.view()
-        state = view.tree.state
-        boxes = state.item(COUNT)
+        boxes = view.tree.state.item(COUNT)
         if boxes and count >= max(PACKETS_PER_BOX * boxes, LEAST_PACKETS):
-            keys, order, spare = np.empty((3, count), np.int64)
-            root = view.tree.nodes[state.item(ROOT)]
             checks.finite('points', where)
-            ordering.neighbour_order(where, root['lo'], root['hi'], keys, order, spare)
+            order = ordering.order_of(self, where)
             done = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)
         else:
             done = nearest.many_entry(ndim)(*view, asked, ids, distances)

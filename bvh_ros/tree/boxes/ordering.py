@@ -2,10 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The order in which a dense batch of points is asked: neighbours load the same nodes."""
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Floats
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
+from ..nodes import ROOT
 
 CELL_BITS = 5  # of a point on each axis
 DIGIT_BITS = 8  # two digits hold a key of 3 * CELL_BITS
@@ -63,3 +68,17 @@ def _sort(keys, order, spare):
             digit = (keys[i] >> shift) & (DIGITS - 1)
             after[starts[digit]] = i
             starts[digit] += 1
+
+
+def order_of(tree: Any, points: Floats) -> NDArray[np.int64]:
+    """The order in which points, finite and of shape (n, ndim), are asked; as they stand where the
+    tree is empty.
+    """
+    arrays = tree.view().tree
+    keys, order, spare = np.empty((3, len(points)), np.int64)
+    root = arrays.state.item(ROOT)
+    if root < 0:
+        return order[:0]
+    bounds = arrays.nodes[root]
+    neighbour_order(points, bounds['lo'], bounds['hi'], keys, order, spare)
+    return order

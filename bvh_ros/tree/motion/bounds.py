@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.float64x8 import EIGHT
-from ..jit.intrinsics import CACHE_LINE, stack_array
-from ..jit.moving_sides import enter_sides
+from ..jit.intrinsics import CACHE_LINE, prefetch, stack_array
+from ..jit.moving_sides import HALF, enter_sides
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, next_node
 from ..rays.slab import PAD, TINY
 from ..store.turns import REFUSED, begin_query, end_query
@@ -31,7 +30,6 @@ WIDER = 2.0**-48
 LEAST = 1e-280
 # Beyond these a query visits all boxes: t or a time times LEAST would not be negligible.
 LONGEST = 1e40
-FRONTS = 2 * EIGHT
 
 
 @functools.cache
@@ -40,28 +38,36 @@ def moving_dtype(ndim: int) -> np.dtype[Any]:
     with the other sign, see `moving_sides`. Of a leaf no side is further out than `loose` at any
     time of the span; NaN where a bound is none.
     """
-    links = [('left', np.int32), ('right', np.int32), ('mask', np.uint32)]
-    sides: Any = np.float64, (2 * ndim,)
-    fields = [('sides', sides, 0), ('rates', sides, CACHE_LINE)]
-    fields += [(*link, 16 * ndim + 4 * k) for k, link in enumerate(links)]
-    fields += [('loose', np.float64, CACHE_LINE + 16 * ndim)]
-    names, formats, offsets = zip(*fields, strict=True)
-    # Whole cache lines: three quarters of the time of records that lie across one more.
+    # Vectors of two or four lanes, and what stands beside them in lanes that have no axis. Whole
+    # cache lines: three quarters of the time of records that lie across one more.
+    sides: Any = np.float64, (ndim,)
+    fields: dict[str, tuple[Any, int]] = {
+        'lower': (sides, 0),
+        'upper': (sides, 32),
+        'lower_rates': (sides, CACHE_LINE),
+        'upper_rates': (sides, CACHE_LINE + 32),
+        'left': (np.int32, 24),
+        'right': (np.int32, 28),
+        'mask': (np.uint32, 56),
+        'loose': (np.float64, CACHE_LINE + 24),
+    }
+    formats, offsets = zip(*fields.values(), strict=True)
     return np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': 2 * CACHE_LINE}
+        {'names': [*fields], 'formats': formats, 'offsets': offsets, 'itemsize': 2 * CACHE_LINE}
     )
 
 
 @inlined
-def _set_side(node, lane, first, last, per_second, extent):
+def _set_side(sides, rates, axis, first, last, per_second, extent):
     """Write a side that is there at the start and at the stop, widened; `extent` a sum of absolute
-    values that none of its terms exceeds.
+    values that none of its terms exceeds. Returns whether it is a bound.
     """
     rate = (last - first) * per_second
-    node.sides[lane], node.rates[lane] = first - extent * WIDER - LEAST, rate
-    if not (math.isfinite(node.sides[lane]) and math.isfinite(node.rates[lane])):
-        node.sides[lane], node.rates[lane] = -np.inf, 0.0
-        node.loose = np.nan
+    sides[axis], rates[axis] = first - extent * WIDER - LEAST, rate
+    finite = math.isfinite(sides[axis]) and math.isfinite(rates[axis])
+    if not finite:
+        sides[axis], rates[axis] = -np.inf, 0.0
+    return finite
 
 
 @inlined
@@ -73,26 +79,34 @@ def _fit_leaf(node, box, moving):
         way, later = velocity[axis] * (start - reference), velocity[axis] * (stop - reference)
         extent = abs(lo[axis]) + abs(hi[axis])
         extent += abs(velocity[axis]) * (abs(start) + abs(stop) + abs(reference))
-        lower, per_second = (lo[axis] + way, lo[axis] + later), 1.0 / (stop - start)
-        _set_side(node, axis, lower[0], lower[1], per_second, extent)
-        upper = -(hi[axis] + way), -(hi[axis] + later)
-        _set_side(node, ndim + axis, upper[0], upper[1], per_second, extent)
+        per_second, below, above = 1.0 / (stop - start), lo[axis] + way, hi[axis] + way
+        bounds = _set_side(
+            *(node.lower, node.lower_rates, axis), *(below, lo[axis] + later, per_second, extent)
+        )
+        bounds &= _set_side(
+            *(node.upper, node.upper_rates, axis),
+            *(-above, -(hi[axis] + later), per_second, extent),
+        )
         # As much as it is widened by is lost by rounding at most, and once more by who asks.
-        node.loose += 3.0 * (extent * WIDER + LEAST)
+        node.loose += 3.0 * (extent * WIDER + LEAST) if bounds else np.nan
 
 
 @inlined
-def _fit_inner(node, left, right, length):
-    ends, ndim = stack_array((2, 6), np.float64), node.sides.shape[0] // 2
-    for lane in range(2 * ndim):
-        ends[0, lane] = min(left.sides[lane], right.sides[lane])
-        later = left.sides[lane] + left.rates[lane] * length
-        ends[1, lane] = min(later, right.sides[lane] + right.rates[lane] * length)
-    for lane in range(2 * ndim):
-        extent, other = 0.0, lane + ndim if lane < ndim else lane - ndim
-        for row in range(2):
-            extent += abs(ends[row, lane]) + abs(ends[row, other])
-        _set_side(node, lane, ends[0, lane], ends[1, lane], 1.0 / length, extent)
+def _ends(side, rate, other, other_rate, length):
+    """The lesser of two sides at the start, and at the stop."""
+    return min(side, other), min(side + rate * length, other + other_rate * length)
+
+
+@inlined
+def _fit_inner(node, one, other, length):
+    for axis in range(node.lower.shape[0]):
+        sides = one.lower[axis], one.lower_rates[axis], other.lower[axis], other.lower_rates[axis]
+        lower = _ends(*sides, length)
+        sides = one.upper[axis], one.upper_rates[axis], other.upper[axis], other.upper_rates[axis]
+        upper = _ends(*sides, length)
+        extent = abs(lower[0]) + abs(upper[0]) + (abs(lower[1]) + abs(upper[1]))
+        _set_side(node.lower, node.lower_rates, axis, *lower, 1.0 / length, extent)
+        _set_side(node.upper, node.upper_rates, axis, *upper, 1.0 / length, extent)
 
 
 @lean_kernel
@@ -114,12 +128,20 @@ def fit_nodes(tree, moving, order):
         here, there = fitted[node], nodes[node]
         here.mask = there.mask
         if is_leaf(node):
+            here.left = here.right = node
             _fit_leaf(here, box_of(tree, moving, node >> 1), moving)
         else:
             here.left, here.right = there.left, there.right
             _fit_inner(here, fitted[there.left], fitted[there.right], length)
     end_query(tree.state)
     return np.int64(0)
+
+
+@inlined
+def fetch_children(nodes, node):
+    """Ask for the memory of a node's children, while it is looked at; of a leaf for its own."""
+    prefetch(nodes, np.int64(nodes[node].left), 2)
+    prefetch(nodes, np.int64(nodes[node].right), 2)
 
 
 @inlined
@@ -137,11 +159,10 @@ def covers(moving, at, pace, t_max):
 @inlined
 def set_fronts(fronts, moving, lo, hi, direction):
     """Write what `moving_sides` asks for, (FRONTS,), of a box that goes somewhere."""
-    ndim = moving.kept[0].velocity.shape[0]
-    fronts[:EIGHT], fronts[EIGHT:] = np.inf, 0.0
-    for axis in range(ndim):
-        fronts[axis], fronts[ndim + axis] = hi[axis], -lo[axis]
-        fronts[EIGHT + axis], fronts[EIGHT + ndim + axis] = direction[axis], -direction[axis]
+    fronts[: 2 * HALF], fronts[2 * HALF :] = np.inf, 0.0
+    for axis in range(moving.kept[0].velocity.shape[0]):
+        fronts[axis], fronts[HALF + axis] = hi[axis], -lo[axis]
+        fronts[2 * HALF + axis], fronts[3 * HALF + axis] = direction[axis], -direction[axis]
 
 
 @inlined

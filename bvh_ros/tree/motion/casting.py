@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
+from ..jit.moving_sides import FRONTS
 from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf
 from ..rays.raycasting import ANY, CLOSEST, Asked, Found, of_row
 from ..rays.slab import DIRECTION, EXACT, INSIDE, ORIGIN, PAD, RAY_ROWS, TINY, UPPER, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
 from . import velocities
-from .bounds import FRONTS, covers, enter_node, moving_dtype, set_fronts
+from .bounds import covers, enter_node, moving_dtype, set_fronts
 from .meeting import Course, Moving, box_of, is_before, meet
 
 OUTSIDE = -4  # why a query did nothing: its times are not in the span of the bounds

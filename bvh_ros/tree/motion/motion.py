@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..entries import entry_points
+from ..jit.intrinsics import CACHE_LINE
 from ..nodes import CHANGES, COUNT, TURN, View, aligned_empty
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from . import velocities
@@ -98,12 +99,15 @@ class Motion:
         if before.version == version:
             if arrays.state.item(TURN) < 0:
                 raise RuntimeError(IS_CHANGED)
+            # Further than that the way that the times go, as they may go on.
+            earlier, later = first < before.start, last > before.stop
             first, last = min(first, before.start), max(last, before.stop)
             more = 0.5 * (last - first)
-            first, last = first - more, last + more
+            first, last = first - more * earlier, last + more * later
         elif first == last:
             last = first + max(HORIZON, 2.0**-40 * abs(first))
-        nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim))
+        # Processors fetch two cache lines together, if the first of them is an even one.
+        nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim), 2 * CACHE_LINE)
         order = np.empty(len(arrays.nodes), np.int64)
         moving = Moving(self.kept, nodes, float(first), float(last), version)
         if fit_entry(ndim)(arrays, moving, order) == REFUSED:

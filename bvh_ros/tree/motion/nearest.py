@@ -15,17 +15,21 @@ from numpy.typing import NDArray
 from ..boxes.nearest import insert_candidate, name_row, pruning_limit
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import square_beside
+from ..jit.intrinsics import prefetch, stack_array
+from ..jit.moving_sides import FRONTS, square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
+from ..rays.raycasting import of_row
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import FRONTS, covers, set_fronts
+from ..unrounded import two_sum
+from .bounds import covers, fetch_children, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import box_of
-from .sums import gap, surely_below
+from .sums import gap, quick_gap, surely_below
 
 # Squares whose root says something, and by how much it is rounded down.
 LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
+# What is farther by this factor is left out: more than a box's distance differs from its bounds'.
+FARTHER = 1.0 + 2.0**-28
 
 
 class Near(NamedTuple):
@@ -34,11 +38,12 @@ class Near(NamedTuple):
     points: NDArray[np.float64]
     """Shape (n, ndim)."""
     reaches: NDArray[np.float64]
-    """The largest distance, a row, as of the masks."""
+    """The largest distance, a row or one for all, as of masks and times."""
     masks: NDArray[np.uint32]
     at: NDArray[np.float64]
-    """A time a row."""
     k: int
+    order: NDArray[np.int64]
+    """In which rows are asked; as they stand where it is empty."""
 
 
 @inlined
@@ -47,18 +52,25 @@ def _apart_then(box, axis, low, high, at):
     that exceeds the largest double.
     """
     lo, hi, velocity, reference = box
-    way = velocity[axis] * (at - reference)
+    since, lost = two_sum(at, -reference)
+    way = velocity[axis] * since
     below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
     # One side tells it, as the other is surely passed; a choice costs less than a guess.
     lower = below > above
     plane, front = (lo[axis], high[axis]) if lower else (hi[axis], low[axis])
-    apart = _gap_now(plane, front, velocity[axis], at, reference)
+    apart, _, enough = quick_gap(plane, front, velocity[axis], since, lost)
     apart = apart if lower else -apart
     plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
-    if not surely_below(plane, front, way):
-        below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
-        apart = max(below, -_gap_now(hi[axis], low[axis], velocity[axis], at, reference))
-    return max(apart, 0.0)
+    if enough & ((apart > 0.0) | surely_below(plane, front, way)):
+        return max(apart, 0.0)
+    return _apart_surely(lo[axis], hi[axis], velocity[axis], reference, low[axis], high[axis], at)
+
+
+@lean_kernel
+def _apart_surely(lo, hi, velocity, reference, low, high, at):
+    """The same, whatever the sums are."""
+    below = _gap_now(lo, high, velocity, at, reference)
+    return max(below, -_gap_now(hi, low, velocity, at, reference), 0.0)
 
 
 @inlined
@@ -68,53 +80,52 @@ def _gap_now(plane, front, velocity, at, reference):
     return high if exponent == 0 else math.ldexp(high, exponent)
 
 
-@lean_kernel
+@inlined
 def distance_then(box, low, high, at):
     """Distance of a box at a time from the one from low to high, 0 where they touch."""
-    longest, total, ndim = 0.0, 0.0, box[0].shape[0]
-    for axis in range(ndim):
+    longest, total = 0.0, 0.0
+    for axis in range(box[0].shape[0]):
         apart = _apart_then(box, axis, low, high, at)
         longest = max(longest, apart)
         total += apart * apart
     if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
         return math.sqrt(total)
-    exponent = math.frexp(longest)[1]  # as in `boxes.nearest.distance`
-    total = 0.0
-    for axis in range(ndim):
+    return _scaled_distance(box, low, high, at, longest)
+
+
+@lean_kernel
+def _scaled_distance(box, low, high, at, longest):
+    """As in `boxes.nearest.distance`."""
+    exponent, total = math.frexp(longest)[1], 0.0
+    for axis in range(box[0].shape[0]):
         apart = math.ldexp(_apart_then(box, axis, low, high, at), -exponent)
         total += apart * apart
     return math.ldexp(math.sqrt(total), exponent)
 
 
-@lean_kernel
-def nearest_then(tree, moving, near, exact, found, distances):
-    """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
-    arrays (k,), nearest first; return how many there are. NOT_FINITE if it is no box or time,
-    OUTSIDE if the bounds do not hold for the time. Where `exact` is None, what is told of a box
-    is how far it is at least.
+@inlined
+def _walk(tree, moving, near, limit, kept, keep):
+    """Let keep(tree, moving, near, leaf, square, kept, count, limit) look at the leaves whose
+    squared distance, computed, is within a limit, and say how many are kept, and the limit from
+    then on: what it said last.
     """
-    low, high, at, k, reach, mask = near
-    nodes, root = moving.nodes, tree.state[ROOT]
-    if not is_sound(low, high, low, (at, 0.0)):
-        return np.int64(NOT_FINITE)
-    bounded = covers(moving, at, 0.0, 0.0)
-    if bounded == 0:
-        return np.int64(OUTSIDE)
+    (low, high, at, _, _, mask), nodes, root = near, moving.nodes, tree.state[ROOT]
+    bounded, ahead = covers(moving, at, 0.0, 0.0) > 0, at - moving.start
     stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], squares[0], top = root, 0.0, (0 if root < 0 else 1)
-    count, limit, ahead = np.int64(0), pruning_limit(reach), at - moving.start
-    fronts = stack_array(FRONTS, np.float64)
+    count, fronts = np.int64(0), stack_array(FRONTS, np.float64)
     set_fronts(fronts, moving, low, high, low)
     while top > 0:
         top -= 1
-        node = stack[top]
-        if squares[top] > limit or nodes[node].mask & mask == 0:
+        node, square = stack[top], squares[top]
+        if square > limit or nodes[node].mask & mask == 0:
             continue
-        square = squares[top]
         while not is_leaf(node):
             first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
             square, other = 0.0, 0.0
-            if bounded > 0:
+            fetch_children(nodes, first)
+            fetch_children(nodes, second)
+            if bounded:
                 square = square_beside(nodes, first, fronts, ahead)
                 other = square_beside(nodes, second, fronts, ahead)
             if other < square:
@@ -125,22 +136,105 @@ def nearest_then(tree, moving, near, exact, found, distances):
             node = first
             if square > limit or nodes[first].mask & mask == 0:
                 break
-        if not is_leaf(node) or nodes[node].mask & mask == 0:
-            continue
-        if exact is None:
-            apart = _at_least(square)
-        else:
-            apart = distance_then(box_of(tree, moving, node >> 1), low, high, at)
+        if is_leaf(node) and square <= limit and nodes[node].mask & mask != 0:
+            count, limit = keep(tree, moving, near, node, square, kept, count, limit)
+    return count, limit
+
+
+@inlined
+def _keep_bound(tree, moving, near, leaf, square, kept, count, limit):
+    """By what is known of all: kept = (slots, squares, [least square that is left out])."""
+    (slots, squares, left_out), k = kept, near[3]
+    if count == k:
+        left_out[0] = min(left_out[0], max(square, squares[k - 1]))
+        if square >= squares[k - 1]:
+            return count, limit
+        count -= 1
+    place = count
+    while place > 0 and square < squares[place - 1]:
+        slots[place], squares[place] = slots[place - 1], squares[place - 1]
+        place -= 1
+    slots[place], squares[place] = leaf >> 1, square
+    if count + 1 == k:
+        limit = min(limit, squares[k - 1] * FARTHER + 2.0 * LEAST_SQUARE)
+    return count + 1, limit
+
+
+@inlined
+def fetch_box(tree, moving, slot):
+    """Ask for the memory of what `box_of` reads."""
+    prefetch(tree.handles, slot, 1)
+    prefetch(moving.kept, slot, 1)
+    if tree.tight.shape[0] > 0:
+        prefetch(tree.tight, slot, 1)
+    else:
+        prefetch(tree.nodes, 2 * slot, 1)
+
+
+@inlined
+def _keep_distance(tree, moving, near, leaf, square, kept, count, limit):
+    """By its distance: kept = (slots, distances)."""
+    (slots, distances), (low, high, at, k, reach, _) = kept, near
+    apart = distance_then(box_of(tree, moving, leaf >> 1), low, high, at)
+    if apart <= reach:
+        count = insert_candidate(slots, distances, tree.handles, count, k, leaf >> 1, apart)
+        if count == k:
+            limit = pruning_limit(distances[k - 1])
+    return count, limit
+
+
+@lean_kernel
+def nearest_bounds(tree, moving, near, slots, squares):
+    """Write the k boxes to arrays (k,) whose bounds are nearest, near = (low, high, at, k, reach,
+    mask), nearest first, and the squares of how far those are: (how many, where they are k the
+    least such square of others). Bounds may be within `reach` where the box is not.
+    """
+    left_out, limit = stack_array(1, np.float64), pruning_limit(near[4])
+    left_out[0] = np.inf
+    kept = slots, squares, left_out
+    count, limit = _walk(tree, moving, near, limit, kept, _keep_bound)
+    return count, min(left_out[0], limit)
+
+
+@lean_kernel
+def _nearest_among_all(tree, moving, near, limit, slots, distances):
+    """Write slots and distances of the nearest within a limit of their square: how many."""
+    return _walk(tree, moving, near, limit, (slots, distances), _keep_distance)[0]
+
+
+@lean_kernel
+def nearest_then(tree, moving, near, found, distances):
+    """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
+    arrays (k,), nearest first; return how many there are. NOT_FINITE if it is no box or time,
+    OUTSIDE if the bounds do not hold for the time.
+
+    Bounds say whose distances are worth being computed; and whether those are sure to be less than
+    all others.
+    """
+    low, high, at, k, reach, _ = near
+    if not is_sound(low, high, low, (at, 0.0)):
+        return np.int64(NOT_FINITE)
+    if covers(moving, at, 0.0, 0.0) == 0:
+        return np.int64(OUTSIDE)
+    candidates, left_out = nearest_bounds(tree, moving, near, found, distances)
+    count, farthest = np.int64(0), 0.0
+    for i in range(candidates):
+        fetch_box(tree, moving, found[i])
+    for i in range(candidates):
+        slot = found[i]
+        apart = distance_then(box_of(tree, moving, slot), low, high, at)
+        farthest = max(farthest, apart)
         if apart <= reach:
-            count = insert_candidate(*(found, distances, tree.handles, count, k, node >> 1, apart))
-            if count == k:
-                limit = pruning_limit(distances[k - 1])
+            count = insert_candidate(found, distances, tree.handles, count, k, slot, apart)
+    if candidates == k and not farthest < at_least(left_out):
+        limit = pruning_limit(min(reach, farthest))
+        count = _nearest_among_all(tree, moving, near, limit, found, distances)
     name_row(tree.handles, found, distances, count)
     return count
 
 
 @inlined
-def _at_least(square):
+def at_least(square):
     """A distance, rounded down, from its computed square."""
     return 0.0 if square < LEAST_SQUARE else math.sqrt(min(square, MOST_SQUARE)) * LESS
 
@@ -150,7 +244,7 @@ def nearest_one(tree, moving, near, found, distances):
     """`nearest_then`; REFUSED if the tree is of another version."""
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    count = nearest_then(tree, moving, near, True, found, distances)
+    count = nearest_then(tree, moving, near, found, distances)
     end_query(tree.state)
     return np.int64(count)
 
@@ -161,10 +255,11 @@ def nearest_rows(tree, moving, rows, found, distances):
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     why = np.int64(0)
-    for i in range(rows.points.shape[0]):
-        point = rows.points[i]
-        near = point, point, rows.at[i], rows.k, rows.reaches[i], rows.masks[i]
-        why = min(nearest_then(tree, moving, near, True, found[i], distances[i]), np.int64(0))
+    for row in range(rows.points.shape[0]):
+        i = rows.order[row] if rows.order.shape[0] > 0 else row
+        point, reach, mask = rows.points[i], of_row(rows.reaches, i), of_row(rows.masks, i)
+        near = point, point, of_row(rows.at, i), rows.k, reach, mask
+        why = min(nearest_then(tree, moving, near, found[i], distances[i]), np.int64(0))
         if why < 0:
             break
     end_query(tree.state)
@@ -176,6 +271,6 @@ one_entry = entry_points(
     *(nearest_one, no_motion, (_ROW, _ROW, 0.0, 1, 0.0, np.uint32(0)), _IDS, _ROW)
 )
 rows_entry = entry_points(
-    *(nearest_rows, no_motion, Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1)),
+    *(nearest_rows, no_motion, Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1, _IDS)),
     *(np.empty((0, 1), np.int64), _ROWS),
 )

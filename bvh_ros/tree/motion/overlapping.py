@@ -11,12 +11,12 @@ from ..boxes.overlapping import fill_rows
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import is_behind, is_beside
+from ..jit.moving_sides import FRONTS, is_behind, is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..rays.slab import RAY_ROWS, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import FRONTS, covers, set_fronts
+from .bounds import covers, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import Course, box_of, meet
 from .sums import surely_below

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
+from ..boxes.ordering import order_of
 from ..boxes.overlapping import overlap_many
 from ..nodes import NONE
 from ..rays import ray_batches
@@ -29,6 +30,8 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 STILL = np.zeros(1)
 FEW = 64  # boxes that there is room for at first
+# From so many points on their order is worth being made.
+MANY_POINTS, NO_ORDER = 512, np.empty(0, np.int64)
 
 
 class MotionQueries(Motion):
@@ -204,13 +207,11 @@ class MotionQueries(Motion):
         self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: Any
     ) -> tuple[Ids, Floats]:
         """The nearest to points, asked = (max_distance, mask): (ids, distances)."""
-        count = len(points)
-        times = np.broadcast_to(time_checks.moments('at', at, count), count).copy()
-        limits, masks = (
-            checks.limits('max_distance', asked[0], count),
-            checks.masks(asked[1], count),
-        )
-        rows, kernel = nearest.Near(points, limits, masks, times, k), nearest.rows_entry(tree.ndim)
+        count, kernel = len(points), nearest.rows_entry(tree.ndim)
+        limits = checks.limits_or_one('max_distance', asked[0], count)
+        masks, times = checks.masks_or_one(asked[1], count), time_checks.moments('at', at, count)
+        order = order_of(tree, points) if count >= MANY_POINTS else NO_ORDER
+        rows = nearest.Near(points, limits, masks, times, k, order)
         found, distances = np.empty((count, k), np.int64), np.empty((count, k))
         spans = functools.partial(times_of, times, STILL, STILL)
         self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))

@@ -36,19 +36,28 @@ DOUBT = 2.0**-50  # of the terms of a sum of three: more than its rounding
 def gap(plane, front, velocity, at, reference):
     """plane - front + velocity * (at - reference) as (high, low, exponent)."""
     since, lost = two_sum(at, -reference)
-    way, below = two_product(velocity, since)
-    apart, least = two_sum(plane, -front)
     if velocity == 0.0 or since == 0.0:
+        apart, least = two_sum(plane, -front)
         if apart == 0.0 or SMALL < abs(apart) < LARGE:
             return apart, least, 0
     else:
-        total, rest = two_sum(apart, way)
-        rest += below + velocity * lost + least
-        high = total + rest
-        largest = max(abs(plane), abs(front), abs(way))
-        if max(CANCELLED * largest, SMALL) < abs(high) and largest < LARGE:
-            return high, rest - (high - total), 0
+        high, low, enough = quick_gap(plane, front, velocity, since, lost)
+        if enough:
+            return high, low, 0
     return exact_gap(plane, front, velocity, at, reference)
+
+
+@inlined
+def quick_gap(plane, front, velocity, since, lost):
+    """`gap` in doubles, since + lost = at - reference: (high, low, whether that is enough)."""
+    way, below = two_product(velocity, since)
+    apart, least = two_sum(plane, -front)
+    total, rest = two_sum(apart, way)
+    rest += below + velocity * lost + least
+    high = total + rest
+    largest = max(abs(plane), abs(front), abs(way))
+    enough = (max(CANCELLED * largest, SMALL) < abs(high)) & (largest < LARGE)
+    return high, rest - (high - total), enough
 
 
 @inlined
