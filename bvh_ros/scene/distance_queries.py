@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import checks
 from ..tree.nodes import ALL, NONE
+from ..tree.store.turns import IS_CHANGED
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours, name_entry
 from .distance.query_rows import QueryRows, query_rows
@@ -165,8 +166,9 @@ class DistanceQueries:
             As `nearest`; the message names the first bad row.
         """
         where = checks.rows('points', points, 3)
-        checks.finite('points', where)
         count, many = len(where), checks.whole('k', k, 1)
+        if at is not None or count >= nearness.MANY:
+            checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         # As Points(...), which would take one more call of a function of Python's.
@@ -177,7 +179,10 @@ class DistanceQueries:
             times, k = self._moments.seconds(at, count), min(many, max(len(self._held.tree), 1))
             return _padded(self._moments.distances().nearest(asked, k, sign, times, threads), many)
         near = self._nearness.find_rows(asked, many, sign, threads)
-        return near.handles, near.distances, near.points
+        if near is None:
+            checks.finite('points', where)
+            raise RuntimeError(IS_CHANGED)
+        return tuple(near)
 
     def clearance_many(
         self,

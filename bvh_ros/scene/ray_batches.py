@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..tree import checks
+from ..tree.rays.ray_batches import FEW_RAYS, are_few
+from ..tree.rays.raycasting import CLOSEST
+from ..tree.rays.raycasting import Rays as ThinRays
 from .casting import box_casting, casting, sweeping, wide_rays
 from .casting.arguments import WHOLE_WAY, Found, Rays, row_by_row, ways_of
 from .casting.sweeping import Balls
@@ -46,6 +49,20 @@ class RayBatches:
         columns: Any = zip(others, found, strict=True)
         order = np.argsort(np.concatenate(both))
         return CastHits(*(np.concatenate(column)[order] for column in columns))
+
+    def few(self, rays: tuple[Any, ...], skip: bool, to_goals: bool) -> CastHits | None:
+        """`first` of thin rays that are few, among solid boxes alone, with as little Python as can
+        be; None if they are not, or not finite. `to_goals`: what is called directions are the
+        goals of the ways.
+        """
+        held = self._held
+        if held.planar or held.columns.shaped or len(rays[0]) > FEW_RAYS:
+            return None
+        # As Rays(...), which would take one more call of a function of Python's.
+        asked = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
+        if not are_few(asked):
+            return None
+        return box_casting.few_first(held.tree, held.columns.node_handle, asked, to_goals)
 
     def _balls(self, balls: Balls, t_max: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls, at t from 0 to `t_max`."""

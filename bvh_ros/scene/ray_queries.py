@@ -143,15 +143,19 @@ class RayQueries:
         origins = checks.rows('origins', origins, 3)
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
-        if radius is not None or at is not None or self._held.planar or self._held.columns.shaped:
+        held = self._held
+        if radius is not None or at is not None or held.planar or held.columns.shaped:
             checks.finite('origins', origins)  # else the tree's kernel looks
             checks.finite('directions', directions)
-        limits, masks = (
-            checks.limits_or_one('t_max', t_max, count),
-            checks.masks_or_one(mask, count),
-        )
-        rays = tuple.__new__(Rays, (origins, directions, limits, masks))
+        limits = checks.limits_or_one('t_max', t_max, count)
+        asked = origins, directions, limits, checks.masks_or_one(mask, count)
         threads = checks.whole('threads', threads, 1)
+        if threads == 1 and radius is None and at is None and until is None:
+            found = self._batches.few(asked, skip, False)
+            if found is not None:
+                return found
+        # As Rays(...), which would take one more call of a function of Python's.
+        rays = tuple.__new__(Rays, asked)
         radii = None if radius is None else checks.lengths_or_one('radius', radius, count)
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
@@ -189,17 +193,19 @@ class RayQueries:
         origins = checks.rows('starts', starts, 3)
         count, skip = len(origins), bool(skip_inside)
         ends = checks.rows('goals', goals, 3, count)
+        masks, threads = checks.masks_or_one(mask, count), checks.whole('threads', threads, 1)
+        radii = checks.lengths_or_one('radius', radius, count)
+        if threads == 1 and radii is checks.NOTHING and at is None and until is None:
+            found = self._batches.few((origins, ends, WHOLE_WAY, masks), skip, True)
+            if found is not None:
+                return found
         ways = np.empty((count, 3))
         far = ways_entry()(origins, ends, ways)
         if far >= 0:
             checks.finite('starts', origins)
             checks.finite('goals', ends)
             raise ValueError(f'the segment of row {far} is longer than the largest double')
-        # As Rays(...), which would take one more call of a function of Python's.
-        asked = origins, ways, WHOLE_WAY, checks.masks_or_one(mask, count)
-        threads = checks.whole('threads', threads, 1)
-        radii = checks.lengths_or_one('radius', radius, count)
-        rays = tuple.__new__(Rays, asked)
+        rays = tuple.__new__(Rays, (origins, ways, WHOLE_WAY, masks))
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def _cast_one(

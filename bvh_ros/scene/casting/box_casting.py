@@ -7,26 +7,32 @@ at as many as the tree has axes and leave the others as they are: a planar ray c
 more than a solid one.
 """
 
+import functools
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
+from ...tree.checks import INT64, UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.entries import entry_points
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import slot_of
-from ...tree.rays import ray_hits, raycasting
+from ...tree.nodes import empty_tree, slot_of
+from ...tree.rays import ray_batches, ray_hits, raycasting
+from ...tree.rays.ray_batches import FEW_RAYS
 from ...tree.rays.ray_hits import NO_HITS, locate
 from ...tree.rays.slab import INSIDE
-from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED
+from ...tree.results import RayHits
+from ...tree.store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
+from ...tree.wide.few_rays import cast_few
+from ...tree.wide.snapshot import no_snapshot
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
-from .arguments import WHOLE_WAY, Rays
+from .arguments import WHOLE_WAY, Rays, fill_ways, ways_entry
 
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
@@ -118,6 +124,58 @@ def every(
         yield slot, t, place[0], place[1]
 
 
+def few_first(
+    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: raycasting.Rays, to_goals: bool
+) -> CastHits | None:
+    """`first_of_many` of few rays in a tree of three dimensions, with as little Python as can be;
+    None if a ray is not finite. `to_goals`: what is called directions are the goals of the ways.
+    """
+    count = len(rays.origins)
+    ts, points = np.empty(count), np.empty((count, 3))
+    # As CastHits(...), which would take one more call of a function of Python's.
+    columns = np.empty(count, UINT32), ts, points, np.empty((count, 3))
+    told, done = tuple.__new__(CastHits, columns), REFUSED
+    ready = tree.ready_snapshot()
+    if ready is not None:
+        arrays, snapshot = ready
+        done = few_entry()(arrays, ANY_VERSION, snapshot, rays, to_goals, node_handles, told)
+    if done == REFUSED:
+        done = _few_slowly(tree, node_handles, rays, to_goals, told)
+    if done == NOT_FINITE:
+        return None
+    accepted(done)
+    return told
+
+
+def _few_slowly(
+    tree: DynamicBVH,
+    node_handles: NDArray[np.int64],
+    rays: raycasting.Rays,
+    to_goals: bool,
+    told: CastHits,
+) -> int:
+    """Fill in `few_first` where the snapshot is to be made or patched, or there is none; how many
+    took exact arithmetic, or why not.
+    """
+    view, count = tree.view(), len(rays.origins)
+    snapshot = tree.snapshot_for(count, view)
+    done: int
+    if snapshot is not None:
+        done = few_entry()(*view, snapshot, rays, to_goals, node_handles, told)
+        return done
+    if to_goals:
+        ways = np.empty((count, 3))
+        if ways_entry()(rays.origins, rays.directions, ways) >= 0:
+            return NOT_FINITE
+        rays = rays._replace(directions=ways)
+    hits = RayHits(np.empty(count, INT64), told.t, told.normals)
+    done = ray_batches.cast(view, None, rays, hits)
+    if done >= 0:
+        some = rays.origins, rays.directions
+        _describe_entry(3)(view.tree, node_handles, *some, hits, told)
+    return done
+
+
 def first_of_many(
     tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, skip_inside: bool, threads: int
 ) -> CastHits:
@@ -128,35 +186,31 @@ def first_of_many(
     # As Rays(...), which would take one more call of a function of Python's.
     hits = tree.first_hits(tuple.__new__(raycasting.Rays, asked), threads)
     normals = hits.normals if ndim == 3 else np.empty((count, 3))
-    handles, points = np.empty(count, checks.UINT32), np.empty((count, 3))
-    told = tuple.__new__(Told, (handles, points, normals))
+    columns = np.empty(count, UINT32), hits.t, np.empty((count, 3)), normals
+    told = tuple.__new__(CastHits, columns)
     _describe_entry(ndim)(
         tree.view().tree, node_handles, rays.origins, rays.directions, hits, told
     )
-    return tuple.__new__(CastHits, (handles, hits.t, points, normals))
-
-
-class Told(NamedTuple):
-    """What is told of the hits of a batch, beside t."""
-
-    handles: Any
-    points: Any
-    normals: Any
+    return told
 
 
 @lean_kernel
 def describe(tree, node_handles, origins, directions, hits, told):
-    """Fill in what is told of hits, whose normals may be the same memory."""
+    """Fill in what is told of hits, whose normals, and directions as points, may be the same
+    memory.
+    """
     place = stack_array((2, 3), np.float64)
     for i in range(origins.shape[0]):
         axis = np.int64(INSIDE)
         for k in range(3):
             normal = hits.normals[i, k] if k < hits.normals.shape[1] else 0.0
-            told.points[i, k], told.normals[i, k] = np.nan, normal
+            told.normals[i, k] = normal
             if normal != 0.0:
                 axis = np.int64(k)
         if hits.ids[i] < 0:
             told.handles[i] = NO_NODE
+            for k in range(3):
+                told.points[i, k] = np.nan
             continue
         slot, origin, direction = slot_of(hits.ids[i]), origins[i], directions[i]
         place[0, 2] = origin[2]
@@ -166,8 +220,37 @@ def describe(tree, node_handles, origins, directions, hits, told):
             told.points[i, k] = place[0, k]
 
 
+@lean_kernel
+def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, told):
+    """First hits of rays, at most FEW_RAYS, in one call; returns as `cast_few`. `to_goals`:
+    what is called directions are the goals of the ways.
+    """
+    directions = rays.directions
+    if to_goals:
+        directions = told.points
+        if fill_ways(rays.origins, rays.directions, directions) >= 0:
+            return np.int64(NOT_FINITE)
+    asked = raycasting.Rays(
+        *(rays.origins, directions, rays.t_max, rays.masks),
+        *(rays.skip_inside, rays.mode, rays.counted),
+    )
+    ids = stack_array(FEW_RAYS, np.int64)[: rays.origins.shape[0]]
+    hits = RayHits(ids, told.t, told.normals)
+    done = cast_few(tree, version, snapshot, asked, hits)
+    if done >= 0:
+        describe(tree, node_handles, rays.origins, directions, hits, told)
+    return done
+
+
+@functools.cache
+def few_entry() -> Callable[..., Any]:
+    """The machine code of `cast_and_describe`."""
+    asked = raycasting.NO_RAYS, False, np.empty(0, np.int64), _TOLD
+    return entry_point(cast_and_describe, empty_tree(3), 0, no_snapshot(3), *asked)
+
+
 _POINT = np.empty(3)
 _ROWS = np.empty((0, 3))
-_TOLD = Told(np.empty(0, np.uint32), _ROWS, _ROWS)
+_TOLD = CastHits(np.empty(0, np.uint32), np.empty(0), _ROWS, _ROWS)
 _describe_entry = entry_points(describe, np.empty(0, np.int64), _ROWS, _ROWS, NO_HITS, _TOLD)
 _first_entry = entry_points(first_between, _POINT, _POINT, np.uint32(0), False, np.empty((2, 3)))

@@ -35,7 +35,6 @@ from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Hits, Rays, call, new_scratch, world_of
-from .box_casting import Told
 from .first_moving import First, Ways, first_rows, first_swept
 from .frame import COORDINATES, FRAME_SLACK
 from .seen import Met, Times, meet_pairs
@@ -75,12 +74,13 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
     when: Any = (column.item() if len(column) == 1 else column for column in times)
     found = motion.first_many(tree, asked, skip, CLOSEST, tuple(when), threads)
-    told, view = Told(np.empty(count, np.uint32), *np.empty((2, count, 3))), tree.view()
+    places, view = np.empty((2, count, 3)), tree.view()
+    told = CastHits(np.empty(count, np.uint32), found.t, *places)
     moving = motion.known(view, 0.0, 0.0)
     given = rays.origins, rays.directions, *times, held.columns.node_handle, found, told
     _describe_entry(ndim)(view.tree, moving, *given)
     tree.check_unchanged(view)
-    return CastHits(told.handles, found.t, told.points, told.normals)
+    return told
 
 
 @lean_kernel
@@ -104,7 +104,7 @@ def describe(tree, moving, origins, directions, at, pace, node_handles, hits, to
 
 
 _ROW, _ROWS = np.empty(0), np.empty((0, 3))
-_TOLD = Told(np.empty(0, np.uint32), _ROWS, _ROWS)
+_TOLD = CastHits(np.empty(0, np.uint32), _ROW, _ROWS, _ROWS)
 _describe_entry = entry_points(
     *(describe, no_motion, _ROWS, _ROWS, _ROW, _ROW, np.empty(0, np.int64), NO_HITS, _TOLD)
 )

@@ -6,6 +6,7 @@ No shape is nearer than its box. So the tree is asked for the nearest boxes, eve
 until the next box is farther than the k-th nearest shape among those it has named.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from ...tree.boxes.ordering import order_of
 from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
-from ...tree.nodes import COUNT
-from ...tree.store.turns import IS_CHANGED
+from ...tree.nodes import COUNT, View
+from ...tree.store.turns import IS_CHANGED, NOT_FINITE
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
@@ -93,27 +94,44 @@ class Nearness:
             return NO_ORDER
         return order_of(self._tree, along_axes(points, self._tree.ndim))
 
-    def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near:
-        """The k obstacles nearest to each of n points, as `find` has them."""
+    def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near | None:
+        """The k obstacles nearest to each of n points, as `find` has them; None if one is not
+        finite.
+        """
         count, columns, view = len(points.points), self._columns, self._tree.view()
         bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
-        # As Near(...), which would take one more call of a function of Python's.
         parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
-        near = tuple.__new__(Near, (*parts, np.empty((count, k, 3))))
-        everybody = view.tree.state.item(COUNT)
-        asked = k, everybody, columns.shadows > 0, signed
+        # As Near(...), which would take one more call of a function of Python's.
+        near = tuple.__new__(Near, parts)
+        asked = k, view.tree.state.item(COUNT), columns.shadows > 0, signed
+        given = view, bodies, points, asked, near
+        if threads == 1:  # without what several take
+            return near if self._work(*given, 0, count) else None
+        done = in_threads(partial(self._work, *given), count, threads)
+        return near if all(done) else None
 
-        def work(start: int, stop: int) -> None:
-            wanted = min(k, everybody) + 1
-            while start < stop:
-                if wanted > len(self._scratch.found.slots):
-                    self._scratch.make_room(wanted)
-                found = self._scratch.found
-                given = points, asked, (start, stop), columns.node_handle, found, near
-                start, wanted = self._rows[signed](view, bodies, given)
-
-        in_threads(work, count, threads)
-        return near
+    def _work(
+        self,
+        view: View,
+        bodies: Any,
+        points: Points,
+        asked: tuple[int, int, bool, Signed],
+        near: Near,
+        start: int,
+        stop: int,
+    ) -> bool:
+        """Answer the rows [start, stop); whether all points are finite."""
+        k, everybody, _, signed = asked
+        wanted, kernel, scratch = min(k, everybody) + 1, self._rows[signed], self._scratch
+        handles = self._columns.node_handle
+        while start < stop:
+            if wanted > len(scratch.found.slots):
+                scratch.make_room(wanted)
+            given = points, asked, (start, stop), handles, scratch.found, near
+            start, wanted = kernel(view, bodies, given)
+            if start == NOT_FINITE:
+                return False
+        return True
 
     def _different(self, found: Found, rows: list[int]) -> list[int]:
         """The first row of each obstacle: one may stand at two places, see slicing.py."""

@@ -257,10 +257,7 @@ class TimedDistances:
 
 
 def _no_rows(count: int, k: int) -> Near:
-    return Near(
-        *(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3))),
-        np.empty((count, k, 3)),
-    )
+    return Near(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3)))
 
 
 def _taken(found: Found, offsets: Slots, begin: int, done: int, start: int) -> Touched:

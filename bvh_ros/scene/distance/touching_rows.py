@@ -11,12 +11,14 @@ import numpy as np
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.nodes import View
 from ...tree.rays.raycasting import of_row
-from ...tree.store.turns import accepted, begin_query, end_query
+from ...tree.rays.slab import is_finite
+from ...tree.store.turns import IS_CHANGED, NOT_FINITE, begin_query, end_query
 from ..results import NO_NODE
 from ..store.columns import Columns
 from ..store.mesh_store import NO_HULLS, Hulls
 from .query_shape import QueryShape
 from .touching import (
+    REFUSED,
     ROUNDED,
     Bodies,
     nearest_boxes,
@@ -66,7 +68,6 @@ class Near(NamedTuple):
     handles: Any
     distances: Any
     points: Any
-    normals: Any
 
 
 @lean_kernel
@@ -124,7 +125,7 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
 def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
     """Fill in the rows [start, stop) of `near`; asked = (k, how many boxes there are, whether an
     obstacle may stand at two places, see slicing.py, `Signed`), place = (start, stop). Returns
-    (rows done, room wanted in `found`) as `overlap_rows`.
+    (rows done, room wanted in `found`) as `overlap_rows`; NOT_FINITE rows if a point is not.
     """
     k, everybody, twice, signed = asked
     tree, (done, stop) = view.tree, place
@@ -136,6 +137,9 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
         row = points.order[done] if points.order.shape[0] > 0 else done
         reach, mask = of_row(points.reaches, row), of_row(points.masks, row)
         point, limit = points.points[row], max(reach * ROUNDED, reach)
+        if not is_finite(point, point):
+            end_query(tree.state)
+            return NOT_FINITE, 0
         wanted, kept = min(k if in_order else k + 1, everybody + 1), 0
         while wanted <= found.slots.shape[0]:
             question = (wanted, limit, mask)
@@ -180,7 +184,6 @@ def keep(found, count, asked, node_handles, near, row):
         near.handles[row, kept], near.distances[row, kept] = handle, found.distances[place]
         for axis in range(3):
             near.points[row, kept, axis] = found.points[place, axis]
-            near.normals[row, kept, axis] = found.normals[place, axis]
         kept += 1
     return kept
 
@@ -190,7 +193,7 @@ def pad(near, row, kept):
     """Write that there is nothing more."""
     for j in range(kept, near.handles.shape[1]):
         near.handles[row, j], near.distances[row, j] = NO_NODE, np.inf
-        near.points[row, j], near.normals[row, j] = np.nan, 0.0
+        near.points[row, j] = np.nan
 
 
 def bodies_of(columns: Columns, hulls: Hulls | None) -> Bodies:
@@ -218,5 +221,6 @@ class RowKernel:
             code = entry_point(self._kernel, view, bodies, *given)
             entry = self._entries[variant] = code
         counted = entry(view, bodies, *given)
-        accepted(counted[0])
+        if counted[0] == REFUSED:
+            raise RuntimeError(IS_CHANGED)
         return counted

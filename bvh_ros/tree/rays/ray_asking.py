@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .. import checks
 from ..checks import INT64
-from ..nodes import View
+from ..nodes import Tree, View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats
 from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
@@ -106,13 +106,23 @@ class RayAsking(Timed):
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
         return self.first_hits(tuple.__new__(Rays, asked), threads)
 
+    def ready_snapshot(self) -> tuple[Tree, Snapshot] | None:
+        """The arrays and their snapshot, if there is one and nothing was added to it. Whether the
+        tree was written to since, `cast_few` sees.
+        """
+        storage, (_, _, snapshot, tree) = self._storage, self._wide
+        if tree is not storage.tree or storage.heirs or snapshot is None or snapshot.loose:
+            return None
+        return tree, snapshot
+
     def _few_hits(self, rays: Rays, count: int) -> RayHits | None:
         """`first_hits` of few rays if the snapshot is of the tree as it is, with as little Python
         as can be; else, or if they are refused, None.
         """
-        storage, ndim, (_, _, snapshot, tree) = self._storage, self._ndim, self._wide
-        if tree is not storage.tree or storage.heirs or snapshot is None or snapshot.loose:
+        ready, ndim = self.ready_snapshot(), self._ndim
+        if ready is None:
             return None
+        tree, snapshot = ready
         if rays.mode != CLOSEST or count >= LARGE:
             hits = ray_batches.room_for(count, ndim, rays.mode)
         else:
