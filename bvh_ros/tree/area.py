@@ -73,14 +73,17 @@ def unit_scale(longest):
 
 
 @inlined
-def area_scale(nodes, a, b):
-    """`unit_scale` for the union of two nodes, if float64 products of its edges could leave the
-    doubles; else 1.
-    """
-    longest = longest_edge(nodes, a, b)
+def area_unit(longest):
+    """`unit_scale`, if float64 products of edges up to this could leave the doubles; else 1."""
     if SMALLEST_EDGE < longest < LARGEST_EDGE:
         return 1.0
     return unit_scale(longest)
+
+
+@inlined
+def area_scale(nodes, a, b):
+    """`area_unit` for the union of two nodes."""
+    return area_unit(longest_edge(nodes, a, b))
 
 
 @lean_kernel

@@ -20,7 +20,7 @@ from .build.building import refit_all
 from .build.rebuilding import build_anew, rebalance
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
-from .jit.intrinsics import stack_array
+from .jit.intrinsics import prefetch, stack_array
 from .nodes import (
     COUNT,
     INSERTED,
@@ -39,6 +39,7 @@ from .nodes import (
 )
 
 LARGEST = 1.7976931348623157e308
+_AHEAD = 32  # how far ahead free leaves are asked for: often they lie side by side
 LARGEST_FAT = 5.0  # margins and displacements by which a fat box may be larger than the exact one
 
 
@@ -123,6 +124,7 @@ def insert_rows(tree, change, policy, link, room):
     still[0] = still[1] = still[2] = 0.0
     for i in range(change.lo.shape[0]):
         leaf = take_leaf(nodes, state)
+        prefetch(nodes, leaf + _AHEAD, 1)
         write_leaf(nodes, tree.tight, leaf, change.lo[i], change.hi[i], policy.margin, still)
         nodes[leaf].mask = change.masks[i]
         tree.heights[leaf] = 0

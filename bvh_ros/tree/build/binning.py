@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Where to split a range of boxes: binned SAH (Wald 2007, "On fast Construction of SAH-based
-Bounding Volume Hierarchies"), down to sixteen boxes; for these, the best plane of all.
+Bounding Volume Hierarchies").
 
 A split is a guess about future queries and decides no answer, so it works on float32: eight floats
 an item,
@@ -18,27 +18,10 @@ import math
 import numpy as np
 
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x8 import (
-    NO_COST,
-    NUMBER,
-    add_to_bins,
-    rank_bins,
-    rank_planes8,
-    rank_planes16,
-    rank_subsets,
-)
-from ..jit.intrinsics import (
-    LANES,
-    clear8,
-    copy8,
-    largest8,
-    largest_difference8,
-    stack_array,
-    swap8,
-)
+from ..jit.float32x8 import NO_COST, NUMBER, add_to_bins, deal_item, join_sides, rank_bins
+from ..jit.intrinsics import LANES, clear8, largest8, largest_difference8, stack_array, swap8
 
-BINS = 16  # of an axis; as many boxes or fewer are divided at the centre of each instead
-FEW = 5  # boxes at most for which every division is tried
+BINS = 16  # of an axis
 
 AXES = 3
 NODE = 3  # place of the node number, as int32
@@ -48,8 +31,17 @@ SMALL_RANGE = np.float32(2.0**-10)  # of the unit: below, float32 would see too 
 COINCIDENT = np.float32(2.0**-20)  # of the range: centres this close cannot be told apart
 
 _ALL_BINS = AXES * BINS
-_BIN_FLOATS = AXES * BINS * LANES
-_SCALES = 12
+ALL_BINS = 2 * _ALL_BINS  # of both sides
+BIN_FLOATS = ALL_BINS * LANES
+
+# A plan says how a range is binned: of the range itself and of both sides of its split, on each
+# axis, the least of twice the centres, bins for a unit of these, and how wide a bin is; for each
+# four places.
+_SLOPE, _WIDTH, PART = 4, 8, 12
+_LIMIT = 8  # in the place of a width: the first bin on the right, see `deal_item`
+PLAN = 40  # floats
+NO_SPLIT = -1
+_SIDES = 2 * LANES
 
 
 @inlined
@@ -114,7 +106,7 @@ def median_split(items, start, stop, axis):
     return middle
 
 
-@inlined
+@lean_kernel
 def compute_bounds(items, start, stop, box, centers):
     """Union of the range's boxes and bounds of their centres (twice), both as [-lo, hi]."""
     clear8(box, 0)
@@ -125,15 +117,14 @@ def compute_bounds(items, start, stop, box, centers):
 
 
 @inlined
-def longest_edge(box, planar):
-    longest = max(box[0] + box[HI], box[1] + box[HI + 1])
-    return longest if planar else max(longest, box[2] + box[HI + 2])
+def longest_edge(box):
+    return max(max(box[0] + box[HI], box[1] + box[HI + 1]), box[2] + box[HI + 2])
 
 
 @lean_kernel
 def rescale_items(nodes, items, numbers, start, stop):
     """Write the range's items again from their nodes, in units in which their union fits into [-1,
-    1].
+    1]; returns half the longest edge of that.
     """
     ndim = nodes[0].lo.shape[0]
     lo, hi = stack_array(AXES, np.float64), stack_array(AXES, np.float64)
@@ -160,130 +151,114 @@ def rescale_items(nodes, items, numbers, start, stop):
             items[item * LANES + axis] = -low
             items[item * LANES + HI + axis] = high
         items[item * LANES + HI + AXES] = 0.0
+    return half
 
 
 @inlined
-def _bin_scales(centers, smallest, scales):
-    """How `add_to_bins` finds the bin of a centre; an axis on which the centres spread no more
-    than `smallest` has but one.
+def _plan_axis(plan, part, axis, low, high, smallest):
+    """Bins between these; one where that is no more than `smallest`."""
+    extent = high - low
+    spread = extent > smallest
+    plan[part + axis] = low
+    plan[part + _SLOPE + axis] = np.float32(BINS) / extent if spread else np.float32(0.0)
+    plan[part + _WIDTH + axis] = extent * np.float32(1.0 / BINS)
+
+
+@inlined
+def plan_range(plan, box, centers):
+    """How a range is binned, from its bounds."""
+    smallest = COINCIDENT * longest_edge(box)
+    for axis in range(AXES):
+        _plan_axis(plan, 0, axis, -centers[axis], centers[HI + axis], smallest)
+    plan[3] = plan[_SLOPE + 3] = np.float32(0.0)
+
+
+@inlined
+def _plan_side(plan, side, box, last):
+    """How a side of a split is binned: between the ends of the range, or the split, as far as the
+    side's box reaches. That is known before the side's centres are looked at.
     """
+    part, smallest = PART * (side + 1), COINCIDENT * longest_edge(box)
+    split = np.float32(last % BINS + 1)
     for axis in range(AXES):
-        extent = centers[axis] + centers[HI + axis]
-        scales[axis] = -centers[axis]
-        scales[4 + axis] = np.float32(BINS) / extent if extent > smallest else np.float32(0.0)
-        scales[8 + axis] = np.float32(BINS - 1)
-    scales[3] = scales[7] = scales[11] = np.float32(0.0)
+        origin, width, along = plan[axis], plan[_WIDTH + axis], axis == last // BINS
+        begin = split if along and side == 1 else np.float32(0.0)
+        stop = split if along and side == 0 else np.float32(BINS)
+        low = max(origin + begin * width, np.float32(-2.0) * box[axis])
+        high = min(origin + stop * width, np.float32(2.0) * box[HI + axis])
+        _plan_axis(plan, part, axis, low, high, smallest)
+    plan[part + 3] = plan[part + _SLOPE + 3] = np.float32(0.0)
 
 
 @inlined
-def _cheapest_bin(items, start, stop, scales, planar):
-    """The bin after which a split is cheapest; the bins of the three axes are numbered in turn."""
-    boxes, counts = stack_array(_BIN_FLOATS, np.float32), stack_array(_ALL_BINS, np.int32)
-    for b in range(_ALL_BINS):
-        counts[b] = 0
-        clear8(boxes, b * LANES)
+def clear_bins(bins):
+    for b in range(ALL_BINS):
+        clear8(bins, b * LANES)
+
+
+@inlined
+def fill_bins(bins, items, start, stop, plan):
+    """Bin a range as the first of two sides."""
+    clear_bins(bins)
     for item in range(start, stop):
-        add_to_bins(boxes, counts, items, item, scales)
-    rank = NO_COST
+        add_to_bins(bins, items, item, plan)
+
+
+@lean_kernel
+def choose_split(bins, side, plan, total, planar):
+    """Of a range that is binned as this side: the bin after which a split is cheapest, the bins of
+    the three axes numbered in turn, or NO_SPLIT; and a bit for each side, left and right, that may
+    be too small for its units. Plans the sides.
+    """
+    first, rank = side * _ALL_BINS, NO_COST
     for axis in range(AXES):
-        if scales[4 + axis] > 0.0:
-            rank = min(rank, rank_bins(boxes, counts, axis, stop - start, planar))
-    return np.int64(rank & NUMBER)
+        if plan[_SLOPE + axis] > 0.0:
+            rank = min(rank, rank_bins(bins, first, axis, total, planar))
+    if rank >= NO_COST:
+        return np.int64(NO_SPLIT), np.int64(3)
+    last, unions = np.int64(rank & NUMBER), stack_array(_SIDES, np.float32)
+    join_sides(bins, first + last // BINS * BINS, last % BINS, unions)
+    left, right = unions[:LANES], unions[LANES:]
+    _plan_side(plan, 0, left, last)
+    _plan_side(plan, 1, right, last)
+    small = np.int64(longest_edge(right) < SMALL_RANGE) << 1
+    return last, small | np.int64(longest_edge(left) < SMALL_RANGE)
 
 
 @inlined
-def _choose_few(items, start, count, planar):
-    """A bit for each of at most sixteen boxes that the cheapest split has on the left."""
-    if count <= FEW:
-        return np.int64(rank_subsets(items, start, count, planar) & NUMBER)
-    planes = stack_array(_ALL_BINS, np.float32)  # through every centre
-    for i in range(_ALL_BINS):
-        planes[i] = np.float32(np.inf)
-    for i in range(count):
-        for axis in range(AXES):
-            planes[axis * BINS + i] = _center(items, start + i, axis)
-    rank = NO_COST
-    for axis in range(2 if planar else 3):
-        if count <= LANES:
-            rank = min(rank, rank_planes8(items, start, count, planes, axis, planar))
-        else:
-            rank = min(rank, rank_planes16(items, start, count, planes, axis, planar))
-    best = np.int64(rank & NUMBER)
-    along, plane, chosen = best // BINS, planes[best], np.int64(0)
-    for i in range(count):
-        chosen |= np.int64(_center(items, start + i, along) <= plane) << i
-    return chosen
+def divide(items, start, stop, shift, plan, last, binned, bins):
+    """Copy every item once, to `shift` places further: those up to the bin `last` from the front
+    on, the others from the back; and if `binned` add both sides to `bins`. Returns where the
+    right ones begin.
 
-
-# A partition copies every item once into the other half of the array: items of the left child from
-# its front on, items of the right child from its back. It has no branch: the processor would guess
-# that wrong half the time, which costs more than all the rest of a split.
-
-
-@inlined
-def _divide_few(items, start, stop, shift, chosen):
-    """Copy the items to `shift` places further; returns where the right ones begin."""
+    No branch: the processor would guess that wrong half the time, which costs more than all the
+    rest of a split.
+    """
+    test, along = stack_array(PART, np.float32), last // BINS
+    for axis in range(4):
+        test[axis] = test[_SLOPE + axis] = np.float32(0.0)
+        test[_LIMIT + axis] = np.float32(-1.0)
+    test[along], test[_SLOPE + along] = plan[along], plan[_SLOPE + along]
+    test[_LIMIT + along] = np.float32(last % BINS + 1)
     left, right = np.int64(start + shift), np.int64(stop + shift - 1)
+    scales = plan[PART:]
     for item in range(start, stop):
-        before = (chosen >> (item - start)) & 1
-        copy8(items, (left if before else right) * LANES, items, item * LANES)
+        before = deal_item(items, item, left, right, test, along, binned, bins, scales)
         left += before
         right -= 1 - before
     return left
 
 
-@inlined
-def _divide(items, start, stop, shift, scales, last):
-    """As `_divide_few`, left the items up to the bin `last`."""
-    axis, limit = last // BINS, np.float32(last % BINS + 1)
-    origin, per_length = scales[axis], scales[4 + axis]
-    left, right = np.int64(start + shift), np.int64(stop + shift - 1)
-    for item in range(start, stop):
-        before = np.int64((_center(items, item, axis) - origin) * per_length < limit)
-        copy8(items, (left if before else right) * LANES, items, item * LANES)
-        left += before
-        right -= 1 - before
-    return left
-
-
-@inlined
-def _halving_axis(centers, smallest):
-    """The axis on which the centres spread most; AXES if that is no more than `smallest`."""
-    widest, spread = AXES, smallest
+@lean_kernel
+def halve(items, start, stop):
+    """Divide at the median of the axis on which the centres spread most, or of the size if that is
+    hardly anything; returns where the right ones begin.
+    """
+    box, centers = stack_array(LANES, np.float32), stack_array(LANES, np.float32)
+    compute_bounds(items, start, stop, box, centers)
+    widest, spread = AXES, COINCIDENT * longest_edge(box)
     for axis in range(AXES):
         extent = centers[axis] + centers[HI + axis]
         if extent > spread:
             widest, spread = axis, extent
-    return widest
-
-
-@lean_kernel
-def binned_sah_split(nodes, items, numbers, start, stop, levels):
-    """Divide items[start:stop] into two sides, each no more than fits below `levels` levels;
-    return where the range begins now, which may be in the other half of `items`, and its second
-    side.
-    """
-    count = stop - start
-    if count == 2:
-        return start, start + 1
-    planar = nodes[0].lo.shape[0] == 2
-    box, centers = stack_array(LANES, np.float32), stack_array(LANES, np.float32)
-    compute_bounds(items, start, stop, box, centers)
-    if longest_edge(box, planar) < SMALL_RANGE:
-        rescale_items(nodes, items, numbers, start, stop)
-        compute_bounds(items, start, stop, box, centers)
-    smallest = COINCIDENT * longest_edge(box, planar)
-    room = items.shape[0] // (2 * LANES)
-    shift = room if start < room else -room
-    if count <= BINS:
-        chosen = _choose_few(items, start, count, planar)
-        middle = _divide_few(items, start, stop, shift, chosen)
-    else:
-        scales = stack_array(_SCALES, np.float32)
-        _bin_scales(centers, smallest, scales)
-        last = _cheapest_bin(items, start, stop, scales, planar)
-        middle = _divide(items, start, stop, shift, scales, last)
-    start, stop = start + shift, stop + shift
-    if start < middle < stop and max(middle - start, stop - middle) <= 1 << min(levels - 1, 62):
-        return start, middle
-    return start, median_split(items, start, stop, _halving_axis(centers, smallest))
+    return median_split(items, start, stop, widest)

@@ -4,7 +4,10 @@
 
 Every split uses up one level. Where the cheapest split would leave a side more boxes than the
 levels that remain can hold, the range is halved at its median instead: a bound on height is a
-bound on the stacks and on the worst query, whatever the scene.
+bound on the stacks and on the worst query, whatever the scene. From eight boxes on a subtree is
+joined pair by pair.
+
+While a range is divided its sides are binned: each item is read once a level.
 """
 
 from typing import NamedTuple
@@ -12,41 +15,40 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..area import area_unit, half_area, node_area
+from ..jit.closest_pairs import pair_up
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import LANES, prefetch, stack_array
-from ..nodes import DEEPEST, FREE_INNER, NONE, is_leaf, next_node, refit_node, take_inner
-from .binning import NODE, binned_sah_split, rescale_items
+from ..jit.intrinsics import LANES, copy8, prefetch, stack_array
+from ..nodes import DEEPEST, NONE, aligned_empty, is_leaf, next_node, refit_node, take_inner
+from .binning import (
+    BIN_FLOATS,
+    NO_SPLIT,
+    NODE,
+    PART,
+    PLAN,
+    SMALL_RANGE,
+    choose_split,
+    clear_bins,
+    compute_bounds,
+    divide,
+    fill_bins,
+    halve,
+    longest_edge,
+    plan_range,
+    rescale_items,
+)
 
+FEW = LANES  # boxes at most that are joined pair by pair
 TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
-_RANGES = 4 * DEEPEST
 NEAR = 64  # leaves of a subtree that is finished while its nodes are in the near caches
+_AHEAD = 32  # how far ahead free nodes are asked for: often they lie side by side
 
-
-@lean_kernel
-def _attach(nodes, parent, node):
-    """Hang a node below its parent, on the left first."""
-    nodes[node].parent = parent
-    if parent != NONE:
-        if nodes[parent].left == NONE:
-            nodes[parent].left = node
-        else:
-            nodes[parent].right = node
-
-
-@inlined
-def _push(ranges, top, start, stop, levels, parent):
-    """Put a range on the stack; returns its new top."""
-    place = 4 * top
-    ranges[place], ranges[place + 1] = start, stop
-    ranges[place + 2], ranges[place + 3] = levels, parent
-    return top + 1
-
-
-@inlined
-def _adopt_back(nodes, heights, made, first, stop):
-    """Adopt the nodes made[first:stop], made before their children, from the last one on."""
-    for i in range(stop - 1, first - 1, -1):
-        refit_node(nodes, heights, np.int64(made[i]))
+# A range of items on the stack: the levels it may use; 2 * its parent, + 1 if it is the right
+# child; its split, if it is planned; a bit for each of its sides that may be too small for its
+# units, or if it is not planned, for itself.
+START, STOP, LEVELS, PLACE, LAST, SMALL, _PLACES = range(7)
+_RANGES = DEEPEST + 2
+_RANGE_PLACES, _PLAN_PLACES = _PLACES * _RANGES, PLAN * _RANGES
 
 
 class Room(NamedTuple):
@@ -60,57 +62,203 @@ class Room(NamedTuple):
     """An inner node a leaf."""
 
 
+class Work(NamedTuple):
+    """What a build has on the stack."""
+
+    bins: NDArray[np.float32]
+    """Of both sides of a split."""
+    plan: NDArray[np.float32]
+    """Of the range that is split."""
+    ranges: NDArray[np.int64]
+    """Those to come."""
+    plans: NDArray[np.float32]
+    """A plan for each of them."""
+
+
 def room_to_build(count: int) -> Room:
     """Memory to build a tree of so many boxes, or any part of it.
 
     It is made before anything changes: within a change nothing may be short of memory.
     """
     places = 2 * LANES * (count + TREELET)
-    room = np.empty(places + count, np.int32)
+    room = aligned_empty(places + count, np.dtype(np.int32))
     return Room(room[:places].view(np.float32), room[:places], room[places:])
+
+
+@inlined
+def _attach(nodes, place, node):
+    """Hang a node at its place."""
+    parent = place >> 1
+    nodes[node].parent = parent
+    if parent != NONE:
+        left, right = nodes[parent].left, nodes[parent].right
+        # No branch: it would be guessed wrong half the time.
+        nodes[parent].left = node if place & 1 == 0 else left
+        nodes[parent].right = right if place & 1 == 0 else node
+
+
+@inlined
+def _adopt(nodes, heights, node, left, right, scale):
+    """Make a node the parent of two; returns its area."""
+    here, a, b = nodes[node], nodes[left], nodes[right]
+    here.left, here.right, here.mask = left, right, a.mask | b.mask
+    a.parent = b.parent = node
+    heights[node] = 1 + max(heights[left], heights[right])
+    for axis in range(here.lo.shape[0]):
+        here.lo[axis] = min(a.lo[axis], b.lo[axis])
+        here.hi[axis] = max(a.hi[axis], b.hi[axis])
+    return half_area(here.lo, here.hi, scale)
+
+
+@inlined
+def _adopt_back(nodes, heights, made, first, stop, scale):
+    """Adopt the children of the nodes made[first:stop], made before these, from the last one on;
+    returns the sum of their areas.
+    """
+    total = 0.0
+    for i in range(stop - 1, first - 1, -1):
+        node = np.int64(made[i])
+        left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
+        total += _adopt(nodes, heights, node, left, right, scale)
+    return total
+
+
+@lean_kernel
+def _join_few(nodes, heights, state, room, here, scale):
+    """Join a range of at most FEW items pair by pair; returns the root, and the sum of the areas
+    of all inner nodes.
+    """
+    start, count = here[START], here[STOP] - here[START]
+    names, fresh = stack_array(FEW, np.int64), stack_array(FEW, np.int64)
+    pairs, total = stack_array(FEW, np.int32), 0.0
+    for i in range(count):
+        names[i] = room.numbers[(start + i) * LANES + NODE]
+    node = names[0]
+    if count == 2:
+        pairs[0] = 1 << 3
+    elif count > 2:
+        if here[SMALL] != 0:
+            rescale_items(nodes, room.items, room.numbers, start, start + count)
+        pair_up(room.items, start, count, nodes[0].lo.shape[0] == 2, pairs)
+    for i in range(count - 2, -1, -1):
+        fresh[i] = take_inner(nodes, state)  # parents before children
+        prefetch(nodes, fresh[i] + _AHEAD, 1)
+    for i in range(count - 1):
+        node, older, younger = fresh[i], pairs[i] & 7, pairs[i] >> 3
+        total += _adopt(nodes, heights, node, names[older], names[younger], scale)
+        names[older] = node
+    return node, total
+
+
+@inlined
+def _push(ranges, top, start, stop, levels, place, last, small):
+    """Put a range on the stack; returns its new top."""
+    here = ranges[_PLACES * top : _PLACES * (top + 1)]
+    here[START], here[STOP], here[LEVELS], here[PLACE] = start, stop, levels, place
+    here[LAST], here[SMALL] = last, small
+    return top + 1
+
+
+@inlined
+def _plan(nodes, room, start, stop, work):
+    """As `choose_split` of a range of which nothing is known."""
+    box, centers = stack_array(LANES, np.float32), stack_array(LANES, np.float32)
+    compute_bounds(room.items, start, stop, box, centers)
+    if longest_edge(box) < SMALL_RANGE:
+        rescale_items(nodes, room.items, room.numbers, start, stop)
+        compute_bounds(room.items, start, stop, box, centers)
+    plan_range(work.plan, box, centers)
+    fill_bins(work.bins, room.items, start, stop, work.plan)
+    return choose_split(work.bins, 0, work.plan, stop - start, nodes[0].lo.shape[0] == 2)
+
+
+@inlined
+def _plan_side(work, side, top, size, planar):
+    """As `choose_split` of a side that was binned; its plan goes to that of the range `top`."""
+    own, part = work.plans[PLAN * top : PLAN * (top + 1)], PART * (side + 1)
+    for i in range(PART):
+        own[i] = work.plan[part + i]
+    return choose_split(work.bins, side, own, size, planar)
+
+
+@lean_kernel
+def _split(nodes, room, work, top, node):
+    """Let two sides take the place of range `top`, whose node is `node`."""
+    here, planar = work.ranges[_PLACES * top : _PLACES * (top + 1)], nodes[0].lo.shape[0] == 2
+    start, stop, levels = here[START], here[STOP], here[LEVELS] - 1
+    last, small, size = here[LAST], here[SMALL], stop - start
+    for i in range(0, PLAN, LANES):
+        copy8(work.plan, i, work.plans, PLAN * top + i)
+    if last == NO_SPLIT and size > FEW:
+        last, small = _plan(nodes, room, start, stop, work)
+    middle, binned = start, size > 2 * FEW  # else hardly ever a side has more than FEW
+    if last != NO_SPLIT:
+        half = room.items.shape[0] // (2 * LANES)
+        shift = half if start < half else -half
+        if binned:
+            clear_bins(work.bins)
+        middle = divide(room.items, start, stop, shift, work.plan, last, binned, work.bins)
+        start, stop = start + shift, stop + shift
+    most = max(middle - start, stop - middle)
+    if most == size or most > np.int64(1) << min(levels, 62):
+        middle, binned, small = halve(room.items, start, stop), False, 3
+    last, below = np.int64(NO_SPLIT), small >> 1
+    if binned and below == 0 and stop - middle > FEW:
+        last, below = _plan_side(work, 1, top, stop - middle, planar)
+    _push(work.ranges, top, middle, stop, levels, 2 * node + 1, last, below)
+    last, below = np.int64(NO_SPLIT), small & 1
+    if binned and below == 0 and middle - start > FEW:
+        last, below = _plan_side(work, 0, top + 1, middle - start, planar)
+    _push(work.ranges, top + 1, start, middle, levels, 2 * node, last, below)
 
 
 @lean_kernel
 def build(nodes, heights, state, room, count, levels):
     """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
-    nodes; return its root.
+    nodes; return its root, and its cost as of `tree_cost`.
 
     `room` is from `room_to_build`: `count` of its items are reordered, and there is room for as
     many.
     """
-    items, numbers, made = room.items, room.numbers, room.made
-    if count == 1:
-        return np.int64(numbers[NODE])
-    rescale_items(nodes, items, numbers, 0, count)
-    made_count = 0
-    ranges = stack_array(_RANGES, np.int64)  # start, stop, levels allowed, parent
-    top = _push(ranges, 0, 0, count, levels, NONE)
-    root = state[FREE_INNER]  # the first that is taken
+    work = Work(
+        stack_array(BIN_FLOATS, np.float32),
+        stack_array(PLAN, np.float32),
+        stack_array(_RANGE_PLACES, np.int64),
+        stack_array(_PLAN_PLACES, np.float32),
+    )
+    scale = area_unit(2.0 * rescale_items(nodes, room.items, room.numbers, 0, count))
+    made, made_count = room.made, 0
+    root, total, top = (
+        np.int64(NONE),
+        0.0,
+        _push(work.ranges, 0, 0, count, levels, -1, NO_SPLIT, 0),
+    )
     near, near_made = -1, 0  # where the stack ends below the treelet, and what was made before it
     while top > 0:
         top -= 1
-        start, stop = ranges[4 * top], ranges[4 * top + 1]
-        allowed, parent = ranges[4 * top + 2], ranges[4 * top + 3]
-        if near < 0 and stop - start <= NEAR:
+        here = work.ranges[_PLACES * top : _PLACES * (top + 1)]
+        size, place = here[STOP] - here[START], here[PLACE]
+        if near < 0 and size <= NEAR:
             near, near_made = top, made_count
-            for item in range(start, stop):
-                prefetch(nodes, numbers[item * LANES + NODE], 1)
-        if stop - start == 1:
-            _attach(nodes, parent, np.int64(numbers[start * LANES + NODE]))
+            for item in range(here[START], here[STOP]):
+                prefetch(nodes, room.numbers[item * LANES + NODE], 1)
+        if size <= min(FEW, here[LEVELS] + 1):
+            node, area = _join_few(nodes, heights, state, room, here, scale)
+            total += area
         else:
             node = take_inner(nodes, state)
-            nodes[node].left = NONE
-            _attach(nodes, parent, node)
             made[made_count] = node
             made_count += 1
-            begin, middle = binned_sah_split(nodes, items, numbers, start, stop, allowed)
-            top = _push(ranges, top, middle, begin + stop - start, allowed - 1, node)
-            top = _push(ranges, top, begin, middle, allowed - 1, node)
+            _split(nodes, room, work, top, node)
+            top += 2
+        _attach(nodes, place, node)
+        root = node if place < 0 else root
         if top == near:
-            _adopt_back(nodes, heights, made, near_made, made_count)
+            total += _adopt_back(nodes, heights, made, near_made, made_count, scale)
             near, made_count = -1, near_made
-    _adopt_back(nodes, heights, made, 0, made_count)
-    return root
+    total += _adopt_back(nodes, heights, made, 0, made_count, scale)
+    around = node_area(nodes, root, scale)
+    return root, total / around if around > 0.0 else count - 1.0
 
 
 @lean_kernel

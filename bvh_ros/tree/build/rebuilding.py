@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from ..area import tree_cost
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import LANES, stack_array
 from ..nodes import (
@@ -61,7 +60,7 @@ def rebuild_subtree(nodes, heights, state, root, room, count, levels):
     on_left = parent != NONE and nodes[parent].left == root
     is_root = state[ROOT] == root
     free_inner_nodes(nodes, state, root, 1, numbers)
-    fresh = build(nodes, heights, state, room, count, levels)
+    fresh, _ = build(nodes, heights, state, room, count, levels)
     nodes[fresh].parent = parent
     if is_root:
         state[ROOT] = fresh
@@ -123,11 +122,11 @@ def rebalance(nodes, heights, state, room):
 
 @lean_kernel
 def build_all(nodes, heights, handles, state, room):
-    """Build the whole tree again over every live slot."""
+    """Build the whole tree again over every live slot; returns its cost."""
     count, placed = state[COUNT], 0
     if count == 0:
         state[ROOT] = NONE
-        return
+        return 0.0
     numbers = room.numbers
     if state[ROOT] != NONE:
         free_inner_nodes(nodes, state, state[ROOT], 1, numbers)
@@ -136,16 +135,15 @@ def build_all(nodes, heights, handles, state, room):
             numbers[placed * LANES + NODE] = 2 * slot
             placed += 1
     levels = build_levels(count)
-    state[ROOT] = build(nodes, heights, state, room, count, levels)
+    state[ROOT], cost = build(nodes, heights, state, room, count, levels)
     nodes[state[ROOT]].parent = NONE
+    return cost
 
 
 @lean_kernel
 def build_anew(nodes, heights, handles, state, room):
     """Build the whole tree again, and book its cost."""
-    build_all(nodes, heights, handles, state, room)
-    rebalance(nodes, heights, state, room)
-    cost = tree_cost(nodes, state[ROOT]) if state[ROOT] != NONE else 0.0
+    cost = build_all(nodes, heights, handles, state, room)
     state[REFITS], state[BUILT_COUNT] = 0, state[COUNT]
     state.view(np.float64)[BUILT_COST] = cost
     state[REBUILDS] += 1
@@ -175,6 +173,6 @@ def optimize(nodes, heights, state, room):
             root = rebuild_subtree(nodes, heights, state, root, room_below, leaves, levels)
         numbers[i * LANES + NODE] = root
     levels = build_levels(treelets)
-    root = build(nodes, heights, state, room, treelets, levels)
+    root, _ = build(nodes, heights, state, room, treelets, levels)
     nodes[root].parent = NONE
     state[ROOT] = root

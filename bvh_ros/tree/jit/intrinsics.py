@@ -31,11 +31,11 @@ def stack_array(typingctx, shape, dtype):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         item = context.get_data_type(kind.dtype)
-        room = _on_stack(builder, ir.ArrayType(item, math.prod(lengths)))
-        if isinstance(kind.dtype, types.Record):
+        room = on_stack(builder, ir.ArrayType(item, math.prod(lengths)))
+        size = context.get_abi_sizeof(item)
+        if size * math.prod(lengths) >= CACHE_LINE:
             room.align = CACHE_LINE
         array = context.make_array(kind)(context, builder)
-        size = context.get_abi_sizeof(item)
         steps = [size * math.prod(lengths[axis + 1 :]) for axis in range(len(lengths))]
         data = builder.bitcast(room, item.as_pointer())
         context.populate_array(
@@ -56,7 +56,7 @@ def index(value: int) -> Any:
     return ir.Constant(_LONG, value)
 
 
-def _on_stack(builder: Any, kind: Any) -> Any:
+def on_stack(builder: Any, kind: Any) -> Any:
     """Room that is made once a call, wherever it is asked for."""
     with builder.goto_entry_block():
         return builder.alloca(kind)
@@ -64,7 +64,7 @@ def _on_stack(builder: Any, kind: Any) -> Any:
 
 def variable(builder: Any, value: Any) -> Any:
     """Pointer to a value on the stack."""
-    place = _on_stack(builder, value.type)
+    place = on_stack(builder, value.type)
     builder.store(value, place)
     return place
 

@@ -8,31 +8,41 @@ import numba
 import numpy as np
 import pytest
 
+from bvh_ros.tree.jit import closest_pairs
 from bvh_ros.tree.jit import float32x8 as split_vectors
 
 BINS = 16
 
 
 @numba.njit
-def subsets(items, start, count, planar):
-    return split_vectors.rank_subsets(items, start, count, planar)
+def paired(items, start, count, planar, pairs):
+    closest_pairs.pair_up(items, start, count, planar, pairs)
 
 
 @numba.njit
-def planes8(items, start, count, planes, axis, planar):
-    return split_vectors.rank_planes8(items, start, count, planes, axis, planar)
-
-
-@numba.njit
-def planes16(items, start, count, planes, axis, planar):
-    return split_vectors.rank_planes16(items, start, count, planes, axis, planar)
-
-
-@numba.njit
-def bins_of(boxes, counts, items, scales, axis, planar):
+def bins_of(bins, items, scales, first, axis, planar):
     for item in range(items.shape[0] // 8):
-        split_vectors.add_to_bins(boxes, counts, items, item, scales)
-    return split_vectors.rank_bins(boxes, counts, axis, items.shape[0] // 8, planar)
+        split_vectors.add_to_bins(bins[8 * first :], items, item, scales)
+    return split_vectors.rank_bins(bins, first, axis, items.shape[0] // 8, planar)
+
+
+@numba.njit
+def dealt(items, test, axis, binned, bins, scales):
+    """The second half of the items to both ends of the first; where the right ones begin."""
+    count = items.shape[0] // 16
+    left, right = 0, count - 1
+    for item in range(count, 2 * count):
+        before = split_vectors.deal_item(
+            items, item, left, right, test, axis, binned, bins, scales
+        )
+        left += before
+        right -= 1 - before
+    return left
+
+
+@numba.njit
+def sides(bins, first, last, unions):
+    split_vectors.join_sides(bins, first, last, unions)
 
 
 def some_items(rng: np.random.Generator, count: int, planar: bool) -> np.ndarray:
@@ -51,15 +61,17 @@ def some_items(rng: np.random.Generator, count: int, planar: bool) -> np.ndarray
     return items
 
 
+def area(items: np.ndarray, planar: bool) -> float:
+    """Of the union, half of it."""
+    x, y, z = (items[:, :3].max(axis=0) + items[:, 4:7].max(axis=0)).astype(float)
+    return x + y if planar else x * y + y * z + z * x
+
+
 def cost(items: np.ndarray, left: np.ndarray, planar: bool) -> float:
     """Area times boxes of both sides; inf if one is empty."""
     if left.all() or not left.any():
         return np.inf
-    total = 0.0
-    for side in (items[left], items[~left]):
-        x, y, z = (side[:, :3].max(axis=0) + side[:, 4:7].max(axis=0)).astype(float)
-        total += len(side) * (x + y if planar else x * y + y * z + z * x)
-    return total
+    return sum(len(side) * area(side, planar) for side in (items[left], items[~left]))
 
 
 def check(rank: int, costs: Sequence[float], place: int) -> None:
@@ -72,31 +84,65 @@ def check(rank: int, costs: Sequence[float], place: int) -> None:
         assert costs[place] <= least * (1 + 2.0**-16)
 
 
+def union(boxes: np.ndarray) -> np.ndarray:
+    return boxes[:, [0, 1, 2, 4, 5, 6]].max(axis=0)
+
+
 @pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('count', [3, 4, 5])
-def test_subsets(count: int, planar: bool) -> None:
+@pytest.mark.parametrize('count', [2, 3, 4, 5, 6, 7, 8])
+def test_pairs(count: int, planar: bool) -> None:
+    """Each time one of the closest pairs of what is left, and every box once."""
     rng = np.random.default_rng(count)
     for _ in range(200):
-        items = some_items(rng, count + 2, planar)  # the first and the last are not asked about
-        rank = int(subsets(items.ravel(), 1, count, planar))
-        sides = [np.array([s >> i & 1 for i in range(count)], bool) for s in range(2**count)]
-        costs = [cost(items[1:-1], side, planar) for side in sides]
-        check(rank, costs, rank & int(split_vectors.NUMBER))
+        items = some_items(rng, 10, planar)  # the first is not asked about, nor the last ones
+        clusters = {i: [i] for i in range(count)}
+        boxes, pairs = items[1 : 1 + count].copy(), np.full(8, -1, np.int32)
+        paired(items.ravel(), 1, count, planar, pairs)
+        for pair in pairs[: count - 1].tolist():
+            older, younger = pair % 8, pair // 8
+            costs = {
+                (a, b): area(boxes[clusters[a] + clusters[b]], planar)
+                for a in clusters
+                for b in clusters
+                if a != b
+            }
+            assert costs[older, younger] <= min(costs.values()) * (1 + 2.0**-13)
+            clusters[older] += clusters.pop(younger)
+        assert [sorted(one) for one in clusters.values()] == [list(range(count))]
+        assert (pairs[count - 1 :] == -1).all()
 
 
-@pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('count', [1, 2, 6, 8, 11, 16])
-def test_planes(count: int, planar: bool) -> None:
-    rng = np.random.default_rng(count)
-    search = planes8 if count <= 8 else planes16
-    for axis in [0, 1, 2][: 2 if planar else 3] * 50:
-        items = some_items(rng, count + 2, planar)
-        centers = (items[:, 4:7] - items[:, :3])[1:-1]
-        planes = np.full((3, BINS), np.inf, np.float32)
-        planes[:, :count] = centers.T
-        rank = int(search(items.ravel(), 1, count, planes.ravel(), axis, planar))
-        costs = [cost(items[1:-1], centers[:, axis] <= plane, planar) for plane in planes[axis]]
-        check(rank, costs, (rank & int(split_vectors.NUMBER)) - BINS * axis)
+def test_pairs_of_equal_boxes_make_no_list() -> None:
+    """Those that were joined first come first."""
+    items, pairs = np.ones((8, 8), np.float32), np.empty(7, np.int32)
+    paired(items.ravel(), 0, 8, False, pairs)
+    depth = [0] * 8
+    for pair in pairs.tolist():
+        depth[pair % 8] = max(depth[pair % 8], depth[pair // 8]) + 1
+    assert depth[pairs[-1] % 8] == 3
+
+
+def some_scales(items: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How items are binned, as `add_to_bins` takes it, and their bins, (n, 3)."""
+    centers = items[:, 4:7] - items[:, :3]
+    scales = np.zeros((3, 4), np.float32)
+    scales[0, :3] = centers.min(axis=0)
+    extent = np.ptp(centers, axis=0)
+    np.divide(BINS, extent, out=scales[1, :3], where=extent > 0)
+    return scales, np.minimum((centers - scales[0, :3]) * scales[1, :3], BINS - 1).astype(int)
+
+
+def check_bins(bins: np.ndarray, items: np.ndarray, place: np.ndarray) -> None:
+    """The bins of three axes, (48, 8), hold the unions of what is in them and how many that is."""
+    for axis in range(3):
+        for b in range(BINS):
+            here = place[:, axis] == b
+            found = bins[axis * BINS + b]
+            if here.any():
+                assert found[7] == here.sum()
+                assert np.array_equal(union(found[None]), union(items[here]))
+            else:
+                assert (found == -np.inf).all()
 
 
 @pytest.mark.parametrize('planar', [False, True])
@@ -105,18 +151,44 @@ def test_bins(count: int, planar: bool) -> None:
     rng = np.random.default_rng(count)
     for axis in [0, 1, 2][: 2 if planar else 3] * 20:
         items = some_items(rng, count, planar)
-        centers = items[:, 4:7] - items[:, :3]
-        scales = np.zeros((3, 4), np.float32)
-        scales[0, :3] = centers.min(axis=0)
-        extent = np.ptp(centers, axis=0)
-        np.divide(BINS, extent, out=scales[1, :3], where=extent > 0)
-        scales[2, :3] = BINS - 1
-        boxes = np.full(3 * BINS * 8, -np.inf, np.float32)
-        counts = np.zeros(3 * BINS, np.int32)
-        rank = int(bins_of(boxes, counts, items.ravel(), scales.ravel(), axis, planar))
-        place = np.minimum((centers - scales[0, :3]) * scales[1, :3], BINS - 1).astype(int)
-        assert counts.tolist() == [
-            int((place[:, a] == b).sum()) for a in range(3) for b in range(BINS)
-        ]
+        scales, place = some_scales(items)
+        first = int(rng.integers(0, 2)) * 3 * BINS
+        bins = np.full((6 * BINS, 8), -np.inf, np.float32)
+        rank = int(bins_of(bins.ravel(), items.ravel(), scales.ravel(), first, axis, planar))
+        check_bins(bins[first : first + 3 * BINS], items, place)
         costs = [cost(items, place[:, axis] <= b, planar) for b in range(BINS)]
         check(rank, costs, (rank & int(split_vectors.NUMBER)) - BINS * axis)
+        for last in range(BINS - 1):
+            unions = np.empty((2, 8), np.float32)
+            sides(bins.ravel(), first + axis * BINS, last, unions.ravel())
+            left = place[:, axis] <= last
+            for found, there in zip(unions, (left, ~left), strict=True):
+                if there.any():
+                    assert np.array_equal(union(found[None]), union(items[there]))
+
+
+@pytest.mark.parametrize('binned', [False, True])
+@pytest.mark.parametrize('count', [1, 3, 20, 300])
+def test_dealing(count: int, binned: bool) -> None:
+    """Each item goes to its side, and to the bins of that."""
+    rng = np.random.default_rng(count)
+    for axis in [0, 1, 2] * 20:
+        items = some_items(rng, count, False)
+        scales, place = some_scales(items)
+        limit = int(rng.integers(1, BINS))
+        test = np.stack([np.zeros(4), np.zeros(4), np.full(4, -1.0)]).astype(np.float32)
+        test[:, axis] = scales[0, axis], scales[1, axis], limit
+        left = place[:, axis] < limit
+        parts = [some_scales(items[one] if one.any() else items) for one in (left, ~left)]
+        both = np.concatenate([np.zeros_like(items), items])
+        bins = np.full((6 * BINS, 8), -np.inf, np.float32)
+        own = np.concatenate([part[0].ravel() for part in parts])
+        middle = dealt(both.ravel(), test.ravel(), axis, binned, bins.ravel(), own)
+        assert middle == left.sum()
+        there = np.concatenate([items[left], items[~left][::-1]])
+        assert np.array_equal(both[:count].view(np.int32), there.view(np.int32))
+        for side, one in enumerate((left, ~left)):
+            if binned and one.any():
+                check_bins(bins[48 * side : 48 * side + 48], items[one], parts[side][1])
+            else:
+                assert (bins[48 * side : 48 * side + 48] == -np.inf).all()
