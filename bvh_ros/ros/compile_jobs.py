@@ -34,7 +34,7 @@ from bvh_ros.scene.store.names import as_families
 from bvh_ros.scene.store.registry import Registry
 from bvh_ros.tree.store.storage import inherit_entry
 
-FEW = 256  # rays that go through the snapshot one by one, where there is one
+FEW = 128  # rays that go through the snapshot one by one, where there is one
 
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ..tree import checks
-from ..tree.rays.ray_batches import FEW_RAYS, are_few
 from ..tree.rays.raycasting import CLOSEST
 from ..tree.rays.raycasting import Rays as ThinRays
 from .casting import box_casting, casting, sweeping, wide_rays
@@ -56,11 +55,11 @@ class RayBatches:
         goals of the ways.
         """
         held = self._held
-        if held.planar or held.columns.shaped or len(rays[0]) > FEW_RAYS:
+        if held.planar or held.columns.shaped:
             return None
         # As Rays(...), which would take one more call of a function of Python's.
         asked = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
-        if not are_few(asked):
+        if not held.tree.few_rays(asked):
             return None
         return box_casting.few_first(held.tree, held.columns.node_handle, asked, to_goals)
 

@@ -4,6 +4,7 @@
 sentence why not.
 """
 
+import functools
 import math
 import os
 from typing import Any
@@ -243,12 +244,14 @@ def limit(name: str, value: Any) -> float:
     return number
 
 
+@functools.lru_cache(64)
+def only(number: float) -> Floats:
+    """An array of one number, to be read only; of the same numbers the same."""
+    return np.array([number])
+
+
 def limits(name: str, value: Any, count: int) -> Floats:
     """A distance >= 0 a row, from one for all or an array of shape (count,); inf is allowed."""
-    if type(value) is float:
-        same = np.empty(count)
-        same.fill(limit(name, value))
-        return same
     array = unless_refused(name, value, (count,))
     if array.ndim == 0:
         return np.full(count, limit(name, array[()]))
@@ -263,7 +266,7 @@ def limits(name: str, value: Any, count: int) -> Floats:
 def limits_or_one(name: str, value: Any, count: int) -> Floats:
     """A distance >= 0 a row, or an array of one for all."""
     if type(value) is float:
-        return FOREVER if value == math.inf else limits(name, value, 1)
+        return FOREVER if value == math.inf else only(limit(name, value))
     return limits(name, value, 1 if np.isscalar(value) else count)
 
 

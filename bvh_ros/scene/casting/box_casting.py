@@ -23,7 +23,6 @@ from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import empty_tree, slot_of
 from ...tree.rays import ray_batches, ray_hits, raycasting
-from ...tree.rays.ray_batches import FEW_RAYS
 from ...tree.rays.ray_hits import NO_HITS, locate
 from ...tree.rays.slab import INSIDE
 from ...tree.results import RayHits
@@ -34,6 +33,8 @@ from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
 from .arguments import WHOLE_WAY, Rays, fill_ways, ways_entry
 
+AT_ONCE = 1024  # rays whose hits lie on the stack of a kernel
+_NO_IDS = np.empty(0, np.int64)
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
 
@@ -134,13 +135,14 @@ def few_first(
     ts, points = np.empty(count), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     columns = np.empty(count, UINT32), ts, points, np.empty((count, 3))
-    told, done = tuple.__new__(CastHits, columns), REFUSED
-    ready = tree.ready_snapshot()
+    told = tuple.__new__(CastHits, columns)
+    ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
+    ready, done = tree.ready_snapshot(), REFUSED
     if ready is not None:
-        arrays, snapshot = ready
-        done = few_entry()(arrays, ANY_VERSION, snapshot, rays, to_goals, node_handles, told)
+        given = rays, to_goals, node_handles, ids, told
+        done = few_entry()(ready[0], ANY_VERSION, ready[1], *given)
     if done == REFUSED:
-        done = _few_slowly(tree, node_handles, rays, to_goals, told)
+        done = _few_slowly(tree, node_handles, rays, to_goals, ids, told)
     if done == NOT_FINITE:
         return None
     accepted(done)
@@ -152,6 +154,7 @@ def _few_slowly(
     node_handles: NDArray[np.int64],
     rays: raycasting.Rays,
     to_goals: bool,
+    ids: NDArray[np.int64],
     told: CastHits,
 ) -> int:
     """Fill in `few_first` where the snapshot is to be made or patched, or there is none; how many
@@ -161,7 +164,7 @@ def _few_slowly(
     snapshot = tree.snapshot_for(count, view)
     done: int
     if snapshot is not None:
-        done = few_entry()(*view, snapshot, rays, to_goals, node_handles, told)
+        done = few_entry()(*view, snapshot, rays, to_goals, node_handles, ids, told)
         return done
     if to_goals:
         ways = np.empty((count, 3))
@@ -221,9 +224,9 @@ def describe(tree, node_handles, origins, directions, hits, told):
 
 
 @lean_kernel
-def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, told):
-    """First hits of rays, at most FEW_RAYS, in one call; returns as `cast_few`. `to_goals`:
-    what is called directions are the goals of the ways.
+def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, told):
+    """First hits of rays in one call; returns as `cast_few`. `to_goals`: what is called directions
+    are the goals of the ways. `ids` is scratch for the hits of more than AT_ONCE rays.
     """
     directions = rays.directions
     if to_goals:
@@ -234,7 +237,8 @@ def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, tol
         *(rays.origins, directions, rays.t_max, rays.masks),
         *(rays.skip_inside, rays.mode, rays.counted),
     )
-    ids = stack_array(FEW_RAYS, np.int64)[: rays.origins.shape[0]]
+    if ids.shape[0] == 0:
+        ids = stack_array(AT_ONCE, np.int64)[: rays.origins.shape[0]]
     hits = RayHits(ids, told.t, told.normals)
     done = cast_few(tree, version, snapshot, asked, hits)
     if done >= 0:
@@ -245,7 +249,7 @@ def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, tol
 @functools.cache
 def few_entry() -> Callable[..., Any]:
     """The machine code of `cast_and_describe`."""
-    asked = raycasting.NO_RAYS, False, np.empty(0, np.int64), _TOLD
+    asked = raycasting.NO_RAYS, False, _NO_IDS, _NO_IDS, _TOLD
     return entry_point(cast_and_describe, empty_tree(3), 0, no_snapshot(3), *asked)
 
 

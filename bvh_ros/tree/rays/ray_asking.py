@@ -106,6 +106,10 @@ class RayAsking(Timed):
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
         return self.first_hits(tuple.__new__(Rays, asked), threads)
 
+    def few_rays(self, rays: Rays) -> bool:
+        """Whether rays are so few that they go through the snapshot one by one."""
+        return ray_batches.are_few(rays, self._storage.tree)
+
     def ready_snapshot(self) -> tuple[Tree, Snapshot] | None:
         """The arrays and their snapshot, if there is one and nothing was added to it. Whether the
         tree was written to since, `cast_few` sees.
@@ -115,33 +119,25 @@ class RayAsking(Timed):
             return None
         return tree, snapshot
 
-    def _few_hits(self, rays: Rays, count: int) -> RayHits | None:
-        """`first_hits` of few rays if the snapshot is of the tree as it is, with as little Python
-        as can be; else, or if they are refused, None.
+    def first_hits(self, rays: Rays, threads: int) -> RayHits:
+        """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked
+        for by one thread.
         """
-        ready, ndim = self.ready_snapshot(), self._ndim
-        if ready is None:
-            return None
-        tree, snapshot = ready
+        count, ndim = len(rays.origins), self._ndim
         if rays.mode != CLOSEST or count >= LARGE:
             hits = ray_batches.room_for(count, ndim, rays.mode)
         else:
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
             hits = tuple.__new__(RayHits, parts)
-        # Whether the tree was written to since, the kernel sees.
-        done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays, hits)
-        return hits if done >= 0 else None
-
-    def first_hits(self, rays: Rays, threads: int) -> RayHits:
-        """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked
-        for by one thread.
-        """
-        count = len(rays.origins)
-        if threads == 1 and ray_batches.are_few(rays):
-            few = self._few_hits(rays, count)
-            if few is not None:
-                return few
-        hits = ray_batches.room_for(count, self._ndim, rays.mode)
+        storage, (_, _, snapshot, tree) = self._storage, self._wide
+        few = threads == 1 and ray_batches.are_few(rays, storage.tree)
+        # As `ready_snapshot`, which would take one more call of a function of Python's.
+        if few and tree is storage.tree and not (storage.heirs or snapshot is None):
+            done = REFUSED
+            if not snapshot.loose:
+                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays, hits)
+            if done >= 0:
+                return hits
         view = self.view()
         snapshot = self.snapshot_for(count, view)
         if threads == 1:

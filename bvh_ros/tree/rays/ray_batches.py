@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import INT64
-from ..nodes import View
+from ..nodes import COUNT, Tree, View
 from ..results import RayHits
 from ..wide.few_rays import few_entry
 from ..wide.ray_streams import scratch_for
@@ -17,14 +17,15 @@ from ..wide.snapshot import Snapshot
 from .ray_hits import rows_entry
 from .raycasting import CLOSEST, Rays
 
-# Smaller batches go through the snapshot ray by ray. Measured among 10,000 boxes, with other rays
-# in each batch: lists of rays take 1.2 times as long for 256 rays from anywhere, as long for 768,
-# 0.95 times for 1,024, 0.8 times for 4,096.
-FEW_RAYS = 800
-# Those that end somewhere meet fewer boxes: in lists, segments of 1 and 5 m take 1.0 to 1.1 times
-# as long for 256, 0.86 to 0.92 times for 512. Those of a scan stay together: 1.1 (1,000
-# boxes) to 0.8 times (100,000) as long for 256, 0.7 to 0.9 times for 512.
-FEW_TOGETHER = 350
+# Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
+# AVX-512 and AVX2 alike. Rays that end somewhere meet few boxes: in lists, segments of 1 and 5 m
+# take as long for 200, 0.75 to 0.9 times as long for 1,024. Those of a scan stay together: 0.85
+# times for 192, 0.7 to 0.8 times for 512.
+FEW_TOGETHER = 200
+# Those from anywhere are the sooner apart, the more boxes there are: in lists they take as long
+# for 250 among 1,000, for 900 among 10,000, for 3,500 among 30,000, for 8,000 among more.
+FEW_ANYWHERE, BOXES_A_RAY = 250, 11
+FEW_RAYS = 8192
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
@@ -37,7 +38,7 @@ def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> in
     done: int
     if snapshot is None:
         done = rows_entry(ndim)(tree, version, rays, hits)
-    elif are_few(rays):
+    elif are_few(rays, tree):
         done = few_entry(ndim)(tree, version, snapshot, rays, hits)
     else:
         scratch = scratch_for(count, ndim, snapshot.depth)
@@ -45,11 +46,16 @@ def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> in
     return done
 
 
-def are_few(rays: Rays) -> bool:
+def are_few(rays: Rays, tree: Tree) -> bool:
     """Whether rays go through the snapshot one by one."""
     count = len(rays.origins)
     return count < FEW_RAYS and (
-        count < FEW_TOGETHER or (rays.t_max.item(0) == np.inf and not is_scan(rays.origins))
+        count < FEW_TOGETHER
+        or (
+            count < max(FEW_ANYWHERE, tree.state.item(COUNT) // BOXES_A_RAY)
+            and rays.t_max.item(0) == np.inf
+            and not is_scan(rays.origins)
+        )
     )
 
 

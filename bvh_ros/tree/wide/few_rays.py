@@ -19,7 +19,7 @@ from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
 from .collapse_plan import DEEPEST_WIDE
-from .filtering import limit32, octant_of, start_ray
+from .filtering import flies_away, limit32, octant_of, start_ray
 from .ray_streams import without_lowest
 from .raycasting import ALL32, is_stale, set_inverse, write_hit
 from .snapshot import LOOSE_NODES, no_snapshot
@@ -45,6 +45,9 @@ def cast_few(tree, version, snapshot, rays, hits):
     exact, record = np.int64(0), records[0]
     for row in range(rays.origins.shape[0]):
         origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
+        if flies_away(tree, origin, direction):
+            write_miss(rays, row, hits)
+            continue
         if not start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max):
             done = raycast_row(tree, ray, rays, row, one, hits)
             if done < 0:
@@ -54,11 +57,7 @@ def cast_few(tree, version, snapshot, rays, hits):
             continue
         ray[EXACT, 0] = 0.0
         hit = cast_one(snapshot, tree, rays, row, ray, records, stack)
-        hits.ids[row] = NONE
-        if rays.mode != ANY:
-            hits.t[row] = np.inf
-            for axis in range(origin.shape[0]):
-                hits.normals[row, axis] = 0.0
+        write_miss(rays, row, hits)
         if hit[0] != NONE:
             write_hit(tree, ray, rays, row, hit, hits)
         exact += np.int64(ray[EXACT, 0])
@@ -66,6 +65,16 @@ def cast_few(tree, version, snapshot, rays, hits):
         count_rays(tree.state, rays.origins.shape[0], exact)
     end_query(tree.state)
     return exact
+
+
+@inlined
+def write_miss(rays, row, hits):
+    """Write that a ray hits nothing."""
+    hits.ids[row] = NONE
+    if rays.mode != ANY:
+        hits.t[row] = np.inf
+        for axis in range(hits.normals.shape[1]):
+            hits.normals[row, axis] = 0.0
 
 
 @inlined

@@ -19,8 +19,8 @@ import numpy as np
 
 from ..jit.compiling import inlined
 from ..jit.float64x4 import set_slopes
-from ..nodes import NONE
-from ..rays.slab import INSIDE
+from ..nodes import NONE, ROOT
+from ..rays.slab import INSIDE, is_finite
 
 PAD32 = 2.0**-22
 FARTHEST_ORIGIN = 2.0**10
@@ -67,6 +67,20 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
     ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
     ray.slot, ray.axis, ray.exact = NONE, INSIDE, False
     return suited & (largest > 1e-200) & (unit > 1e-290) & (unit < 1e290)
+
+
+@inlined
+def flies_away(tree, origin, direction):
+    """Whether a ray begins beyond all boxes on an axis and comes no nearer there, so that it meets
+    none, exactly; one that is not finite does not.
+    """
+    away, root = False, tree.state[ROOT]
+    if root != NONE:
+        lo, hi = tree.nodes[root].lo, tree.nodes[root].hi
+        for axis in range(lo.shape[0]):
+            away |= (origin[axis] > hi[axis]) & (direction[axis] >= 0.0)
+            away |= (origin[axis] < lo[axis]) & (direction[axis] <= 0.0)
+    return away and is_finite(origin, direction)
 
 
 @inlined

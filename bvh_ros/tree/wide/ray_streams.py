@@ -103,9 +103,16 @@ def sort_by_octant(directions, start, octants, rows, ends):
     """Fill `rows` with the numbers from `start` on, octant by octant; those of octant k end before
     ends[k]. `octants` is scratch.
     """
-    ends[:] = 0
     for i in range(rows.shape[0]):
         octants[i] = octant_of(directions[start + i])
+    sort_rows(octants, start, rows, ends)
+
+
+@inlined
+def sort_rows(octants, start, rows, ends):
+    """As `sort_by_octant` of rows whose `octants` are known."""
+    ends[:] = 0
+    for i in range(rows.shape[0]):
         ends[octants[i]] += 1
     before = 0
     for octant in range(ends.shape[0]):

@@ -25,7 +25,7 @@ from ..rays.slab import (
 )
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
-from .filtering import NOWHERE, limit32, start_ray
+from .filtering import NOWHERE, flies_away, limit32, octant_of, start_ray
 from .ray_streams import (
     COUNT,
     FREE,
@@ -37,12 +37,14 @@ from .ray_streams import (
     child_lists,
     farthest_first,
     make_scratch,
-    sort_by_octant,
+    sort_rows,
 )
 from .snapshot import no_snapshot
 
 ALL32 = np.uint32(ALL)
 OCTANTS = 8  # of two dimensions, four are empty
+AWAY = OCTANTS  # a ray that meets nothing
+PILES = OCTANTS + 1
 LINES_OF_PLANES = 6  # of a wide node of three dimensions
 FOUND, DECIDED_EXACTLY, BAD = range(3)  # what is counted
 TALLY = 3
@@ -55,7 +57,7 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
-    tally, ends = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
+    tally, ends = stack_array(TALLY, np.int64), stack_array(PILES, np.int64)
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     one = Found(slots, stack_array(1, np.float64), axes)
     tally[DECIDED_EXACTLY] = tally[BAD] = 0
@@ -63,7 +65,11 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     count = rays.origins.shape[0]
     for first in range(0, count, RAYS_SORTED):
         batch = scratch.rows[: min(count - first, RAYS_SORTED)]
-        sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
+        for i in range(batch.shape[0]):
+            origin, direction = rays.origins[first + i], rays.directions[first + i]
+            away = flies_away(tree, origin, direction)
+            scratch.octants[i] = AWAY if away else octant_of(direction)
+        sort_rows(scratch.octants, first, batch, ends)
         begin = 0
         for octant in range(OCTANTS):
             while begin < ends[octant]:

@@ -145,7 +145,7 @@ def test_kept_scratch_is_large_enough_for_all() -> None:
     def ask(seed: int) -> bool:
         rng, same = np.random.default_rng(seed), True
         for _ in range(60):
-            which, count = rng.integers(3), rng.integers(350, KEPT_RAYS + 100)
+            which, count = rng.integers(3), rng.integers(250, KEPT_RAYS + 100)
             tree, origins, ways = every[which]
             rows = rng.permutation(len(origins))[:count]
             hits = tree.raycast_many(origins[rows], ways[rows], 1e9)
