@@ -143,6 +143,9 @@ class Moments:
             from .casting.moving import first_boxes
 
             return first_boxes(held, rays, skip, times, threads)
+        if not thick:
+            checks.finite('origins', rays.origins)
+            checks.finite('directions', rays.directions)
         rays, first = row_by_row(rays), self._firsts(still, rays, times)
         hits = CastHits(
             *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),

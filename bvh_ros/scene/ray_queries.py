@@ -144,7 +144,7 @@ class RayQueries:
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
         held = self._held
-        if radius is not None or at is not None or held.planar or held.columns.shaped:
+        if radius is not None or held.planar or held.columns.shaped:
             checks.finite('origins', origins)  # else the tree's kernel looks
             checks.finite('directions', directions)
         limits = checks.limits_or_one('t_max', t_max, count)

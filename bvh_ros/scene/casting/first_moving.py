@@ -145,7 +145,7 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
         if slot == NONE or tree.nodes[2 * slot].mask & mask == 0:
             continue
         since = thin.at - leaves.start
-        if not may_meet(leaves.records[slot], origin, direction, since, thin.pace, limit, more):
+        if not may_meet(*(leaves.records, slot, origin, direction, since, thin.pace, limit, more)):
             continue
         found = box, other
         box, other = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)

@@ -20,10 +20,10 @@ from ...tree.entries import entry_points
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.casting import Casts, locate, no_motion
-from ...tree.motion.meeting import Course, box_of
+from ...tree.motion.meeting import Course, box_of, fetch_box
 from ...tree.motion.queries import times_of
 from ...tree.motion.sweeping import Sweep
-from ...tree.motion.wide_casting import UNSUITED
+from ...tree.motion.wide_casting import AHEAD, UNSUITED
 from ...tree.nodes import slot_of
 from ...tree.rays.ray_hits import NO_HITS
 from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
@@ -74,8 +74,9 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
     when: Any = (column.item() if len(column) == 1 else column for column in times)
     found = motion.first_many(tree, asked, skip, CLOSEST, tuple(when), threads)
-    places, view = np.empty((2, count, 3)), tree.view()
-    told = CastHits(np.empty(count, np.uint32), found.t, *places)
+    normals = found.normals if ndim == 3 else np.empty((count, 3))
+    told = CastHits(np.empty(count, np.uint32), found.t, np.empty((count, 3)), normals)
+    view = tree.view()
     moving = motion.known(view, 0.0, 0.0)
     given = rays.origins, rays.directions, *times, held.columns.node_handle, found, told
     _describe_entry(ndim)(view.tree, moving, *given)
@@ -87,15 +88,18 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
 def describe(tree, moving, origins, directions, at, pace, node_handles, hits, told):
     """Fill in what is told of hits, as `box_casting.describe`."""
     ray, ndim = stack_array((RAY_ROWS, 3), np.float64), hits.normals.shape[1]
-    for i in range(origins.shape[0]):
+    count = origins.shape[0]
+    for i in range(count):
+        if i + AHEAD < count and hits.ids[i + AHEAD] >= 0:
+            fetch_box(tree, moving, slot_of(hits.ids[i + AHEAD]))
         told.handles[i], face = NO_NODE, INSIDE
         for k in range(3):
-            told.points[i, k], told.normals[i, k] = np.nan, 0.0
+            normal = hits.normals[i, k] if k < ndim else 0.0
+            told.points[i, k], told.normals[i, k] = np.nan, normal
+            if normal != 0.0:
+                face = 2 * k + (normal > 0.0)
         if hits.ids[i] < 0:
             continue
-        for k in range(ndim):
-            if hits.normals[i, k] != 0.0:
-                face = 2 * k + (hits.normals[i, k] > 0.0)
         told.handles[i], told.points[i, 2] = node_handles[slot_of(hits.ids[i])], origins[i, 2]
         set_ray(ray, origins[i, :ndim], directions[i, :ndim])
         course = Course(ray, of_row(at, i), of_row(pace, i))

@@ -81,7 +81,7 @@ def gone(velocity, reference, at, left):
     return min(max(velocity * min(at - reference, left), -LARGEST), LARGEST)
 
 
-@lean_kernel
+@inlined
 def place(tree, moving, then, spare, slot, at):
     """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
     _, _, velocity, reference = box_of(tree, moving, slot)
@@ -95,7 +95,7 @@ def place(tree, moving, then, spare, slot, at):
     return then.growth * abs(at - reference) if moves else 0.0
 
 
-@lean_kernel
+@inlined
 def place_footprint(footprints, spare, slot, way):
     """Write the same of a planar scene."""
     if footprints is not None:
@@ -201,7 +201,7 @@ def _touch(tree, moving, then, asked, slots, spare, found):
     return count
 
 
-@lean_kernel
+@inlined
 def swell(found, row, growth, signed):
     """How an obstacle lies to the centre after it has grown."""
     if growth == 0.0:

@@ -31,10 +31,8 @@ def neighbours(tree, moving, then, near_by, room):
     """
     low, high, at, wanted, limit, mask = near_by
     slots, gaps = room.slots, room.gaps[:wanted]
-    total, _ = nearest_bounds(tree, moving, near_by, slots[:wanted], gaps)
-    more, last = total == wanted, np.inf
-    if more:
-        last = at_least(gaps[wanted - 1])
+    total, left_out = nearest_bounds(tree, moving, near_by, slots[:wanted], gaps)
+    more, last = total == wanted, at_least(left_out)
     if then.rest.state[ROOT] != NONE:
         count, total = total, np.int64(0)
         for i in range(count):
@@ -45,7 +43,7 @@ def neighbours(tree, moving, then, near_by, room):
         handles, gaps = room.handles[:wanted], room.gaps[wanted : 2 * wanted]
         count = nearest(then.rest, low, high, wanted, limit, mask, handles, gaps)
         if count == wanted:
-            more, last = True, min(last, gaps[wanted - 1])
+            more, last = True, min(last if more else np.inf, gaps[wanted - 1])
         for i in range(count):
             slot = then.rest_slots[handles[i]]
             box = box_of(tree, moving, slot)
@@ -57,11 +55,12 @@ def neighbours(tree, moving, then, near_by, room):
 
 @lean_kernel
 def near_rows(tree, moving, then, points, asked, room, found, told):
-    """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, how many boxes there are,
-    whether an obstacle may stand at two places, `touching_rows.Signed`). Returns (rows done, room
-    wanted) as `touch_rows`, and how many were found at last.
+    """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, whether some boxes more
+    are likely to be wanted, how many there are, whether an obstacle may stand at two places,
+    `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`, and how many were
+    found at last.
     """
-    done, stop, k, everybody, twice, signed = asked
+    done, stop, k, some_more, everybody, twice, signed = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, np.int64(0)
     wanted, total = 0, np.int64(0)
@@ -72,7 +71,8 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
             done = np.int64(OUTSIDE)
             break
         more, mask = most_growth(then, at), of_row(points.masks, row)
-        limit, wanted, kept = max(reach * ROUNDED, reach) + more, min(k + 1, everybody + 1), 0
+        limit, kept = max(reach * ROUNDED, reach) + more, 0
+        wanted = min(k + 1 if some_more else k, everybody + 1)
         while 2 * wanted <= found.slots.shape[0]:
             near_by = point, point, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room)
@@ -91,7 +91,7 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
     return np.int64(done), 2 * wanted, total
 
 
-@lean_kernel
+@inlined
 def _lie(tree, moving, then, asked, signed, room, slots, found):
     """Fill in how obstacles lie to a point at a time, asked = (point, at)."""
     point, at = asked

@@ -119,7 +119,7 @@ class TimedDistances:
         rows = point[None], scratch.limits, scratch.masks, NO_ORDER
         if scratch.told.handles.shape[1] != k:
             scratch.told = _no_rows(1, k)
-        asked = 0, 1, k, len(held.tree), held.columns.shadows > 0, signed
+        asked = 0, 1, k, *self._among(signed)
         while not done:
             (then, room), found = self._then_once(at, None), scratch.found
             given = tuple.__new__(Points, rows), asked, room, found, scratch.told
@@ -168,11 +168,11 @@ class TimedDistances:
 
     def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Near:
         """The k obstacles nearest to n points at times (n,)."""
-        then, told, held = self._then(at, None), _no_rows(len(at), k), self._held
+        then, told, among = self._then(at, None), _no_rows(len(at), k), self._among(signed)
 
         def work(start: int, stop: int) -> None:
             while start < stop:
-                asked = start, stop, k, len(held.tree), held.columns.shadows > 0, signed
+                asked = start, stop, k, *among
                 given = points, asked, self._room(then), self._scratch.found, told
                 start, wanted, _ = self._call(near_rows, then, given, signed)
                 self._scratch.have_room(wanted)
@@ -206,6 +206,13 @@ class TimedDistances:
         return told
 
     # ---- kernels
+
+    def _among(self, signed: Signed) -> tuple[bool, int, bool, Signed]:
+        """What `near_rows` is told of all rows."""
+        held = self._held
+        shaped, twice = held.columns.shaped > 0, held.columns.shadows > 0
+        some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
+        return some_more, len(held.tree), twice, signed
 
     def _then_once(self, at: float, hulls: Hulls | None) -> tuple[Then, Room]:
         """What a kernel is told of one time, until the next one."""

@@ -130,7 +130,7 @@ def is_sound(lo, hi, direction, times):
     return sound
 
 
-@lean_kernel
+@inlined
 def locate(box, course, t, face, point, normal):
     """Write where and how a course meets a box, each of shape (ndim,): of all points that then
     touch the closest to the centre of what is swept, in the box as it is then, on the face met.

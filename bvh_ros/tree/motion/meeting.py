@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
+from ..jit.intrinsics import prefetch, stack_array
 from ..nodes import leaf_box
 from ..rays.exact_sign import LIMBS
 from ..rays.slab import CLEAR, DIRECTION, EXACT, INSIDE, ORIGIN, TINY, UPPER
@@ -55,6 +55,17 @@ def box_of(tree, moving, slot):
     if slot < row and moving.kept[slot].owner == tree.handles[slot]:
         row = slot
     return lo, hi, moving.kept[row].velocity, moving.kept[row].reference
+
+
+@inlined
+def fetch_box(tree, moving, slot):
+    """Ask for the memory of what `box_of` reads."""
+    prefetch(tree.handles, slot, 1)
+    prefetch(moving.kept, slot, 1)
+    if tree.tight.shape[0] > 0:
+        prefetch(tree.tight, slot, 1)
+    else:
+        prefetch(tree.nodes, 2 * slot, 1)
 
 
 @inlined
@@ -150,7 +161,7 @@ def meet(box, course, t_max):
     return True, t, entered
 
 
-@lean_kernel
+@inlined
 def distance_of(box, course, face):
     """t of `meet`, which has told the face."""
     if face == INSIDE:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..boxes.nearest import insert_candidate, name_row, pruning_limit
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import prefetch, stack_array
+from ..jit.intrinsics import stack_array
 from ..jit.moving_sides import FRONTS, square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..rays.raycasting import of_row
@@ -23,7 +23,7 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from ..unrounded import two_sum
 from .bounds import covers, fetch_children, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
-from .meeting import box_of
+from .meeting import box_of, fetch_box
 from .sums import gap, quick_gap, surely_below
 
 # Squares whose root says something, and by how much it is rounded down.
@@ -158,17 +158,6 @@ def _keep_bound(tree, moving, near, leaf, square, kept, count, limit):
     if count + 1 == k:
         limit = min(limit, squares[k - 1] * FARTHER + 2.0 * LEAST_SQUARE)
     return count + 1, limit
-
-
-@inlined
-def fetch_box(tree, moving, slot):
-    """Ask for the memory of what `box_of` reads."""
-    prefetch(tree.handles, slot, 1)
-    prefetch(moving.kept, slot, 1)
-    if tree.tight.shape[0] > 0:
-        prefetch(tree.tight, slot, 1)
-    else:
-        prefetch(tree.nodes, 2 * slot, 1)
 
 
 @inlined

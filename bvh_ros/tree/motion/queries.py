@@ -158,7 +158,9 @@ class MotionQueries(Motion):
         hits = ray_batches.room_for(count, tree.ndim, mode)
 
         def work(start: int, stop: int) -> None:
-            part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
+            part, into = asked, hits
+            if stop - start < count:
+                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
             if sweep is None:
                 self._one_by_one(tree, part, into)
             else:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import prefetch, stack_array
+from ..jit.intrinsics import prefetch, stack_array, trailing_zeros
+from ..jit.moving_leaf import moving_slabs
 from ..nodes import NONE, View
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import ANY, CLOSEST, of_row
@@ -23,13 +24,14 @@ from ..wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, make_scratch, scratch_
 from ..wide.raycasting import DECIDED_EXACTLY, FOUND, OCTANTS, TALLY, start_group, traverse
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
-from .meeting import Course, Moving, box_of, distance_of, is_before, meet
+from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet
 from .sweeping import Leaves, leaf_dtype
 
 # Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
 # from that of the same box's record.
 SLOWEST, NEAR = 1e-290, 2.0**-16
 UNSUITED = -3  # not a handle, nor NONE
+AHEAD = 4  # so many hits before it is described, the memory of a box is asked for
 
 Floats = NDArray[np.float64]
 
@@ -51,61 +53,35 @@ class MovingRays(NamedTuple):
 
 
 @inlined
-def quick_decision(leaf, origin, direction, since, pace, limit):
+def quick_decision(leaves, slot, origin, direction, since, pace, limit):
     """Decide where rounding cannot matter: (verdict, t, face), as `wide.best_hit.quick_decision`.
     `since` the start of the span.
 
     MEETS: surely met, and before `limit`, at `face`; t is not before that, nor later by more than
     NEAR of it.
     """
-    entry, leave, surely, loose = 0.0, limit, limit * (1.0 - NEAR), np.float64(leaf.loose)
-    entered_by, others_by, face = 0.0, 0.0, INSIDE
-    for axis in range(origin.shape[0]):
-        velocity = np.float64(leaf.velocity[axis])
-        way, rate = velocity * since, direction[axis] - velocity * pace
-        below, above = leaf.lo[axis] - origin[axis] + way, leaf.hi[axis] - origin[axis] + way
-        if abs(rate) < SLOWEST:
-            if rate == 0.0 and (below > 0.0 or above < 0.0):
-                return MISSES, limit, INSIDE
-            if not (rate == 0.0 and below < -loose and above > loose):
-                surely = -1.0
-            continue
-        inverse = 1.0 / rate
-        at_lo, at_hi, later = below * inverse, above * inverse, abs(loose * inverse)
-        near, far = (at_lo, at_hi) if inverse > 0.0 else (at_hi, at_lo)
-        leave, surely = min(leave, far), min(surely, far - later)
-        if near > entry:
-            others_by, entry, entered_by = max(others_by, entered_by), near, near + later
-            face = 2 * axis + (inverse < 0.0)
-        else:
-            others_by = max(others_by, near + later)
-    if entry > leave * PAD + TINY:
+    missed, doubt, entry, leave, entered_by, others_by, surely, lanes, negative = moving_slabs(
+        *(leaves, slot, origin, direction, since, pace, 0.0, SLOWEST)
+    )
+    if missed or entry > min(leave, limit) * PAD + TINY:
         return MISSES, limit, INSIDE
-    clear = others_by * PAD < entry and entered_by * PAD < surely
-    if clear and entered_by < entry * (1.0 + 0.5 * NEAR):
-        return MEETS, entered_by, face
+    surely = min(surely, limit * (1.0 - NEAR))
+    clear = others_by * PAD < entry and entered_by * PAD < surely and not doubt
+    if clear and lanes & (lanes - 1) == 0 and entered_by < entry * (1.0 + 0.5 * NEAR):
+        axis = np.int64(trailing_zeros(np.uint32(lanes)))
+        return MEETS, entered_by, 2 * axis + (negative >> axis & 1)
     return ASK, limit, INSIDE
 
 
 @inlined
-def may_meet(leaf, origin, direction, since, pace, limit, more):
+def may_meet(leaves, slot, origin, direction, since, pace, limit, more):
     """Whether a course may meet a leaf before `limit` whose box is larger by `more` on all sides;
     as `quick_decision`, where it does not say MISSES.
     """
-    entry, leave = 0.0, limit
-    for axis in range(origin.shape[0]):
-        velocity = np.float64(leaf.velocity[axis])
-        way, rate = velocity * since, direction[axis] - velocity * pace
-        below = leaf.lo[axis] - origin[axis] + way - more
-        above = leaf.hi[axis] - origin[axis] + way + more
-        if abs(rate) < SLOWEST:
-            if rate == 0.0 and (below > 0.0 or above < 0.0):
-                return False
-            continue
-        inverse = 1.0 / rate
-        near, far = below * inverse, above * inverse
-        entry, leave = max(entry, min(near, far)), min(leave, max(near, far))
-    return entry <= leave * PAD + TINY
+    missed, _, entry, leave, _, _, _, _, _ = moving_slabs(
+        *(leaves, slot, origin, direction, since, pace, more, SLOWEST)
+    )
+    return not (missed or entry > min(leave, limit) * PAD + TINY)
 
 
 @inlined
@@ -115,7 +91,7 @@ def is_better(tree, ray, rays, row, slot, best):
     at, pace = of_row(rays.at, row), of_row(rays.pace, row)
     ray[EXACT, 0] = 0.0
     verdict, t, face = quick_decision(
-        *(rays.leaves.records[slot], origin, direction), at - rays.leaves.start, pace, best[1]
+        *(rays.leaves.records, slot, origin, direction), at - rays.leaves.start, pace, best[1]
     )
     if verdict != ASK:
         return verdict == MEETS, t, np.int64(face)
@@ -180,7 +156,11 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
     if alive > 0:
         group = octant, rows, scratch.lists[:alive]
         traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_better)
-    for i in scratch.found[: tally[FOUND]]:
+    found = scratch.found[: tally[FOUND]]
+    for place in range(found.shape[0]):
+        if place + AHEAD < found.shape[0]:
+            fetch_box(tree, rays.moving, np.int64(scratch.records[found[place + AHEAD]].slot))
+        i = found[place]
         best, row = scratch.records[i], rows[i]
         set_ray(scratch.ray, rays.origins[row], rays.directions[row])
         hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
