@@ -70,8 +70,8 @@ class Moments:
 
     def seconds(self, at: Any, count: int) -> Floats:
         """`at` as the tree has it, (count,)."""
-        if count == 1 and type(at) is int:
-            return np.array([self._held.second(at)])
+        if type(at) is int:
+            return np.full(count, self._held.second(at))
         return self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
 
     def _times(self, at: Any, until: Any, count: int) -> 'Times':

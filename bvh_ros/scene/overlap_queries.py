@@ -225,7 +225,8 @@ class OverlapQueries:
         threads, count = checks.whole('threads', threads, 1), len(rows.records)
         if self._moments.meant(at, None, count):
             times = self._moments.seconds(at, count)
-            touched = self._moments.distances().touching(rows, hulls, times, threads)
+            given = rows, hulls, times, threads, want == 'any'
+            touched = self._moments.distances().touching(*given)
             return self._told(touched, count, want)
         return self._overlaps.answer(rows, hulls, WANTED[want], threads)
 

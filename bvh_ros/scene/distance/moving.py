@@ -138,11 +138,11 @@ def reach_then(tree, moving, then, asked, slots):
 
 
 @lean_kernel
-def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
+def touch_rows(tree, moving, then, queries, begin, enough, offsets, room, found):
     """Fill in what touches the rows from `begin` on: those of row i are at [offsets[i],
-    offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which comes first. Returns
-    (rows done, room wanted, pairs compared): fewer rows than there are where there is no room for
-    the next one; OUTSIDE or REFUSED instead.
+    offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which comes first. `enough`:
+    any one of them, and not where it is. Returns (rows done, room wanted, pairs compared): fewer
+    rows than there are where there is no room for the next one; OUTSIDE or REFUSED instead.
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, 0
@@ -160,7 +160,7 @@ def touch_rows(tree, moving, then, queries, begin, offsets, room, found):
         wanted = filled + count
         if wanted > found.slots.shape[0] or count > room.slots.shape[0]:
             break
-        some, asked = from_row(found, filled), (record[0], tolerance, at)
+        some, asked = from_row(found, filled), (record[0], tolerance, at, enough)
         met = _touch(tree, moving, then, asked, room.slots[:count], room.spare, some)
         order_found(some, met, then.node_handles)
         row, filled, compared = row + 1, filled + met, compared + count
@@ -180,18 +180,23 @@ def from_row(found, row):
 
 @lean_kernel
 def _touch(tree, moving, then, asked, slots, spare, found):
-    """Fill in which of some obstacles touch, asked = (shape, tolerance, at), and how they lie to
-    its centre; return how many.
+    """Fill in which of some obstacles touch, asked = (shape, tolerance, at, whether one is
+    enough), and how they lie to its centre; return how many.
     """
-    (solid, tolerance, at), bodies, count = asked, then.bodies, 0
+    (solid, tolerance, at, enough), bodies, count, growth = asked, then.bodies, 0, 0.0
     # Else the tree was asked for more than touches.
     exact = not solid.shaped and tolerance == 0.0 and most_growth(then, at) == 0.0
     for slot in slots:
-        growth = place(tree, moving, then, spare, slot, at)
-        shape, reach, planar = spare.shapes[0], tolerance + growth, bodies.footprints is not None
-        touches = exact and not shape.shaped
+        touches = exact and not bodies.shapes[slot].shaped
+        if not (touches and enough):
+            growth = place(tree, moving, then, spare, slot, at)
+        shape, planar = spare.shapes[0], bodies.footprints is not None
         if not touches:
+            reach = tolerance + growth
             touches, _ = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
+        if touches and enough:
+            found.slots[0] = slot
+            return 1
         if touches:
             found.slots[count], found.points[count, 2] = 0, solid.position[2]
             look_at(shape, spare.footprints, bodies.hulls, solid.position, found, count)

@@ -104,7 +104,7 @@ class TimedDistances:
         asked, offsets = tuple.__new__(QueryRows, rows), scratch.offsets
         while not done:
             (then, room), found = self._then_once(at, hulls), scratch.found
-            given = asked, 0, offsets, room, found
+            given = asked, 0, False, offsets, room, found
             done, wanted, compared = self._call(touch_rows, then, given, None)
             scratch.have_room(wanted)
         self._held.columns.pairs_compared += compared
@@ -136,9 +136,11 @@ class TimedDistances:
     # ---- batches
 
     def touching(
-        self, queries: QueryRows, hulls: Hulls | None, at: Floats, threads: int
+        self, queries: QueryRows, hulls: Hulls | None, at: Floats, threads: int, enough: bool
     ) -> Touched:
-        """What n queries touch at times (n,), each obstacle once a row."""
+        """What n queries touch at times (n,), each obstacle once a row. `enough`: one a row will
+        do, and where it is nobody is told.
+        """
         then, columns = self._then(at, hulls), self._held.columns
 
         def work(start: int, stop: int) -> tuple[list[Touched], int]:
@@ -147,7 +149,7 @@ class TimedDistances:
             parts = [NOTHING]
             while begin < stop - start:
                 offsets, found = np.zeros(stop - start + 1, np.int64), self._scratch.found
-                given = some, begin, offsets, self._room(then), found
+                given = some, begin, enough, offsets, self._room(then), found
                 done, wanted, pairs = self._call(touch_rows, when, given, None)
                 parts.append(_taken(found, offsets, begin, done, start))
                 begin, compared = done, compared + pairs
