@@ -78,6 +78,9 @@ class Moments:
         """Times in seconds, one for all or (count,)."""
         from .casting.seen import Times  # no scene without velocities needs it
 
+        if type(at) is int and (until is None or type(until) is int):
+            begin, pace = self._way_of_time(at, until)
+            return Times(np.array([begin]), np.array([pace]))
         rows = rows_needed(at, until, count)
         start = self.seconds(at, rows)
         if until is None:
@@ -138,7 +141,9 @@ class Moments:
         thick = bool(radii.any())
         if thick:
             ways_of(rays, radii)  # refuses balls without an end
-        held, still = self._held, len(at_rest(self._held, times.last(rays.t_max))) > 0
+        held, still = self._held, False
+        if held.max_prediction < math.inf:
+            still = len(at_rest(held, times.last(rays.t_max))) > 0
         if not (still or held.columns.shaped or held.uncertainty or thick):
             from .casting.moving import first_boxes
 

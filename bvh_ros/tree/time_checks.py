@@ -21,7 +21,7 @@ def moment(name: str, value: Any) -> float:
 
 def moments(name: str, value: ArrayLike, count: int | None) -> Floats:
     """One for all as shape (1,), or shape (count,); finite. `count` None: only one."""
-    if count is None:
+    if count is None or type(value) is float:
         return np.array([moment(name, value)])
     array = unless_refused(name, value, (count,))
     if array.ndim == 0:

@@ -157,20 +157,19 @@ class MotionQueries(Motion):
         asked = MovingRays(*rays, skip_inside, mode, *when, moving, leaves)
         hits = ray_batches.room_for(count, tree.ndim, mode)
 
-        def work(start: int, stop: int) -> None:
+        def work(start: int, stop: int) -> int:
             part, into = asked, hits
             if stop - start < count:
                 part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
-            if sweep is None:
-                self._one_by_one(tree, part, into)
-            else:
-                wide_casting.cast(view, sweep.snapshot, part, into)
+            if sweep is not None:
+                return wide_casting.cast(view, sweep.snapshot, part, into)
+            self._one_by_one(tree, part, into)
+            return 0
 
         if sweep is None:
             _check_finite(asked)
-        in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
-        others = np.flatnonzero(hits.ids == UNSUITED)
-        if len(others):
+        if any(in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)):
+            others = np.flatnonzero(hits.ids == UNSUITED)
             _check_finite(asked)
             some = rows_of(hits, count, others)
             self._one_by_one(tree, rows_of(asked, count, others), some)

@@ -126,29 +126,31 @@ def write_hit(tree, ray, rays, row, hit, hits):
 
 @lean_kernel
 def cast_rows(tree, version, snapshot, rays, scratch, hits):
-    """As `wide.raycasting.cast_rows`, but the id of a ray that is not suited is UNSUITED."""
+    """As `wide.raycasting.cast_rows`, but the id of a ray that is not suited is UNSUITED. Returns
+    how many are not, or REFUSED.
+    """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
     tally, ends = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY] = 0
     hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
-    count = rays.origins.shape[0]
+    count, unsuited = rays.origins.shape[0], np.int64(0)
     for first in range(0, count, RAYS_SORTED):
         batch, begin = scratch.rows[: min(count - first, RAYS_SORTED)], 0
         sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
         for octant in range(OCTANTS):
             while begin < ends[octant]:
                 rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]
-                _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits)
+                unsuited += _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits)
                 begin += rows.shape[0]
     count_rays(tree.state, count, tally[DECIDED_EXACTLY])
     end_query(tree.state)
-    return tally[DECIDED_EXACTLY]
+    return unsuited
 
 
 @inlined
 def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
-    """Answer rays of one octant that go together."""
+    """Answer rays of one octant that go together; return how many are not suited."""
     alive = start_group(snapshot, rays, rows, scratch)
     for place in scratch.lists[alive : rows.shape[0]]:
         hits.ids[rows[place]] = UNSUITED
@@ -165,6 +167,7 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
         set_ray(scratch.ray, rays.origins[row], rays.directions[row])
         hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
         write_hit(tree, scratch.ray, rays, row, hit, hits)
+    return rows.shape[0] - alive
 
 
 @inlined
@@ -187,10 +190,10 @@ cast_entry = entry_points(
 )
 
 
-def cast(view: View, snapshot: Snapshot, rays: MovingRays, hits: RayHits) -> None:
-    """Answer rays whose times lie in the span of a snapshot, but those that are UNSUITED;
-    RuntimeError if the tree is changed meanwhile.
+def cast(view: View, snapshot: Snapshot, rays: MovingRays, hits: RayHits) -> int:
+    """Answer rays whose times lie in the span of a snapshot, but those that are UNSUITED: how
+    many; RuntimeError if the tree is changed meanwhile.
     """
     count, ndim = rays.origins.shape
     scratch = scratch_for(count, ndim, snapshot.depth)
-    accepted(cast_entry(ndim)(*view, snapshot, rays, scratch, hits))
+    return accepted(cast_entry(ndim)(*view, snapshot, rays, scratch, hits))
