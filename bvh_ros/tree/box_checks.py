@@ -17,6 +17,13 @@ from .nodes import SLOT_MASK
 @lean_kernel
 def _first_no_box(lo, hi):
     """The first row of lo and hi, (n, ndim) float64, that is not finite or has lo > hi; else -1"""
+    low, high = lo.reshape(lo.size), hi.reshape(lo.size)
+    # Without a way out of the loop it is one of vectors.
+    good = True
+    for i in range(low.size):
+        good &= (-np.inf < low[i]) & (low[i] <= high[i]) & (high[i] < np.inf)
+    if good:
+        return -1
     for i in range(lo.shape[0]):
         for j in range(lo.shape[1]):
             if not (-np.inf < lo[i, j] <= hi[i, j] < np.inf):

@@ -12,7 +12,7 @@ import numpy as np
 
 from .area import tree_cost
 from .build.building import room_to_build
-from .build.rebuilding import build_anew, is_too_high, optimize, rebalance
+from .build.rebuilding import build_anew, is_due, is_too_high, look_at_cost, optimize, rebalance
 from .entries import entry_points
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
@@ -30,8 +30,6 @@ from .moving import (
     write_tight,
 )
 from .nodes import (
-    BUILT_COST,
-    BUILT_COUNT,
     COUNT,
     INSERTED,
     KEPT,
@@ -56,11 +54,6 @@ from .store.turns import ANY_VERSION, begin_change, end_change
 FULL, OWING, UNKNOWN, NO_NUMBERS, NO_BOX = -3, -4, -5, -6, -7
 REASONS = -9  # below are no reasons but handles
 
-# The cost is looked at after so many moves a box; if it has become so much higher than it was
-# when built, or the number of boxes so different, the tree is built anew.
-REFITS_BEFORE_A_LOOK = 1
-WORSE = 1.2
-
 INSERT, REMOVE, MOVE, BUILD, OPTIMIZE, SETTLE = range(6)
 
 
@@ -76,7 +69,7 @@ def _begin_one(state):
 @inlined
 def _end_one(heights, state):
     """True if something is owed."""
-    if is_too_high(heights, state) or state[REFITS] >= REFITS_BEFORE_A_LOOK * state[COUNT] > 0:
+    if is_too_high(heights, state) or is_due(state):
         state[OWES] = 1
     owes = state[OWES] != 0
     end_change(state, True)
@@ -246,12 +239,9 @@ def change_many(tree, version, how, change, policy, room):
 def _settle(nodes, heights, handles, state, room):
     """See to all that is owed."""
     rebalance(nodes, heights, state, room)
-    count, built = state[COUNT], state[BUILT_COUNT]
-    if state[REFITS] >= REFITS_BEFORE_A_LOOK * count > 0:
-        state[REFITS] = 0
-        worse = tree_cost(nodes, state[ROOT]) > WORSE * state.view(np.float64)[BUILT_COST]
-        if worse or not 0.8 * built < count < 1.25 * built:
-            build_anew(nodes, heights, handles, state, room)
+    if is_due(state):
+        cost = tree_cost(nodes, state[ROOT])
+        look_at_cost(nodes, heights, handles, state, room, cost)
     state[OWES] = 0
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .build.building import refit_all
-from .build.rebuilding import build_anew, rebalance
+from .build.rebuilding import build_anew, is_due, look_at_cost, rebalance
 from .insertion import insert_leaf, remove_leaf
 from .jit.compiling import inlined, lean_kernel
 from .jit.intrinsics import prefetch, stack_array
@@ -26,6 +26,7 @@ from .nodes import (
     INSERTED,
     KEPT,
     NONE,
+    RECENT_PLACES,
     REFITS,
     REFITTED,
     REINSERTED,
@@ -34,6 +35,7 @@ from .nodes import (
     SERIAL,
     SLOT_BITS,
     free_leaf,
+    note_all_written,
     note_written,
     take_leaf,
 )
@@ -167,18 +169,22 @@ def _is_near(nodes, leaf, lo, hi):
     Of uniform boxes that move by up to an edge 40 % leave the grandparent's box. Refitted in
     place, such a one widens its ancestors by no more than its own size.
     """
-    parent = np.int64(nodes[leaf].parent)
-    if parent == NONE or nodes[parent].parent == NONE:
-        return True
-    around, before = nodes[nodes[parent].parent], nodes[leaf]
-    inside = beside = True
-    for axis in range(around.lo.shape[0]):
+    before, beside = nodes[leaf], True
+    for axis in range(before.lo.shape[0]):
         center = lo[axis] * 0.5 + hi[axis] * 0.5
-        inside &= around.lo[axis] <= center <= around.hi[axis]
         # The leaf's box is the fat one: halves do not overflow.
         moved = abs(center * 0.5 - (before.lo[axis] * 0.25 + before.hi[axis] * 0.25))
         beside &= moved <= hi[axis] * 0.5 - lo[axis] * 0.5
-    return inside or beside
+    if beside:
+        return True  # others in memory are not looked at
+    parent = np.int64(before.parent)
+    if parent == NONE or nodes[parent].parent == NONE:
+        return True
+    around, inside = nodes[nodes[parent].parent], True
+    for axis in range(around.lo.shape[0]):
+        center = lo[axis] * 0.5 + hi[axis] * 0.5
+        inside &= around.lo[axis] <= center <= around.hi[axis]
+    return inside
 
 
 @lean_kernel
@@ -219,7 +225,11 @@ def write_rows(tree, rows, change, margin):
     for i in rows:
         leaf, lo, hi = 2 * change.rows[i], change.lo[i], change.hi[i]
         write_leaf(tree.nodes, tree.tight, leaf, lo, hi, margin, change.ahead[i])
-        note_written(tree.state, leaf >> 1)
+    if rows.shape[0] > RECENT_PLACES:
+        note_all_written(tree.state)
+        return
+    for i in rows:
+        note_written(tree.state, change.rows[i])
 
 
 @lean_kernel
@@ -243,10 +253,12 @@ def move_rows(tree, change, policy, room):
         return count
     if count >= policy.refit_share * state[COUNT]:
         write_rows(tree, near, change, policy.margin)
-        refit_all(tree.nodes, tree.heights, state[ROOT], room.made)
+        cost = refit_all(tree.nodes, tree.heights, state[ROOT], room.made)
         state[REFITTED] += near_count
         state[REFITS] += near_count
         near = near[:0]
+        if far_count == 0 and is_due(state):
+            look_at_cost(tree.nodes, tree.heights, tree.handles, state, room, cost)
     for rows in (near, far):
         reinsert_rows(tree, rows, change, policy, room)
     return count

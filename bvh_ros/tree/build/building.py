@@ -4,10 +4,7 @@
 
 Every split uses up one level. Where the cheapest split would leave a side more boxes than the
 levels that remain can hold, the range is halved at its median instead: a bound on height is a
-bound on the stacks and on the worst query, whatever the scene. From eight boxes on a subtree is
-joined pair by pair.
-
-While a range is divided its sides are binned: each item is read once a level.
+bound on the stacks and on the worst query, whatever the scene. Eight boxes are joined in pairs.
 """
 
 from typing import NamedTuple
@@ -15,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..area import area_unit, half_area, node_area
+from ..area import area_scale, area_unit, half_area, node_area, tree_cost
 from ..jit.closest_pairs import pair_up
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import LANES, copy8, prefetch, stack_array
@@ -153,7 +150,7 @@ def _join_few(nodes, heights, state, room, here, scale):
 @inlined
 def _push(ranges, top, start, stop, levels, place, last, small):
     """Put a range on the stack; returns its new top."""
-    here = ranges[_PLACES * top : _PLACES * (top + 1)]
+    here = ranges[_PLACES * top :]
     here[START], here[STOP], here[LEVELS], here[PLACE] = start, stop, levels, place
     here[LAST], here[SMALL] = last, small
     return top + 1
@@ -174,8 +171,8 @@ def _plan(nodes, room, start, stop, work):
 
 @inlined
 def _plan_side(work, side, top, size, planar):
-    """As `choose_split` of a side that was binned; its plan goes to that of the range `top`."""
-    own, part = work.plans[PLAN * top : PLAN * (top + 1)], PART * (side + 1)
+    """As `choose_split` of a side that was binned; its plan goes to that of range `top`."""
+    own, part = work.plans[PLAN * top :], PART * (side + 1)
     for i in range(PART):
         own[i] = work.plan[part + i]
     return choose_split(work.bins, side, own, size, planar)
@@ -184,7 +181,7 @@ def _plan_side(work, side, top, size, planar):
 @lean_kernel
 def _split(nodes, room, work, top, node):
     """Let two sides take the place of range `top`, whose node is `node`."""
-    here, planar = work.ranges[_PLACES * top : _PLACES * (top + 1)], nodes[0].lo.shape[0] == 2
+    here, planar = work.ranges[_PLACES * top :], nodes[0].lo.shape[0] == 2
     start, stop, levels = here[START], here[STOP], here[LEVELS] - 1
     last, small, size = here[LAST], here[SMALL], stop - start
     for i in range(0, PLAN, LANES):
@@ -236,7 +233,7 @@ def build(nodes, heights, state, room, count, levels):
     near, near_made = -1, 0  # where the stack ends below the treelet, and what was made before it
     while top > 0:
         top -= 1
-        here = work.ranges[_PLACES * top : _PLACES * (top + 1)]
+        here = work.ranges[_PLACES * top :]
         size, place = here[STOP] - here[START], here[PLACE]
         if near < 0 and size <= NEAR:
             near, near_made = top, made_count
@@ -287,10 +284,17 @@ def post_order(nodes, root, order):
 @lean_kernel
 def refit_all(nodes, heights, root, order):
     """Make every inner box tight again, children before parents, without changing the tree's
-    shape. `order` is scratch, a number an inner node.
+    shape; returns its cost as of `tree_cost`. `order` is scratch, a number an inner node.
     """
     if root == NONE or is_leaf(root):
-        return
-    count = post_order(nodes, root, order)
+        return 0.0
+    count, total = post_order(nodes, root, order), 0.0
+    scale = area_scale(nodes, root, root)  # of the boxes as they were: nearly always the same
     for i in range(count - 1, -1, -1):
-        refit_node(nodes, heights, np.int64(order[i]))
+        node = np.int64(order[i])
+        refit_node(nodes, heights, node)
+        total += node_area(nodes, node, scale)
+    if scale != area_scale(nodes, root, root):
+        return tree_cost(nodes, root)
+    around = node_area(nodes, root, scale)
+    return total / around if around > 0.0 else float(count)

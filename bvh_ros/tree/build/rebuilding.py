@@ -25,6 +25,11 @@ from ..nodes import (
 from .binning import NODE, levels_needed
 from .building import TREELET, Room, build, count_leaves
 
+# The cost is looked at after so many moves a box; if it has become so much higher than it was
+# when built, or the number of boxes so different, the tree is built anew.
+REFITS_BEFORE_A_LOOK = 1
+WORSE = 1.2
+
 
 @inlined
 def floor_log2(count):
@@ -147,6 +152,24 @@ def build_anew(nodes, heights, handles, state, room):
     state[REFITS], state[BUILT_COUNT] = 0, state[COUNT]
     state.view(np.float64)[BUILT_COST] = cost
     state[REBUILDS] += 1
+
+
+@inlined
+def is_due(state):
+    """Whether a look at the cost is."""
+    return state[REFITS] >= REFITS_BEFORE_A_LOOK * state[COUNT] > 0
+
+
+@lean_kernel
+def look_at_cost(nodes, heights, handles, state, room, cost):
+    """Build the tree anew if this cost of it, or the number of its boxes, is no more what it was
+    when it was built.
+    """
+    state[REFITS] = 0
+    count, built = state[COUNT], state[BUILT_COUNT]
+    worse = cost > WORSE * state.view(np.float64)[BUILT_COST]
+    if worse or not 0.8 * built < count < 1.25 * built:
+        build_anew(nodes, heights, handles, state, room)
 
 
 @lean_kernel
