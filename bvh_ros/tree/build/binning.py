@@ -155,13 +155,13 @@ def rescale_items(nodes, items, numbers, start, stop):
 
 
 @inlined
-def _plan_axis(plan, part, axis, low, high, smallest):
+def _plan_axis(plan, part, low, high, smallest):
     """Bins between these; one where that is no more than `smallest`."""
     extent = high - low
     spread = extent > smallest
-    plan[part + axis] = low
-    plan[part + _SLOPE + axis] = np.float32(BINS) / extent if spread else np.float32(0.0)
-    plan[part + _WIDTH + axis] = extent * np.float32(1.0 / BINS)
+    plan[part] = low
+    plan[part + _SLOPE] = np.float32(BINS) / extent if spread else np.float32(0.0)
+    plan[part + _WIDTH] = extent * np.float32(1.0 / BINS)
 
 
 @inlined
@@ -169,25 +169,31 @@ def plan_range(plan, box, centers):
     """How a range is binned, from its bounds."""
     smallest = COINCIDENT * longest_edge(box)
     for axis in range(AXES):
-        _plan_axis(plan, 0, axis, -centers[axis], centers[HI + axis], smallest)
+        _plan_axis(plan, axis, -centers[axis], centers[HI + axis], smallest)
     plan[3] = plan[_SLOPE + 3] = np.float32(0.0)
 
 
 @inlined
-def _plan_side(plan, side, box, last):
+def _plan_side(plan, own, side, unions, last):
     """How a side of a split is binned: between the ends of the range, or the split, as far as the
-    side's box reaches. That is known before the side's centres are looked at.
+    side's box reaches. That is known before the side's centres are looked at. Returns whether the
+    side may be too small for its units.
     """
-    part, smallest = PART * (side + 1), COINCIDENT * longest_edge(box)
+    part, box, longest = own + PART * (side + 1), LANES * side, np.float32(0.0)
+    for axis in range(AXES):
+        longest = max(longest, unions[box + axis] + unions[box + HI + axis])
+    smallest = COINCIDENT * longest
     split = np.float32(last % BINS + 1)
     for axis in range(AXES):
-        origin, width, along = plan[axis], plan[_WIDTH + axis], axis == last // BINS
+        origin, width = plan[own + axis], plan[own + _WIDTH + axis]
+        along = axis == last // BINS
         begin = split if along and side == 1 else np.float32(0.0)
         stop = split if along and side == 0 else np.float32(BINS)
-        low = max(origin + begin * width, np.float32(-2.0) * box[axis])
-        high = min(origin + stop * width, np.float32(2.0) * box[HI + axis])
-        _plan_axis(plan, part, axis, low, high, smallest)
+        low = max(origin + begin * width, np.float32(-2.0) * unions[box + axis])
+        high = min(origin + stop * width, np.float32(2.0) * unions[box + HI + axis])
+        _plan_axis(plan, part + axis, low, high, smallest)
     plan[part + 3] = plan[part + _SLOPE + 3] = np.float32(0.0)
+    return np.int64(longest < SMALL_RANGE)
 
 
 @inlined
@@ -205,24 +211,21 @@ def fill_bins(bins, items, start, stop, plan):
 
 
 @lean_kernel
-def choose_split(bins, side, plan, total, planar):
+def choose_split(bins, side, plan, own, total, planar):
     """Of a range that is binned as this side: the bin after which a split is cheapest, the bins of
     the three axes numbered in turn, or NO_SPLIT; and a bit for each side, left and right, that may
-    be too small for its units. Plans the sides.
+    be too small for its units. Its plan begins at plan[own]: plans the sides.
     """
     first, rank = side * _ALL_BINS, NO_COST
     for axis in range(AXES):
-        if plan[_SLOPE + axis] > 0.0:
+        if plan[own + _SLOPE + axis] > 0.0:
             rank = min(rank, rank_bins(bins, first, axis, total, planar))
     if rank >= NO_COST:
         return np.int64(NO_SPLIT), np.int64(3)
     last, unions = np.int64(rank & NUMBER), stack_array(_SIDES, np.float32)
     join_sides(bins, first + last // BINS * BINS, last % BINS, unions)
-    left, right = unions[:LANES], unions[LANES:]
-    _plan_side(plan, 0, left, last)
-    _plan_side(plan, 1, right, last)
-    small = np.int64(longest_edge(right) < SMALL_RANGE) << 1
-    return last, small | np.int64(longest_edge(left) < SMALL_RANGE)
+    small = _plan_side(plan, own, 0, unions, last)
+    return last, small | _plan_side(plan, own, 1, unions, last) << 1
 
 
 @inlined
@@ -241,9 +244,8 @@ def divide(items, start, stop, shift, plan, last, binned, bins):
     test[along], test[_SLOPE + along] = plan[along], plan[_SLOPE + along]
     test[_LIMIT + along] = np.float32(last % BINS + 1)
     left, right = np.int64(start + shift), np.int64(stop + shift - 1)
-    scales = plan[PART:]
     for item in range(start, stop):
-        before = deal_item(items, item, left, right, test, along, binned, bins, scales)
+        before = deal_item(items, item, left, right, test, along, binned, bins, plan)
         left += before
         right -= 1 - before
     return left

@@ -121,20 +121,18 @@ def _adopt_back(nodes, heights, made, first, stop, scale):
 
 
 @lean_kernel
-def _join_few(nodes, heights, state, room, here, scale):
+def _join_few(nodes, heights, state, room, start, count, small, scale):
     """Join a range of at most FEW items pair by pair; returns the root, and the sum of the areas
     of all inner nodes.
     """
-    start, count = here[START], here[STOP] - here[START]
     names, fresh = stack_array(FEW, np.int64), stack_array(FEW, np.int64)
     pairs, total = stack_array(FEW, np.int32), 0.0
     for i in range(count):
         names[i] = room.numbers[(start + i) * LANES + NODE]
     node = names[0]
-    if count == 2:
-        pairs[0] = 1 << 3
-    elif count > 2:
-        if here[SMALL] != 0:
+    pairs[0] = 1 << 3  # of two
+    if count > 2:
+        if small != 0:
             rescale_items(nodes, room.items, room.numbers, start, start + count)
         pair_up(room.items, start, count, nodes[0].lo.shape[0] == 2, pairs)
     for i in range(count - 2, -1, -1):
@@ -150,9 +148,9 @@ def _join_few(nodes, heights, state, room, here, scale):
 @inlined
 def _push(ranges, top, start, stop, levels, place, last, small):
     """Put a range on the stack; returns its new top."""
-    here = ranges[_PLACES * top :]
-    here[START], here[STOP], here[LEVELS], here[PLACE] = start, stop, levels, place
-    here[LAST], here[SMALL] = last, small
+    at = _PLACES * top
+    ranges[at + START], ranges[at + STOP], ranges[at + LEVELS] = start, stop, levels
+    ranges[at + PLACE], ranges[at + LAST], ranges[at + SMALL] = place, last, small
     return top + 1
 
 
@@ -166,24 +164,24 @@ def _plan(nodes, room, start, stop, work):
         compute_bounds(room.items, start, stop, box, centers)
     plan_range(work.plan, box, centers)
     fill_bins(work.bins, room.items, start, stop, work.plan)
-    return choose_split(work.bins, 0, work.plan, stop - start, nodes[0].lo.shape[0] == 2)
+    return choose_split(work.bins, 0, work.plan, 0, stop - start, nodes[0].lo.shape[0] == 2)
 
 
 @inlined
 def _plan_side(work, side, top, size, planar):
     """As `choose_split` of a side that was binned; its plan goes to that of range `top`."""
-    own, part = work.plans[PLAN * top :], PART * (side + 1)
+    own, part = PLAN * top, PART * (side + 1)
     for i in range(PART):
-        own[i] = work.plan[part + i]
-    return choose_split(work.bins, side, own, size, planar)
+        work.plans[own + i] = work.plan[part + i]
+    return choose_split(work.bins, side, work.plans, own, size, planar)
 
 
 @lean_kernel
 def _split(nodes, room, work, top, node):
     """Let two sides take the place of range `top`, whose node is `node`."""
-    here, planar = work.ranges[_PLACES * top :], nodes[0].lo.shape[0] == 2
-    start, stop, levels = here[START], here[STOP], here[LEVELS] - 1
-    last, small, size = here[LAST], here[SMALL], stop - start
+    ranges, at, planar = work.ranges, _PLACES * top, nodes[0].lo.shape[0] == 2
+    start, stop, levels = ranges[at + START], ranges[at + STOP], ranges[at + LEVELS] - 1
+    last, small, size = ranges[at + LAST], ranges[at + SMALL], stop - start
     for i in range(0, PLAN, LANES):
         copy8(work.plan, i, work.plans, PLAN * top + i)
     if last == NO_SPLIT and size > FEW:
@@ -224,7 +222,7 @@ def build(nodes, heights, state, room, count, levels):
         stack_array(_PLAN_PLACES, np.float32),
     )
     scale = area_unit(2.0 * rescale_items(nodes, room.items, room.numbers, 0, count))
-    made, made_count = room.made, 0
+    ranges, made, made_count = work.ranges, room.made, 0
     root, total, top = (
         np.int64(NONE),
         0.0,
@@ -233,14 +231,15 @@ def build(nodes, heights, state, room, count, levels):
     near, near_made = -1, 0  # where the stack ends below the treelet, and what was made before it
     while top > 0:
         top -= 1
-        here = work.ranges[_PLACES * top :]
-        size, place = here[STOP] - here[START], here[PLACE]
-        if near < 0 and size <= NEAR:
+        at = _PLACES * top
+        start, stop, place = ranges[at + START], ranges[at + STOP], ranges[at + PLACE]
+        if near < 0 and stop - start <= NEAR:
             near, near_made = top, made_count
-            for item in range(here[START], here[STOP]):
+            for item in range(start, stop):
                 prefetch(nodes, room.numbers[item * LANES + NODE], 1)
-        if size <= min(FEW, here[LEVELS] + 1):
-            node, area = _join_few(nodes, heights, state, room, here, scale)
+        if stop - start <= min(FEW, ranges[at + LEVELS] + 1):
+            small, size = ranges[at + SMALL], stop - start
+            node, area = _join_few(nodes, heights, state, room, start, size, small, scale)
             total += area
         else:
             node = take_inner(nodes, state)

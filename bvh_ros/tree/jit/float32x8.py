@@ -132,20 +132,20 @@ def add_to_bins(typingctx, bins, items, item, scales):
 
 
 @intrinsic
-def deal_item(typingctx, items, item, left, right, test, axis, binned, bins, scales):
+def deal_item(typingctx, items, item, left, right, test, axis, binned, bins, plan):
     """Copy an item to the place `left` or `right`, and if `binned` add it to that side's bins; 1
     if that is the left, else 0.
 
     `test`, float32: twice the centre less test[:4], times test[4:8], less test[8:12] is negative
-    on the left; on other axes than `axis` it never is. `scales` as in `add_to_bins`, twelve places
-    a side.
+    on the left; on other axes than `axis` it never is. plan[12:24] and
+    plan[24:36] begin with the sides' `scales`, see `add_to_bins`.
     """
     places = [types.int64] * 3
-    sig = types.int64(items, *places, test, types.int64, types.boolean, bins, scales)
+    sig = types.int64(items, *places, test, types.int64, types.boolean, bins, plan)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        items_kind, _, _, _, test_kind, _, _, bins_kind, scales_kind = signature.args
-        items, item, left, right, test, axis, binned, bins, scales = args
+        items_kind, _, _, _, test_kind, _, _, bins_kind, plan_kind = signature.args
+        items, item, left, right, test, axis, binned, bins, plan = args
         box, center = _box_and_center(context, builder, items_kind, items, item)
         limits = [
             builder.load(place_at(context, builder, test_kind, test, index(i), _FOUR), align=4)
@@ -164,8 +164,8 @@ def deal_item(typingctx, items, item, left, right, test, axis, binned, bins, sca
             count = index(3 * WIDTH)
             first = builder.mul(side, count)
             first = boxes_from(context, builder, bins_kind, bins, first, count)
-            at = builder.mul(side, index(12))
-            scales = place_at(context, builder, scales_kind, scales, at, _FOUR)
+            at = builder.mul(builder.add(side, index(1)), index(12))
+            scales = place_at(context, builder, plan_kind, plan, at, _FOUR)
             _add_to_bins(builder, first, box, center, scales)
         return before
 

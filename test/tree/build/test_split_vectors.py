@@ -27,14 +27,12 @@ def bins_of(bins, items, scales, first, axis, planar):
 
 
 @numba.njit
-def dealt(items, test, axis, binned, bins, scales):
+def dealt(items, test, axis, binned, bins, plan):
     """The second half of the items to both ends of the first; where the right ones begin."""
     count = items.shape[0] // 16
     left, right = 0, count - 1
     for item in range(count, 2 * count):
-        before = split_vectors.deal_item(
-            items, item, left, right, test, axis, binned, bins, scales
-        )
+        before = split_vectors.deal_item(items, item, left, right, test, axis, binned, bins, plan)
         left += before
         right -= 1 - before
     return left
@@ -182,7 +180,7 @@ def test_dealing(count: int, binned: bool) -> None:
         parts = [some_scales(items[one] if one.any() else items) for one in (left, ~left)]
         both = np.concatenate([np.zeros_like(items), items])
         bins = np.full((6 * BINS, 8), -np.inf, np.float32)
-        own = np.concatenate([part[0].ravel() for part in parts])
+        own = np.concatenate([scales.ravel(), *(part[0].ravel() for part in parts)])
         middle = dealt(both.ravel(), test.ravel(), axis, binned, bins.ravel(), own)
         assert middle == left.sum()
         there = np.concatenate([items[left], items[~left][::-1]])
