@@ -152,40 +152,45 @@ class Moments:
             checks.finite('origins', rays.origins)
             checks.finite('directions', rays.directions)
         rays, first = row_by_row(rays), self._firsts(still, rays, times)
-        hits = CastHits(
-            *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
-            *(np.full((count, 3), np.nan), np.zeros((count, 3))),
-        )
         columns = *rays, *(every_row(one, count) for one in (radii, *times))
 
-        def work(start: int, stop: int) -> None:
+        def work(start: int, stop: int) -> CastHits:
             *some, balls, begin, pace = (column[start:stop] for column in columns)
-            given = Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace)
-            rows, slots, *places = first(*given)
-            rows += start
-            hits.handles[rows] = held.columns.node_handle[slots]
-            hits.t[rows], hits.points[rows], hits.normals[rows] = places
+            return first(Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace))
 
-        in_threads(work, count, threads)
-        return hits
+        parts = in_threads(work, count, threads)
+        if len(parts) == 1:
+            return parts[0]
+        return CastHits(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
-    def _firsts(self, still: bool, rays: Rays, times: 'Times') -> Callable[..., tuple[Any, ...]]:
-        """What tells the first hits of some of these rays: (rows, slots, ts, points, normals)."""
+    def _firsts(self, still: bool, rays: Rays, times: 'Times') -> Callable[..., CastHits]:
+        """What tells the first hits of some of these rays."""
         from .casting.moving import cast_then, first_then, sweep_for  # as above
 
-        def among_some_at_rest(*asked: Any) -> tuple[Any, ...]:
-            met = cast_then(self._held, *asked)
+        node_handles = self._held.columns.node_handle
+
+        def among_some_at_rest(some: Rays, *asked: Any) -> CastHits:
+            met, count = cast_then(self._held, some, *asked), len(some.origins)
             rows, first = np.unique(met.rows, return_index=True)
-            return rows, met.slots[first], met.ts[first], met.points[first], met.normals[first]
+            hits = CastHits(
+                *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
+                *(np.full((count, 3), np.nan), np.zeros((count, 3))),
+            )
+            hits.handles[rows] = node_handles[met.slots[first]]
+            for into, found in zip(hits[1:], (met.ts, met.points, met.normals), strict=True):
+                into[rows] = found[first]
+            return hits
 
         if still:
             return among_some_at_rest
         sweep = sweep_for(self._held, rays, times)
 
-        def among_moving(*asked: Any) -> tuple[Any, ...]:
-            told = first_then(self._held, sweep, *asked)
-            rows = np.flatnonzero(told.hits.slots != NONE)
-            return rows, *(c[rows] for c in (*told.hits[:2], told.points, told.normals))
+        def among_moving(*asked: Any) -> CastHits:
+            (slots, ts, _), points, normals = first_then(self._held, sweep, *asked)
+            missed = np.flatnonzero(slots == NONE)
+            handles = node_handles[slots].astype(np.uint32)
+            handles[missed], ts[missed], points[missed] = NO_NODE, np.inf, np.nan
+            return CastHits(handles, ts, points, normals)
 
         return among_moving
 

@@ -10,6 +10,7 @@ Who grows, see `store.places`, is met by a ball that is as much larger, as he ha
 of its way: too early rather than too late.
 """
 
+import functools
 from functools import partial
 from typing import Any
 
@@ -174,8 +175,8 @@ def require_ends(held: Obstacles, rays: Rays) -> None:
 
 def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
     """By how much rays may pass boxes of obstacles that their balls touch, (n,)."""
-    axes = rays.origins[:, : held.tree.ndim]
-    largest = np.abs(axes).max(axis=1, initial=0.0)
+    axes = np.abs(rays.origins[:, : held.tree.ndim]).T
+    largest = functools.reduce(np.maximum, axes)  # `max` of short rows takes ten times as long
     growth = most_growth(held, times.at, times.ends(rays.t_max))
     return np.asarray(ball_reach(radii, largest) + growth)
 
