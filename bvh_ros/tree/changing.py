@@ -254,7 +254,8 @@ def compile_ray(ndim: int) -> None:
 
 # How Python calls them: by the number of dimensions, see `compiling.entry_points`.
 _POINT, _IDS = np.empty(0), np.empty(0, np.int64)
-_CHANGE = Change(_IDS, *(np.empty((0, 3)),) * 3, np.empty(0, np.uint32), _IDS)
+_NUMBERS = np.empty(0, np.uint32), np.empty(0, np.int32)
+_CHANGE = Change(_IDS, *(np.empty((0, 3)),) * 3, *_NUMBERS)
 _POLICY = Policy(0.0, False, 0.0, 0.0)
 insert_entry = entry_points(
     insert_one, _POINT, _POINT, np.uint32(0), 0.0, False, beside=compile_ray

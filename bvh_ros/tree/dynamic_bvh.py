@@ -228,7 +228,8 @@ class DynamicBVH(RayQueries, Predicates):
         float64, finite, lo <= hi. Nothing is looked at or copied.
         """
         if len(slots) != 1:
-            self._change_many(changing.MOVE, slots, (lo, hi, np.zeros(lo.shape)), shares=SHARES)
+            boxes = lo, hi, self._ahead(None, len(slots))
+            self._change_many(changing.MOVE, slots, boxes, shares=SHARES)
             return
         handle = self._storage.tree.handles.item(slots.item())
         asked = handle, lo[0], hi[0], self._margin, STILL, self._thorough
@@ -237,7 +238,7 @@ class DynamicBVH(RayQueries, Predicates):
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:
         if displacement is None:
-            return np.zeros((count, self.ndim))
+            return np.zeros((1, self._ndim))
         ahead = checks.points('displacement', displacement, self.ndim, count)
         if ahead.any():
             self._keep_exact_boxes()

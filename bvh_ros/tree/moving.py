@@ -54,10 +54,10 @@ class Change(NamedTuple):
     """Shape (n, ndim), as the next two."""
     hi: NDArray[np.float64]
     ahead: NDArray[np.float64]
-    """Where boxes that move are expected to be next, relative to now."""
+    """Where boxes that move are expected to be next, relative to now; a row for all, or each."""
     masks: NDArray[np.uint32]
     """Of boxes to insert."""
-    order: NDArray[np.int64]
+    order: NDArray[np.int32]
     """Scratch: two numbers a box to move."""
 
 
@@ -162,6 +162,11 @@ def move_leaf(tree, leaf, lo, hi, margin, displacement, branch_and_bound):
 
 
 @inlined
+def _row_ahead(change, row):
+    return row if change.ahead.shape[0] > 1 else 0
+
+
+@inlined
 def _is_near(nodes, leaf, lo, hi):
     """Whether a box is still about where its leaf is in the tree: its centre within the
     grandparent, or moved by no more than its own edges.
@@ -197,7 +202,7 @@ def classify_moves(tree, change, margin, near, far):
     near_count, far_count = 0, 0
     for i in range(slots.shape[0]):
         leaf, lo, hi = 2 * slots[i], change.lo[i], change.hi[i]
-        if fits(nodes, tight, leaf, lo, hi, margin, change.ahead[i]):
+        if fits(nodes, tight, leaf, lo, hi, margin, change.ahead[_row_ahead(change, i)]):
             write_tight(tight, leaf, lo, hi)
         elif _is_near(nodes, leaf, lo, hi):
             near[near_count] = i
@@ -213,7 +218,7 @@ def reinsert_rows(tree, rows, change, policy, room):
     state = tree.state
     for row in rows:
         leaf, lo, hi = 2 * change.rows[row], change.lo[row], change.hi[row]
-        ahead, branch_and_bound = change.ahead[row], policy.branch_and_bound
+        ahead, branch_and_bound = change.ahead[_row_ahead(change, row)], policy.branch_and_bound
         move_leaf(tree, leaf, lo, hi, policy.margin, ahead, branch_and_bound)
         rebalance(tree.nodes, tree.heights, state, room)
     state[REINSERTED] += rows.shape[0]
@@ -224,7 +229,9 @@ def reinsert_rows(tree, rows, change, policy, room):
 def write_rows(tree, rows, change, margin):
     for i in rows:
         leaf, lo, hi = 2 * change.rows[i], change.lo[i], change.hi[i]
-        write_leaf(tree.nodes, tree.tight, leaf, lo, hi, margin, change.ahead[i])
+        write_leaf(
+            tree.nodes, tree.tight, leaf, lo, hi, margin, change.ahead[_row_ahead(change, i)]
+        )
     if rows.shape[0] > RECENT_PLACES:
         note_all_written(tree.state)
         return

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import changing, handle_checks
 from ..build.building import Room, room_to_build
-from ..checks import INT64
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
@@ -229,7 +228,7 @@ class Arrays:
         if boxes is None:
             boxes = (np.empty((0, self.ndim)),) * 3
         more = len(rows) if how == changing.INSERT else 0
-        order = np.empty(2 * len(rows) if how == changing.MOVE else 0, INT64)
+        order = np.empty(2 * len(rows) if how == changing.MOVE else 0, np.int32)
         change = Change(rows, *boxes, masks, order)
         policy = Policy(self._margin, self._thorough, *shares)
         kernel = changing.many_entry(self._ndim)
