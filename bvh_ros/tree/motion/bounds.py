@@ -8,8 +8,9 @@ side is never above (Grünschloß et al. 2011, "MSBVH"). At both ends the bounds
 between loose by no more than a quarter of how far the boxes of a node part in that time.
 
 The bounds only prune: `meeting` decides. They are widened by 2**-48 of what they are at either
-end, many times all that a query loses by rounding within the span, and by `LEAST`, as products
-may underflow. A bound that is not finite is none.
+end, many times all that a query loses by rounding within the span, by how far they go in 2**-50 of
+its times, as those of a query are rounded, too, and by `LEAST`, as products may underflow. A bound
+that is not finite is none.
 """
 
 import functools
@@ -98,13 +99,17 @@ def _ends(side, rate, other, other_rate, length):
 
 
 @inlined
-def _fit_inner(node, one, other, length):
+def _fit_inner(node, one, other, moving):
+    length, far = moving.stop - moving.start, 0.25 * (abs(moving.start) + abs(moving.stop))
     for axis in range(node.lower.shape[0]):
         sides = one.lower[axis], one.lower_rates[axis], other.lower[axis], other.lower_rates[axis]
-        lower = _ends(*sides, length)
+        lower, fastest = _ends(*sides, length), abs(sides[1]) + abs(sides[3])
         sides = one.upper[axis], one.upper_rates[axis], other.upper[axis], other.upper_rates[axis]
         upper = _ends(*sides, length)
         extent = abs(lower[0]) + abs(upper[0]) + (abs(lower[1]) + abs(upper[1]))
+        # The last time of a course is rounded: it may go on beyond the span, where the line
+        # through two ends leaves boxes that part there. (That of a leaf is its own at any time.)
+        extent += (abs(sides[1]) + abs(sides[3]) + fastest) * far
         _set_side(node.lower, node.lower_rates, axis, *lower, 1.0 / length, extent)
         _set_side(node.upper, node.upper_rates, axis, *upper, 1.0 / length, extent)
 
@@ -122,7 +127,6 @@ def fit_nodes(tree, moving, order):
         order[count] = node
         count += 1
         node, top = next_node(nodes, node, not is_leaf(node), stack, top)
-    length = moving.stop - moving.start
     for i in range(count - 1, -1, -1):
         node = order[i]
         here, there = fitted[node], nodes[node]
@@ -132,7 +136,7 @@ def fit_nodes(tree, moving, order):
             _fit_leaf(here, box_of(tree, moving, node >> 1), moving)
         else:
             here.left, here.right = there.left, there.right
-            _fit_inner(here, fitted[there.left], fitted[there.right], length)
+            _fit_inner(here, fitted[there.left], fitted[there.right], moving)
     end_query(tree.state)
     return np.int64(0)
 

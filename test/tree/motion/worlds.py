@@ -85,6 +85,24 @@ def all_decades(rng: Random, ndim: int) -> tuple[World, Course]:
     return World(lo, hi, velocities, references), Course(low, low, way, at, pace)
 
 
+def long_ago(rng: Random, ndim: int) -> tuple[World, Course]:
+    """Times so far from zero that their last digits are ways: a ray that meets a box at rest in
+    the end, beside boxes that came the same way and are beyond that box's face by then.
+    """
+    way = np.zeros(ndim)
+    way[rng.integers(ndim)] = rng.choice([-1.0, 1.0])
+    lo = rng.integers(2, 9, (3, ndim)) * (way == 0.0) + 0.5 * way - (way < 0.0)
+    lo[0] = np.minimum(way, 0.0)
+    ended, pace = float(rng.integers(1, 99)) / 64, float(rng.uniform(-2, 2))
+    at = float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(8, 10))
+    gone = 0.5 + rng.uniform(0.1, 0.9, (3, 1)) * ended
+    velocities = way * gone / (ended * pace)
+    velocities[0] = 0.0
+    low = 0.5 * (way == 0.0) - ended * way
+    world = World(lo, lo + 1.0, velocities, np.full(3, at + ended * pace))
+    return world, Course(low, low, way, at, pace)
+
+
 def ends_of_the_doubles(rng: Random, ndim: int) -> tuple[World, Course]:
     """The same as whole numbers of the smallest double, or of one near the largest."""
     world, course = whole_numbers(rng, ndim)
@@ -94,7 +112,7 @@ def ends_of_the_doubles(rng: Random, ndim: int) -> tuple[World, Course]:
     return World(lo, hi, velocities, world.references), Course(*ways, course.at, course.pace)
 
 
-KINDS = plain, whole_numbers, grazing, together, all_decades, ends_of_the_doubles
+KINDS = plain, whole_numbers, grazing, together, all_decades, ends_of_the_doubles, long_ago
 
 
 def worlds(seed: int, count: int) -> Iterator[tuple[World, Course, Random]]:
