@@ -12,7 +12,7 @@ from ..tree.nodes import ALL, NONE
 from ..tree.store.turns import IS_CHANGED
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours, name_entry
-from .distance.query_rows import QueryRows, query_rows
+from .distance.query_rows import QueryRows, given_rows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
 from .geometry.shapes import Floats, Shapes, as_shapes
@@ -226,19 +226,32 @@ class DistanceQueries:
         ValueError
             If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
         """
-        rows, hulls = query_rows(as_shapes(shapes), 0.0, mask, self._held.planar)
-        reaches = checks.limits_or_one('max_distance', max_distance, len(rows.records))
-        threads = checks.whole('threads', threads, 1)
-        sign: Signed = sign_of(signed)
-        if self._moments.meant(at, None, len(rows.records)):
-            times, more = self._moments.seconds(at, len(rows.records)), (reaches, NONE, sign)
-            found = self._moments.distances().clearances(rows, hulls, more, times, threads)
-        else:
-            found = self._clearances.find_rows(rows, hulls, (reaches, NONE, sign), threads)
+        given, threads = as_shapes(shapes), checks.whole('threads', threads, 1)
+        reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
+        more = reaches, NONE, sign_of(signed)
+        found = None
+        if at is None and given.mesh is None:
+            found = self._clearances.find_rows(given_rows(given, 0.0, mask), None, more, threads)
+        if found is None:
+            found = self._find_made(given, mask, more, threads, at)
         handles = self._held.columns.node_handle
         named = np.empty(len(found.slots), checks.UINT32)
         name_entry()(handles, found.slots, named)
         return named, found.distances, found.points[:, 0], found.points[:, 1]
+
+    def _find_made(
+        self, given: Shapes, mask: ArrayLike, asked: tuple[Any, ...], threads: int, at: Any
+    ) -> Neighbours:
+        """What is nearest to shapes that are made before a kernel is called; ValueError if one is
+        not legal.
+        """
+        rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
+        if self._moments.meant(at, None, len(rows.records)):
+            times = self._moments.seconds(at, len(rows.records))
+            return self._moments.distances().clearances(rows, hulls, asked, times, threads)
+        found = self._clearances.find_rows(rows, hulls, asked, threads)
+        assert found is not None
+        return found
 
 
 def sign_of(signed: bool) -> Signed:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import query_rows, shape_query
+from .distance.query_rows import given_rows, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
 from .geometry.shapes import UINT8, Shapes, as_shapes
@@ -157,13 +157,14 @@ class OverlapQueries:
             As `overlap`; the message names the first bad row. If `want` is none of these.
         """
         places = checks.rows('centers', centers, 3)
-        edges, turns = checks.floats('sizes', sizes), UNTURNED
-        if edges.shape == (3,):
-            edges = edges[None]
+        turns, count = UNTURNED, len(places)
+        if isinstance(sizes, np.ndarray) and sizes.shape != (3,):
+            edges = checks.rows('sizes', sizes, 3, count)
         else:
-            edges = checks.rows('sizes', edges, 3, len(places))
+            edges = checks.floats('sizes', sizes)
+            edges = edges[None] if edges.shape == (3,) else checks.rows('sizes', edges, 3, count)
         if orientations is not None:
-            turns = checks.rows('orientations', orientations, 4, len(places))
+            turns = checks.rows('orientations', orientations, 4, count)
         names = 'centers', 'sizes', 'orientations'
         # As Shapes(...), which would take one more call of a function of Python's.
         shapes = tuple.__new__(Shapes, (BOXES, places, turns, edges, None))
@@ -220,9 +221,14 @@ class OverlapQueries:
         """What `overlap_many` returns of any shapes; asked = (tolerance, mask, names)."""
         if not isinstance(want, str) or want not in WANTED:
             raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
-        tolerance, mask, names = asked
+        (tolerance, mask, names), threads = asked, checks.whole('threads', threads, 1)
+        if at is None and shapes.mesh is None:
+            rows = given_rows(shapes, tolerance, mask)
+            told = self._overlaps.answer(rows, None, WANTED[want], threads)
+            if told is not None:
+                return told
         rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
-        threads, count = checks.whole('threads', threads, 1), len(rows.records)
+        count = len(rows.records)
         if self._moments.meant(at, None, count):
             times = self._moments.seconds(at, count)
             given = rows, hulls, times, threads, want == 'any'

@@ -8,7 +8,9 @@ them, until the next box is farther than the nearest shape among those it has na
 
 import functools
 import math
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +21,11 @@ from ...tree.checks import INT64
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import COUNT, NONE
+from ...tree.nodes import COUNT, NONE, View
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import begin_query, end_query
 from ...tree.store.workers import in_threads
+from ..geometry.canonical import FINE
 from ..geometry.shapes import Floats
 from ..results import NO_NODE
 from ..store.columns import Columns
@@ -30,7 +33,7 @@ from ..store.mesh_store import Hulls
 from .closest import fill_corners, length
 from .gjk import CORE_ROWS
 from .narrow_phase import fill_cores, ordered
-from .query_rows import QueryRows
+from .query_rows import FAULTY, QueryRows, make_row
 from .simplex import FIRST, SECOND, SLACK, WAY_ROOM, dot
 from .sinking import sink_shape
 from .sure_gap import sure_bounds
@@ -133,23 +136,28 @@ def box_gap(one, other, ndim, points):
 def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
     """Fill in the rows [start, stop) of `told`; asked = (reaches, how many boxes there are, the
     node handle that is not looked at, `touching_rows.Signed`), place = (start, stop). Returns
-    (rows done, room wanted): fewer than there are where there is no room, negative if the tree is
-    changed.
+    (rows done, room wanted): fewer than there are where there is no room, REFUSED if the tree is
+    changed, FAULTY if a shape is not legal.
     """
     reaches, everybody, besides, signed = asked
     tree, (row, stop) = view.tree, place
     if not begin_query(tree.state, view.version):
         return -1, 0
-    wanted = 0
+    wanted, own, box = 0, stack_array(1, rows.records), stack_array((2, 3), np.float64)
     while row < stop:
+        record, bounds, fault = make_row(rows, row, own, box)
+        if fault != FINE:
+            row = FAULTY
+            break
         told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
         reach, wanted, looked = of_row(reaches, row), min(2, everybody + 1), 0
         while wanted <= room.slots.shape[0]:
-            low, high = rows.bounds[row, 0], rows.bounds[row, 1]
+            low, high = bounds[0], bounds[1]
             limit, mask = max(reach * ROUNDED, reach), of_row(rows.masks, row)
             count = nearest(tree, low, high, wanted, limit, mask, room.slots, room.bounds)
             fresh = room.slots[looked:count]
-            look_at(bodies, rows, row, (reach, besides), signed, node_handles, fresh, told)
+            asked_of = reach, besides, signed
+            look_at(bodies, record[0], row, asked_of, node_handles, fresh, told)
             distance = max(told.distances[row], 0.0)
             if count < wanted or room.bounds[count - 1] > distance * ROUNDED:
                 break
@@ -175,10 +183,9 @@ def apart(one, other, bodies, signed, points):
 
 
 @lean_kernel
-def look_at(bodies, rows, row, asked, signed, node_handles, slots, told):
+def look_at(bodies, one, row, asked, node_handles, slots, told):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
-    reach, besides = asked
-    points, one = stack_array((2, 3), np.float64), rows.records[row]
+    (reach, besides, signed), points = asked, stack_array((2, 3), np.float64)
     for i in range(slots.shape[0]):
         slot = slots[i]
         if node_handles[slot] != besides:
@@ -220,36 +227,61 @@ def name_entry() -> Callable[..., Any]:
     return entry_point(name_slots, numbers, numbers, np.empty(0, np.uint32))
 
 
+class Kept(threading.local):
+    """Room that a thread keeps: to make it takes a tenth of a call of one row."""
+
+    def __init__(self) -> None:
+        self.room = Room(np.empty(FEW, INT64), np.empty(FEW))
+
+
 class Clearances:
     """Distances in one scene."""
 
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
+        self._kept = Kept()
         self._kernels = {None: RowKernel(clearance_rows), True: RowKernel(clearance_rows)}
 
     def find_rows(
         self, rows: QueryRows, hulls: Hulls | None, asked: tuple[Floats, int, Signed], threads: int
-    ) -> Neighbours:
+    ) -> Neighbours | None:
         """The obstacles nearest to n shapes, ties by handle; asked = (reaches, the node handle
-        that is not looked at, whether distances have a sign).
+        that is not looked at, whether distances have a sign). None if a row that is `given` is not
+        legal.
         """
         reaches, besides, signed = asked
-        count, columns, view = len(rows.records), self._columns, self._tree.view()
+        count, columns, view = rows.number(), self._columns, self._tree.view()
         bodies, everybody = bodies_of(columns, hulls), view.tree.state.item(COUNT)
         # As Neighbours(...), which would take one more call of a function of Python's.
         parts = np.empty(count, INT64), np.empty(count), np.empty((count, 2, 3))
         told, question = tuple.__new__(Neighbours, parts), (reaches, everybody, besides, signed)
+        if threads == 1:  # without what others take
+            every = rows, question, (0, count), columns.node_handle, self._kept.room, told
+            if self._kernels[signed](view, bodies, every)[0] == count:
+                return told
+        given = view, bodies, rows, question, told
+        return told if all(in_threads(partial(self._work, *given), count, threads)) else None
 
-        def work(start: int, stop: int) -> None:
-            wanted = FEW
-            while start < stop:
-                room = Room(np.empty(wanted, np.int64), np.empty(wanted))
-                given = rows, question, (start, stop), columns.node_handle, room, told
-                start, wanted = self._kernels[signed](view, bodies, given)
-
-        in_threads(work, count, threads)
-        return told
+    def _work(
+        self,
+        view: View,
+        bodies: Any,
+        rows: QueryRows,
+        question: tuple[Any, ...],
+        told: Neighbours,
+        start: int,
+        stop: int,
+    ) -> bool:
+        """Fill in the rows [start, stop); whether all are legal."""
+        wanted, kernel, handles = FEW, self._kernels[question[3]], self._columns.node_handle
+        while start < stop:
+            room = Room(np.empty(wanted, INT64), np.empty(wanted))
+            given = rows, question, (start, stop), handles, room, told
+            start, wanted = kernel(view, bodies, given)
+            if start == FAULTY:
+                return False
+        return True
 
     def nearest_other(self, slot: int, signed: Signed) -> Neighbours:
         """What is nearest to the obstacle of a slot."""
@@ -259,4 +291,6 @@ class Clearances:
         bounds[0, 0, : lo.shape[1]], bounds[0, 1, : lo.shape[1]] = lo, hi
         rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
         asked = checks.FOREVER, int(handle), signed
-        return self.find_rows(rows, self._columns.hulls(), asked, 1)
+        found = self.find_rows(rows, self._columns.hulls(), asked, 1)
+        assert found is not None
+        return found

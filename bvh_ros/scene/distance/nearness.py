@@ -104,9 +104,13 @@ class Nearness:
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)
         asked = k, view.tree.state.item(COUNT), columns.shadows > 0, signed
+        found = self._scratch.found
+        if threads == 1 and k < len(found.slots):  # without what others take
+            every = points, asked, (0, count), columns.node_handle, found, near
+            start = self._rows[signed](view, bodies, every)[0]
+            if start == count:
+                return near
         given = view, bodies, points, asked, near
-        if threads == 1:  # without what several take
-            return near if self._work(*given, 0, count) else None
         done = in_threads(partial(self._work, *given), count, threads)
         return near if all(done) else None
 

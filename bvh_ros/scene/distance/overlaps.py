@@ -21,7 +21,7 @@ from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from ..store.registry import Slots
 from . import narrow_phase
-from .query_rows import QueryRows
+from .query_rows import FAULTY, NARROW, QueryRows, with_records
 from .query_shape import QueryShape
 from .touching import REFUSED, Found, Scratch, touching_boxes, touching_shapes
 from .touching_rows import (
@@ -40,9 +40,10 @@ FEW = 64  # handles that there is room for at first
 NOBODY = np.empty(0, np.uint32)
 NOT_WANTED = NOBODY, np.empty(0), np.empty((0, 3))
 TOLD_AS = {ANY: BOOL, COUNT: INT64, FIRST: UINT32}
-# Of an answer: node handles of all that are met, in parts, and what is counted. It has a name, as
-# Python makes an annotation of a function within a function anew at each call, in 3 us.
-Part: TypeAlias = tuple[list[NDArray[np.uint32]], int, int]
+# Of an answer: why there is none, node handles of all that are met, in parts, and what is
+# counted. It has a name, as Python makes an annotation of a function within a function anew at
+# each call, in 3 us.
+Part: TypeAlias = tuple[int, list[NDArray[np.uint32]], int, int, int]
 
 
 class Overlaps:
@@ -75,12 +76,17 @@ class Overlaps:
 
     def answer(self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int) -> Any:
         """`find` of n shapes: what is `wanted` (see `touching_rows`) of each, as
-        `Scene.overlap_many` returns it.
+        `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
         if wanted == ALL:
             return self._every(rows, hulls, threads)
-        told, _ = self._find_rows(rows, hulls, wanted, threads)
-        for row in np.flatnonzero(told.open).tolist() if np.count_nonzero(told.open) else ():
+        found_rows = self._find_rows(rows, hulls, wanted, threads)
+        if found_rows is None:
+            return None
+        told, _, unsure = found_rows
+        if unsure:
+            rows = with_records(rows)
+        for row in np.flatnonzero(told.open).tolist() if unsure else ():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
             told.numbers[row] = len(order)
             handles = self._columns.node_handle[found.slots[order]]
@@ -95,19 +101,20 @@ class Overlaps:
             told.numbers[:] = np.diff(self._every(rows, hulls, threads)[0])
         if wanted == HITS:
             return BoxHits(told.handles, told.numbers, told.distances, told.points)
-        return told.numbers.astype(TOLD_AS[wanted])
+        return told.numbers.astype(TOLD_AS[wanted], copy=False)
 
-    def _every(
-        self, rows: QueryRows, hulls: Hulls | None, threads: int
-    ) -> tuple[Slots, NDArray[np.uint32]]:
-        """(offsets, node handles) of all that touch each shape."""
-        told, handles = self._find_rows(rows, hulls, ALL, threads)
+    def _every(self, rows: QueryRows, hulls: Hulls | None, threads: int) -> Any:
+        """(offsets, node handles) of all that touch each shape; None as `answer`."""
+        found_rows = self._find_rows(rows, hulls, ALL, threads)
+        if found_rows is None:
+            return None
+        told, handles, unsure = found_rows
         count = len(told.numbers)
         offsets = np.zeros(count + 1, np.int64)
-        if not (np.count_nonzero(told.open) or self._columns.shadows):
+        if not (unsure or self._columns.shadows):
             told.numbers.cumsum(out=offsets[1:])
             return offsets, handles
-        of = np.repeat(np.arange(count), told.numbers)
+        rows, of = with_records(rows), np.repeat(np.arange(count), told.numbers)
         sure, open_rows, each = ~told.open[of], np.flatnonzero(told.open), [NOBODY]
         for row in open_rows.tolist():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
@@ -122,14 +129,15 @@ class Overlaps:
         return offsets, handles[np.argsort(of, kind='stable')]
 
     def _find_rows(
-        self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int
-    ) -> tuple[Answers, NDArray[np.uint32]]:
-        """What is wanted of each row, but of those that are `open`: these are left to `find`. And
-        the handles of all that are met, row after row, if those are wanted.
+        self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int, narrow: bool = False
+    ) -> tuple[Answers, NDArray[np.uint32], int] | None:
+        """What is wanted of each row, but of those that are `open`: these are left to `find`; the
+        handles of all that are met, row after row, if those are wanted; how many are open. None if
+        a row that is `given` is not legal. `narrow`: such a row needs a narrow phase.
         """
-        count, columns, view = len(rows.records), self._columns, self._tree.view()
-        shaped = columns.shaped > 0 or np.count_nonzero(rows.records['shaped']) > 0
-        bodies = bodies_of(columns, hulls) if shaped else None
+        count, columns, view = rows.number(), self._columns, self._tree.view()
+        if len(rows.records):
+            narrow = bool(rows.records['shaped'].any())
         hits = count if wanted == HITS else 0
         first = NOT_WANTED
         if hits:
@@ -137,20 +145,35 @@ class Overlaps:
             first[0][:], first[1][:], first[2][:] = NO_NODE, np.inf, np.nan
         # As Answers(...), which would take one more call of a function of Python's.
         told = tuple.__new__(Answers, (np.empty(count, INT64), np.empty(count, BOOL), *first))
-        given = view, bodies, rows, wanted, told
+        bodies = bodies_of(columns, hulls) if narrow or columns.shaped else None
+        given, unsure = (view, bodies, rows, wanted, told), 0
+        if threads == 1 and wanted != ALL:  # without what others take: a third of a call of a row
+            asked = rows, wanted, (0, count), columns.node_handle, self._scratch.found, told
+            start, _, _, compared, more, unsure = self._rows(view, bodies, asked)
+            if start == count:
+                if compared:
+                    columns.pairs_compared += compared
+                    columns.pairs_in_more_digits += more
+                return told, NOBODY, unsure
+            if start == NARROW:
+                return self._find_rows(rows, hulls, wanted, threads, True)
+            unsure = 0
         handles: list[NDArray[np.uint32]] = []
-        if threads == 1:  # without what several take: a fifth of a call of one row
-            done = [self._work(*given, 0, count)]
-        else:
-            done = in_threads(partial(self._work, *given), count, threads)
-        for parts, compared, more in done:
+        for reason, parts, compared, more, several in in_threads(
+            partial(self._work, *given), count, threads
+        ):
+            if reason == NARROW:
+                return self._find_rows(rows, hulls, wanted, threads, True)
+            if reason == FAULTY:
+                return None
             if compared:
                 columns.pairs_compared += compared
                 columns.pairs_in_more_digits += more
             handles += parts
+            unsure += several
         if len(handles) > 1:
-            return told, np.concatenate(handles)
-        return told, handles[0] if handles else NOBODY
+            return told, np.concatenate(handles), unsure
+        return told, handles[0] if handles else NOBODY, unsure
 
     def _work(
         self,
@@ -162,20 +185,24 @@ class Overlaps:
         start: int,
         stop: int,
     ) -> Part:
-        """Answer the rows [start, stop)."""
-        parts, compared, more, room = [], 0, 0, FEW
+        """Answer the rows [start, stop), if no reason is in the way."""
+        parts: list[NDArray[np.uint32]] = []
+        compared, more, unsure, room = 0, 0, 0, FEW
         while start < stop:
             found, answers = self._scratch.found, told
             if wanted == ALL:
                 answers = told._replace(handles=np.empty(room, np.uint32))
             given = rows, wanted, (start, stop), self._columns.node_handle, found, answers
-            start, needed, written, pairs, digits = self._rows(view, bodies, given)
+            start, needed, written, pairs, digits, several = self._rows(view, bodies, given)
+            if start < 0:
+                return start, parts, compared, more, unsure
             if written:
                 parts.append(answers.handles[:written])
-            compared, more, room = compared + pairs, more + digits, max(2 * room, needed)
+            compared, more, unsure = compared + pairs, more + digits, unsure + several
+            room = max(2 * room, needed)
             if needed > len(found.slots):
                 self._scratch.make_room(needed)
-        return parts, compared, more
+        return 0, parts, compared, more, unsure
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32

@@ -8,8 +8,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree import checks
+from ...tree.jit.compiling import inlined
 from ...tree.nodes import ALL
-from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise, different, rows_entry
+from ...tree.rays.raycasting import of_row
+from ..geometry.canonical import (
+    FINE,
+    NO_BOUNDS,
+    NO_MESH,
+    REASONS,
+    TOO_LARGE,
+    Canonical,
+    canonical_row,
+    canonicalise,
+    different,
+    fault_of,
+    is_finite,
+    rows_entry,
+)
 from ..geometry.polygon import outlined
 from ..geometry.records import GEOMETRY, Records
 from ..geometry.shapes import MESH, UINT8, Floats, Shapes, as_shapes
@@ -17,19 +32,29 @@ from ..store.mesh_store import Hulls, MeshStore
 from .query_shape import QueryShape
 
 _NO_ROWS = np.empty((0, 3))
+NO_RECORDS = np.empty(0, GEOMETRY)
+NO_GIVEN = np.empty(0, UINT8), _NO_ROWS, np.empty((0, 4)), _NO_ROWS
+# Why a kernel answers nothing: a shape is not legal, or needs a narrow phase where none is given.
+FAULTY, NARROW = -2, -3
 
 
 class QueryRows(NamedTuple):
     """n shapes, each to be grown by its tolerance, for kernels."""
 
     records: Records
-    """(n,)"""
+    """(n,), or none: then the kernel makes them of what is `given`."""
     bounds: Floats
     """(n, 2, 3) around the shapes themselves; the corners of aligned boxes exactly."""
     tolerances: Floats
     """One for all, or (n,)."""
     masks: NDArray[np.uint32]
     """One for all, or (n,)."""
+    given: tuple[Any, ...] = NO_GIVEN
+    """Kinds, positions, orientations and sizes: all but positions one for all, or (n,)."""
+
+    def number(self) -> int:
+        """How many there are."""
+        return len(self.records) or len(self.given[1])
 
     def one(self, row: int) -> QueryShape:
         """The query of a row."""
@@ -42,6 +67,45 @@ class QueryRows(NamedTuple):
         """The mask of a row."""
         seen: np.uint32 = self.masks[row if len(self.masks) > 1 else 0]
         return seen
+
+
+@inlined
+def make_row(rows, row, own, box):
+    """(record (1,), bounds (2, 3), fault) of a row; `own` and `box` are room for them where they
+    are still to be made.
+    """
+    if rows.records.shape[0] > 0:
+        return rows.records[row : row + 1], rows.bounds[row], FINE
+    kinds, positions, orientations, sizes = rows.given
+    kind, position = of_row(kinds, row), positions[row]
+    turn = orientations[row if orientations.shape[0] > 1 else 0]
+    size = sizes[row if sizes.shape[0] > 1 else 0]
+    fault = NO_MESH if kind == MESH else fault_of(kind, position, turn, size)
+    if fault == FINE:
+        canonical_row(kind, position, turn, size, 3, own[0], box)
+        if not (is_finite(box[0]) and is_finite(box[1])):
+            fault = TOO_LARGE
+    return own, box, fault
+
+
+def given_rows(given: Shapes, tolerance: ArrayLike, mask: ArrayLike) -> QueryRows:
+    """`query_rows` of shapes without meshes, whose records a kernel makes, and whose faults it
+    finds.
+    """
+    count = len(given.position)
+    tolerances = checks.lengths_or_one('tolerance', tolerance, count)
+    # As QueryRows(...), which would take one more call of a function of Python's.
+    parts = NO_RECORDS, NO_BOUNDS, tolerances, checks.masks_or_one(mask, count), given[:4]
+    return tuple.__new__(QueryRows, parts)
+
+
+def with_records(rows: QueryRows) -> QueryRows:
+    """Legal rows with records, as Python reads them."""
+    if len(rows.records):
+        return rows
+    form = canonicalise(_row_by_row(Shapes(*rows.given), rows.number()))
+    bounds = np.stack((form.lo, form.hi), axis=1)
+    return rows._replace(records=form.records, bounds=bounds, given=NO_GIVEN)
 
 
 def query_rows(
@@ -71,7 +135,7 @@ def query_rows(
         raise ValueError(f'the shape of row {bad} cannot be used: {reason}')
     tolerances = checks.lengths_or_one('tolerance', tolerance, count)
     parts = form.records, bounds, tolerances, checks.masks_or_one(mask, count)
-    return tuple.__new__(QueryRows, parts), _hulls(given, form, planar)
+    return tuple.__new__(QueryRows, (*parts, NO_GIVEN)), _hulls(given, form, planar)
 
 
 def _row_by_row(given: Shapes, count: int) -> Shapes:

@@ -9,13 +9,16 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
+from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import View
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import is_finite
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, begin_query, end_query
+from ..geometry.canonical import FINE
 from ..results import NO_NODE
 from ..store.columns import Columns
 from ..store.mesh_store import NO_HULLS, Hulls
+from .query_rows import FAULTY, NARROW, make_row
 from .query_shape import QueryShape
 from .touching import (
     REFUSED,
@@ -73,18 +76,23 @@ class Near(NamedTuple):
 @lean_kernel
 def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers):
     """Answer the rows [start, stop); place = (start, stop). Returns (rows done, room wanted in
-    `found`, handles written, pairs compared, those of them that took more digits): fewer rows
-    than there are where there is no room for the next one, negative if the tree is changed.
+    `found`, handles written, pairs compared, those of them that took more digits, rows that are
+    open): fewer rows than there are where there is no room for the next one, REFUSED if the tree
+    is changed, FAULTY or NARROW if a row is.
     """
     tree, (row, stop), enough = view.tree, place, wanted == ANY
-    written, compared, more, needed = 0, 0, 0, 0
+    written, compared, more, needed, unsure = 0, 0, 0, 0, 0
+    own, box = stack_array(1, rows.records), stack_array((2, 3), np.float64)
     if not begin_query(tree.state, view.version):
-        return -1, 0, 0, 0, 0
+        return REFUSED, 0, 0, 0, 0, 0
     while row < stop:
-        record = rows.records[row : row + 1]
+        record, bounds, fault = make_row(rows, row, own, box)
         aligned, height = not record[0].shaped, record[0].position[2]
+        if fault != FINE or (bodies is None and not aligned):
+            row = FAULTY if fault != FINE else NARROW
+            break
         tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
-        query = QueryShape(record, rows.bounds[row], aligned, tolerance, height)
+        query = QueryShape(record, bounds, aligned, tolerance, height)
         if bodies is None:
             count, doubtful = touching_boxes(tree, query, mask, enough, node_handles, found)
         else:
@@ -98,7 +106,8 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
             break
         if wanted == ALL and written + count > answers.handles.shape[0]:
             break
-        answers.open[row] = doubtful > 0 and (wanted != ANY or count == doubtful)
+        is_open = doubtful > 0 and (wanted != ANY or count == doubtful)
+        answers.open[row], unsure = is_open, unsure + is_open
         answers.numbers[row] = count
         if wanted == ANY:
             answers.numbers[row] = count > 0
@@ -118,7 +127,7 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
                 answers.points[row, axis] = found.points[first, axis]
         row += 1
     end_query(tree.state)
-    return row, needed, written, compared, more
+    return row, needed, written, compared, more, unsure
 
 
 @lean_kernel
