@@ -164,3 +164,37 @@ def test_a_scan_and_segments_go_in_lists(monkeypatch: pytest.MonkeyPatch) -> Non
     segments = tree.raycast_many(moved, ways, ends)
     assert len(lists) == 2
     check_one_by_one(tree, segments, moved, ways, ends, masks)
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('changed', [False, True])
+def test_rays_at_the_faces_of_the_whole(
+    monkeypatch: pytest.MonkeyPatch, ndim: int, changed: bool
+) -> None:
+    """They begin on a face of the box around all, a rounding beyond it or within, or far away, and
+    fly away, along it or back: what flies away is not looked at.
+    """
+    tree, _, _ = world(ndim)
+    tree.raycast_many(np.zeros((RAYS, ndim)), np.ones((RAYS, ndim)))  # from then on a snapshot
+    if changed:
+        low, high = tree.boxes(tree.ids()[:3])
+        tree.move_many(tree.ids()[:3], low - 30.0, high - 30.0)
+    rng = np.random.default_rng(4)
+    assert tree.bounds is not None
+    faces = np.array(tree.bounds)
+    near = [np.nextafter(faces, -np.inf), faces, np.nextafter(faces, np.inf), faces * 1e9]
+    origins = rng.uniform(*faces, (RAYS, ndim))
+    axes, sides, steps = rng.integers(ndim, size=RAYS), rng.integers(2, size=RAYS), range(RAYS)
+    origins[steps, axes] = [near[i % 4][sides[i], axes[i]] for i in steps]
+    ways = rng.integers(-1, 2, (RAYS, ndim)) * rng.choice([-1.0, 1.0], (RAYS, ndim))
+    masks = rng.integers(1, 4, RAYS)
+    ends = np.full(RAYS, np.inf)
+    hits, _ = both_ways(monkeypatch, tree, origins, ways, ends, masks)
+    check_one_by_one(tree, hits, origins, ways, ends, masks)
+    assert 5 < np.count_nonzero(hits.ids >= 0) < RAYS // 2
+    for bad in (np.nan, np.inf, -np.inf):
+        origins[7], ways[7] = faces[1] + 1.0, 1.0
+        ways[7, 0] = bad
+        for some in (slice(10), slice(None)):
+            with pytest.raises(ValueError, match='directions must be finite: row 7'):
+                tree.raycast_many(origins[some], ways[some])
