@@ -18,14 +18,12 @@ from .ray_hits import rows_entry
 from .raycasting import CLOSEST, Rays
 
 # Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
-# AVX-512 and AVX2 alike. Rays that end somewhere meet few boxes: in lists, segments of 1 and 5 m
-# take as long for 200, 0.75 to 0.9 times as long for 1,024. Those of a scan stay together: 0.85
-# times for 192, 0.7 to 0.8 times for 512.
-FEW_TOGETHER = 200
-# Those from anywhere are the sooner apart, the more boxes there are: in lists they take as long
+# AVX-512 and AVX2 alike: in lists, segments of 1 and 5 m take 0.92 to 1.03 times as long for 256,
+# 0.75 to 0.92 times for 1,024; rays of a scan stay together: 0.75 to 0.86 times for 256.
+FEW_TOGETHER = 250
+# Rays from anywhere are the farther apart, the more boxes there are: in lists they take as long
 # for 250 among 1,000, for 900 among 10,000, for 3,500 among 30,000, for 8,000 among more.
-FEW_ANYWHERE, BOXES_A_RAY = 250, 11
-FEW_RAYS = 8192
+BOXES_A_RAY, FEW_RAYS = 11, 8192
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
@@ -52,7 +50,7 @@ def are_few(rays: Rays, tree: Tree) -> bool:
     return count < FEW_RAYS and (
         count < FEW_TOGETHER
         or (
-            count < max(FEW_ANYWHERE, tree.state.item(COUNT) // BOXES_A_RAY)
+            count < tree.state.item(COUNT) // BOXES_A_RAY
             and rays.t_max.item(0) == np.inf
             and not is_scan(rays.origins)
         )

@@ -19,7 +19,7 @@ from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
 from .collapse_plan import DEEPEST_WIDE
-from .filtering import flies_away, limit32, octant_of, start_ray
+from .filtering import fill_whole, flies_away, limit32, octant_of, start_ray
 from .ray_streams import without_lowest
 from .raycasting import ALL32, is_stale, set_inverse, write_hit
 from .snapshot import LOOSE_NODES, no_snapshot
@@ -42,10 +42,11 @@ def cast_few(tree, version, snapshot, rays, hits):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     one = Found(slots, stack_array(1, np.float64), axes)
     records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)
-    exact, record = np.int64(0), records[0]
+    exact, record, whole = np.int64(0), records[0], stack_array((2, 3), np.float64)
+    fill_whole(tree, whole)
     for row in range(rays.origins.shape[0]):
         origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
-        if flies_away(tree, origin, direction):
+        if flies_away(whole, origin, direction):
             write_miss(rays, row, hits)
             continue
         if not start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max):

@@ -70,16 +70,24 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
 
 
 @inlined
-def flies_away(tree, origin, direction):
+def fill_whole(tree, whole):
+    """Write the box around all boxes, lower corner first; of none, everything."""
+    root = tree.state[ROOT]
+    for axis in range(tree.nodes[0].lo.shape[0]):
+        whole[0, axis], whole[1, axis] = -np.inf, np.inf
+        if root != NONE:
+            whole[0, axis], whole[1, axis] = tree.nodes[root].lo[axis], tree.nodes[root].hi[axis]
+
+
+@inlined
+def flies_away(whole, origin, direction):
     """Whether a ray begins beyond all boxes on an axis and comes no nearer there, so that it meets
     none, exactly; one that is not finite does not.
     """
-    away, root = False, tree.state[ROOT]
-    if root != NONE:
-        lo, hi = tree.nodes[root].lo, tree.nodes[root].hi
-        for axis in range(lo.shape[0]):
-            away |= (origin[axis] > hi[axis]) & (direction[axis] >= 0.0)
-            away |= (origin[axis] < lo[axis]) & (direction[axis] <= 0.0)
+    away = False
+    for axis in range(origin.shape[0]):
+        away |= (origin[axis] > whole[1, axis]) & (direction[axis] >= 0.0)
+        away |= (origin[axis] < whole[0, axis]) & (direction[axis] <= 0.0)
     return away and is_finite(origin, direction)
 
 

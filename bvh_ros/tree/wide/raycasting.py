@@ -25,7 +25,7 @@ from ..rays.slab import (
 )
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
-from .filtering import NOWHERE, flies_away, limit32, octant_of, start_ray
+from .filtering import NOWHERE, fill_whole, flies_away, limit32, octant_of, start_ray
 from .ray_streams import (
     COUNT,
     FREE,
@@ -62,12 +62,13 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     one = Found(slots, stack_array(1, np.float64), axes)
     tally[DECIDED_EXACTLY] = tally[BAD] = 0
     hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
-    count = rays.origins.shape[0]
+    count, whole = rays.origins.shape[0], stack_array((2, 3), np.float64)
+    fill_whole(tree, whole)
     for first in range(0, count, RAYS_SORTED):
         batch = scratch.rows[: min(count - first, RAYS_SORTED)]
         for i in range(batch.shape[0]):
             origin, direction = rays.origins[first + i], rays.directions[first + i]
-            away = flies_away(tree, origin, direction)
+            away = flies_away(whole, origin, direction)
             scratch.octants[i] = AWAY if away else octant_of(direction)
         sort_rows(scratch.octants, first, batch, ends)
         begin = 0

@@ -15,6 +15,7 @@ from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.rays import ray_batches
+from bvh_ros.tree.rays.ray_batches import FEW_TOGETHER
 from bvh_ros.tree.wide.ray_streams import (
     KEPT_RAYS,
     RAYS_AT_ONCE,
@@ -145,7 +146,7 @@ def test_kept_scratch_is_large_enough_for_all() -> None:
     def ask(seed: int) -> bool:
         rng, same = np.random.default_rng(seed), True
         for _ in range(60):
-            which, count = rng.integers(3), rng.integers(250, KEPT_RAYS + 100)
+            which, count = rng.integers(3), rng.integers(FEW_TOGETHER, KEPT_RAYS + 100)
             tree, origins, ways = every[which]
             rows = rng.permutation(len(origins))[:count]
             hits = tree.raycast_many(origins[rows], ways[rows], 1e9)
