@@ -138,6 +138,8 @@ class Overlaps:
         count, columns, view = rows.number(), self._columns, self._tree.view()
         if len(rows.records):
             narrow = bool(rows.records['shaped'].any())
+        elif count:  # a kernel that comes to one that is shaped begins anew
+            narrow = narrow or rows.begins_shaped()
         hits = count if wanted == HITS else 0
         first = NOT_WANTED
         if hits:

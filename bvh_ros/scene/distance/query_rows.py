@@ -27,7 +27,7 @@ from ..geometry.canonical import (
 )
 from ..geometry.polygon import outlined
 from ..geometry.records import GEOMETRY, Records
-from ..geometry.shapes import MESH, UINT8, Floats, Shapes, as_shapes
+from ..geometry.shapes import BOX, MESH, UINT8, Floats, Shapes, as_shapes
 from ..store.mesh_store import Hulls, MeshStore
 from .query_shape import QueryShape
 
@@ -55,6 +55,12 @@ class QueryRows(NamedTuple):
     def number(self) -> int:
         """How many there are."""
         return len(self.records) or len(self.given[1])
+
+    def begins_shaped(self) -> bool:
+        """Whether the first row that is given seems to be more than an axis-aligned box."""
+        kinds, _, turns, _ = self.given
+        turned = turns.item(0) != 0.0 or turns.item(1) != 0.0 or turns.item(2) != 0.0
+        return turned or kinds.item(0) != BOX
 
     def one(self, row: int) -> QueryShape:
         """The query of a row."""

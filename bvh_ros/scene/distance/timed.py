@@ -25,7 +25,7 @@ from .clearance import Neighbours
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
 from .nearness import NO_ORDER
-from .query_rows import QueryRows
+from .query_rows import NO_GIVEN, QueryRows
 from .query_shape import QueryShape
 from .touching import Found
 from .touching_rows import Near, Points, Signed, bodies_of
@@ -100,7 +100,7 @@ class TimedDistances:
         """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
         scratch, done = self._scratch, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
-        rows = query.record, query.bounds[None], scratch.limits, scratch.masks
+        rows = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         asked, offsets = tuple.__new__(QueryRows, rows), scratch.offsets
         while not done:
             (then, room), found = self._then_once(at, hulls), scratch.found
