@@ -144,6 +144,7 @@ def test_a_scan_and_segments_go_in_lists(monkeypatch: pytest.MonkeyPatch) -> Non
     tree, _, ways = world(3)
     tree.raycast_many(ways, ways)  # from then on there is a snapshot
     count, lists = ray_batches.FEW_TOGETHER, []
+    monkeypatch.setattr(ray_batches, 'BOXES_A_RAY', 1)  # among so few boxes, no others are few
     make = ray_batches.scratch_for
     monkeypatch.setattr(
         ray_batches, 'scratch_for', lambda *sizes: lists.append(sizes) or make(*sizes)
