@@ -17,7 +17,7 @@ import pytest
 from numba.core import config
 from tree.jit.alone import run_alone
 
-from bvh_ros.tree import box_checks, checks
+from bvh_ros.tree import box_checks, checks, handle_checks
 from bvh_ros.tree.jit import compiling, kernel_cache, kernel_files, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
@@ -76,15 +76,17 @@ def test_settings_that_leave_code_as_it_is_share_it(cache, monkeypatch):
 
 @pytest.mark.skipif(bool(config.BOUNDSCHECK), reason='here all code is checked')
 def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
-    """The second box's upper corner lies behind its array's end, in memory that is there."""
-    lower, upper = np.zeros((2, 1)), np.ones((2, 1))[:1]
-    function = box_checks._first_no_box.py_func
-    assert compiling.kernel(function)(lower, upper) == -1
+    """The second slot is written behind its array's end, to memory that is there."""
+    handles, slots = np.arange(2), np.zeros(2, np.int64)
+    asked = handles, handles, np.zeros(0, np.bool_), slots[:1]
+    function = handle_checks._fill_slots.py_func
+    assert compiling.kernel(function)(*asked) == (-1, 0)
+    assert slots[1] == 1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
     with pytest.raises(IndexError):
-        compiling.kernel(function)(lower, upper)
+        compiling.kernel(function)(*asked)
     monkeypatch.setattr(config, 'BOUNDSCHECK', None)
-    assert compiling.kernel(function)(lower, upper) == -1
+    assert compiling.kernel(function)(*asked) == (-1, 0)
 
 
 def damaged(whole, random_bytes, other):
