@@ -166,7 +166,7 @@ class DistanceQueries:
             As `nearest`; the message names the first bad row.
         """
         where = checks.rows('points', points, 3)
-        count, many = len(where), checks.whole('k', k, 1)
+        count, many = len(where), checks.capacity('k', k)
         if at is not None or count >= nearness.MANY:
             checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)

@@ -17,6 +17,7 @@ from .geometry.shapes import Floats, ShapeKind, Shapes, shapes_of
 from .results import LAST_NODE_HANDLE, Obstacle
 from .store.beside import beside
 from .store.obstacles import Obstacles
+from .store.updating import text
 
 
 class Inspection:
@@ -58,7 +59,7 @@ class Inspection:
         slots = self._held.columns.used()
         slots = slots[~self._held.columns.shadow[slots]]
         handles = self._held.columns.node_handle[slots]
-        first = int(np.searchsorted(handles, after, side='right'))
+        first = int(np.searchsorted(handles, checks.whole('after', after, 0), side='right'))
         return handles[first:], slots[first:]
 
     def names_of(
@@ -101,7 +102,9 @@ class Inspection:
 
     def _slots_of(self, source: str, most: int) -> NDArray[np.int64]:
         """Slots of the first obstacles of a source, by node handle."""
-        mine = np.flatnonzero(self._held.columns.source == self._held.groups.source(source))
+        most = checks.whole('most', most, 0)
+        number = self._held.groups.source(text('source', source))
+        mine = np.flatnonzero(self._held.columns.source == number)
         handles = self._held.columns.node_handle[mine]
         if len(mine) > most:
             first = np.argpartition(handles, most)[:most]

@@ -97,7 +97,7 @@ class Removals:
 
     def has_expired(self, now: int) -> bool:
         """Whether the time of some obstacle is over that is still there."""
-        return now >= self._held.next_expiry
+        return updating.whole_time('now', now) >= self._held.next_expiry
 
     def shift_expiries(self, by: int) -> None:
         """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""

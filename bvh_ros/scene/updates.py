@@ -285,5 +285,6 @@ def _latest(part: Part, valid: Validated, whole: bool) -> int:
     if type(stamp) is int:
         return stamp
     if whole:
-        return int(np.max(stamp, initial=FIRST_TIME))
+        stamps = np.asarray(stamp)  # of any integers
+        return int(stamps.max()) if stamps.size else FIRST_TIME
     return max(int(some.stamp.max()) for some in valid[:2] if len(some.stamp))

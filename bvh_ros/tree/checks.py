@@ -18,6 +18,7 @@ from .nodes import ALL, SLOT_MASK
 Floats = NDArray[np.float64]
 
 EVERY = np.uint32(ALL)
+NUMBER = int, float, np.number  # what is surely one for all rows
 FLOAT64, INT64, UINT32 = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint32)
 BOOL = np.dtype(np.bool_)
 # One for all rows, where nothing else is asked for.
@@ -191,7 +192,7 @@ def masks(value: Any, count: int) -> NDArray[np.uint32]:
 
 def masks_or_one(value: Any, count: int) -> NDArray[np.uint32]:
     """A mask a row, or an array of one for all."""
-    return EVERYTHING if value is ALL else masks(value, 1 if np.isscalar(value) else count)
+    return EVERYTHING if value is ALL else masks(value, 1 if isinstance(value, NUMBER) else count)
 
 
 def one(name: str, value: Any) -> float:
@@ -267,7 +268,7 @@ def limits_or_one(name: str, value: Any, count: int) -> Floats:
     """A distance >= 0 a row, or an array of one for all."""
     if type(value) is float:
         return FOREVER if value == math.inf else only(limit(name, value))
-    return limits(name, value, 1 if np.isscalar(value) else count)
+    return limits(name, value, 1 if isinstance(value, NUMBER) else count)
 
 
 def lengths_or_one(name: str, value: Any, count: int) -> Floats:

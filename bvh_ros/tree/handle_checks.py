@@ -59,10 +59,10 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
     """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
     (with `once`).
     """
-    numbers = _numbers(given)
-    slots = np.empty(len(numbers), INT64)
+    asked = numbers('handles', given)
+    slots = np.empty(len(asked), INT64)
     seen = np.zeros(len(handles) if once else 0, np.bool_)
-    row, why = _slots_entry()(handles, numbers, seen, slots)
+    row, why = _slots_entry()(handles, asked, seen, slots)
     if why == 0:
         return slots
     number = np.asarray(given)[row]
@@ -71,19 +71,25 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
     raise ValueError(f'handles must be given once each: row {row} repeats {number}')
 
 
-def _numbers(given: ArrayLike) -> NDArray[np.int64]:
-    """Handles as the kernel takes them: the caller's memory where that is of this array type."""
-    if type(given) is np.ndarray and given.dtype is INT64 and given.ndim == 1:
-        return given if given.flags.carray else given.copy()
+def array_of(name: str, given: ArrayLike) -> NDArray[Any]:
+    """What is given, as an array of any type."""
     try:
         array = np.asarray(given)
         refuse_masked(given, array)
     except FOREIGN as error:
-        raise ValueError(f'handles must be integers of shape (n,): {error}') from None
+        raise ValueError(f'{name} must be integers of shape (n,): {error}') from None
+    return array
+
+
+def numbers(name: str, given: ArrayLike) -> NDArray[np.int64]:
+    """Handles as the kernel takes them: the caller's memory where that is of this array type."""
+    if type(given) is np.ndarray and given.dtype is INT64 and given.ndim == 1:
+        return given if given.flags.carray else given.copy()
+    array = array_of(name, given)
     if array.shape == (0,):
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in 'iu':
         raise ValueError(
-            f'handles must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
+            f'{name} must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
         )
     return array.astype(np.int64)

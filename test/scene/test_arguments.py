@@ -126,6 +126,7 @@ def test_changes(scene):
     for bad in NOT_ONE:
         if bad not in ([1.5], ['a']):
             refused(scene, scene.expire, bad)
+            refused(scene, scene.has_expired, bad)
             refused(scene, scene.shift_expiries, bad)
 
 
@@ -190,9 +191,26 @@ def test_queries(scene):
         refused(scene, scene.get, bad, only=KeyError)
     for bad in (None, 'x', 1.5, -1, True):
         refused(scene, scene.name_of, bad)
+        for ask in (scene.names, scene.newcomers):
+            refused(scene, ask, bad)
+        for ask in (scene.handles_of, scene.shapes_of):
+            refused(scene, ask, 's', bad)
+    for bad in (None, 5, b's', ['s']):
+        for ask in (scene.handles_of, scene.shapes_of):
+            refused(scene, ask, bad, 1)
     refused(scene, scene.name_of, 10**400, only=KeyError)
     third = fractions.Fraction(1, 3)
     assert scene.raycast((third, 0, 0), (third, 0, 9)).name == 'a'
+
+
+@pytest.mark.parametrize('kind', ['i1', 'u1', '>i2', 'u8', '>i8'])
+def test_stamps_are_integers_of_any_type(scene, kind):
+    for stamps in ([9], [9, 3]):
+        names = ['a', 'b'][: len(stamps)]
+        shapes = BOX.take([0] * len(stamps))
+        assert not scene.replace('s', '', names, shapes, stamp=np.array(stamps, kind))
+        assert scene.newest == 9
+        assert [scene.get(name).stamp for name in names] == stamps
 
 
 def test_many_rays(scene):

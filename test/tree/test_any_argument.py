@@ -108,6 +108,10 @@ ARGUMENTS: dict[str, Call] = {
     'set_masks mask': lambda t, x: t.set_masks(t.ids()[:5], x),
     'boxes handle': lambda t, x: t.boxes(x),
     'masks handle': lambda t, x: t.masks(x),
+    'slots handle': lambda t, x: t.slots(x),
+    'exits origins': lambda t, x: t.exits(x, HI, [-1] * 5),
+    'exits directions': lambda t, x: t.exits(LO, x, [-1] * 5),
+    'exits id': lambda t, x: t.exits(LO, HI, x),
     'raycast origin': lambda t, x: t.raycast(x, ONE),
     'raycast direction': lambda t, x: t.raycast(ONE, x),
     'raycast t_max': lambda t, x: t.raycast(ONE, ONE, x),
@@ -209,6 +213,7 @@ def too_many_to_ask(what: str, value: Any) -> bool:
         'nearest_many points',
         'raycast_all_many origins',
         'overlap_many lo',
+        'exits origins',
     )
 
 
@@ -220,7 +225,7 @@ def test_anything_for_any_argument(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         name = what.split()[1].rstrip(',')
         tree = some_tree()
         before = snapshot(tree)
-        refused = (ValueError, *([KeyError] if name == 'handle' else []))
+        refused = (ValueError, *([KeyError] if name in ('handle', 'id') else []))
         if name == 'path':
             refused = (*refused, OSError)
         for position, value in enumerate(VALUES):
@@ -322,3 +327,24 @@ def test_a_subclass_is_loaded_and_built(tmp_path: Path) -> None:
         assert len(made) == 2
     built = Counted.from_boxes(LO, HI, margin=0.25)
     assert (built.owner, built.margin, len(built)) == ('nobody', 0.25, 5)
+
+
+def test_no_handle_is_looked_for_under_a_mask() -> None:
+    tree = some_tree()
+    ids = np.ma.masked_array(tree.ids(), [True] + [False] * 7)
+    rays = np.zeros((8, 3)), np.ones((8, 3))
+    for call in (tree.slots, tree.boxes, tree.remove_many, lambda x: tree.exits(*rays, x)):
+        with pytest.raises(ValueError, match=r'masked'):
+            call(ids)
+    assert len(tree) == 8
+
+
+def test_a_memoryview_has_a_number_a_row() -> None:
+    tree = some_tree()
+    tree.set_masks(tree.ids(), np.arange(1, 9))
+    limits, masks = np.arange(5) * 9.0, np.arange(1, 6)
+    told = tree.raycast_many(LO, HI, limits, masks)
+    again = tree.raycast_many(LO, HI, memoryview(limits), memoryview(masks))
+    assert all(np.array_equal(one, other) for one, other in zip(told, again, strict=True))
+    with pytest.raises(ValueError, match='mask must'):
+        tree.raycast_many(LO, HI, limits, memoryview(masks[:1]))

@@ -5,7 +5,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import box_checks, checks
+from .. import box_checks, checks, handle_checks
 from ..introspection import Introspection
 from ..nodes import ALL, NONE
 from ..store.arrays import Floats, Ids
@@ -95,7 +95,7 @@ class Predicates(BoxQueries, Introspection):
         """
         starts = checks.points('origins', origins, self.ndim)
         ways = checks.points('directions', directions, self.ndim, len(starts))
-        handles = np.asarray(ids)
+        handles = handle_checks.numbers('ids', ids)
         if handles.shape != (len(starts),):
             raise ValueError(f'ids must have shape ({len(starts)},), not {handles.shape}')
         met = np.flatnonzero(handles != NONE)

@@ -100,7 +100,7 @@ class Arrays:
         which a caller may keep in arrays what he knows of the boxes. A slot is given again once
         its box is removed. KeyError if a handle names no box.
         """
-        given = np.asarray(handles)
+        given = handle_checks.array_of('handles', handles)
         flat = handle_checks.slots_of(self.view().tree.handles, given.reshape(-1), once=False)
         return flat.reshape(given.shape)
 
