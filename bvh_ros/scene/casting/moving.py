@@ -54,7 +54,11 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
         parts.append(_shaped(held, flat, radii, skip, times))
     still = at_rest(held, times.last(rays.t_max))
     if len(still):
-        parts = [met.take(np.flatnonzero(~np.isin(met.slots, still))) for met in parts]
+        ends = times.ends(rays.t_max)
+        parts = [
+            met.take(np.flatnonzero(~resting.comes_to_rest(held, met.slots, ends[met.rows])))
+            for met in parts
+        ]
         casts = _casts(held, flat, radii, times)
         parts.append(resting.met(held, flat, radii, skip, times, still, casts))
     columns: Any = zip(*parts, strict=True)
