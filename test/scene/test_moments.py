@@ -162,7 +162,8 @@ def test_a_row_does_not_depend_on_how_late_others_are(planar: bool, axis_aligned
                 hit = scene.raycast(starts[i], goals[i], radius, **times)
                 every = scene.raycast_all(starts[i], goals[i], radius, **times)
                 if hit is None:
-                    assert many.t[i] == np.inf and not every
+                    assert many.t[i] == np.inf
+                    assert not every
                     continue
                 assert (hit.handle, hit.t) == (many.handles[i], many.t[i])
                 assert hit.point.tolist() == many.points[i].tolist()
@@ -180,6 +181,8 @@ def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
     for until in (None, later):
         hits = scene.sweep_many(*ways, radius, at=NOW, until=until)
         assert hits.handles.tolist() == [NO_NODE] * 3
-        assert np.isinf(hits.t).all() and np.isnan(hits.points).all() and not hits.normals.any()
+        assert np.isinf(hits.t).all()
+        assert np.isnan(hits.points).all()
+        assert not hits.normals.any()
         assert scene.raycast([0, 0, 0], [9, 0, 0], radius, at=NOW, until=until) is None
         assert scene.raycast_all([0, 0, 0], [9, 0, 0], radius, at=NOW, until=until) == []
