@@ -18,7 +18,7 @@ from ..store.obstacles import Obstacles
 from ..store.places import growths, motions, rest, seen
 from ..store.registry import Slots
 from .arguments import Rays
-from .seen import Met, Times, meet_pairs
+from .seen import Met, Times, grow, meet_pairs
 
 PAIRS = 1 << 17  # that are looked at in one go
 
@@ -99,8 +99,9 @@ def _of_pairs(
     points = np.where(early[:, None], first.points, second.points)
     points[:, : held.tree.ndim] += velocities * gone[:, None]
     normals = np.where(early[:, None], first.normals, second.normals)
-    points += normals * grown[:, None]
     inside = early & (first.hits.features == INSIDE)
     inside |= late & (stop == 0.0) & (second.hits.features == INSIDE)
     kept = np.flatnonzero((early | late) & ~(skip & inside))
-    return Met(rows, slots, ts, points, normals).take(kept)
+    all_met = Met(rows, slots, ts, points, normals)
+    grow(all_met, grown, some.origins)
+    return all_met.take(kept)
