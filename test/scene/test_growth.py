@@ -159,7 +159,9 @@ def test_who_begins_within_what_has_grown_is_there(planar, most):
                 many = scene.sweep_many([start] * 2, [goal] * 2, radius, **times)
                 first = scene.raycast(start, goal, radius, **times)
                 if hits:
-                    assert many.points[0].tolist() == first.point.tolist() == hits[0].point.tolist()
+                    assert (
+                        many.points[0].tolist() == first.point.tolist() == hits[0].point.tolist()
+                    )
                     normals = many.normals[0].tolist(), first.normal.tolist()
                     assert normals == (hits[0].normal.tolist(),) * 2
                 for hit in hits:
