@@ -75,8 +75,8 @@ def meet_pairs(held: Obstacles, seen: Rays, slots: Slots, radii: Floats) -> Foun
 
 def grow(found: Met, grown: Floats, centres: Floats) -> None:
     """Move points (m, 3) from obstacles to what has grown about them by so much, (m,); centres
-    (m, ndim) are where rays, or balls, begin. One that begins within what has grown meets it there,
-    without a normal.
+    (m, ndim) are where rays, or balls, begin. One that begins within what has grown meets it
+    there, without a normal.
     """
     points, normals = found.points, found.normals
     points += normals * grown[:, None]
