@@ -5,33 +5,35 @@ Scenes without velocities need none of this.
 """
 
 import math
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.boxes.nearest_packets import are_dense
+from ...tree.boxes.ordering import order_of
 from ...tree.jit.compiling import entry_point
+from ...tree.motion.nearest import Near
+from ...tree.motion.nearest_packets import Bounded
 from ...tree.motion.queries import rows_of
 from ...tree.nodes import COUNT, View
 from ...tree.store.workers import in_threads
-from ..geometry.footprint import FOOTPRINT
-from ..geometry.records import GEOMETRY
-from ..geometry.shapes import Floats
+from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
 from ..store.registry import Slots
 from .clearance import Neighbours
+from .kept import FEW, Known, Own, Scratch, no_rows
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
-from .nearness import NO_ORDER
 from .query_rows import NO_GIVEN, QueryRows
 from .query_shape import QueryShape
-from .touching import Found
-from .touching_rows import Near, Points, Signed, bodies_of
+from .touching import ROUNDED, Found
+from .touching_rows import Near as Nearest
+from .touching_rows import Points, Signed, bodies_of
 
-FEW = 64  # obstacles that there is room for at first
+MOST = 16  # boxes that packets look for
 
 
 class Touched(NamedTuple):
@@ -45,55 +47,6 @@ class Touched(NamedTuple):
 
 _NONE = np.empty(0, np.int64)
 NOTHING = Touched(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
-
-
-class Known(NamedTuple):
-    """What kernels are told of a world while it is of one version and its arrays are these."""
-
-    version: int
-    geometry: Any
-    hulls: Any
-    until: float
-    """From then on somebody rests."""
-    then: Then
-    room: Room
-
-
-class Scratch:
-    """What a thread's kernels write to; the room for it is kept. And what they read of one query,
-    as making arrays of one row would take longer than most queries.
-    """
-
-    def __init__(self) -> None:
-        self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
-        self.point = np.empty((1, 3))
-        self.points = Points(self.point, self.limits, self.masks, NO_ORDER)
-        self.offsets, self.told = np.zeros(2, np.int64), _no_rows(1, 1)
-        self.make_room(FEW)
-
-    def make_room(self, count: int) -> None:
-        """Have room for at least so many."""
-        rows = 2 * count
-        self.known: Known | None = None
-        self.slots, self.handles = np.empty((2, rows), np.int64)
-        self.gaps = np.empty(rows)
-        self.found = Found(
-            *(np.empty(rows, np.int64), np.empty(rows), np.zeros((rows, 3)), np.zeros((rows, 3))),
-            *(np.empty(0, np.bool_), np.empty(0), np.empty(rows, np.int64)),
-        )
-        self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
-
-    def have_room(self, count: int) -> None:
-        """`make_room` if there is less."""
-        if count > len(self.gaps):
-            self.make_room(count)
-
-
-class Own(threading.local):
-    """A thread's own. To look up a name here takes five times as long as in a plain object."""
-
-    def __init__(self) -> None:
-        self.scratch = Scratch()
 
 
 class TimedDistances:
@@ -136,12 +89,12 @@ class TimedDistances:
         if k > FEW:  # not more room than for all
             k = min(k, max(len(held.tree), 1))
         if scratch.told.handles.shape[1] != k:
-            scratch.told = _no_rows(1, k)
+            scratch.told = no_rows(1, k)
         while not done:
             view, found = held.tree.view(), scratch.found
             known = self._known(scratch, view, at, None)
             asked = 0, 1, k, *self._among(view, signed)
-            given = scratch.points, asked, known.room, found, scratch.told
+            given = scratch.points, None, asked, known.room, found, scratch.told
             done, wanted, count = self._call(view, near_rows, known.then, given, signed)
             if not done:
                 scratch.have_room(wanted)
@@ -189,20 +142,47 @@ class TimedDistances:
             touched = Touched(*every)
         return touched
 
-    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Near:
+    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Nearest:
         """The k obstacles nearest to n points at times (n,)."""
-        then, told, view = self._then(at, None), _no_rows(len(at), k), self._held.tree.view()
+        then, told, tree = self._then(at, None), no_rows(len(at), k), self._held.tree
+        view = tree.view()
         among = self._among(view, signed)
+        near, known = self._in_packets(points, k, among, at)
+        variant: Any = signed if known is None else (signed, Bounded)
+        if near is not None:
+            points = points._replace(order=near.order)
 
         def work(start: int, stop: int) -> None:
+            if near is not None and known is not None and tree.motion is not None:
+                tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
             while start < stop:
-                asked = start, stop, k, *among
-                given = points, asked, self._room(then), self._own.scratch.found, told
-                start, wanted, _ = self._call(view, near_rows, then, given, signed)
+                given = points, known, (start, stop, k, *among), self._room(then)
+                more = self._own.scratch.found, told
+                start, wanted, _ = self._call(view, near_rows, then, (*given, *more), variant)
                 self._own.scratch.have_room(wanted)
 
         in_threads(work, len(at), threads)
+        if known is not None:
+            tree.check_unchanged(view)
         return told
+
+    def _in_packets(
+        self, points: Points, k: int, among: tuple[bool, int, bool, Signed], at: Floats
+    ) -> tuple[Near, Bounded] | tuple[None, None]:
+        """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
+        asks for the rest itself, as where obstacles grow.
+        """
+        (some_more, everybody, *_), count = among, len(at)
+        wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
+        if not are_dense(count, everybody) or wanted > MOST or self._held.uncertainty:
+            return None, None
+        where, order = along_axes(points.points, ndim), points.order
+        if not len(order):
+            order = order_of(self._held.tree, where)
+        limits = np.maximum(points.reaches * ROUNDED, points.reaches)
+        near = Near(where, limits, points.masks, at, wanted, order)
+        slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
+        return near, Bounded(slots, counts, np.empty(count))
 
     def clearances(
         self,
@@ -276,11 +256,10 @@ class TimedDistances:
         spare = then.bodies._replace(shapes=scratch.shape, footprints=footprint)
         return Room(scratch.slots, scratch.handles, scratch.gaps, spare)
 
-    def _call(
-        self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], signed: Signed
-    ) -> Any:
+    def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
+        """Call a kernel; `kind` stands, with it, for the types of what it is given."""
         tree, motion = self._held.tree, self._held.tree.motion
-        variant = kernel, signed, then.bodies.hulls is not None
+        variant = kernel, kind, then.bodies.hulls is not None
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)
@@ -292,10 +271,6 @@ class TimedDistances:
             return done
         span = (then.at.min(), then.at.max()), True
         return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
-
-
-def _no_rows(count: int, k: int) -> Near:
-    return Near(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3)))
 
 
 def _taken(found: Found, offsets: Slots, begin: int, done: int, start: int) -> Touched:

@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The boxes nearest to many points at times: `boxes.nearest_packets` with bounds that move."""
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..boxes.nearest_packets import descend, load, no_packet
 from ..entries import entry_points
@@ -16,6 +19,17 @@ from .bounds import covers, fetch_children
 from .casting import OUTSIDE, no_motion
 from .meeting import fetch_box
 from .nearest import NO_POINTS, decide, keep_bound
+
+
+class Bounded(NamedTuple):
+    """The boxes whose bounds are nearest to n points."""
+
+    slots: NDArray[np.int64]
+    """(n, k)"""
+    counts: NDArray[np.int64]
+    """How many there are."""
+    left_out: NDArray[np.float64]
+    """Where those are k, the least square of the distance of others."""
 
 
 @inlined
@@ -63,6 +77,24 @@ def _update_bounds(tree, moving, leaf, bits, asked, rows, packet, kept):
             )
 
 
+@inlined
+def _bound(tree, moving, asked, first, packet, left_out, found, squares):
+    """Write `nearest.nearest_bounds` of the eight rows of `order` from one on: (0, or why not,
+    these rows).
+    """
+    rows = asked.order[first : first + EIGHT]
+    mask = load(asked, rows, packet)
+    why = _load_times(moving, asked, rows, packet)
+    packet.stack[0], top, left_out[:] = tree.state[ROOT], 1 if why == 0 else 0, np.inf
+    while top > 0:
+        leaf, bits, place, top = descend(moving.nodes, top, mask, packet, _squares_of)
+        kept = left_out, place, found, squares
+        _update_bounds(tree, moving, leaf, bits, asked, rows, packet, kept)
+    for lane in range(EIGHT):
+        left_out[lane] = min(left_out[lane], packet.limits[lane])
+    return why, rows
+
+
 @lean_kernel
 def nearest_packets(tree, moving, asked, found, distances):
     """`nearest.nearest_rows` of finite points at times that bounds can hold for, eight rows of
@@ -72,27 +104,40 @@ def nearest_packets(tree, moving, asked, found, distances):
         return np.int64(REFUSED)
     packet, left_out, why = no_packet(), stack_array(EIGHT, np.float64), np.int64(0)
     for first in range(0, asked.order.shape[0], EIGHT):
-        rows = asked.order[first : first + EIGHT]
-        mask = load(asked, rows, packet)
-        why = _load_times(moving, asked, rows, packet)
+        why, rows = _bound(tree, moving, asked, first, packet, left_out, found, distances)
         if why < 0:
             break
-        packet.stack[0], top, left_out[:] = tree.state[ROOT], 1, np.inf
-        while top > 0:
-            leaf, bits, place, top = descend(moving.nodes, top, mask, packet, _squares_of)
-            kept = left_out, place, found, distances
-            _update_bounds(tree, moving, leaf, bits, asked, rows, packet, kept)
         for lane in range(rows.shape[0]):
             for i in range(packet.counts[lane]):
                 fetch_box(tree, moving, found[rows[lane], i])
         for lane in range(rows.shape[0]):
-            row = rows[lane]
-            bounded = packet.counts[lane], min(left_out[lane], packet.limits[lane])
+            row, bounded = rows[lane], (packet.counts[lane], left_out[lane])
             decide(tree, moving, _near(asked, row), bounded, found[row], distances[row])
     end_query(tree.state)
     return why
 
 
-entry = entry_points(
-    nearest_packets, no_motion, NO_POINTS, np.empty((0, 1), np.int64), np.empty((0, 1))
+@lean_kernel
+def bound_packets(tree, moving, asked, bounded, squares):
+    """Write `nearest.nearest_bounds` of such rows to `bounded` and `squares`, (n, k): 0, or why
+    not.
+    """
+    if not begin_query(tree.state, moving.version):
+        return np.int64(REFUSED)
+    packet, left_out, why = no_packet(), stack_array(EIGHT, np.float64), np.int64(0)
+    for first in range(0, asked.order.shape[0], EIGHT):
+        why, rows = _bound(tree, moving, asked, first, packet, left_out, bounded.slots, squares)
+        if why < 0:
+            break
+        for lane in range(rows.shape[0]):
+            bounded.counts[rows[lane]] = packet.counts[lane]
+            bounded.left_out[rows[lane]] = left_out[lane]
+    end_query(tree.state)
+    return why
+
+
+_IDS, _GAPS = np.empty((0, 1), np.int64), np.empty((0, 1))
+entry = entry_points(nearest_packets, no_motion, NO_POINTS, _IDS, _GAPS)
+bounds_entry = entry_points(
+    bound_packets, no_motion, NO_POINTS, Bounded(_IDS, np.empty(0, np.int64), np.empty(0)), _GAPS
 )

@@ -25,6 +25,8 @@ from . import casting, nearest, nearest_packets, overlapping, wide_casting
 from .bounds import LONGEST
 from .casting import Casts, Places
 from .motion import Motion
+from .nearest import Near
+from .nearest_packets import Bounded
 from .wide_casting import NO_LEAVES, UNSUITED, MovingRays
 
 Floats = NDArray[np.float64]
@@ -220,11 +222,19 @@ class MotionQueries(Motion):
         dense = are_dense(count, boxes) and bool((np.abs(times) < LONGEST).all())
         kernel = (nearest_packets.entry if dense else nearest.rows_entry)(tree.ndim)
         order = order_of(tree, points) if dense or count >= MANY_POINTS else NO_ORDER
-        rows = nearest.Near(points, limits, masks, times, k, order)
+        rows = Near(points, limits, masks, times, k, order)
         found, distances = np.empty((count, k), np.int64), np.empty((count, k))
         spans = functools.partial(times_of, times, STILL, STILL)
         self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))
         return found, distances
+
+    def bound_many(self, tree: Any, rows: Near, bounded: Bounded) -> None:
+        """Fill in the boxes whose bounds are nearest to the rows of `order`, see
+        `nearest_packets`: for who decides by other distances.
+        """
+        kernel, squares = nearest_packets.bounds_entry(tree.ndim), np.empty(bounded.slots.shape)
+        spans = functools.partial(times_of, rows.at, STILL, STILL)
+        self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, bounded, squares))
 
 
 def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
