@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from ..jit.box_rows import SIDES, UNITS, enclose, write_item
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x8 import NO_COST, NUMBER, add_to_bins, deal_item, join_sides, rank_bins
 from ..jit.intrinsics import LANES, clear8, largest8, largest_difference8, stack_array, swap8
@@ -127,30 +128,22 @@ def rescale_items(nodes, items, numbers, start, stop):
     1]; returns half the longest edge of that.
     """
     ndim = nodes[0].lo.shape[0]
-    lo, hi = stack_array(AXES, np.float64), stack_array(AXES, np.float64)
-    for axis in range(ndim):
-        lo[axis], hi[axis] = np.inf, -np.inf
+    lo, hi = stack_array(SIDES, np.float64), stack_array(SIDES, np.float64)
+    for side in range(SIDES):
+        lo[side], hi[side] = np.inf, -np.inf
     for item in range(start, stop):
-        node = nodes[numbers[item * LANES + NODE]]
-        for axis in range(ndim):
-            lo[axis] = min(lo[axis], node.lo[axis])
-            hi[axis] = max(hi[axis], node.hi[axis])
-    center, half = stack_array(AXES, np.float64), 0.0
+        enclose(nodes, numbers[item * LANES + NODE], lo, hi)
+    units, half = stack_array(UNITS, np.float64), 0.0
+    for axis in range(SIDES):
+        units[axis] = 0.0
     for axis in range(ndim):
-        center[axis] = lo[axis] * 0.5 + hi[axis] * 0.5
-        half = max(half, hi[axis] * 0.5 - lo[axis] * 0.5)
+        low, high = lo[axis], hi[axis]
+        units[axis] = low * 0.5 + high * 0.5
+        half = max(half, high * 0.5 - low * 0.5)
     # A power of two, whose inverse is finite.
-    scale = math.ldexp(1.0, min(-math.frexp(half)[1], 1022))
+    units[SIDES] = math.ldexp(1.0, min(-math.frexp(half)[1], 1022))
     for item in range(start, stop):
-        node = nodes[numbers[item * LANES + NODE]]
-        for axis in range(AXES):
-            low, high = 0.0, 0.0
-            if axis < ndim:
-                low = (node.lo[axis] - center[axis]) * scale
-                high = (node.hi[axis] - center[axis]) * scale
-            items[item * LANES + axis] = -low
-            items[item * LANES + HI + axis] = high
-        items[item * LANES + HI + AXES] = 0.0
+        write_item(items, item, nodes, numbers[item * LANES + NODE], units)
     return half
 
 

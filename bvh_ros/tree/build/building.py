@@ -16,7 +16,7 @@ from ..area import area_scale, area_unit, half_area, node_area, tree_cost
 from ..jit.closest_pairs import pair_up
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import LANES, copy8, prefetch, stack_array
-from ..nodes import DEEPEST, NONE, aligned_empty, is_leaf, next_node, refit_node, take_inner
+from ..nodes import DEEPEST, NONE, is_leaf, next_node, refit_node, take_inner
 from .binning import (
     BIN_FLOATS,
     NO_SPLIT,
@@ -36,7 +36,7 @@ from .binning import (
 )
 
 FEW = LANES  # boxes at most that are joined pair by pair
-TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
+_BOTH = 2 * FEW  # of two groups of boxes
 NEAR = 64  # leaves of a subtree that is finished while its nodes are in the near caches
 _AHEAD = 32  # how far ahead free nodes are asked for: often they lie side by side
 
@@ -46,17 +46,6 @@ _AHEAD = 32  # how far ahead free nodes are asked for: often they lie side by si
 START, STOP, LEVELS, PLACE, LAST, SMALL, _PLACES = range(7)
 _RANGES = DEEPEST + 2
 _RANGE_PLACES, _PLAN_PLACES = _PLACES * _RANGES, PLAN * _RANGES
-
-
-class Room(NamedTuple):
-    """Memory to build in; `items` and `numbers` are one array, see `binning`."""
-
-    items: NDArray[np.float32]
-    """Eight places an item, for twice as many items as there are leaves."""
-    numbers: NDArray[np.int32]
-    """The same memory."""
-    made: NDArray[np.int32]
-    """An inner node a leaf."""
 
 
 class Work(NamedTuple):
@@ -70,16 +59,6 @@ class Work(NamedTuple):
     """Those to come."""
     plans: NDArray[np.float32]
     """A plan for each of them."""
-
-
-def room_to_build(count: int) -> Room:
-    """Memory to build a tree of so many boxes, or any part of it.
-
-    It is made before anything changes: within a change nothing may be short of memory.
-    """
-    places = 2 * LANES * (count + TREELET)
-    room = aligned_empty(places + count, np.dtype(np.int32))
-    return Room(room[:places].view(np.float32), room[:places], room[places:])
 
 
 @inlined
@@ -120,28 +99,48 @@ def _adopt_back(nodes, heights, made, first, stop, scale):
     return total
 
 
-@lean_kernel
-def _join_few(nodes, heights, state, room, start, count, small, scale):
-    """Join a range of at most FEW items pair by pair; returns the root, and the sum of the areas
-    of all inner nodes.
+@inlined
+def _join(nodes, heights, state, names, pairs, first, count, scale):
+    """Join nodes, those named from names[first] on, as `pairs` says; returns the root, and the sum
+    of the areas of all inner nodes.
     """
-    names, fresh = stack_array(FEW, np.int64), stack_array(FEW, np.int64)
-    pairs, total = stack_array(FEW, np.int32), 0.0
-    for i in range(count):
-        names[i] = room.numbers[(start + i) * LANES + NODE]
-    node = names[0]
-    pairs[0] = 1 << 3  # of two
-    if count > 2:
-        if small != 0:
-            rescale_items(nodes, room.items, room.numbers, start, start + count)
-        pair_up(room.items, start, count, nodes[0].lo.shape[0] == 2, pairs)
+    fresh, node, total = stack_array(FEW, np.int64), names[first], 0.0
     for i in range(count - 2, -1, -1):
         fresh[i] = take_inner(nodes, state)  # parents before children
         prefetch(nodes, fresh[i] + _AHEAD, 1)
     for i in range(count - 1):
-        node, older, younger = fresh[i], pairs[i] & 7, pairs[i] >> 3
-        total += _adopt(nodes, heights, node, names[older], names[younger], scale)
+        node, older, younger = fresh[i], first + (pairs[first + i] & 7), pairs[first + i] >> 3
+        total += _adopt(nodes, heights, node, names[older], names[first + younger], scale)
         names[older] = node
+    return node, total
+
+
+@lean_kernel
+def _join_few(nodes, heights, state, room, ranges, top, several, scale):
+    """Join range `top` and, if `several` is 2, the one below it pair by pair, of at most FEW items
+    each, and hang them at their places; returns the root of the last one, and the sum of the areas
+    of all inner nodes.
+    """
+    names, pairs = stack_array(_BOTH, np.int64), stack_array(_BOTH, np.int32)
+    at, other = _PLACES * top, _PLACES * (top - several + 1)
+    for here, first in ((at, 0), (other, FEW)):
+        start, count = ranges[here + START], ranges[here + STOP] - ranges[here + START]
+        for i in range(count):
+            names[first + i] = room.numbers[(start + i) * LANES + NODE]
+        if ranges[here + SMALL] != 0 and count > 2:
+            rescale_items(nodes, room.items, room.numbers, start, start + count)
+    start, count = ranges[at + START], ranges[at + STOP] - ranges[at + START]
+    start2, count2 = ranges[other + START], ranges[other + STOP] - ranges[other + START]
+    pairs[0] = pairs[FEW] = 1 << 3  # of two
+    if max(count, count2) > 2:
+        planar = nodes[0].lo.shape[0] == 2
+        pair_up(room.items, start, count, start2, count2, planar, pairs)
+    node, total = _join(nodes, heights, state, names, pairs, 0, count, scale)
+    _attach(nodes, ranges[at + PLACE], node)
+    if several == 2:
+        node, more = _join(nodes, heights, state, names, pairs, FEW, count2, scale)
+        _attach(nodes, ranges[other + PLACE], node)
+        total += more
     return node, total
 
 
@@ -207,12 +206,19 @@ def _split(nodes, room, work, top, node):
     _push(work.ranges, top + 1, start, middle, levels, 2 * node, last, below)
 
 
+@inlined
+def _is_few(ranges, range_number):
+    """Whether a range is joined pair by pair."""
+    at = _PLACES * range_number
+    return ranges[at + STOP] - ranges[at + START] <= min(FEW, ranges[at + LEVELS] + 1)
+
+
 @lean_kernel
 def build(nodes, heights, state, room, count, levels):
     """Build a subtree over the nodes that `numbers` names, with at most `levels` levels of inner
     nodes; return its root, and its cost as of `tree_cost`.
 
-    `room` is from `room_to_build`: `count` of its items are reordered, and there is room for as
+    `room` is a `Room`: `count` of its items are reordered, and there is room for as
     many.
     """
     work = Work(
@@ -237,17 +243,18 @@ def build(nodes, heights, state, room, count, levels):
             near, near_made = top, made_count
             for item in range(start, stop):
                 prefetch(nodes, room.numbers[item * LANES + NODE], 1)
-        if stop - start <= min(FEW, ranges[at + LEVELS] + 1):
-            small, size = ranges[at + SMALL], stop - start
-            node, area = _join_few(nodes, heights, state, room, start, size, small, scale)
+        if _is_few(ranges, top):
+            several = 2 if top > near and _is_few(ranges, top - 1) else 1
+            node, area = _join_few(nodes, heights, state, room, ranges, top, several, scale)
             total += area
+            top -= several - 1
         else:
             node = take_inner(nodes, state)
             made[made_count] = node
             made_count += 1
             _split(nodes, room, work, top, node)
+            _attach(nodes, place, node)
             top += 2
-        _attach(nodes, place, node)
         root = node if place < 0 else root
         if top == near:
             total += _adopt_back(nodes, heights, made, near_made, made_count, scale)
@@ -255,15 +262,6 @@ def build(nodes, heights, state, room, count, levels):
     total += _adopt_back(nodes, heights, made, 0, made_count, scale)
     around = node_area(nodes, root, scale)
     return root, total / around if around > 0.0 else count - 1.0
-
-
-@lean_kernel
-def count_leaves(nodes, root):
-    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
-    while node != NONE:
-        count += is_leaf(node)
-        node, top = next_node(nodes, node, not is_leaf(node), stack, top)
-    return count
 
 
 @lean_kernel

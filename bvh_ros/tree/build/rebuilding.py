@@ -23,7 +23,8 @@ from ..nodes import (
     refit_node,
 )
 from .binning import NODE, levels_needed
-from .building import TREELET, Room, build, count_leaves
+from .building import build
+from .room import TREELET, Room
 
 # The cost is looked at after so many moves a box; if it has become so much higher than it was
 # when built, or the number of boxes so different, the tree is built anew.
@@ -34,6 +35,15 @@ WORSE = 1.2
 @inlined
 def floor_log2(count):
     return math.frexp(float(count))[1] - 1
+
+
+@lean_kernel
+def count_leaves(nodes, root):
+    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    while node != NONE:
+        count += is_leaf(node)
+        node, top = next_node(nodes, node, not is_leaf(node), stack, top)
+    return count
 
 
 @lean_kernel

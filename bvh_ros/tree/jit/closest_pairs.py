@@ -49,8 +49,12 @@ class _Clusters:
     """
 
     def __init__(self, builder: Any, boxes: Any, count: Any, planar: Any) -> None:
-        self.builder, self.boxes, self.planar = builder, boxes, planar
-        rows = [builder.load(self.box_at(index(i)), align=4) for i in range(LANES)]
+        self.builder, self.planar = builder, planar
+        rows = [builder.load(builder.gep(boxes, [index(i)]), align=4) for i in range(LANES)]
+        self.boxes = on_stack(builder, ir.ArrayType(rows[0].type, LANES))
+        self.boxes.align = 32
+        for i, row in enumerate(rows):
+            builder.store(row, self.box_at(index(i)))
         lines = _transposed(builder, rows)
         self.columns = [variable(builder, lines[i]) for i in BOUNDS]
         self.table = on_stack(builder, ir.ArrayType(_KEYS, LANES))
@@ -65,7 +69,7 @@ class _Clusters:
         self.stale = variable(builder, ints([0] * LANES))
 
     def box_at(self, number: Any) -> Any:
-        return self.builder.gep(self.boxes, [number])
+        return self.builder.gep(self.boxes, [index(0), number])
 
     def row_at(self, number: Any) -> Any:
         return self.builder.gep(self.table, [index(0), number])
@@ -105,9 +109,9 @@ class _Clusters:
         """Make the older one the union of both, as young as `age`."""
         builder = self.builder
         first, second = (builder.zext(one, _LONG) for one in (older, younger))
-        boxes = [builder.load(self.box_at(one), align=4) for one in (first, second)]
+        boxes = [builder.load(self.box_at(one)) for one in (first, second)]
         union = larger(builder, *boxes)
-        builder.store(union, self.box_at(first), align=4)
+        builder.store(union, self.box_at(first))
         sides, keys = self.areas_with(union)
         here, there = self._ones('==', older), self._ones('==', younger)
         chosen = builder.icmp_signed('!=', here, ints([0] * LANES))
@@ -124,26 +128,37 @@ class _Clusters:
 
 
 @intrinsic
-def pair_up(typingctx, items, start, count, planar, pairs):
+def pair_up(typingctx, items, start, count, other, other_count, planar, pairs):
     """Join at most eight boxes pair by pair: each time the two whose union is least, of equal ones
-    those that were joined first. The boxes are lost; eight of `items` must be there.
+    those that were joined first. And at most eight from `other` on: a step waits for the one
+    before it nearly all the time, so two groups take hardly longer than one. Eight of `items` must
+    be there for each.
 
     pairs[i], int32, says which two: 8 * the younger one's number + the older one's, which is that
-    of their union from then on.
+    of their union from then on. From pairs[8] on, those of the other group; what follows the last
+    of a group means nothing.
     """
-    sig = types.void(items, types.int64, types.int64, types.boolean, pairs)
+    places = [types.int64] * 4
+    sig = types.void(items, *places, types.boolean, pairs)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        items, start, count, planar, pairs = args
-        boxes = boxes_from(context, builder, signature.args[0], items, start, index(LANES))
-        clusters = _Clusters(builder, boxes, builder.trunc(count, _INT), planar)
-        with each(builder, builder.sub(count, index(1))) as step:
-            pair = clusters.closest()
-            builder.store(pair, place_at(context, builder, signature.args[4], pairs, step, _INT))
-            older = builder.and_(pair, ir.Constant(_INT, LANES - 1))
-            younger = builder.lshr(pair, ir.Constant(_INT, 3))
+        items, *places, planar, pairs = args
+        groups = []
+        for start, count in (places[:2], places[2:]):
+            boxes = boxes_from(context, builder, signature.args[0], items, start, index(LANES))
+            groups.append(_Clusters(builder, boxes, builder.trunc(count, _INT), planar))
+        more = builder.icmp_signed('>', places[1], places[3])
+        most = builder.select(more, places[1], places[3])
+        with each(builder, builder.sub(most, index(1))) as step:
             age = builder.add(builder.trunc(step, _INT), ir.Constant(_INT, 1))
-            clusters.join(older, younger, age)
+            for number, clusters in enumerate(groups):
+                pair = clusters.closest()
+                at = builder.add(step, index(LANES * number))
+                place = place_at(context, builder, signature.args[6], pairs, at, _INT)
+                builder.store(pair, place)
+                older = builder.and_(pair, ir.Constant(_INT, LANES - 1))
+                younger = builder.lshr(pair, ir.Constant(_INT, 3))
+                clusters.join(older, younger, age)
         return context.get_dummy_value()
 
     return sig, codegen

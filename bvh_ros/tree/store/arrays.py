@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import changing, handle_checks
-from ..build.building import Room, room_to_build
+from ..build.room import Room, leave_room, spare_room
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
@@ -238,11 +238,14 @@ class Arrays:
             now = state.item(CHANGES) if version == ANY_VERSION else version
             count, rebuilds, room = state.item(COUNT) + more, state.item(REBUILDS), self._room
             if room is None or len(room.made) < count:
-                room = room_to_build(count)
+                room = spare_room(count)
             done: int = kernel(storage.tree, now, how, change, policy, room)
-            # Who builds a whole tree writes to all of the room: memory that is better given back.
+            # Who builds a whole tree writes to all of the room: memory that a tree had better not
+            # keep.
             few = 0 < len(rows) <= FEW_ROWS and state.item(REBUILDS) == rebuilds
             self._room = room if few else None
+            if not few:
+                leave_room(room)
             if done >= 0:
                 return done
             self._make_way(done, storage, more)

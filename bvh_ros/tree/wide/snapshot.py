@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import longest_edge
-from ..build.building import count_leaves
+from ..build.rebuilding import count_leaves
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import WIDTH, stack_array

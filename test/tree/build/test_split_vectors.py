@@ -8,15 +8,16 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.jit import closest_pairs
+from bvh_ros.tree.jit import box_rows, closest_pairs
 from bvh_ros.tree.jit import float32x8 as split_vectors
+from bvh_ros.tree.nodes import node_dtype
 
 BINS = 16
 
 
 @numba.njit
-def paired(items, start, count, planar, pairs):
-    closest_pairs.pair_up(items, start, count, planar, pairs)
+def paired(items, start, count, other, other_count, planar, pairs):
+    closest_pairs.pair_up(items, start, count, other, other_count, planar, pairs)
 
 
 @numba.njit
@@ -86,38 +87,76 @@ def union(boxes: np.ndarray) -> np.ndarray:
     return boxes[:, [0, 1, 2, 4, 5, 6]].max(axis=0)
 
 
-@pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('count', [2, 3, 4, 5, 6, 7, 8])
-def test_pairs(count: int, planar: bool) -> None:
+def check_pairs(items: np.ndarray, planar: bool, pairs: list[int]) -> None:
     """Each time one of the closest pairs of what is left, and every box once."""
-    rng = np.random.default_rng(count)
-    for _ in range(200):
-        items = some_items(rng, 10, planar)  # the first is not asked about, nor the last ones
-        clusters = {i: [i] for i in range(count)}
-        boxes, pairs = items[1 : 1 + count].copy(), np.full(8, -1, np.int32)
-        paired(items.ravel(), 1, count, planar, pairs)
-        for pair in pairs[: count - 1].tolist():
-            older, younger = pair % 8, pair // 8
-            costs = {
-                (a, b): area(boxes[clusters[a] + clusters[b]], planar)
-                for a in clusters
-                for b in clusters
-                if a != b
-            }
-            assert costs[older, younger] <= min(costs.values()) * (1 + 2.0**-13)
-            clusters[older] += clusters.pop(younger)
-        assert [sorted(one) for one in clusters.values()] == [list(range(count))]
-        assert (pairs[count - 1 :] == -1).all()
+    clusters = {i: [i] for i in range(len(items))}
+    for pair in pairs:
+        older, younger = pair % 8, pair // 8
+        costs = {
+            (a, b): area(items[clusters[a] + clusters[b]], planar)
+            for a in clusters
+            for b in clusters
+            if a != b
+        }
+        assert costs[older, younger] <= min(costs.values()) * (1 + 2.0**-13)
+        clusters[older] += clusters.pop(younger)
+    assert [sorted(one) for one in clusters.values()] == [list(range(len(items)))]
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('count', [1, 2, 3, 4, 5, 6, 7, 8])
+@pytest.mark.parametrize('other', [1, 2, 5, 8])
+def test_pairs(count: int, other: int, planar: bool) -> None:
+    """Of two groups, each by itself; the boxes stay as they are."""
+    rng = np.random.default_rng(8 * count + other)
+    for _ in range(50):
+        items = some_items(rng, 18, planar)  # some beside those of the groups
+        kept, pairs = items.copy(), np.full(16, -1, np.int32)
+        paired(items.ravel(), 1, count, 1 + count, other, planar, pairs)
+        check_pairs(items[1 : 1 + count], planar, pairs[: count - 1].tolist())
+        check_pairs(items[1 + count :][:other], planar, pairs[8:][: other - 1].tolist())
+        assert np.array_equal(items.view(np.int32), kept.view(np.int32))
 
 
 def test_pairs_of_equal_boxes_make_no_list() -> None:
     """Those that were joined first come first."""
-    items, pairs = np.ones((8, 8), np.float32), np.empty(7, np.int32)
-    paired(items.ravel(), 0, 8, False, pairs)
+    items, pairs = np.ones((8, 8), np.float32), np.empty(16, np.int32)
+    paired(items.ravel(), 0, 8, 0, 8, False, pairs)
     depth = [0] * 8
-    for pair in pairs.tolist():
+    for pair in pairs[:7].tolist():
         depth[pair % 8] = max(depth[pair % 8], depth[pair // 8]) + 1
-    assert depth[pairs[-1] % 8] == 3
+    assert depth[pairs[6] % 8] == 3
+
+
+@numba.njit
+def written(nodes, items, bounds, units):
+    for node in range(len(nodes)):
+        box_rows.enclose(nodes, node, bounds[0], bounds[1])
+        box_rows.write_item(items, node, nodes, node, units)
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_items_of_nodes(ndim: int) -> None:
+    """Bounds of all boxes, and each box in other units, with the number of its node."""
+    rng = np.random.default_rng(ndim)
+    nodes, items = np.zeros(50, node_dtype(ndim)), np.ones(400, np.float32)
+    nodes['lo'] = rng.normal(size=(50, ndim)) * 1e3
+    nodes['hi'] = nodes['lo'] + rng.exponential(size=(50, ndim))
+    nodes['left'] = -1  # a NaN for who reads it as a float64
+    bounds, units = np.empty((2, 4)), np.array([3.0, -7.0, 11.0, 0.0, 0.125])
+    units[ndim:4] = 0.0
+    bounds[0], bounds[1] = np.inf, -np.inf
+    written(nodes, items, bounds, units)
+    assert (bounds[0, :ndim] == nodes['lo'].min(axis=0)).all()
+    assert (bounds[1, :ndim] == nodes['hi'].max(axis=0)).all()
+    rows = items.reshape(50, 8)
+    assert (rows[:, :ndim] == (-(nodes['lo'] - units[:ndim]) * 0.125).astype(np.float32)).all()
+    assert (
+        rows[:, 4 : 4 + ndim] == ((nodes['hi'] - units[:ndim]) * 0.125).astype(np.float32)
+    ).all()
+    assert (rows[:, ndim:3] == 0.0).all()
+    assert (rows[:, 4 + ndim :] == 0.0).all()
+    assert (rows[:, 3].view(np.int32) == np.arange(50)).all()
 
 
 def some_scales(items: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
