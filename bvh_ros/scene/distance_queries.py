@@ -76,9 +76,8 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
-            asked = where, min(many, max(len(self._held.tree), 1)), limits, sign_of(signed)
-            second = self._moments.second(at)
-            return self._held.hits(*self._moments.distances().find_near(*asked, second))
+            asked = where, many, limits, sign_of(signed), self._moments.second(at)
+            return self._held.hits(*self._moments.distances().find_near(*asked))
         found, rows = self._nearness.find(where, many, limits, sign_of(signed))
         return self._held.hits(found, rows)
 

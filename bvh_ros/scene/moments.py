@@ -187,9 +187,10 @@ class Moments:
 
         def among_moving(*asked: Any) -> CastHits:
             (slots, ts, _), points, normals = first_then(self._held, sweep, *asked)
-            missed = np.flatnonzero(slots == NONE)
-            handles = node_handles[slots].astype(np.uint32)
-            handles[missed], ts[missed], points[missed] = NO_NODE, np.inf, np.nan
+            missed, met = np.flatnonzero(slots == NONE), np.flatnonzero(slots != NONE)
+            handles = np.full(len(slots), NO_NODE, np.uint32)
+            handles[met] = node_handles[slots[met]]
+            ts[missed], points[missed] = np.inf, np.nan
             return CastHits(handles, ts, points, normals)
 
         return among_moving

@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Input made sound before it reaches a kernel: float64, C order, finite, lo <= hi; or one plain
-sentence why not.
-"""
+"""Input made sound before it reaches a kernel, or one plain sentence why not."""
 
 import functools
 import math

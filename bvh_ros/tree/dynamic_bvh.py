@@ -265,7 +265,8 @@ class DynamicBVH(RayQueries, Predicates):
 
     def save(self, path: str | PathLike[str], mapped: bool = False) -> None:
         """Write the tree to one file, from which `load` gives it back with the same handles: an
-        .npz, or with `mapped` a file that is larger and can be mapped into memory.
+        .npz, or with `mapped` a file that is larger and can be mapped into memory. An older file
+        is replaced once the new one is whole.
         """
         files.save(checks.path('path', path), files.pack(self), checks.flag('mapped', mapped))
 

@@ -141,6 +141,43 @@ def test_rays_and_balls_never_miss_what_has_grown():
             assert ([first.t] * 2 if first else [np.inf] * 2) == many.t.tolist()
 
 
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('most', [np.inf, 0.7])
+def test_who_begins_within_what_has_grown_is_there(planar, most):
+    """t is 0, the point the start, and there is no normal; outside there is, and it leads out."""
+    rng, axes = np.random.default_rng(5), slice(2 if planar else 3)
+    growing, seen = Growing(rng, planar, most), set()
+    scene = growing.scene
+    for _ in range(200):
+        start, goal = rng.uniform(-9, 9, (2, 3))
+        time = NOW + int(rng.integers(-2 * SECOND, 4 * SECOND))
+        near = {hit.name: hit.t for hit in scene.nearest(start, COUNT + 1, at=time)}
+        for radius in (0.0, 0.6):
+            for until in (None, time):
+                times = {'at': time, 'until': until}
+                hits = scene.raycast_all(start, goal, radius, **times)
+                many = scene.sweep_many([start] * 2, [goal] * 2, radius, **times)
+                first = scene.raycast(start, goal, radius, **times)
+                if hits:
+                    assert (
+                        many.points[0].tolist() == first.point.tolist() == hits[0].point.tolist()
+                    )
+                    normals = many.normals[0].tolist(), first.normal.tolist()
+                    assert normals == (hits[0].normal.tolist(),) * 2
+                for hit in hits:
+                    if hit.t > 0.0:
+                        continue
+                    within = near[hit.name] == 0.0
+                    seen.add((within, radius))
+                    assert hit.normal.any() != within
+                    way = (start - hit.point)[axes]
+                    assert within == (not way.any())
+                    if not within:
+                        assert np.linalg.norm(way) == pytest.approx(near[hit.name], abs=1e-9)
+                        assert way @ hit.normal[axes] > 0.0
+    assert seen == {(True, 0.0), (True, 0.6), (False, 0.6)}
+
+
 def test_who_stands_among_who_moves_does_not_grow():
     scene, boxes = Scene(uncertainty=3.0), Shapes.boxes([[0, 4, 0], [0, 50, 0]], [1, 1, 1])
     scene.update('s', ['stands', 'goes'], boxes, stamp=NOW, velocities=[[0, 0, 0], [1, 0, 0]])

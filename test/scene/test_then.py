@@ -140,6 +140,24 @@ def test_everything_is_as_where_all_stand_there(planar, most):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('most', [np.inf, 0.7])
+def test_a_dense_batch_is_answered_as_each_of_its_points(planar, most):
+    rng, count = np.random.default_rng(12), 150
+    moving = Moving(rng, planar, most)
+    points, times = rng.uniform(-9, 9, (count, 3)), NOW + rng.integers(-SECOND, 3 * SECOND, count)
+    assert count >= len(moving.names)
+    for k, limit, signed in ((1, np.inf, False), (3, 4.0, True), (40, np.inf, False)):
+        asked = k, limit, 0xFFFFFFFF, signed
+        handles, distances, _ = moving.scene.nearest_many(points, *asked, threads=2, at=times)
+        for row, time in enumerate(times.tolist()):
+            hits = moving.scene.nearest(points[row], *asked, at=time)
+            assert handles[row, : len(hits)].tolist() == [hit.handle for hit in hits]
+            assert distances[row, : len(hits)].tolist() == [hit.t for hit in hits]
+            assert np.isinf(distances[row, len(hits) :]).all()
+
+
+@pytest.mark.slow
 def test_who_drives_meets_where_they_stand_from_some_time_on():
     rng, most = np.random.default_rng(12), 0.7
     for planar in (False, True):

@@ -172,7 +172,7 @@ def _few_slowly(
             return NOT_FINITE
         rays = rays._replace(directions=ways)
     hits = RayHits(np.empty(count, INT64), told.t, told.normals)
-    done = ray_batches.cast(view, None, rays, hits)
+    done = ray_batches.cast(*view, None, rays, hits)
     if done >= 0:
         some = rays.origins, rays.directions
         _describe_entry(3)(view.tree, node_handles, *some, hits, told)

@@ -221,3 +221,16 @@ def _tell(world, tree, moving, ways, i, asked, found, told):
         point[axis] += box[2][axis] * then
     for axis in range(3):
         point[axis] += normal[axis] * grown
+    if grown > 0.0 and best.t == 0.0:
+        leave_surface(ways.origins[i], point, normal)
+
+
+@lean_kernel
+def leave_surface(centre, point, normal):
+    """As `seen.grow`: who begins within what has grown meets it there, without a normal."""
+    out = 0.0
+    for axis in range(centre.shape[0]):
+        out += (centre[axis] - point[axis]) * normal[axis]
+    if out <= 0.0:
+        for axis in range(centre.shape[0]):
+            point[axis], normal[axis] = centre[axis], 0.0

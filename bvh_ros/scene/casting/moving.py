@@ -38,7 +38,7 @@ from . import resting
 from .arguments import Hits, Rays, call, new_scratch, world_of
 from .first_moving import First, Ways, first_rows, first_swept
 from .frame import COORDINATES, FRAME_SLACK
-from .seen import Met, Times, meet_pairs
+from .seen import Met, Times, grow, meet_pairs
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -54,7 +54,11 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
         parts.append(_shaped(held, flat, radii, skip, times))
     still = at_rest(held, times.last(rays.t_max))
     if len(still):
-        parts = [met.take(np.flatnonzero(~np.isin(met.slots, still))) for met in parts]
+        ends = times.ends(rays.t_max)
+        parts = [
+            met.take(np.flatnonzero(~resting.comes_to_rest(held, met.slots, ends[met.rows])))
+            for met in parts
+        ]
         casts = _casts(held, flat, radii, times)
         parts.append(resting.met(held, flat, radii, skip, times, still, casts))
     columns: Any = zip(*parts, strict=True)
@@ -241,6 +245,7 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
     met = hits.ts < np.inf
     then = since + np.where(met, hits.ts, 0.0) * times.pace[rows]
     found.points[:, : held.tree.ndim] += velocities * then[:, None]
-    found.points[:] += found.normals * grown[:, None]
     kept = met & ~(skip & (hits.features == INSIDE))
-    return Met(rows, slots, hits.ts, found.points, found.normals).take(np.flatnonzero(kept))
+    all_met = Met(rows, slots, hits.ts, found.points, found.normals)
+    grow(all_met, grown, rays.origins[rows])
+    return all_met.take(np.flatnonzero(kept))

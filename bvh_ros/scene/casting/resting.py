@@ -18,7 +18,7 @@ from ..store.obstacles import Obstacles
 from ..store.places import growths, motions, rest, seen
 from ..store.registry import Slots
 from .arguments import Rays
-from .seen import Met, Times, meet_pairs
+from .seen import Met, Times, grow, meet_pairs
 
 PAIRS = 1 << 17  # that are looked at in one go
 
@@ -38,12 +38,23 @@ def met(
     going, standing = _boxes(held.tree, casts), _boxes(there.tree, casts)
     rows = np.concatenate((going[0], standing[0]))
     which = number[np.concatenate((going[1], there.slots[standing[1]]))]
-    pairs = np.unique(rows[which >= 0] * len(still) + which[which >= 0])
+    rows, which = rows[which >= 0], which[which >= 0]
+    stops = comes_to_rest(held, still[which], times.ends(rays.t_max)[rows])
+    pairs = np.unique(rows[stops] * len(still) + which[stops])
     parts = []
     for begin in range(0, max(len(pairs), 1), PAIRS):
         some = np.divmod(pairs[begin : begin + PAIRS], len(still))
         parts.append(_of_pairs(held, rays, radii, skip, times, (some[0], still[some[1]])))
     return Met(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def comes_to_rest(held: Obstacles, slots: Slots, last: Floats) -> NDArray[np.bool_]:
+    """Who of these obstacles does so before some times (m,), s. A ray that sees none of it end is
+    the tree's own affair, whoever is asked about in the same batch.
+    """
+    velocities, references = motions(held, slots)
+    stops: NDArray[np.bool_] = velocities.any(axis=1) & (references + held.max_prediction < last)
+    return stops
 
 
 def _boxes(tree: Any, casts: Casts) -> tuple[NDArray[np.int64], Slots]:
@@ -88,8 +99,9 @@ def _of_pairs(
     points = np.where(early[:, None], first.points, second.points)
     points[:, : held.tree.ndim] += velocities * gone[:, None]
     normals = np.where(early[:, None], first.normals, second.normals)
-    points += normals * grown[:, None]
     inside = early & (first.hits.features == INSIDE)
     inside |= late & (stop == 0.0) & (second.hits.features == INSIDE)
     kept = np.flatnonzero((early | late) & ~(skip & inside))
-    return Met(rows, slots, ts, points, normals).take(kept)
+    all_met = Met(rows, slots, ts, points, normals)
+    grow(all_met, grown, some.origins)
+    return all_met.take(kept)

@@ -71,3 +71,18 @@ def meet_pairs(held: Obstacles, seen: Rays, slots: Slots, radii: Floats) -> Foun
     scratch = new_scratch(held.tree.ndim)
     call(meet_each, world_of(held.tree, held.columns), seen, slots, radii, scratch, found)
     return found
+
+
+def grow(found: Met, grown: Floats, centres: Floats) -> None:
+    """Move points (m, 3) from obstacles to what has grown about them by so much, (m,); centres
+    (m, ndim) are where rays, or balls, begin. One that begins within what has grown meets it
+    there, without a normal.
+    """
+    points, normals = found.points, found.normals
+    points += normals * grown[:, None]
+    out = np.zeros(len(points))
+    for axis in range(centres.shape[1]):  # in the order of `first_moving`
+        out += (centres[:, axis] - points[:, axis]) * normals[:, axis]
+    within = np.flatnonzero((grown > 0.0) & (found.ts == 0.0) & (out <= 0.0))
+    points[within, : centres.shape[1]] = centres[within]
+    normals[within] = 0.0

@@ -25,13 +25,26 @@ from .touching_rows import keep, pad
 
 
 @inlined
-def neighbours(tree, moving, then, near_by, room):
+def _nearest_bounds(tree, moving, near_by, known, row, slots, gaps):
+    """`nearest_bounds`, of a row for which as many are known without another look."""
+    if known is None:
+        return nearest_bounds(tree, moving, near_by, slots, gaps)
+    if known.slots.shape[1] != slots.shape[0]:
+        return nearest_bounds(tree, moving, near_by, slots, gaps)
+    for i in range(known.counts[row]):
+        slots[i] = known.slots[row, i]
+    return known.counts[row], known.left_out[row]
+
+
+@inlined
+def neighbours(tree, moving, then, near_by, room, known, row):
     """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask), of those that
     move and of those at rest: (whether there may be more, how far those are at least, how many).
+    `known`: see `near_rows`.
     """
     low, high, at, wanted, limit, mask = near_by
     slots, gaps = room.slots, room.gaps[:wanted]
-    total, left_out = nearest_bounds(tree, moving, near_by, slots[:wanted], gaps)
+    total, left_out = _nearest_bounds(tree, moving, near_by, known, row, slots[:wanted], gaps)
     more, last = total == wanted, at_least(left_out)
     if then.rest.state[ROOT] != NONE:
         count, total = total, np.int64(0)
@@ -54,11 +67,11 @@ def neighbours(tree, moving, then, near_by, room):
 
 
 @lean_kernel
-def near_rows(tree, moving, then, points, asked, room, found, told):
+def near_rows(tree, moving, then, points, known, asked, room, found, told):
     """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, whether some boxes more
     are likely to be wanted, how many there are, whether an obstacle may stand at two places,
-    `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`, and how many were
-    found at last.
+    `touching_rows.Signed`). `known`: what packets found of all rows, `Bounded`, or None. Returns
+    (rows done, room wanted) as `touch_rows`, and how many were found at last.
     """
     done, stop, k, some_more, everybody, twice, signed = asked
     if not begin_query(tree.state, moving.version):
@@ -75,7 +88,7 @@ def near_rows(tree, moving, then, points, asked, room, found, told):
         wanted = min(k + 1 if some_more else k, everybody + 1)
         while 2 * wanted <= found.slots.shape[0]:
             near_by = point, point, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, then, near_by, room)
+            others, last, total = neighbours(tree, moving, then, near_by, room, known, row)
             _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
             kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
@@ -129,7 +142,7 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         limit = max(reach * clearance.ROUNDED, reach) + more
         while 2 * wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, then, near_by, room)
+            others, last, total = neighbours(tree, moving, then, near_by, room, None, row)
             told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
             for slot in room.slots[:total]:
                 if handles[slot] != besides:

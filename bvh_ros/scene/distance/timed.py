@@ -4,33 +4,36 @@
 Scenes without velocities need none of this.
 """
 
-import threading
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.boxes.nearest_packets import are_dense
+from ...tree.boxes.ordering import order_of
 from ...tree.jit.compiling import entry_point
+from ...tree.motion.nearest import Near
+from ...tree.motion.nearest_packets import Bounded
 from ...tree.motion.queries import rows_of
-from ...tree.nodes import CHANGES
+from ...tree.nodes import COUNT, View
 from ...tree.store.workers import in_threads
-from ..geometry.footprint import FOOTPRINT
-from ..geometry.records import GEOMETRY
-from ..geometry.shapes import Floats
+from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
 from ..store.registry import Slots
 from .clearance import Neighbours
+from .kept import FEW, Known, Own, Scratch, no_rows
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
-from .nearness import NO_ORDER
 from .query_rows import NO_GIVEN, QueryRows
 from .query_shape import QueryShape
-from .touching import Found
-from .touching_rows import Near, Points, Signed, bodies_of
+from .touching import ROUNDED, Found
+from .touching_rows import Near as Nearest
+from .touching_rows import Points, Signed, bodies_of
 
-FEW = 64  # obstacles that there is room for at first
+MOST = 16  # boxes that packets look for
 
 
 class Touched(NamedTuple):
@@ -46,50 +49,12 @@ _NONE = np.empty(0, np.int64)
 NOTHING = Touched(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
 
 
-class Known(NamedTuple):
-    """What kernels are told of a world while it is of one version and its arrays are these."""
-
-    version: int
-    geometry: Any
-    hulls: Any
-    then: Then
-    room: Room
-
-
-class Scratch(threading.local):
-    """What a thread's kernels write to; the room for it is kept. And what they read of one query,
-    as making arrays of one row would take longer than most queries.
-    """
-
-    def __init__(self) -> None:
-        self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
-        self.offsets, self.told = np.zeros(2, np.int64), _no_rows(1, 1)
-        self.make_room(FEW)
-
-    def make_room(self, count: int) -> None:
-        """Have room for at least so many."""
-        rows = 2 * count
-        self.known: Known | None = None
-        self.slots, self.handles = np.empty((2, rows), np.int64)
-        self.gaps = np.empty(rows)
-        self.found = Found(
-            *(np.empty(rows, np.int64), np.empty(rows), np.zeros((rows, 3)), np.zeros((rows, 3))),
-            *(np.empty(0, np.bool_), np.empty(0), np.empty(rows, np.int64)),
-        )
-        self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
-
-    def have_room(self, count: int) -> None:
-        """`make_room` if there is less."""
-        if count > len(self.gaps):
-            self.make_room(count)
-
-
 class TimedDistances:
     """Overlaps and distances of one scene at other times."""
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
-        self._scratch = Scratch()
+        self._own = Own()
         self._entries: dict[tuple[Any, ...], Any] = {}
 
     # ---- one query: what is known until the next one of this thread, and its rows, in order
@@ -98,33 +63,41 @@ class TimedDistances:
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
     ) -> tuple[Found, list[int]]:
         """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
-        scratch, done = self._scratch, 0
+        scratch, tree, done = self._own.scratch, self._held.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
         rows = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         asked, offsets = tuple.__new__(QueryRows, rows), scratch.offsets
         while not done:
-            (then, room), found = self._then_once(at, hulls), scratch.found
-            given = asked, 0, False, offsets, room, found
-            done, wanted, compared = self._call(touch_rows, then, given, None)
-            scratch.have_room(wanted)
+            view, found = tree.view(), scratch.found
+            known = self._known(scratch, view, at, hulls)
+            given = asked, 0, False, offsets, known.room, found
+            done, wanted, compared = self._call(view, touch_rows, known.then, given, None)
+            if not done:
+                scratch.have_room(wanted)
         self._held.columns.pairs_compared += compared
-        return found, found.order[: offsets.item(1)].tolist()
+        count = offsets.item(1)
+        return found, found.order[:count].tolist() if count else []
 
     def find_near(
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed, at: float
     ) -> tuple[Found, list[int]]:
         """What is nearest to a point at a time, as `nearness.Nearness.find` has it."""
-        (reach, mask), held, scratch, done = limits, self._held, self._scratch, 0
-        scratch.limits[0], scratch.masks[0] = reach, mask
-        rows = point[None], scratch.limits, scratch.masks, NO_ORDER
+        scratch, held, done = self._own.scratch, self._held, 0
+        scratch.point[0] = point
+        reach, scratch.masks[0] = limits
+        scratch.limits[0] = reach
+        if k > FEW:  # not more room than for all
+            k = min(k, max(len(held.tree), 1))
         if scratch.told.handles.shape[1] != k:
-            scratch.told = _no_rows(1, k)
-        asked = 0, 1, k, *self._among(signed)
+            scratch.told = no_rows(1, k)
         while not done:
-            (then, room), found = self._then_once(at, None), scratch.found
-            given = tuple.__new__(Points, rows), asked, room, found, scratch.told
-            done, wanted, count = self._call(near_rows, then, given, signed)
-            scratch.have_room(wanted)
+            view, found = held.tree.view(), scratch.found
+            known = self._known(scratch, view, at, None)
+            asked = 0, 1, k, *self._among(view, signed)
+            given = scratch.points, None, asked, known.room, found, scratch.told
+            done, wanted, count = self._call(view, near_rows, known.then, given, signed)
+            if not done:
+                scratch.have_room(wanted)
         distances = found.distances[:count].tolist()
         order = [row for row in found.order[:count].tolist() if distances[row] <= reach]
         if held.columns.shadows:
@@ -142,18 +115,19 @@ class TimedDistances:
         do, and where it is nobody is told.
         """
         then, columns = self._then(at, hulls), self._held.columns
+        view = self._held.tree.view()
 
         def work(start: int, stop: int) -> tuple[list[Touched], int]:
             some = rows_of(queries, len(at), slice(start, stop))
             when, begin, compared = then._replace(at=at[start:stop]), 0, 0
             parts = [NOTHING]
             while begin < stop - start:
-                offsets, found = np.zeros(stop - start + 1, np.int64), self._scratch.found
+                offsets, found = np.zeros(stop - start + 1, np.int64), self._own.scratch.found
                 given = some, begin, enough, offsets, self._room(then), found
-                done, wanted, pairs = self._call(touch_rows, when, given, None)
+                done, wanted, pairs = self._call(view, touch_rows, when, given, None)
                 parts.append(_taken(found, offsets, begin, done, start))
                 begin, compared = done, compared + pairs
-                self._scratch.have_room(wanted)
+                self._own.scratch.have_room(wanted)
             return parts, compared
 
         each = in_threads(work, len(at), threads)
@@ -168,19 +142,47 @@ class TimedDistances:
             touched = Touched(*every)
         return touched
 
-    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Near:
+    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Nearest:
         """The k obstacles nearest to n points at times (n,)."""
-        then, told, among = self._then(at, None), _no_rows(len(at), k), self._among(signed)
+        then, told, tree = self._then(at, None), no_rows(len(at), k), self._held.tree
+        view = tree.view()
+        among = self._among(view, signed)
+        near, known = self._in_packets(points, k, among, at)
+        variant: Any = signed if known is None else (signed, Bounded)
+        if near is not None:
+            points = points._replace(order=near.order)
 
         def work(start: int, stop: int) -> None:
+            if near is not None and known is not None and tree.motion is not None:
+                tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
             while start < stop:
-                asked = start, stop, k, *among
-                given = points, asked, self._room(then), self._scratch.found, told
-                start, wanted, _ = self._call(near_rows, then, given, signed)
-                self._scratch.have_room(wanted)
+                given = points, known, (start, stop, k, *among), self._room(then)
+                more = self._own.scratch.found, told
+                start, wanted, _ = self._call(view, near_rows, then, (*given, *more), variant)
+                self._own.scratch.have_room(wanted)
 
         in_threads(work, len(at), threads)
+        if known is not None:
+            tree.check_unchanged(view)
         return told
+
+    def _in_packets(
+        self, points: Points, k: int, among: tuple[bool, int, bool, Signed], at: Floats
+    ) -> tuple[Near, Bounded] | tuple[None, None]:
+        """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
+        asks for the rest itself, as where obstacles grow.
+        """
+        (some_more, everybody, *_), count = among, len(at)
+        wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
+        if not are_dense(count, everybody) or wanted > MOST or self._held.uncertainty:
+            return None, None
+        where, order = along_axes(points.points, ndim), points.order
+        if not len(order):
+            order = order_of(self._held.tree, where)
+        limits = np.maximum(points.reaches * ROUNDED, points.reaches)
+        near = Near(where, limits, points.masks, at, wanted, order)
+        slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
+        return near, Bounded(slots, counts, np.empty(count))
 
     def clearances(
         self,
@@ -194,42 +196,47 @@ class TimedDistances:
         obstacle that is the only row, or NONE, whether distances have a sign).
         """
         reaches, itself, signed = asked
-        count, then = len(at), self._then(at, hulls)
+        count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
+        everybody = view.tree.state.item(COUNT)
         told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
 
         def work(start: int, stop: int) -> None:
             while start < stop:
-                question = start, stop, reaches, len(self._held.tree), itself, signed
+                question = start, stop, reaches, everybody, itself, signed
                 given = queries, question, self._room(then), told
-                start, wanted = self._call(clear_rows, then, given, signed)
-                self._scratch.have_room(wanted)
+                start, wanted = self._call(view, clear_rows, then, given, signed)
+                self._own.scratch.have_room(wanted)
 
         in_threads(work, count, threads)
         return told
 
     # ---- kernels
 
-    def _among(self, signed: Signed) -> tuple[bool, int, bool, Signed]:
+    def _among(self, view: View, signed: Signed) -> tuple[bool, int, bool, Signed]:
         """What `near_rows` is told of all rows."""
-        held = self._held
-        shaped, twice = held.columns.shaped > 0, held.columns.shadows > 0
-        some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
-        return some_more, len(held.tree), twice, signed
+        columns = self._held.columns
+        shaped, twice = columns.shaped > 0, columns.shadows > 0
+        some_more = shaped or twice or self._held.uncertainty > 0.0 or signed is not None
+        return some_more, view.tree.state.item(COUNT), twice, signed
 
-    def _then_once(self, at: float, hulls: Hulls | None) -> tuple[Then, Room]:
+    def _known(self, scratch: Scratch, view: View, at: float, hulls: Hulls | None) -> Known:
         """What a kernel is told of one time, until the next one."""
-        held, scratch, known = self._held, self._scratch, self._scratch.known
+        held, known, columns = self._held, scratch.known, self._held.columns
         scratch.at[0] = at
-        version, geometry = held.tree.state.item(CHANGES), held.columns.geometry
-        ours, same = held.columns.hulls(), known is not None and known.version == version
-        lasts = hulls is None and not len(at_rest(held, at))
-        if known is None or not (same and lasts and known.geometry is geometry):
-            known = None
-        if known is None or known.hulls is not ours:
-            then = self._then(scratch.at, hulls)
-            known = Known(version, geometry, ours, then, self._room(then))
-            scratch.known = known if lasts else None
-        return known.then, known.room
+        if (
+            known is not None
+            and known.version == view.version
+            and at <= known.until
+            and hulls is None
+            and known.geometry is columns.geometry
+            and known.hulls is columns.hulls()
+        ):
+            return known
+        until = math.inf if math.isinf(held.max_prediction) else movers(held).first_end
+        then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls())
+        known = Known(view.version, *ours, until, then, self._room(then))
+        scratch.known = known if hulls is None and at <= until else None
+        return known
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
@@ -244,29 +251,26 @@ class TimedDistances:
         return Then(*places, at, held.max_prediction, held.uncertainty, *ends, *still)
 
     def _room(self, then: Then) -> Room:
-        scratch, planar = self._scratch, then.bodies.footprints is not None
+        scratch, planar = self._own.scratch, then.bodies.footprints is not None
         footprint = scratch.footprint if planar else None
         spare = then.bodies._replace(shapes=scratch.shape, footprints=footprint)
         return Room(scratch.slots, scratch.handles, scratch.gaps, spare)
 
-    def _call(self, kernel: Any, then: Then, given: tuple[Any, ...], signed: Signed) -> Any:
+    def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
+        """Call a kernel; `kind` stands, with it, for the types of what it is given."""
         tree, motion = self._held.tree, self._held.tree.motion
-        variant = kernel, signed, then.bodies.hulls is not None
+        variant = kernel, kind, then.bodies.hulls is not None
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)
         if entry is None:
-            entry = entry_point(kernel, tree.view().tree, motion.moving, then, *given)
+            entry = entry_point(kernel, view.tree, motion.moving, then, *given)
             self._entries[variant] = entry
-        done = entry(tree.view().tree, motion.moving, then, *given)
+        done = entry(view.tree, motion.moving, then, *given)
         if done[0] >= 0:
             return done
         span = (then.at.min(), then.at.max()), True
         return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
-
-
-def _no_rows(count: int, k: int) -> Near:
-    return Near(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3)))
 
 
 def _taken(found: Found, offsets: Slots, begin: int, done: int, start: int) -> Touched:

@@ -18,9 +18,6 @@ from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..timed import NOW, Timed
 from . import nearest, nearest_packets, ordering, overlapping, pairs
 
-# Batches of points dense enough for eight neighbours to share their way: as many points a box, and
-# at least so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
-PACKETS_PER_BOX, LEAST_PACKETS = 1 / 4, 64
 # Boxes that there is room for at first.
 FEW_OVERLAPS, FEW_NEAREST = 64, 64
 
@@ -241,8 +238,7 @@ class BoxQueries(Timed):
         asked = nearest.Points(where, k, reaches, checks.masks_or_one(mask, count))
         ids, distances = np.empty((count, k), INT64), np.empty((count, k))
         view = self.view()
-        boxes = view.tree.state.item(COUNT)
-        if boxes and count >= max(PACKETS_PER_BOX * boxes, LEAST_PACKETS):
+        if nearest_packets.are_dense(count, view.tree.state.item(COUNT)):
             checks.finite('points', where)
             order = ordering.order_of(self, where)
             done = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)

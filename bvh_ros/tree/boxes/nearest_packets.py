@@ -22,29 +22,47 @@ from ..rays.raycasting import of_row
 from ..store.turns import REFUSED, begin_query, end_query
 from .nearest import NO_POINTS, distance, insert_candidate, name_row, pruning_limit
 
-_PLACES = EIGHT * 3  # coordinates of a packet
-_SQUARES = EIGHT * DEEPEST
-_BOTH = EIGHT * 2
+_PLACES = EIGHT * 4  # coordinates of a packet, and times
+_STACK = EIGHT * 2  # where the squares of nodes on the stack begin
+_SQUARES = _STACK + EIGHT * DEEPEST
+# Batches dense enough for eight neighbours to share their way: as many points a box, and at least
+# so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
+PER_BOX, LEAST = 1 / 4, 64
 
 
 class Packet(NamedTuple):
     """Eight points on their way, one a lane."""
 
     points: NDArray[np.float64]
-    """A row of eight for each coordinate."""
+    """A row of eight for each coordinate, and one for times, see `motion.nearest_packets`."""
     limits: NDArray[np.float64]
     """What the squared distance of a node may be."""
     counts: NDArray[np.int64]
     """How many boxes are found."""
     stack: NDArray[np.int64]
     squares: NDArray[np.float64]
-    """The squared distances of the nodes on the stack, eight a node."""
-    both: NDArray[np.float64]
-    """Those of two children."""
+    """The squared distances, eight a node: of two children, and of the nodes on the stack."""
+
+
+def are_dense(points: int, boxes: int) -> bool:
+    """Whether a batch of so many points is for packets."""
+    return boxes > 0 and points >= max(PER_BOX * boxes, LEAST)
 
 
 @inlined
-def _load(asked, rows, packet):
+def no_packet():
+    """Room for one, on the stack."""
+    return Packet(
+        stack_array(_PLACES, np.float64),
+        stack_array(EIGHT, np.float64),
+        stack_array(EIGHT, np.int64),
+        stack_array(DEEPEST, np.int64),
+        stack_array(_SQUARES, np.float64),
+    )
+
+
+@inlined
+def load(asked, rows, packet):
     """Fill the lanes; those beyond the last row reach nothing. Returns the union of the masks."""
     union, points, limits = np.uint32(0), asked.points, packet.limits
     for lane in range(EIGHT):
@@ -52,35 +70,44 @@ def _load(asked, rows, packet):
         for axis in range(points.shape[1]):
             packet.points[axis * EIGHT + lane] = points[row, axis]
         limits[lane] = pruning_limit(of_row(asked.reaches, row)) if lane < rows.shape[0] else -1.0
-        packet.counts[lane] = 0
+        packet.counts[lane], packet.squares[_STACK + lane] = 0, 0.0
         union |= of_row(asked.masks, row)
     return union
 
 
 @inlined
-def _descend(nodes, node, bits, mask, packet, top):
-    """Follow the child that is nearer to most lanes to a leaf, the other onto the stack: (leaf,
-    lanes in reach, top); no lanes where none is.
+def _squares_of(nodes, node, packet, at):
+    """Write the squared distances of a node to packet.squares[at : at + 8]."""
+    gap_squares8(nodes, node, packet.points, packet.squares, at)
+
+
+@inlined
+def descend(nodes, top, mask, packet, squares_of):
+    """From the node on top of the stack follow the child that is nearer to most lanes to a leaf,
+    the other onto the stack: (leaf, lanes in reach, where its squares are, top); no lanes where
+    none is. `squares_of` is `_squares_of`, of these nodes.
     """
-    both, limits = packet.both, packet.limits
+    squares, limits, top = packet.squares, packet.limits, top - 1
+    node, at = packet.stack[top], _STACK + top * EIGHT
+    bits = at_most8(squares, at, limits)
     while bits != np.uint32(0) and nodes[node].mask & mask != 0 and not is_leaf(node):
-        near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        gap_squares8(nodes, near, packet.points, both, 0)
-        gap_squares8(nodes, far, packet.points, both, EIGHT)
-        bits, far_bits, far_at = at_most8(both, 0, limits), at_most8(both, EIGHT, limits), EIGHT
-        closer = at_most8(both, 0, both[EIGHT:])
+        near, far, at, far_at = np.int64(nodes[node].left), np.int64(nodes[node].right), 0, EIGHT
+        squares_of(nodes, near, packet, at)
+        squares_of(nodes, far, packet, far_at)
+        bits, far_bits = at_most8(squares, at, limits), at_most8(squares, far_at, limits)
+        closer = at_most8(squares, at, squares[EIGHT:])
         if 2 * count_bits(closer & (bits | far_bits)) < count_bits(bits | far_bits):
-            near, far, bits, far_bits, far_at = far, near, far_bits, bits, 0
+            near, far, bits, far_bits, at, far_at = far, near, far_bits, bits, far_at, at
         if bits == np.uint32(0):
-            node, bits = far, far_bits
+            node, bits, at = far, far_bits, far_at
             continue
         if far_bits != np.uint32(0):
             for lane in range(EIGHT):
-                packet.squares[top * EIGHT + lane] = both[far_at + lane]
+                squares[_STACK + top * EIGHT + lane] = squares[far_at + lane]
             packet.stack[top] = far
             top += 1
         node = near
-    return node, bits if nodes[node].mask & mask != 0 else np.uint32(0), top
+    return node, bits if nodes[node].mask & mask != 0 else np.uint32(0), at, top
 
 
 @inlined
@@ -110,24 +137,13 @@ def nearest_packets(tree, version, asked, order, slots, distances):
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
-    packet = Packet(
-        stack_array(_PLACES, np.float64),
-        stack_array(EIGHT, np.float64),
-        stack_array(EIGHT, np.int64),
-        stack_array(DEEPEST, np.int64),
-        stack_array(_SQUARES, np.float64),
-        stack_array(_BOTH, np.float64),
-    )
+    packet = no_packet()
     for first in range(0, order.shape[0], EIGHT):
         rows = order[first : first + EIGHT]
-        mask = _load(asked, rows, packet)
+        mask = load(asked, rows, packet)
         packet.stack[0], top = tree.state[ROOT], 1
-        for lane in range(EIGHT):
-            packet.squares[lane] = 0.0
         while top > 0:
-            top -= 1
-            bits = at_most8(packet.squares, top * EIGHT, packet.limits)
-            leaf, bits, top = _descend(tree.nodes, packet.stack[top], bits, mask, packet, top)
+            leaf, bits, _, top = descend(tree.nodes, top, mask, packet, _squares_of)
             update_nearest(tree, leaf, bits, asked, rows, packet, slots, distances)
         for lane in range(rows.shape[0]):
             row = rows[lane]

@@ -58,7 +58,7 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
     the least distance of each box, as integers of the same order; returns which boxes any ray
     meets. The rays are records as of `filtering.ray_dtype`; bit k of `octant` says that they fly
-    down axis k.
+    down axis k; where it is negative, the octant of each ray does. An unsigned one never is.
     """
     sig = types.uint32(planes, node, octant, rays, places, hits, nearest)
     record = rays.dtype
@@ -72,28 +72,47 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
         count = context.make_array(signature.args[4])(context, builder, args[4]).nitems
         ndim = record.typeof('slope').shape[0]
         floats = index(2 * ndim * WIDTH)
-        boxes = _near_and_far(builder, part(0, builder.mul(node, floats), floats), octant, ndim)
+        planes = part(0, builder.mul(node, floats), floats)
         places, hits = part(4, index(0), count), part(5, index(0), count)
         nearest = part(6, index(0), index(WIDTH))
         least = variable(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         any_hits = variable(builder, ir.Constant(_INT, 0))
-        with each(builder, count) as number:
-            place = builder.load(builder.gep(places, [number]))
-            ray = record_at(context, builder, signature.args[3], rays, builder.zext(place, _LONG))
 
-            def field(name: str, axis: int = 0, ray: Any = ray) -> Any:
-                at = builder.gep(ray, [index(record.offset(name) + 4 * axis)])
-                return splat(
-                    builder, builder.load(builder.bitcast(at, _FLOAT.as_pointer())), WIDTH
-                )
+        def test_rays(boxes_for: Any) -> None:
+            with each(builder, count) as number:
+                place = builder.zext(builder.load(builder.gep(places, [number])), _LONG)
+                ray = record_at(context, builder, signature.args[3], rays, place)
 
-            entry, met = _slabs(builder, boxes, field)
-            so_far = builder.load(least)
-            nearer = pick(builder, '<', entry, so_far)
-            builder.store(builder.select(met, nearer, so_far), least)
-            bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
-            builder.store(bits, builder.gep(hits, [number]))
-            builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
+                def field(name: str, axis: int = 0) -> Any:
+                    at = builder.gep(ray, [index(record.offset(name) + 4 * axis)])
+                    number = builder.load(builder.bitcast(at, _FLOAT.as_pointer()))
+                    return splat(builder, number, WIDTH)
+
+                entry, met = _slabs(builder, boxes_for(ray), field)
+                so_far = builder.load(least)
+                nearer = pick(builder, '<', entry, so_far)
+                builder.store(builder.select(met, nearer, so_far), least)
+                bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
+                builder.store(bits, builder.gep(hits, [number]))
+                builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
+
+        def boxes_of(ray: Any) -> list[Any]:
+            own = builder.load(builder.gep(ray, [index(record.offset('octant'))]))
+            return _near_and_far(builder, planes, builder.zext(own, _LONG), ndim)
+
+        def test_all_alike() -> None:
+            boxes = _near_and_far(builder, planes, octant, ndim)
+            test_rays(lambda ray: boxes)
+
+        if signature.args[2].signed:
+            differ = builder.icmp_signed('<', octant, ir.Constant(octant.type, 0))
+            with builder.if_else(differ) as (mixed, same):
+                with mixed:
+                    test_rays(boxes_of)
+                with same:
+                    test_all_alike()
+        else:
+            test_all_alike()
         builder.store(builder.load(least), builder.bitcast(nearest, _WIDE.as_pointer()), align=4)
         return builder.load(any_hits)
 

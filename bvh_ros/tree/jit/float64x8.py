@@ -12,9 +12,10 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, pick, record_at, splat
+from .intrinsics import elements_at, index, operation, pick, record_at, splat
 
 EIGHT = 8
+WHEN = 3  # the row of times in a packet of points
 
 _DOUBLE = ir.DoubleType()
 _VECTOR = ir.VectorType(_DOUBLE, EIGHT)
@@ -69,6 +70,43 @@ def gap_squares8(typingctx, nodes, node, points, squares, at):
             gap = pick(builder, '>', outside, ir.Constant(_VECTOR, [0.0] * 8))
             square = builder.fmul(gap, gap)
             total = square if total is None else builder.fadd(total, square)
+        builder.store(total, _eight_at(context, builder, squares_kind, squares, at), align=8)
+        return context.get_dummy_value()
+
+    return types.void(nodes, node, points, squares, at), codegen
+
+
+@intrinsic
+def moving_squares8(typingctx, nodes, node, points, squares, at):
+    """The same of bounds that move, see `moving_sides`, only to prune by: row WHEN of the
+    points is how long after the start of their span.
+    """
+    axes = range(nodes.dtype.typeof('lower').shape[0])
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kind, _, points_kind, squares_kind, _ = signature.args
+        nodes, node, points, squares, at = args
+        fused = operation(builder, 'llvm.fma.v8f64', _VECTOR, [_VECTOR] * 3)
+
+        def row(axis: int) -> Any:
+            place = _eight_at(context, builder, points_kind, points, index(axis * EIGHT))
+            return builder.load(place, align=8)
+
+        def side(name: str, axis: int) -> Any:
+            parts = []
+            for part in (f'{name}_rates', name):
+                field = _field(context, builder, kind, nodes, node, part)
+                parts.append(_load_all(builder, field, index(axis)))
+            return builder.call(fused, [parts[0], ahead, parts[1]])
+
+        zero, ahead = ir.Constant(_VECTOR, [0.0] * 8), row(WHEN)
+        total = zero
+        for axis in axes:
+            point = row(axis)
+            below = builder.fsub(side('lower', axis), point)
+            above = builder.fadd(side('upper', axis), point)
+            gap = pick(builder, '>', pick(builder, '>', below, above), zero)
+            total = builder.call(fused, [gap, gap, total])
         builder.store(total, _eight_at(context, builder, squares_kind, squares, at), align=8)
         return context.get_dummy_value()
 

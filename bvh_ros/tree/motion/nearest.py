@@ -47,9 +47,9 @@ class Near(NamedTuple):
 
 
 @inlined
-def _apart_then(box, axis, low, high, at):
-    """How far a box is from the one from low to high on an axis, 0 where they touch; inf where
-    that exceeds the largest double.
+def _quick_apart(box, axis, low, high, at):
+    """How far a box is from the one from low to high on an axis, 0 where they touch, in doubles:
+    (how far, whether that is enough). Without branches, so that axes become lanes.
     """
     lo, hi, velocity, reference = box
     since, lost = two_sum(at, -reference)
@@ -61,16 +61,16 @@ def _apart_then(box, axis, low, high, at):
     apart, _, enough = quick_gap(plane, front, velocity[axis], since, lost)
     apart = apart if lower else -apart
     plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
-    if enough & ((apart > 0.0) | surely_below(plane, front, way)):
-        return max(apart, 0.0)
-    return _apart_surely(lo[axis], hi[axis], velocity[axis], reference, low[axis], high[axis], at)
+    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, way))
 
 
-@lean_kernel
-def _apart_surely(lo, hi, velocity, reference, low, high, at):
-    """The same, whatever the sums are."""
-    below = _gap_now(lo, high, velocity, at, reference)
-    return max(below, -_gap_now(hi, low, velocity, at, reference), 0.0)
+@inlined
+def _apart_surely(box, axis, low, high, at):
+    """How far, whatever the sums are."""
+    lo, hi, velocity, reference = box
+    below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
+    above = _gap_now(hi[axis], low[axis], velocity[axis], at, reference)
+    return max(below, -above, 0.0)
 
 
 @inlined
@@ -83,22 +83,33 @@ def _gap_now(plane, front, velocity, at, reference):
 @inlined
 def distance_then(box, low, high, at):
     """Distance of a box at a time from the one from low to high, 0 where they touch."""
-    longest, total = 0.0, 0.0
+    longest, total, sure = 0.0, 0.0, True
     for axis in range(box[0].shape[0]):
-        apart = _apart_then(box, axis, low, high, at)
+        apart, enough = _quick_apart(box, axis, low, high, at)
+        sure &= enough
         longest = max(longest, apart)
         total += apart * apart
-    if 1e-140 < longest < 1e140 or longest == 0.0 or math.isinf(longest):
+    if sure & ((1e-140 < longest < 1e140) | (longest == 0.0)):
         return math.sqrt(total)
-    return _scaled_distance(box, low, high, at, longest)
+    return _any_distance(box, low, high, at)
 
 
 @lean_kernel
-def _scaled_distance(box, low, high, at, longest):
-    """As in `boxes.nearest.distance`."""
-    exponent, total = math.frexp(longest)[1], 0.0
+def _any_distance(box, low, high, at):
+    """The same, whatever the sums are; squares as in `boxes.nearest.distance`; inf where it
+    exceeds the largest double.
+    """
+    gaps, longest, total = stack_array(3, np.float64), 0.0, 0.0
     for axis in range(box[0].shape[0]):
-        apart = math.ldexp(_apart_then(box, axis, low, high, at), -exponent)
+        gaps[axis], enough = _quick_apart(box, axis, low, high, at)
+        if not enough:
+            gaps[axis] = _apart_surely(box, axis, low, high, at)
+        longest = max(longest, gaps[axis])
+    if longest == 0.0 or math.isinf(longest):
+        return longest
+    exponent = 0 if 1e-140 < longest < 1e140 else math.frexp(longest)[1]
+    for axis in range(box[0].shape[0]):
+        apart = math.ldexp(gaps[axis], -exponent)
         total += apart * apart
     return math.ldexp(math.sqrt(total), exponent)
 
@@ -142,7 +153,7 @@ def _walk(tree, moving, near, limit, kept, keep):
 
 
 @inlined
-def _keep_bound(tree, moving, near, leaf, square, kept, count, limit):
+def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
     """By what is known of all: kept = (slots, squares, [least square that is left out])."""
     (slots, squares, left_out), k = kept, near[3]
     if count == k:
@@ -181,7 +192,7 @@ def nearest_bounds(tree, moving, near, slots, squares):
     left_out, limit = stack_array(1, np.float64), pruning_limit(near[4])
     left_out[0] = np.inf
     kept = slots, squares, left_out
-    count, limit = _walk(tree, moving, near, limit, kept, _keep_bound)
+    count, limit = _walk(tree, moving, near, limit, kept, keep_bound)
     return count, min(left_out[0], limit)
 
 
@@ -200,12 +211,19 @@ def nearest_then(tree, moving, near, found, distances):
     Bounds say whose distances are worth being computed; and whether those are sure to be less than
     all others.
     """
-    low, high, at, k, reach, _ = near
+    low, high, at, _, _, _ = near
     if not is_sound(low, high, low, (at, 0.0)):
         return np.int64(NOT_FINITE)
     if covers(moving, at, 0.0, 0.0) == 0:
         return np.int64(OUTSIDE)
     candidates, left_out = nearest_bounds(tree, moving, near, found, distances)
+    return decide(tree, moving, near, (candidates, left_out), found, distances)
+
+
+@inlined
+def decide(tree, moving, near, bounded, found, distances):
+    """`nearest_then`, from what `nearest_bounds` said and wrote."""
+    (low, high, at, k, reach, _), (candidates, left_out) = near, bounded
     count, farthest = np.int64(0), 0.0
     for i in range(candidates):
         fetch_box(tree, moving, found[i])
@@ -259,7 +277,5 @@ _ROW, _ROWS, _IDS = np.empty(0), np.empty((0, 3)), np.empty(0, np.int64)
 one_entry = entry_points(
     *(nearest_one, no_motion, (_ROW, _ROW, 0.0, 1, 0.0, np.uint32(0)), _IDS, _ROW)
 )
-rows_entry = entry_points(
-    *(nearest_rows, no_motion, Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1, _IDS)),
-    *(np.empty((0, 1), np.int64), _ROWS),
-)
+NO_POINTS = Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1, _IDS)
+rows_entry = entry_points(nearest_rows, no_motion, NO_POINTS, np.empty((0, 1), np.int64), _ROWS)

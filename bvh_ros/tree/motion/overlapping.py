@@ -16,7 +16,7 @@ from ..nodes import DEEPEST, NONE, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..rays.slab import RAY_ROWS, set_swept_box
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers, set_fronts
+from .bounds import covers, fetch_children, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import Course, box_of, meet
 from .sums import surely_below
@@ -60,20 +60,25 @@ def overlap_then(tree, moving, box, mask, found, count):
     stack, fronts = stack_array(DEEPEST, np.int64), stack_array(FRONTS, np.float64)
     set_fronts(fronts, moving, lo, hi, lo)
     stack[0], top = root, 1
+    if nodes[root].mask & mask == 0 or (bounded and is_beside(nodes, root, fronts, ahead)):
+        top = 0
     while top > 0:
         top -= 1
         node = stack[top]
-        if nodes[node].mask & mask == 0 or (bounded and is_beside(nodes, node, fronts, ahead)):
+        if is_leaf(node):
+            touches = bounded and is_behind(nodes, node, fronts, ahead, nodes[node].loose)
+            if touches or touches_then(box_of(tree, moving, node >> 1), lo, hi, at):
+                if count < found.shape[0]:
+                    found[count] = node >> 1
+                count += 1
             continue
-        if not is_leaf(node):
-            stack[top], stack[top + 1] = nodes[node].left, nodes[node].right
-            top += 2
-            continue
-        touches = bounded and is_behind(nodes, node, fronts, ahead, nodes[node].loose)
-        if touches or touches_then(box_of(tree, moving, node >> 1), lo, hi, at):
-            if count < found.shape[0]:
-                found[count] = node >> 1
-            count += 1
+        left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
+        for child in (left, right):
+            met = nodes[child].mask & mask != 0
+            if met and not (bounded and is_beside(nodes, child, fronts, ahead)):
+                fetch_children(nodes, child)
+                stack[top] = child
+                top += 1
     return np.int64(count)
 
 

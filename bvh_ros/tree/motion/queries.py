@@ -11,19 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
+from ..boxes.nearest_packets import are_dense
 from ..boxes.ordering import order_of
 from ..boxes.overlapping import overlap_many
-from ..nodes import NONE
+from ..nodes import COUNT, NONE
 from ..rays import ray_batches
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
 from ..results import RayHits
 from ..store.turns import NOT_FINITE
 from ..store.workers import in_threads
 from ..wide.ray_streams import RAYS_AT_ONCE
-from . import casting, nearest, overlapping, wide_casting
+from . import casting, nearest, nearest_packets, overlapping, wide_casting
 from .bounds import LONGEST
 from .casting import Casts, Places
 from .motion import Motion
+from .nearest import Near
+from .nearest_packets import Bounded
 from .wide_casting import NO_LEAVES, UNSUITED, MovingRays
 
 Floats = NDArray[np.float64]
@@ -61,12 +64,14 @@ class MotionQueries(Motion):
 
     def overlap(self, tree: Any, box: tuple[Floats, Floats], mask: np.uint32, at: Any) -> Ids:
         """Handles of what a box touches, ascending."""
-        at, ndim = time_checks.moment('at', at), tree._ndim
+        if type(at) is not float:
+            at = time_checks.moment('at', at)
+        ndim, slots = tree._ndim, np.empty(FEW, np.int64)
         kernel = overlapping.one_entry(ndim)
-        slots = np.empty(FEW, np.int64)
         while True:
             count = kernel(tree._settled().tree, self.moving, box, mask, at, slots)
             if count == NOT_FINITE:
+                time_checks.moment('at', at)
                 box_checks.box(*box, ndim)
             if 0 <= count <= len(slots):
                 handles = slots[:count]
@@ -82,16 +87,19 @@ class MotionQueries(Motion):
         self, tree: Any, near: tuple[Floats, Floats, Any, int, float, np.uint32]
     ) -> tuple[Ids, Floats]:
         """`nearest.nearest_one` of (low, high, at, k, reach, mask): (ids, distances)."""
-        low, high, when, k, reach, mask = near
-        at, kernel = time_checks.moment('at', when), nearest.one_entry(tree.ndim)
+        at, k = near[2], near[3]
+        if type(at) is not float:
+            at = time_checks.moment('at', at)
+            near = *near[:2], at, *near[3:]
+        kernel = nearest.one_entry(tree._ndim)
         found, distances = np.empty(k, np.int64), np.empty(k)
-        asked = low, high, at, k, reach, mask
         while True:
-            count = kernel(tree._settled().tree, self.moving, asked, found, distances)
+            count = kernel(tree._settled().tree, self.moving, near, found, distances)
             if count == k:
                 return found, distances
             if count == NOT_FINITE:
-                checks.finite('point', np.array((low, high)))
+                time_checks.moment('at', at)
+                checks.finite('point', np.array(near[:2]))
             if count >= 0:
                 return found[:count], distances[:count]
             self.fit(tree, *span_of(at, 0.0, 0.0))
@@ -208,15 +216,25 @@ class MotionQueries(Motion):
         self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: Any
     ) -> tuple[Ids, Floats]:
         """The nearest to points, asked = (max_distance, mask): (ids, distances)."""
-        count, kernel = len(points), nearest.rows_entry(tree.ndim)
+        count, boxes = len(points), tree.view().tree.state.item(COUNT)
         limits = checks.limits_or_one('max_distance', asked[0], count)
         masks, times = checks.masks_or_one(asked[1], count), time_checks.moments('at', at, count)
-        order = order_of(tree, points) if count >= MANY_POINTS else NO_ORDER
-        rows = nearest.Near(points, limits, masks, times, k, order)
+        dense = are_dense(count, boxes) and bool((np.abs(times) < LONGEST).all())
+        kernel = (nearest_packets.entry if dense else nearest.rows_entry)(tree.ndim)
+        order = order_of(tree, points) if dense or count >= MANY_POINTS else NO_ORDER
+        rows = Near(points, limits, masks, times, k, order)
         found, distances = np.empty((count, k), np.int64), np.empty((count, k))
         spans = functools.partial(times_of, times, STILL, STILL)
         self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))
         return found, distances
+
+    def bound_many(self, tree: Any, rows: Near, bounded: Bounded) -> None:
+        """Fill in the boxes whose bounds are nearest to the rows of `order`, see
+        `nearest_packets`: for who decides by other distances.
+        """
+        kernel, squares = nearest_packets.bounds_entry(tree.ndim), np.empty(bounded.slots.shape)
+        spans = functools.partial(times_of, rows.at, STILL, STILL)
+        self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, bounded, squares))
 
 
 def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:

@@ -20,8 +20,15 @@ from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
 from ..results import RayHits
 from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
 from ..wide.best_hit import ASK, MEETS, MISSES
-from ..wide.ray_streams import RAYS_AT_ONCE, RAYS_SORTED, make_scratch, scratch_for, sort_by_octant
-from ..wide.raycasting import DECIDED_EXACTLY, FOUND, OCTANTS, TALLY, start_group, traverse
+from ..wide.ray_streams import (
+    OCTANTS,
+    RAYS_AT_ONCE,
+    RAYS_SORTED,
+    make_scratch,
+    scratch_for,
+    sort_by_octant,
+)
+from ..wide.raycasting import DECIDED_EXACTLY, FOUND, TALLY, start_group, traverse
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
 from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet

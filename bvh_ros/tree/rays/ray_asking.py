@@ -130,18 +130,19 @@ class RayAsking(Timed):
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
             hits = tuple.__new__(RayHits, parts)
         storage, (_, _, snapshot, tree) = self._storage, self._wide
-        few = threads == 1 and ray_batches.are_few(rays, storage.tree)
         # As `ready_snapshot`, which would take one more call of a function of Python's.
-        if few and tree is storage.tree and not (storage.heirs or snapshot is None):
+        if threads == 1 and tree is storage.tree and not (storage.heirs or snapshot is None):
             done = REFUSED
-            if not snapshot.loose:
+            if ray_batches.are_few(rays, tree) and not snapshot.loose:
                 done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays, hits)
+            elif not snapshot.loose:
+                done = ray_batches.cast(tree, ANY_VERSION, snapshot, rays, hits)
             if done >= 0:
                 return hits
         view = self.view()
         snapshot = self.snapshot_for(count, view)
         if threads == 1:
-            exact = ray_batches.cast(view, snapshot, rays, hits)
+            exact = ray_batches.cast(*view, snapshot, rays, hits)
         else:
             exact = self._cast_in_threads(view, snapshot, rays, hits, threads)
         if exact == NOT_FINITE:
@@ -158,7 +159,7 @@ class RayAsking(Timed):
 
         def work(start: int, stop: int) -> int:
             part = ray_batches.part_of(rays, hits, start, stop)
-            return ray_batches.cast(view, snapshot, *part)
+            return ray_batches.cast(*view, snapshot, *part)
 
         done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)
         exact: int = min(done) if min(done) < 0 else sum(done)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import INT64
-from ..nodes import COUNT, Tree, View
+from ..nodes import COUNT, Tree
 from ..results import RayHits
 from ..wide.few_rays import few_entry
 from ..wide.ray_streams import scratch_for
@@ -18,21 +18,21 @@ from .ray_hits import rows_entry
 from .raycasting import CLOSEST, Rays
 
 # Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
-# AVX-512 and AVX2 alike: in lists, segments of 1 and 5 m take 0.92 to 1.03 times as long for 256,
-# 0.75 to 0.92 times for 1,024; rays of a scan stay together: 0.75 to 0.86 times for 256.
-FEW_TOGETHER = 250
+# AVX-512 and AVX2 alike: in lists, segments of 1 and 5 m and rays of a scan take 0.97 to 1.03
+# times as long for 64, 0.85 to 0.96 times for 128, 0.77 to 0.9 times for 256.
+FEW_TOGETHER = 72
 # Rays from anywhere are the farther apart, the more boxes there are: in lists they take as long
-# for 250 among 1,000, for 900 among 10,000, for 3,500 among 30,000, for 8,000 among more.
-BOXES_A_RAY, FEW_RAYS = 11, 8192
+# for 80 among 1,000, for 200 among 10,000, for 370 among 30,000, for 1,500 among 100,000, for
+# 3,000 among more.
+BOXES_A_RAY, FEW_RAYS = 64, 3000
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 
-def cast(view: View, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
+def cast(tree: Tree, version: int, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
     """Answer rays: how many took exact arithmetic, or why not."""
     count, ndim = rays.origins.shape
-    tree, version = view
     done: int
     if snapshot is None:
         done = rows_entry(ndim)(tree, version, rays, hits)

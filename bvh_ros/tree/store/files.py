@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN, Tree
 from ..validation import array_forms
 from . import mapped
+from .drafts import put_in_place
 from .storage import READ_ONLY, Storage, allocate
 
 VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too
@@ -60,7 +61,7 @@ def save(path: str | PathLike[str], packed: dict[str, Any], to_map: bool) -> Non
             raise ValueError('a tree whose boxes have velocities cannot be saved to be mapped')
         mapped.save(Path(path), packed)
         return
-    with open(path, 'wb') as file:
+    with put_in_place(Path(path)) as file:
         np.savez_compressed(file, **packed)
 
 

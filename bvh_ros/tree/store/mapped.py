@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..nodes import COUNT, LAST_SERIAL, NONE, ROOT, SLOT_MASK
 from ..validation import array_forms
+from .drafts import put_in_place
 
 MAGIC = b'BVHTREE\n'
 VERSION = 1
@@ -64,16 +65,11 @@ def save(path: Path, packed: dict[str, Any]) -> None:
     for array in arrays:
         crc = zlib.crc32(_bytes_of(array), crc)
     text = json.dumps(header | {'crc': crc}).encode()
-    beside = path.with_name(f'{path.name}.{os.getpid()}.part')
-    try:
-        with open(beside, 'wb') as file:
-            file.write(HEAD.pack(MAGIC, len(text), zlib.crc32(text)) + text)
-            for array in arrays:
-                file.write(bytes(-file.tell() % PAGE))
-                file.write(_bytes_of(array))
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with put_in_place(path) as file:
+        file.write(HEAD.pack(MAGIC, len(text), zlib.crc32(text)) + text)
+        for array in arrays:
+            file.write(bytes(-file.tell() % PAGE))
+            file.write(_bytes_of(array))
 
 
 def load(path: Path) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Few rays through the wide snapshot, one after the other.
 
-What lists of rays save is the processor's wrong guesses, see `ray_streams`; of some hundred rays
-in eight octants, no list is long enough for that, and to make them takes longer.
+What lists of rays save is the processor's wrong guesses, see `ray_streams`; of some tens of rays,
+or some hundreds far apart, no list is long enough for that, and to make them takes longer.
 """
 
 import numpy as np

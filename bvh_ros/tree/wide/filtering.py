@@ -46,6 +46,7 @@ def ray_dtype(ndim: int) -> np.dtype[Any]:
         'slot': (np.int32, 56),  # of the best hit, or NONE
         'axis': (np.int16, 60),
         'exact': (np.bool_, 62),  # whether a decision took exact arithmetic
+        'octant': (np.uint8, 63),
     }
     kinds, offsets = zip(*fields.values(), strict=True)
     return np.dtype({'names': list(fields), 'formats': kinds, 'offsets': offsets, 'itemsize': 64})
@@ -97,4 +98,4 @@ def octant_of(direction):
     octant = 0
     for axis in range(direction.shape[0]):
         octant |= (math.copysign(1.0, direction[axis]) < 0.0) << axis
-    return octant
+    return np.uint64(octant)

@@ -15,7 +15,7 @@ def run_alone(code: str, *arguments: str, cwd: Path | None = None, **environment
         [sys.executable, '-c', code, *arguments],
         capture_output=True,
         text=True,
-        timeout=240,  # seconds: it may compile
+        timeout=800,  # seconds: it may compile, on a loaded machine
         env={**os.environ, **environment},
         cwd=cwd,
         check=False,

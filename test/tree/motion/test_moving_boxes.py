@@ -117,6 +117,23 @@ def test_nearest_at_a_time():
             assert many[1][1].tolist() == gaps[:3].tolist()
 
 
+def test_nearest_at_a_time_to_many_points_is_that_of_each():
+    for number, (world, course, rng) in enumerate(worlds(5, effort(60, 2000))):
+        tree, count = tree_of(world, margin=0.1 if number % 5 == 0 else 0.0), 100
+        points = np.concatenate((world.lo, world.hi, [course.low]))
+        points = points[rng.integers(len(points), size=count)]
+        at = course.at + rng.integers(-1, 2, count) if number % 2 else course.at
+        if number % 7 == 0:
+            at = np.where(rng.random(count) < 0.1, 1e50, at)  # when no bounds hold
+        reaches = rng.choice([np.inf, 1.0, 0.0], count) * max(np.abs(points).max(), 1e-300)
+        near, gaps = tree.nearest_many(points, 3, reaches, at=at)
+        for row, time in enumerate(np.broadcast_to(at, count).tolist()):
+            ids, distances = tree.nearest(points[row], 3, float(reaches[row]), at=time)
+            assert near[row, : len(ids)].tolist() == ids.tolist()
+            assert gaps[row, : len(ids)].tolist() == distances.tolist()
+            assert (near[row, len(ids) :] == -1).all()
+
+
 def test_a_relative_speed_beyond_the_doubles_prunes_nothing():
     tree = DynamicBVH(2)
     ids = tree.insert_many([[-3e307, 1], [-3e307, 500]], [[-2e307, 2], [-2e307, 501]])

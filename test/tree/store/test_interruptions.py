@@ -289,7 +289,7 @@ def test_short_of_memory() -> None:
         env=os.environ | {'MALLOC_MMAP_THRESHOLD_': '8192', 'MALLOC_TRIM_THRESHOLD_': '0'},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=800,
         check=False,
     )
     assert ended.returncode == 0, ended.stderr

@@ -3,8 +3,13 @@
 """Files and pickles: the same tree comes back and goes on living; what is no tree is refused."""
 
 import copy
+import os
 import pickle
+import resource
+import signal
+import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -227,3 +232,69 @@ def test_other_arrays_and_no_file_at_all(tmp_path: Path) -> None:
         DynamicBVH.load(tmp_path / 'none.npz')
     with pytest.raises(OSError, match='none'):
         DynamicBVH(2).save(tmp_path / 'none' / 'tree.npz')
+
+
+def grid(side: int) -> DynamicBVH:
+    places = np.stack(np.meshgrid(*[np.arange(side)] * 3), -1).reshape(-1, 3) * 1.37
+    return DynamicBVH.from_boxes(places, places + 1)
+
+
+@pytest.mark.parametrize('mapped', [False, True])
+def test_several_who_save_at_once_leave_one_of_their_trees(tmp_path: Path, mapped: bool) -> None:
+    trees, path, sizes = [grid(3), grid(12)], tmp_path / 'tree', (27, 1728)
+    trees[0].save(path, mapped)
+    ended = threading.Event()
+
+    def look() -> int:
+        looks = 0
+        while not ended.is_set() or not looks:
+            assert len(DynamicBVH.load(path)) in sizes
+            looks += 1
+        return looks
+
+    def save(tree: DynamicBVH) -> None:
+        for _ in range(12):
+            tree.save(path, mapped)
+
+    with ThreadPoolExecutor() as pool:
+        reader = pool.submit(look)
+        writers = [pool.submit(save, tree) for tree in trees * 2]
+        try:
+            for writer in writers:
+                writer.result()
+        finally:
+            ended.set()
+        assert reader.result()
+    assert [file.name for file in tmp_path.iterdir()] == ['tree']
+
+
+@pytest.mark.parametrize('mapped', [False, True])
+def test_who_cannot_save_leaves_the_older_file(tmp_path: Path, mapped: bool) -> None:
+    path = tmp_path / 'tree'
+    grid(3).save(path, mapped)
+    limits, at_limit = resource.getrlimit(resource.RLIMIT_FSIZE), signal.SIGXFSZ
+    before = signal.signal(at_limit, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+        with pytest.raises(OSError, match='File too large'):
+            grid(12).save(path, mapped)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(at_limit, before)
+    assert len(DynamicBVH.load(path)) == 27
+    assert [file.name for file in tmp_path.iterdir()] == ['tree']
+
+
+def test_links_are_followed_and_pipes_written_to(tmp_path: Path) -> None:
+    (tmp_path / 'link').symlink_to(tmp_path / 'tree')
+    grid(3).save(tmp_path / 'link')
+    assert (tmp_path / 'link').is_symlink()
+    assert len(DynamicBVH.load(tmp_path / 'tree')) == 27
+    os.mkfifo(tmp_path / 'pipe')
+    with ThreadPoolExecutor() as pool:
+        data = pool.submit((tmp_path / 'pipe').read_bytes)
+        grid(3).save(tmp_path / 'pipe')
+    (tmp_path / 'copy').write_bytes(data.result())
+    assert len(DynamicBVH.load(tmp_path / 'copy')) == 27
+    with pytest.raises(IsADirectoryError):
+        grid(3).save(tmp_path)
