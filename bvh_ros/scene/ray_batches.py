@@ -17,6 +17,9 @@ from .moments import Moments
 from .results import NO_NODE, CastHits
 from .store.obstacles import Obstacles
 
+# So many rays go one by one, whatever they are: of lists a second kernel tells points and normals.
+FEW = 200
+
 
 class RayBatches:
     """Answers batches of good input."""
@@ -59,7 +62,7 @@ class RayBatches:
             return None
         # As Rays(...), which would take one more call of a function of Python's.
         asked = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
-        if not held.tree.few_rays(asked):
+        if len(asked.origins) > FEW and not held.tree.few_rays(asked):
             return None
         return box_casting.few_first(held.tree, held.columns.node_handle, asked, to_goals)
 
