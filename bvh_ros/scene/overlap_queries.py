@@ -10,16 +10,13 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import given_rows, query_rows, shape_query
+from .distance.query_rows import BOXES, UNTURNED, given_rows, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
-from .geometry.shapes import UINT8, Shapes, as_shapes
+from .geometry.shapes import Shapes, as_shapes
 from .moments import Moments
 from .results import NO_NODE, BoxHits, SceneHit, require_few
 from .store.obstacles import Obstacles
-
-# One for all rows.
-BOXES, UNTURNED = np.zeros(1, UINT8), np.zeros((1, 4))
 
 
 class OverlapQueries:

@@ -86,7 +86,7 @@ class Overlaps:
         told, _, unsure = found_rows
         if unsure:
             rows = with_records(rows)
-        for row in np.flatnonzero(told.open).tolist() if unsure else ():
+        for row in np.flatnonzero(told.numbers < 0).tolist() if unsure else ():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
             told.numbers[row] = len(order)
             handles = self._columns.node_handle[found.slots[order]]
@@ -114,13 +114,14 @@ class Overlaps:
         if not (unsure or self._columns.shadows):
             told.numbers.cumsum(out=offsets[1:])
             return offsets, handles
-        rows, of = with_records(rows), np.repeat(np.arange(count), told.numbers)
-        sure, open_rows, each = ~told.open[of], np.flatnonzero(told.open), [NOBODY]
+        is_open = told.numbers < 0
+        counts = np.where(is_open, ~told.numbers, told.numbers)
+        rows, of = with_records(rows), np.repeat(np.arange(count), counts)
+        sure, open_rows, each = ~is_open[of], np.flatnonzero(is_open), [NOBODY]
         for row in open_rows.tolist():
             found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
             each.append(self._columns.node_handle[found.slots[order]].astype(np.uint32))
-        counts = [len(found) for found in each[1:]]
-        of = np.concatenate((of[sure], np.repeat(open_rows, counts)))
+        of = np.concatenate((of[sure], np.repeat(open_rows, [len(found) for found in each[1:]])))
         handles = np.concatenate((handles[sure], *each))
         if self._columns.shadows:
             first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
@@ -146,7 +147,7 @@ class Overlaps:
             first = np.empty(hits, np.uint32), np.empty(hits), np.empty((hits, 3))
             first[0][:], first[1][:], first[2][:] = NO_NODE, np.inf, np.nan
         # As Answers(...), which would take one more call of a function of Python's.
-        told = tuple.__new__(Answers, (np.empty(count, INT64), np.empty(count, BOOL), *first))
+        told = tuple.__new__(Answers, (np.empty(count, INT64), *first))
         bodies = bodies_of(columns, hulls) if narrow or columns.shaped else None
         given, unsure = (view, bodies, rows, wanted, told), 0
         if threads == 1 and wanted != ALL:  # without what others take: a third of a call of a row

@@ -34,6 +34,8 @@ from .query_shape import QueryShape
 _NO_ROWS = np.empty((0, 3))
 NO_RECORDS = np.empty(0, GEOMETRY)
 NO_GIVEN = np.empty(0, UINT8), _NO_ROWS, np.empty((0, 4)), _NO_ROWS
+# One for all rows, of aligned boxes.
+BOXES, UNTURNED = np.zeros(1, UINT8), np.zeros((1, 4))
 # Why a kernel answers nothing: a shape is not legal, or needs a narrow phase where none is given.
 FAULTY, NARROW = -2, -3
 
@@ -59,6 +61,8 @@ class QueryRows(NamedTuple):
     def begins_shaped(self) -> bool:
         """Whether the first row that is given seems to be more than an axis-aligned box."""
         kinds, _, turns, _ = self.given
+        if kinds is BOXES and turns is UNTURNED:
+            return False
         turned = turns.item(0) != 0.0 or turns.item(1) != 0.0 or turns.item(2) != 0.0
         return turned or kinds.item(0) != BOX
 

@@ -41,9 +41,8 @@ class Answers(NamedTuple):
     """What overlap queries find."""
 
     numbers: Any
-    """(n,) whether there is any, how many there are, or the node handle of the first."""
-    open: Any
-    """(n,) whether exact arithmetic must say."""
+    """(n,) whether there is any, how many there are, or the node handle of the first; negative,
+    ~number, where exact arithmetic must say."""
     handles: Any
     """Of all that are met, row after row; where HITS are wanted (n,), of the first."""
     distances: Any
@@ -107,14 +106,13 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
         if wanted == ALL and written + count > answers.handles.shape[0]:
             break
         is_open = doubtful > 0 and (wanted != ANY or count == doubtful)
-        answers.open[row], unsure = is_open, unsure + is_open
-        answers.numbers[row] = count
+        unsure, number = unsure + is_open, np.int64(count)
         if wanted == ANY:
-            answers.numbers[row] = count > 0
+            number = np.int64(count > 0)
         elif wanted == FIRST:
-            answers.numbers[row] = NO_NODE
+            number = np.int64(NO_NODE)
             if count > 0:
-                answers.numbers[row] = node_handles[found.slots[found.order[0]]]
+                number = np.int64(node_handles[found.slots[found.order[0]]])
         elif wanted == ALL:
             for i in range(count):
                 answers.handles[written + i] = node_handles[found.slots[found.order[i]]]
@@ -125,6 +123,7 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
             answers.distances[row] = found.distances[first]
             for axis in range(3):
                 answers.points[row, axis] = found.points[first, axis]
+        answers.numbers[row] = ~number if is_open else number
         row += 1
     end_query(tree.state)
     return row, needed, written, compared, more, unsure
@@ -210,7 +209,8 @@ def bodies_of(columns: Columns, hulls: Hulls | None) -> Bodies:
     ours = columns.hulls()
     if ours is not None or hulls is not None:
         ours, hulls = ours or NO_HULLS, hulls or NO_HULLS
-    return Bodies(columns.geometry, columns.footprint, ours, hulls)
+    # As Bodies(...), which would take one more call of a function of Python's.
+    return tuple.__new__(Bodies, (columns.geometry, columns.footprint, ours, hulls))
 
 
 class RowKernel:

@@ -72,7 +72,7 @@ class Shapes(NamedTuple):
             raise ValueError(f'there are {len(turns)} orientations for {len(centres)} positions')
         kind, sizes = np.full(len(centres), ShapeKind.BOX, np.uint8), checks.floats('size', size)
         if sizes.shape != centres.shape:
-            sizes = np.broadcast_to(sizes, centres.shape)
+            sizes = np.broadcast_to(sizes, centres.shape).copy()  # or every question would
         return cls(kind, centres, turns, sizes)
 
     @classmethod
