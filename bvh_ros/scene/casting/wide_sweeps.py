@@ -109,7 +109,7 @@ def next_leaf(snapshot, records, octant, mask, limits, stack, top):
         node = np.int64(np.int32(stack[top] & _CHILD))
         if node < 0:
             return ~node, top
-        lanes = stream16(snapshot.planes, node, octant, records, first, met, nearest)
+        lanes = stream16(snapshot.planes, node, np.uint64(octant), records, first, met, nearest)
         if mask != ALL32:
             lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
         top = push_children(snapshot, node, lanes, nearest, stack, top)

@@ -84,7 +84,7 @@ def cast_one(snapshot, tree, rays, row, ray, records, stack):
     of a leaf, and above that the bits of a float32: where the ray enters.
     """
     record, mask, t_max = records[0], of_row(rays.masks, row), of_row(rays.t_max, row)
-    octant, patched = octant_of(rays.directions[row]), snapshot.loose > 0
+    octant, patched = np.uint64(octant_of(rays.directions[row])), snapshot.loose > 0
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     nearest, met, first = (
         stack_array(WIDTH, np.int32),

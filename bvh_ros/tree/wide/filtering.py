@@ -98,4 +98,4 @@ def octant_of(direction):
     octant = 0
     for axis in range(direction.shape[0]):
         octant |= (math.copysign(1.0, direction[axis]) < 0.0) << axis
-    return np.uint64(octant)
+    return octant
