@@ -46,7 +46,7 @@ def ray_dtype(ndim: int) -> np.dtype[Any]:
         'slot': (np.int32, 56),  # of the best hit, or NONE
         'axis': (np.int16, 60),
         'exact': (np.bool_, 62),  # whether a decision took exact arithmetic
-        'octant': (np.uint8, 63),
+        'octant': (np.uint8, 63),  # of rays that go together with those of others
     }
     kinds, offsets = zip(*fields.values(), strict=True)
     return np.dtype({'names': list(fields), 'formats': kinds, 'offsets': offsets, 'itemsize': 64})

@@ -84,6 +84,9 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
             while begin < ends[octant]:
                 rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]
                 alive = start_group(snapshot, rays, rows, scratch)
+                if mixed:
+                    for i in range(rows.shape[0]):
+                        scratch.records[i].octant = octant_of(rays.directions[rows[i]])
                 # Those that are not suited come last in the list.
                 for place in scratch.lists[alive : rows.shape[0]]:
                     done = raycast_row(tree, scratch.ray, rays, rows[place], one, hits)
@@ -130,14 +133,14 @@ def start_group(snapshot, rays, rows, scratch):
     """
     alive, last = 0, rows.shape[0]
     for i in range(rows.shape[0]):
-        record, origin, direction = (
+        suited = start_ray(
             scratch.records[i],
             rays.origins[rows[i]],
             rays.directions[rows[i]],
+            snapshot.center,
+            snapshot.per_length,
+            of_row(rays.t_max, rows[i]),
         )
-        units = snapshot.center, snapshot.per_length
-        suited = start_ray(record, origin, direction, *units, of_row(rays.t_max, rows[i]))
-        record.octant = octant_of(direction)
         last -= not suited
         scratch.lists[alive if suited else last] = i
         alive += suited
