@@ -19,7 +19,15 @@ import numpy as np
 
 from ..jit.box_rows import SIDES, UNITS, enclose, write_item
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x8 import NO_COST, NUMBER, add_to_bins, deal_item, join_sides, rank_bins
+from ..jit.float32x8 import (
+    NO_COST,
+    NUMBER,
+    add_dealt,
+    add_to_bins,
+    deal_item,
+    join_sides,
+    rank_bins,
+)
 from ..jit.intrinsics import LANES, clear8, largest8, largest_difference8, stack_array, swap8
 
 BINS = 16  # of an axis
@@ -43,6 +51,8 @@ _LIMIT = 8  # in the place of a width: the first bin on the right, see `deal_ite
 PLAN = 40  # floats
 NO_SPLIT = -1
 _SIDES = 2 * LANES
+_BLOCK = 32  # items that are dealt before they are binned, see `divide`
+_BLOCK_PLACES = 4 * _BLOCK
 
 
 @inlined
@@ -228,7 +238,8 @@ def divide(items, start, stop, shift, plan, last, binned, bins):
     right ones begin.
 
     No branch: the processor would guess that wrong half the time, which costs more than all the
-    rest of a split.
+    rest of a split. Nor is an item binned at once: while it is still being worked out where the
+    last one goes, the processor guesses whether the next one needs what is written there.
     """
     test, along = stack_array(PART, np.float32), last // BINS
     for axis in range(4):
@@ -237,10 +248,17 @@ def divide(items, start, stop, shift, plan, last, binned, bins):
     test[along], test[_SLOPE + along] = plan[along], plan[_SLOPE + along]
     test[_LIMIT + along] = np.float32(last % BINS + 1)
     left, right = np.int64(start + shift), np.int64(stop + shift - 1)
-    for item in range(start, stop):
-        before = deal_item(items, item, left, right, test, along, binned, bins, plan)
-        left += before
-        right -= 1 - before
+    places = stack_array(_BLOCK_PLACES, np.int32)
+    for first in range(start, stop, _BLOCK):
+        end = min(first + _BLOCK, stop)
+        for item in range(first, end):
+            at = 4 * (item - first)
+            before = deal_item(items, item, left, right, test, along, binned, plan, places, at)
+            left += before
+            right -= 1 - before
+        if binned:
+            for item in range(first, end):
+                add_dealt(bins, items, item, places, 4 * (item - first))
     return left
 
 

@@ -24,6 +24,7 @@ NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number
 _INT, _LONG, _FLOAT = ir.IntType(32), ir.IntType(64), ir.FloatType()
 _BOX, _FOUR = ir.VectorType(_FLOAT, LANES), ir.VectorType(_FLOAT, 4)
 _HI = 4  # place of the upper bounds in an item
+_SIDE = 3 * WIDTH * LANES * 4  # bytes of the bins of one side
 BOUNDS = [axis + side for axis in range(3) for side in (0, _HI)]
 
 
@@ -85,22 +86,27 @@ def _least_rank(builder: Any, costs: Any, first: Any) -> Any:
 # ---- bins
 
 
-def _add_to_bins(builder: Any, bins: Any, box: Any, center: Any, scales: Any) -> None:
-    """Add a box to a bin of each axis, sixteen bins an axis from pointer `bins` on; what is no
-    number, to the first. `scales`: pointer to the least of twice the centres, and bins for a unit
-    of these, as vectors of four.
+def _bins_of(builder: Any, center: Any, scales: Any) -> Any:
+    """Where a box goes: the bytes to a bin of each axis, sixteen bins an axis; what is no number,
+    to the first. `scales`: pointer to the least of twice the centres, and bins for a unit of
+    these, as vectors of four.
     """
     origin, slope = (builder.load(builder.gep(scales, [index(i)]), align=4) for i in range(2))
     number = builder.fmul(builder.fsub(center, origin), slope)
     number = pick(builder, '>', number, _floats(0.0, 4))
     number = pick(builder, '<', number, _floats(WIDTH - 1.0, 4))
     numbers = builder.fptosi(number, ir.VectorType(_INT, 4))
-    places = builder.add(builder.shl(numbers, ints([5] * 4)), ints([0, 512, 1024, 0]))
+    return builder.add(builder.shl(numbers, ints([5] * 4)), ints([0, 512, 1024, 0]))
+
+
+def _add_to_bins(builder: Any, bins: Any, box: Any, places: Any) -> None:
+    """Add a box to three bins, so many bytes from pointer `bins` on."""
     one = ir.Constant(_BOX, [0.0] * (LANES - 1) + [1.0])
     first = builder.bitcast(bins, ir.IntType(8).as_pointer())
-    for axis in range(3):
-        place = builder.zext(builder.extract_element(places, ir.Constant(_INT, axis)), _LONG)
-        union = builder.bitcast(builder.gep(first, [place]), _BOX.as_pointer())
+    for place in places:
+        union = builder.bitcast(
+            builder.gep(first, [builder.zext(place, _LONG)]), _BOX.as_pointer()
+        )
         more = builder.fadd(larger(builder, box, builder.load(union, align=4)), one)
         builder.store(more, union, align=4)
 
@@ -125,27 +131,29 @@ def add_to_bins(typingctx, bins, items, item, scales):
         box, center = _box_and_center(context, builder, items_kind, *args[1:3])
         first = boxes_from(context, builder, bins_kind, args[0], index(0), index(3 * WIDTH))
         scales = place_at(context, builder, scales_kind, args[3], index(0), _FOUR)
-        _add_to_bins(builder, first, box, center, scales)
+        places = _bins_of(builder, center, scales)
+        lanes = [builder.extract_element(places, ir.Constant(_INT, axis)) for axis in range(3)]
+        _add_to_bins(builder, first, box, lanes)
         return context.get_dummy_value()
 
     return sig, codegen
 
 
 @intrinsic
-def deal_item(typingctx, items, item, left, right, test, axis, binned, bins, plan):
-    """Copy an item to the place `left` or `right`, and if `binned` add it to that side's bins; 1
-    if that is the left, else 0.
+def deal_item(typingctx, items, item, left, right, test, axis, binned, plan, bins, at):
+    """Copy an item to the place `left` or `right`, and if `binned` write where in that side's bins
+    it goes, from bins[at] on, for `add_dealt`; 1 if that is the left, else 0.
 
     `test`, float32: twice the centre less test[:4], times test[4:8], less test[8:12] is negative
     on the left; on other axes than `axis` it never is. plan[12:24] and
     plan[24:36] begin with the sides' `scales`, see `add_to_bins`.
     """
     places = [types.int64] * 3
-    sig = types.int64(items, *places, test, types.int64, types.boolean, bins, plan)
+    sig = types.int64(items, *places, test, types.int64, types.boolean, plan, bins, types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        items_kind, _, _, _, test_kind, _, _, bins_kind, plan_kind = signature.args
-        items, item, left, right, test, axis, binned, bins, plan = args
+        items_kind, _, _, _, test_kind, _, _, plan_kind, bins_kind, _ = signature.args
+        items, item, left, right, test, axis, binned, plan, bins, there = args
         box, center = _box_and_center(context, builder, items_kind, items, item)
         limits = [
             builder.load(place_at(context, builder, test_kind, test, index(i), _FOUR), align=4)
@@ -161,13 +169,31 @@ def deal_item(typingctx, items, item, left, right, test, axis, binned, bins, pla
         builder.store(box, place, align=4)
         with builder.if_then(binned):
             side = builder.sub(index(1), before)
-            count = index(3 * WIDTH)
-            first = builder.mul(side, count)
-            first = boxes_from(context, builder, bins_kind, bins, first, count)
             at = builder.mul(builder.add(side, index(1)), index(12))
             scales = place_at(context, builder, plan_kind, plan, at, _FOUR)
-            _add_to_bins(builder, first, box, center, scales)
+            places = _bins_of(builder, center, scales)
+            far = splat(builder, builder.trunc(builder.mul(side, index(_SIDE)), _INT), 4)
+            place = place_at(context, builder, bins_kind, bins, there, places.type)
+            builder.store(builder.add(places, far), place, align=4)
         return before
+
+    return sig, codegen
+
+
+@intrinsic
+def add_dealt(typingctx, bins, items, item, places, at):
+    """Add an item to its side's bins, which `deal_item` has written from places[at] on, int32."""
+    sig = types.void(bins, items, types.int64, places, types.int64)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        bins_kind, items_kind, _, places_kind, _ = signature.args
+        item = boxes_from(context, builder, items_kind, *args[1:3], index(1))
+        first = boxes_from(context, builder, bins_kind, args[0], index(0), index(6 * WIDTH))
+        row = place_at(context, builder, places_kind, *args[3:], ir.VectorType(_INT, 4))
+        row = builder.bitcast(row, _INT.as_pointer())
+        lanes = [builder.load(builder.gep(row, [index(axis)])) for axis in range(3)]
+        _add_to_bins(builder, first, builder.load(item, align=4), lanes)
+        return context.get_dummy_value()
 
     return sig, codegen
 

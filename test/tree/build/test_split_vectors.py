@@ -31,9 +31,13 @@ def bins_of(bins, items, scales, first, axis, planar):
 def dealt(items, test, axis, binned, bins, plan):
     """The second half of the items to both ends of the first; where the right ones begin."""
     count = items.shape[0] // 16
-    left, right = 0, count - 1
+    left, right, places = 0, count - 1, np.zeros(4, np.int32)
     for item in range(count, 2 * count):
-        before = split_vectors.deal_item(items, item, left, right, test, axis, binned, bins, plan)
+        before = split_vectors.deal_item(
+            items, item, left, right, test, axis, binned, plan, places, 0
+        )
+        if binned:
+            split_vectors.add_dealt(bins, items, item, places, 0)
         left += before
         right -= 1 - before
     return left
