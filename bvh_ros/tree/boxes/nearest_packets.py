@@ -23,8 +23,8 @@ from ..store.turns import REFUSED, begin_query, end_query
 from .nearest import NO_POINTS, distance, insert_candidate, name_row, pruning_limit
 
 _PLACES = EIGHT * 4  # coordinates of a packet, and times
-_STACK = EIGHT * 2  # where the squares of nodes on the stack begin
-_SQUARES = _STACK + EIGHT * DEEPEST
+_SQUARES = EIGHT * DEEPEST
+_BOTH = EIGHT * 2
 # Batches dense enough for eight neighbours to share their way: as many points a box, and at least
 # so many points. Chosen, not tuned: at 1/10 eight at a time was slower than one by one.
 PER_BOX, LEAST = 1 / 4, 64
@@ -41,7 +41,11 @@ class Packet(NamedTuple):
     """How many boxes are found."""
     stack: NDArray[np.int64]
     squares: NDArray[np.float64]
-    """The squared distances, eight a node: of two children, and of the nodes on the stack."""
+    """The squared distances of the nodes on the stack, eight a node."""
+    both: NDArray[np.float64]
+    """Those of two children; at first of what was on top of the stack. Apart from the others, as
+    eight are copied at once then.
+    """
 
 
 def are_dense(points: int, boxes: int) -> bool:
@@ -58,6 +62,7 @@ def no_packet():
         stack_array(EIGHT, np.int64),
         stack_array(DEEPEST, np.int64),
         stack_array(_SQUARES, np.float64),
+        stack_array(_BOTH, np.float64),
     )
 
 
@@ -70,32 +75,33 @@ def load(asked, rows, packet):
         for axis in range(points.shape[1]):
             packet.points[axis * EIGHT + lane] = points[row, axis]
         limits[lane] = pruning_limit(of_row(asked.reaches, row)) if lane < rows.shape[0] else -1.0
-        packet.counts[lane], packet.squares[_STACK + lane] = 0, 0.0
+        packet.counts[lane], packet.squares[lane] = 0, 0.0
         union |= of_row(asked.masks, row)
     return union
 
 
 @inlined
 def _squares_of(nodes, node, packet, at):
-    """Write the squared distances of a node to packet.squares[at : at + 8]."""
-    gap_squares8(nodes, node, packet.points, packet.squares, at)
+    """Write the squared distances of a node to packet.both[at : at + 8]."""
+    gap_squares8(nodes, node, packet.points, packet.both, at)
 
 
 @inlined
 def descend(nodes, top, mask, packet, squares_of):
     """From the node on top of the stack follow the child that is nearer to most lanes to a leaf,
-    the other onto the stack: (leaf, lanes in reach, where its squares are, top); no lanes where
-    none is. `squares_of` is `_squares_of`, of these nodes.
+    the other onto the stack: (leaf, lanes in reach, where in `both` its squares are, top); no
+    lanes where none is. `squares_of` is `_squares_of`, of these nodes.
     """
-    squares, limits, top = packet.squares, packet.limits, top - 1
-    node, at = packet.stack[top], _STACK + top * EIGHT
-    bits = at_most8(squares, at, limits)
+    squares, both, limits, top = packet.squares, packet.both, packet.limits, top - 1
+    node, at, bits = packet.stack[top], 0, at_most8(squares, top * EIGHT, limits)
+    for lane in range(EIGHT):
+        both[lane] = squares[top * EIGHT + lane]
     while bits != np.uint32(0) and nodes[node].mask & mask != 0 and not is_leaf(node):
         near, far, at, far_at = np.int64(nodes[node].left), np.int64(nodes[node].right), 0, EIGHT
-        squares_of(nodes, near, packet, at)
-        squares_of(nodes, far, packet, far_at)
-        bits, far_bits = at_most8(squares, at, limits), at_most8(squares, far_at, limits)
-        closer = at_most8(squares, at, squares[EIGHT:])
+        squares_of(nodes, near, packet, 0)
+        squares_of(nodes, far, packet, EIGHT)
+        bits, far_bits = at_most8(both, 0, limits), at_most8(both, EIGHT, limits)
+        closer = at_most8(both, 0, both[EIGHT:])
         if 2 * count_bits(closer & (bits | far_bits)) < count_bits(bits | far_bits):
             near, far, bits, far_bits, at, far_at = far, near, far_bits, bits, far_at, at
         if bits == np.uint32(0):
@@ -103,7 +109,7 @@ def descend(nodes, top, mask, packet, squares_of):
             continue
         if far_bits != np.uint32(0):
             for lane in range(EIGHT):
-                squares[_STACK + top * EIGHT + lane] = squares[far_at + lane]
+                squares[top * EIGHT + lane] = both[far_at + lane]
             packet.stack[top] = far
             top += 1
         node = near

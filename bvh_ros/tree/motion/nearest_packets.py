@@ -48,7 +48,7 @@ def _load_times(moving, asked, rows, packet):
 def _squares_of(nodes, node, packet, at):
     """As `boxes.nearest_packets` has it, of bounds at the times asked for."""
     fetch_children(nodes, node)
-    moving_squares8(nodes, node, packet.points, packet.squares, at)
+    moving_squares8(nodes, node, packet.points, packet.both, at)
 
 
 @inlined
@@ -61,7 +61,7 @@ def _near(asked, row):
 @inlined
 def _update_bounds(tree, moving, leaf, bits, asked, rows, packet, kept):
     """Let the lanes of `bits` keep the leaf where its bounds are among their nearest; kept =
-    (least square that is left out, where its squares are in those of the packet, slots, squares).
+    (least square that is left out, where its squares are in `both`, slots, squares).
     """
     left_out, place, found, squares = kept
     counts, limits = packet.counts, packet.limits
@@ -70,7 +70,7 @@ def _update_bounds(tree, moving, leaf, bits, asked, rows, packet, kept):
         bits = np.uint32(bits & np.uint32(bits - np.uint32(1)))
         row, near = rows[lane], _near(asked, rows[lane])
         if moving.nodes[leaf].mask & near[5] != 0:
-            square, of_lane = packet.squares[place + lane], left_out[lane : lane + 1]
+            square, of_lane = packet.both[place + lane], left_out[lane : lane + 1]
             counts[lane], limits[lane] = keep_bound(
                 *(tree, moving, near, leaf, square, (found[row], squares[row], of_lane)),
                 *(counts[lane], limits[lane]),
