@@ -9,6 +9,7 @@ import pytest
 from scene.test_then import COUNT, NOW, SECOND, Moving
 
 from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene.geometry.shapes import BOX, SPHERE
 
 pytestmark = pytest.mark.slow
 RATE = 0.4  # m/s
@@ -200,3 +201,23 @@ def test_what_does_not_grow_and_what_is_refused():
     assert scene.nearest([5, 0, 3], at=NOW)[0].t == 2.5
     with pytest.raises(ValueError, match='t_max must end the way where obstacles grow: row 0'):
         scene.raycast_many([[0, 0, 0]], [[1, 0, 0]], at=later)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('kind', [BOX, SPHERE])
+@pytest.mark.parametrize('rate', [1e290, 1e300, 1e308])
+def test_who_may_be_anywhere_is_met_everywhere(rate, kind):
+    """Also where a growth is beyond the doubles."""
+    scene = Scene(uncertainty=rate)
+    shape = Shapes.boxes([[50, 0, 0]], [1, 1, 1])._replace(kind=np.array([kind], np.uint8))
+    scene.update('s', ['goes'], shape, stamp=NOW, velocities=[[1e-9, 0, 0]])
+    start, goal, at = [0, 0, 0], [9, 0, 0], NOW + 10**9 * SECOND
+    for radius in (0.0, 0.2):
+        for until in (None, at + SECOND):
+            first = scene.raycast(start, goal, radius, at=at, until=until)
+            every = scene.raycast_all(start, goal, radius, at=at, until=until)
+            many = scene.sweep_many([start] * 2, [goal] * 2, radius, at=at, until=until)
+            for t, point, normal in (first[2:5], every[0][2:5], [rows[1] for rows in many[1:]]):
+                assert (t, point.tolist(), normal.tolist()) == (0.0, start, [0, 0, 0])
+    assert scene.nearest(start, at=at)[0].t == 0.0
+    assert scene.overlap_many([start], [1, 1, 1], want='count', at=at) == [1]

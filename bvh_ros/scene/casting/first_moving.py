@@ -15,6 +15,7 @@ from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
+from ...tree.moving import LARGEST
 from ...tree.nodes import DEEPEST, NONE
 from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
@@ -189,7 +190,7 @@ def growth_of(box, rate, at, pace, t_max):
         moves |= velocity[axis] != 0.0
     if rate == 0.0 or not moves:
         return 0.0
-    return rate * max(abs(at - reference), abs(end - reference))
+    return min(rate * max(abs(at - reference), abs(end - reference)), LARGEST)
 
 
 @inlined

@@ -25,6 +25,7 @@ from ...tree.motion.meeting import Course, box_of, fetch_box
 from ...tree.motion.queries import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import AHEAD, UNSUITED
+from ...tree.moving import LARGEST
 from ...tree.nodes import slot_of
 from ...tree.rays.ray_hits import NO_HITS
 from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
@@ -220,7 +221,9 @@ def _plain(held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, tim
 def _casts(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Casts:
     """What rays may meet: every box that balls touch with what has grown in it."""
     more = reaches(held, rays, radii, times)[:, None]
-    ways = rays.origins - more, rays.origins + more, rays.directions, rays.t_max
+    with np.errstate(over='ignore'):  # as far as there are doubles
+        low, high = rays.origins - more, rays.origins + more
+    ways = np.maximum(low, -LARGEST), np.minimum(high, LARGEST), rays.directions, rays.t_max
     return Casts(*ways, rays.masks, *times, False, EVERY)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.moving import LARGEST
 from ...tree.nodes import CHANGES
 from ..geometry.shapes import Floats
 from .obstacles import Obstacles
@@ -130,7 +131,8 @@ def growths(held: Obstacles, slots: Slots, at: Floats, until: Floats) -> Floats:
         return np.zeros(len(slots))
     velocities, references = motions(held, slots)
     longest = np.maximum(np.abs(at - references), np.abs(until - references))
-    return np.where(velocities.any(axis=1), held.uncertainty * longest, 0.0)
+    grown = np.minimum(longest, LARGEST / max(held.uncertainty, 1.0)) * held.uncertainty
+    return np.where(velocities.any(axis=1), grown, 0.0)
 
 
 def most_growth(held: Obstacles, at: Floats, until: Floats) -> Floats | float:
@@ -139,4 +141,6 @@ def most_growth(held: Obstacles, at: Floats, until: Floats) -> Floats | float:
         return 0.0
     known = movers(held)
     longest = np.maximum(until - known.earliest, known.latest - at)
-    return np.asarray(held.uncertainty * np.maximum(longest, 0.0) * WIDER)
+    with np.errstate(over='ignore'):
+        growth = held.uncertainty * np.maximum(longest, 0.0) * WIDER
+    return np.minimum(growth, LARGEST)
