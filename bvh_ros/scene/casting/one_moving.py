@@ -53,11 +53,10 @@ _first_entry = entry_points(
 )
 
 
-class OneWay(threading.local):
+class _Room(threading.local):
     """Room for one way a thread."""
 
-    def __init__(self, held: Obstacles) -> None:
-        ndim, self.held = held.tree.ndim, held
+    def __init__(self, ndim: int) -> None:
         self.ways = Ways(
             *(np.empty((1, ndim)), np.empty((1, ndim)), np.ones(1), np.empty(1, np.uint32)),
             *(np.empty(1), np.empty(1), np.empty(1), np.empty(1)),
@@ -65,27 +64,35 @@ class OneWay(threading.local):
         self.hits = Hits(np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
         self.scratch = new_scratch(ndim)
 
+
+class OneWay:
+    """Asks for one way at a time."""
+
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
+        self._tree: Any = held.tree
+        self._room = _Room(held.tree.ndim)
+        self._first = _first_entry(held.tree.ndim)
+
     def first_box(
         self, start: Floats, goal: Floats, mask: np.uint32, skip: bool, when: When
     ) -> BoxHit | None:
         """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
-        tree: Any = self.held.tree
-        place, kernel, motion = np.empty((2, 3)), _first_entry(tree.ndim), tree.motion
-        while True:
-            asked = start, goal, when, mask, skip, place
-            slot, t = kernel(tree.view().tree, motion.moving, *asked)
-            if slot >= NONE:
-                return None if slot == NONE else (slot, t, place[0], place[1])
+        tree, place = self._tree, np.empty((2, 3))
+        asked = start, goal, when, mask, skip, place
+        slot, t = self._first(tree._settled().tree, tree._motion.moving, *asked)
+        while slot < NONE:
             if slot == NOT_FINITE:
                 raise too_long(start, goal)
-            motion.fit(tree, *span_of(*when, 1.0))
+            tree._motion.fit(tree, *span_of(*when, 1.0))
+            slot, t = self._first(tree._settled().tree, tree._motion.moving, *asked)
+        return None if slot == NONE else (slot, t, place[0], place[1])
 
     def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
         """The first obstacle of any shape."""
-        held = self.held
+        held, tree, room = self._held, self._tree, self._room
         (origin, direction, radius), (at, pace) = way, when
-        tree: Any = held.tree
-        ways, hits, ndim = self.ways, self.hits, tree.ndim
+        ways, hits, ndim = room.ways, room.hits, tree.ndim
         ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
         ways.masks[0], ways.radii[0], ways.at[0], ways.pace[0] = mask, radius, at, pace
         more = ball_reach(radius, max(map(abs, origin[:ndim].tolist())))
@@ -93,7 +100,7 @@ class OneWay(threading.local):
             more += np.max(most_growth(held, ways.at, ways.at + pace))
         ways.more[0] = more
         told = First(hits, np.zeros((1, 3)), np.zeros((1, 3)))
-        given = ways, (skip, held.uncertainty), held.columns.node_handle, self.scratch, told
+        given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
         world, motion = world_of(tree, held.columns), tree.motion
         spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
         motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
