@@ -18,7 +18,7 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.casting import cast_one, no_motion
 from ...tree.motion.queries import span_of, times_of
 from ...tree.nodes import NONE, slot_of
-from ...tree.rays.raycasting import CLOSEST, Asked
+from ...tree.rays.raycasting import CLOSEST
 from ...tree.store.turns import NOT_FINITE
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
@@ -41,7 +41,7 @@ def first_between_then(tree, moving, start, goal, when, mask, skip_inside, place
     if not way_between(start, goal, way, place):
         return np.int64(NOT_FINITE), np.inf
     swept = start[:ndim], start[:ndim], way[:ndim]
-    asked = Asked(1.0, mask, skip_inside, CLOSEST)
+    asked = 1.0, mask, skip_inside, CLOSEST
     handle, t = cast_one(tree, moving, swept, asked, when, place)
     return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
 

@@ -11,7 +11,7 @@ from .. import box_checks, checks
 from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, aligned_empty
 from ..rays import boxcasting
-from ..rays.raycasting import CLOSEST, Asked
+from ..rays.raycasting import CLOSEST
 from ..results import RayHit
 from ..store.arrays import Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
@@ -161,7 +161,7 @@ class BoxQueries(Timed):
         if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace)
         if motion is not None:
-            asked = Asked(1.0, seen, False, CLOSEST)
+            asked = 1.0, seen, False, CLOSEST
             handle, t = motion.cast(self, (low, high, translation), asked, (at, pace), place)
         else:
             handle, t = boxcasting.entry(ndim)(

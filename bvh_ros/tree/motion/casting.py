@@ -153,11 +153,13 @@ def locate(box, course, t, face, point, normal):
 
 @lean_kernel
 def cast_one(tree, moving, swept, asked, times, place):
-    """One ray or box, swept = (lo, hi, direction), asked an `Asked`, times = (at, pace): (handle,
-    t), and for CLOSEST its point and normal in `place`. Instead of a handle why there is none:
-    NONE, NOT_FINITE if the input is not, REFUSED if the tree is of another version, or OUTSIDE.
+    """One ray or box, swept = (lo, hi, direction), asked = what an `Asked` holds, which Python
+    makes slowly, times = (at, pace): (handle, t), and for CLOSEST its point and normal in `place`.
+    Instead of a handle why there is none: NONE, NOT_FINITE if the input is not, REFUSED if the
+    tree is of another version, or OUTSIDE.
     """
     (lo, hi, direction), (at, pace), state = swept, times, tree.state
+    asked = Asked(asked[0], asked[1], asked[2], asked[3])
     if not is_sound(lo, hi, direction, times):
         return NOT_FINITE, np.inf
     if covers(moving, at, pace, asked.t_max) == 0:
@@ -251,7 +253,7 @@ _CASTS = Casts(*(_ROWS,) * 3, _ROW, np.empty(0, np.uint32), _ROW, _ROW, False, C
 _FOUND: Any = Found(_IDS, _ROW, _IDS)
 one_entry = entry_points(
     *(cast_one, no_motion, (_ROW,) * 3),
-    *(Asked(0.0, np.uint32(0), False, CLOSEST), (0.0, 0.0), _ROWS),
+    *((0.0, np.uint32(0), False, CLOSEST), (0.0, 0.0), _ROWS),
 )
 rows_entry = entry_points(cast_rows, no_motion, _CASTS, _IDS, _FOUND, 0)
 describe_entry = entry_points(describe_rows, no_motion, _CASTS, _IDS, _FOUND, Places(_ROWS, _ROWS))

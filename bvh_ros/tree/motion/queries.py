@@ -16,7 +16,7 @@ from ..boxes.ordering import order_of
 from ..boxes.overlapping import overlap_many
 from ..nodes import COUNT, NONE
 from ..rays import ray_batches
-from ..rays.raycasting import ANY, CLOSEST, EVERY, Asked, Found, more_room, room_for_hits
+from ..rays.raycasting import ANY, CLOSEST, EVERY, Found, more_room, room_for_hits
 from ..results import RayHits
 from ..store.turns import NOT_FINITE
 from ..store.workers import in_threads
@@ -44,7 +44,7 @@ class MotionQueries(Motion):
         self,
         tree: Any,
         swept: tuple[Floats, Floats, Floats],
-        asked: Asked,
+        asked: tuple[float, np.uint32, bool, int],
         times: tuple[Any, Any],
         place: Floats,
     ) -> tuple[int, float]:
@@ -55,7 +55,7 @@ class MotionQueries(Motion):
         kernel = casting.one_entry(tree._ndim)
         handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
         while handle < NONE and handle != NOT_FINITE:
-            self.fit(tree, *span_of(at, pace, asked.t_max))
+            self.fit(tree, *span_of(at, pace, asked[0]))
             handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)

@@ -20,7 +20,7 @@ from ..wide.ray_streams import RAYS_AT_ONCE
 from ..wide.snapshot import Snapshot
 from . import ray_batches, ray_hits
 from .ray_batches import LARGE
-from .raycasting import CLOSEST, Asked, Rays
+from .raycasting import CLOSEST, Rays
 
 
 class RayAsking(Timed):
@@ -47,9 +47,7 @@ class RayAsking(Timed):
         if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace)
         if motion is not None:
-            # As Asked(...), which would take one more call of a function of Python's.
-            asked = tuple.__new__(Asked, (limit, seen, skip, mode))
-            swept = origin, origin, direction
+            swept, asked = (origin, origin, direction), (limit, seen, skip, mode)
             handle, t = motion.cast(self, swept, asked, (at, pace), place)
         else:
             handle, t = ray_hits.one_entry(ndim)(
