@@ -57,8 +57,9 @@ def _bits(builder: Any, truths: Any) -> Any:
 def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, slowest):
     """How a course meets leaves[slot], of `sweeping.leaf_dtype`, larger by `more` on all sides, if
     it is anywhere within its bounds: (whether it surely misses it, whether nobody can tell here
-    that it meets it, entry, leave, entered_by, others_by, surely, lanes, negative). An axis along
-    which it comes nearer more slowly than `slowest` bounds nothing.
+    that it meets it, entry, leave, entered_by, others_by, surely, lanes, negative, whether it
+    surely touches the box at the start). An axis along which it comes nearer more slowly than
+    `slowest` bounds nothing.
 
     Entry is the latest, 0 or more, on the axes of the bits `lanes`, and `entered_by` when the box
     itself is surely entered on these; `others_by` on the others; leave is when the bounds are left
@@ -67,12 +68,14 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
     ndim = leaves.dtype.typeof('lo').shape[0]
     width = ndim + ndim % 2
     number, bits = types.float64, types.int64
-    result = types.Tuple((types.boolean, types.boolean, *(number,) * 5, bits, bits))
+    truth = types.boolean
+    result = types.Tuple((truth, truth, *(number,) * 5, bits, bits, truth))
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind, shape = signature.args[0], (ndim, width)
         vector = ir.VectorType(_DOUBLE, width)
         zero, least, most = (ir.Constant(vector, [n] * width) for n in (0.0, -math.inf, math.inf))
+        all_axes = index((1 << ndim) - 1)
         axes = ir.Constant(ir.VectorType(_BIT, width), [axis < ndim for axis in range(width)])
         since, pace, more, slowest = (splat(builder, one, width) for one in args[4:])
         record = record_at(context, builder, kind, args[0], args[1])
@@ -124,6 +127,7 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
             *(entry, _folded(builder, far, '<'), entered_by, others_by),
             *(_folded(builder, left, '<'), _bits(builder, latest)),
             _bits(builder, builder.and_(quick, builder.fcmp_ordered('<', inverse, zero))),
+            builder.icmp_unsigned('==', _bits(builder, builder.and_(axes, inside)), all_axes),
         )
         return context.make_tuple(builder, signature.return_type, told)
 

@@ -4,7 +4,7 @@
 `sweeping`), its leaves decided by `meeting`.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,14 @@ from ..wide.ray_streams import (
     scratch_for,
     sort_by_octant,
 )
-from ..wide.raycasting import DECIDED_EXACTLY, FOUND, TALLY, start_group, traverse
+from ..wide.raycasting import (
+    DECIDED_EXACTLY,
+    FOUND,
+    TALLY,
+    start_group,
+    traverse,
+    visit_leaf,
+)
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
 from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet
@@ -39,6 +46,9 @@ from .sweeping import Leaves, leaf_dtype
 SLOWEST, NEAR = 1e-290, 2.0**-16
 UNSUITED = -3  # not a handle, nor NONE
 AHEAD = 4  # so many hits before it is described, the memory of a box is asked for
+WAITING, PLACES = TALLY, TALLY + 1  # behind what is tallied: how many pairs wait
+# Pairs that wait at most, and the share of a group's rays: what is met is known so much later.
+MOST_WAITING, LEAST_WAITING, WAITING_SHARE = 64, 8, 8
 
 Floats = NDArray[np.float64]
 
@@ -59,6 +69,25 @@ class MovingRays(NamedTuple):
     leaves: Leaves
 
 
+class Waiting(NamedTuple):
+    """`ray_streams.Scratch` for a group of rays, and pairs of a ray and a leaf that it may meet.
+
+    Most of them part when it is looked at closely. One after the other that is a guess of the
+    processor's a pair, wrong as often as not; of many together there is none.
+    """
+
+    ray: Any
+    records: Any
+    lists: Any
+    found: Any
+    met: Any
+    stack: Any
+    pairs: NDArray[np.int64]
+    """Slot of the leaf, and in the lower half the ray's place; as many as wait at most."""
+    patched: bool
+    """Whether a leaf may be in the snapshot twice, see `wide.raycasting.is_stale`."""
+
+
 @inlined
 def quick_decision(leaves, slot, origin, direction, since, pace, limit):
     """Decide where rounding cannot matter: (verdict, t, face), as `wide.best_hit.quick_decision`.
@@ -67,9 +96,11 @@ def quick_decision(leaves, slot, origin, direction, since, pace, limit):
     MEETS: surely met, and before `limit`, at `face`; t is not before that, nor later by more than
     NEAR of it.
     """
-    missed, doubt, entry, leave, entered_by, others_by, surely, lanes, negative = moving_slabs(
-        *(leaves, slot, origin, direction, since, pace, 0.0, SLOWEST)
+    missed, doubt, entry, leave, entered_by, others_by, surely, lanes, negative, within = (
+        moving_slabs(leaves, slot, origin, direction, since, pace, 0.0, SLOWEST)
     )
+    if within and limit > 0.0:
+        return MEETS, 0.0, INSIDE
     if missed or entry > min(leave, limit) * PAD + TINY:
         return MISSES, limit, INSIDE
     surely = min(surely, limit * (1.0 - NEAR))
@@ -85,10 +116,10 @@ def may_meet(leaves, slot, origin, direction, since, pace, limit, more):
     """Whether a course may meet a leaf before `limit` whose box is larger by `more` on all sides;
     as `quick_decision`, where it does not say MISSES.
     """
-    missed, _, entry, leave, _, _, _, _, _ = moving_slabs(
+    missed, _, entry, leave, _, _, _, _, _, _ = moving_slabs(
         *(leaves, slot, origin, direction, since, pace, more, SLOWEST)
     )
-    return not (missed or entry > min(leave, limit) * PAD + TINY)
+    return not (missed | (entry > min(leave, limit) * PAD + TINY))
 
 
 @inlined
@@ -101,7 +132,7 @@ def is_better(tree, ray, rays, row, slot, best):
         *(rays.leaves.records, slot, origin, direction), at - rays.leaves.start, pace, best[1]
     )
     if verdict != ASK:
-        return verdict == MEETS, t, np.int64(face)
+        return verdict == MEETS and not (rays.skip_inside and face == INSIDE), t, np.int64(face)
     set_ray(ray, origin, direction)
     return _is_better(tree, Course(ray, at, pace), rays, row, slot, best)
 
@@ -138,8 +169,8 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
-    tally, ends = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
-    tally[DECIDED_EXACTLY] = 0
+    tally, ends = stack_array(PLACES, np.int64), stack_array(OCTANTS, np.int64)
+    tally[DECIDED_EXACTLY] = tally[WAITING] = 0
     hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
     count, unsuited = rays.origins.shape[0], np.int64(0)
     for first in range(0, count, RAYS_SORTED):
@@ -163,8 +194,15 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
         hits.ids[rows[place]] = UNSUITED
     tally[FOUND] = 0
     if alive > 0:
+        most = min(max(LEAST_WAITING, alive // WAITING_SHARE), MOST_WAITING)
+        pairs = stack_array(MOST_WAITING, np.int64)[:most]
+        room = Waiting(
+            *(scratch.ray, scratch.records, scratch.lists, scratch.found, scratch.met),
+            *(scratch.stack, pairs, snapshot.loose > 0),
+        )
         group = octant, rows, scratch.lists[:alive]
-        traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_better)
+        traverse(snapshot, tree, group, rays, room, tally, let_wait, is_better)
+        visit_waiting(tree, rows, rays, room, tally)
     found = scratch.found[: tally[FOUND]]
     for place in range(found.shape[0]):
         if place + AHEAD < found.shape[0]:
@@ -178,9 +216,34 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
 
 
 @inlined
-def fetch_leaf(tree, rays, slot):
-    """Ask for the memory of a leaf."""
+def let_wait(tree, rays, slot, listed, scratch, tally):
+    """Let rays wait that may meet a leaf, listed = (rows, places); ask for its memory."""
+    rows, places = listed
     prefetch(rays.leaves.records, slot, 1)
+    for place in places:
+        scratch.pairs[tally[WAITING]] = slot << 32 | place
+        tally[WAITING] += 1
+        if tally[WAITING] == scratch.pairs.shape[0]:
+            visit_waiting(tree, rows, rays, scratch, tally)
+    return True
+
+
+@lean_kernel
+def visit_waiting(tree, rows, rays, scratch, tally):
+    """See of the pairs that wait whether the leaf is the ray's best hit."""
+    pairs, kept = scratch.pairs, 0
+    for i in range(tally[WAITING]):
+        slot, place = pairs[i] >> 32, pairs[i] & 0xFFFFFFFF
+        row, limit = rows[place], scratch.records[place].best_t
+        since, pace = of_row(rays.at, row) - rays.leaves.start, of_row(rays.pace, row)
+        way = rays.origins[row], rays.directions[row]
+        near = may_meet(rays.leaves.records, slot, *way, since, pace, limit, 0.0)
+        pairs[kept] = pairs[i]
+        kept += near
+    for i in range(kept):
+        group = rows, (pairs[i] & 0xFFFFFFFF,)
+        visit_leaf(tree, pairs[i] >> 32, scratch.patched, group, rays, scratch, tally, is_better)
+    tally[WAITING] = 0
 
 
 NO_LEAVES = {ndim: Leaves(np.empty(0, leaf_dtype(ndim)), 0.0) for ndim in (2, 3)}

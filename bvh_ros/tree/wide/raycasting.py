@@ -148,9 +148,10 @@ def start_group(snapshot, rays, rows, scratch):
 
 
 @inlined
-def traverse(snapshot, tree, group, rays, scratch, tally, fetch, better):
+def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
     """Find the best hits of the rays of a group, (octant, rows, places of those that are asked),
-    and note them in their records.
+    and note them in their records. `put_off` asks for the memory of a leaf, and says whether it
+    keeps the rays that visit it for later.
     """
     (octant, rows, asked), lists, stack, masks = group, scratch.lists, scratch.stack, rays.masks
     alive = asked.shape[0]
@@ -188,7 +189,9 @@ def traverse(snapshot, tree, group, rays, scratch, tally, fetch, better):
             if child >= 0:
                 fetch_node(snapshot, np.int64(child))
             else:
-                fetch(tree, rays, ~np.int64(child))
+                listed = rows, lists[begin : np.int64(ends[lane])]
+                if put_off(tree, rays, ~np.int64(child), listed, scratch, tally):
+                    continue
             stack[top, NODE], stack[top, START] = child, begin
             stack[top, COUNT], stack[top, FREE] = np.int64(ends[lane]) - begin, free
             top += 1
@@ -244,12 +247,13 @@ def fetch_node(snapshot, child):
 
 
 @inlined
-def fetch_leaf(tree, rays, slot):
+def fetch_leaf(tree, rays, slot, listed, scratch, tally):
     """Ask for the memory of a leaf."""
     if tree.tight.shape[0] > 0:
         prefetch(tree.tight, slot, 1)
     else:
         prefetch(tree.nodes, 2 * slot, 1)
+    return False
 
 
 @inlined

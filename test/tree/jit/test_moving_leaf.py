@@ -21,12 +21,14 @@ def at_once(leaves, slot, origin, direction, since, pace, more):
 
 def one_by_one(leaf, origin, direction, since, pace, more):
     missed, doubt, negative, near, far, later = False, False, 0, [], [], []
+    within = True
     loose = float(leaf['loose'])
     for axis in range(len(origin)):
         velocity = float(leaf['velocity'][axis])
         rate = float(direction[axis]) - velocity * pace
         below = float(leaf['lo'][axis]) - float(origin[axis]) + velocity * since - more
         above = float(leaf['hi'][axis]) - float(origin[axis]) + velocity * since + more
+        within &= below < -loose and above > loose
         if abs(rate) < SLOWEST:
             missed |= rate == 0.0 and (below > 0.0 or above < 0.0)
             doubt |= not (rate == 0.0 and below < -loose and above > loose)
@@ -44,7 +46,7 @@ def one_by_one(leaf, origin, direction, since, pace, more):
     others = max([0.0, *(end for end, last in zip(entered, latest, strict=True) if not last)])
     surely = min(end - wrong for end, wrong in zip(far, later, strict=True))
     lanes = sum(last << axis for axis, last in enumerate(latest))
-    return missed, doubt, entry, min(far), by, others, surely, lanes, negative
+    return missed, doubt, entry, min(far), by, others, surely, lanes, negative, within
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -68,5 +70,5 @@ def test_all_axes_at_once_are_as_one_by_one(ndim):
             continue
         wanted = one_by_one(leaves[1], origin, direction, *asked)
         assert at_once(leaves, 1, origin, direction, *asked) == wanted
-        told.add((*wanted[:2], wanted[2] > 0.0, wanted[2] <= wanted[3], wanted[7]))
+        told.add((*wanted[:2], wanted[2] > 0.0, wanted[2] <= wanted[3], wanted[7], wanted[9]))
     assert len(told) > 4 * ndim
