@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..tree import checks
-from ..tree.nodes import NONE
 from ..tree.store.workers import in_threads
-from .casting.arguments import Rays, every_row, row_by_row, ways_of
+from .casting.arguments import WHOLE_WAY, Rays, every_row, row_by_row, ways_of
 from .casting.box_casting import segment
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
@@ -143,8 +142,8 @@ class Moments:
         """What n rays, or balls, meet first; when = (at, until)."""
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         thick = bool(radii.any())
-        if thick:
-            ways_of(rays, radii)  # refuses balls without an end
+        if thick and rays.t_max is not WHOLE_WAY:
+            ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
         held, still = self._held, False
         if held.max_prediction < math.inf:
             still = len(at_rest(held, times.last(rays.t_max))) > 0
@@ -152,15 +151,20 @@ class Moments:
             from .casting.moving import first_boxes
 
             return first_boxes(held, rays, skip, times, threads)
-        if not thick:
+        if not (thick or held.columns.shaped):  # else somebody has looked
             checks.finite('origins', rays.origins)
             checks.finite('directions', rays.directions)
-        rays, first = row_by_row(rays), self._firsts(still, rays, times)
-        columns = *rays, *(every_row(one, count) for one in (radii, *times))
+        first = self._firsts(still, rays, times)
+        if still:
+            rays, radii = row_by_row(rays), every_row(radii, count)
+            times = times._make(every_row(one, count) for one in times)
+        columns = *rays, radii, *times
 
         def work(start: int, stop: int) -> CastHits:
-            *some, balls, begin, pace = (column[start:stop] for column in columns)
-            return first(Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace))
+            *some, balls, begin, pace = (
+                one[start:stop] if len(one) == count else one for one in columns
+            )
+            return first(Rays(*some), balls, bool(skip), times._make((begin, pace)))
 
         parts = in_threads(work, count, threads)
         if len(parts) == 1:
@@ -190,12 +194,8 @@ class Moments:
         sweep = sweep_for(self._held, rays, times)
 
         def among_moving(*asked: Any) -> CastHits:
-            (slots, ts, _), points, normals = first_then(self._held, sweep, *asked)
-            missed, met = np.flatnonzero(slots == NONE), np.flatnonzero(slots != NONE)
-            handles = np.full(len(slots), NO_NODE, np.uint32)
-            handles[met] = node_handles[slots[met]]
-            ts[missed], points[missed] = np.inf, np.nan
-            return CastHits(handles, ts, points, normals)
+            hits, *told = first_then(self._held, sweep, *asked)
+            return CastHits(told[0], hits.ts, told[1], told[2])
 
         return among_moving
 

@@ -17,10 +17,13 @@ from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
 from ...tree.moving import LARGEST
 from ...tree.nodes import DEEPEST, NONE
+from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ..results import NO_NODE
 from .casting import Best, enter_obstacle, no_hit, plain, touch
+from .frame import COORDINATES, FRAME_SLACK
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 
 
@@ -30,13 +33,14 @@ class Ways(NamedTuple):
     origins: Any
     directions: Any
     t_max: Any
+    """One for all, or (n,), as all that follows."""
     masks: Any
     radii: Any
     at: Any
     """s, as how many seconds a unit of t takes."""
     pace: Any
-    more: Any
-    """By how much a ray may pass an obstacle's box, and yet touch what has grown in it."""
+    grown: Any
+    """What no obstacle has grown by more, m."""
 
 
 class First(NamedTuple):
@@ -44,6 +48,8 @@ class First(NamedTuple):
 
     hits: Any
     """`Hits`, (n,); NONE where the way is free."""
+    handles: Any
+    """(n,) uint32; NO_NODE where the way is free."""
     points: Any
     normals: Any
     """(n, 3)"""
@@ -60,7 +66,7 @@ def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
 @lean_kernel
 def first_swept(world, tree, moving, sweep, ways, asked, node_handles, scratch, told):
     """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
-    UNSUITED.
+    UNSUITED. Returns how many.
     """
     return _rows(world, tree, moving, sweep, ways, asked, (node_handles, scratch), told)
 
@@ -73,10 +79,10 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     ray = stack_array((RAY_ROWS, 3), np.float64)
     node_handles, scratch = tools
     for i in range(ways.origins.shape[0]):
-        thin, suited = Course(ray, ways.at[i], ways.pace[i]), True
+        thin, suited = Course(ray, of_row(ways.at, i), of_row(ways.pace, i)), True
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
         if sweep is None:
-            if covers(moving, thin.at, thin.pace, ways.t_max[i]) == 0:
+            if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
                 why = np.int64(OUTSIDE)
                 break
             box, other = walk(world, tree, moving, ways, i, asked, tools, thin)
@@ -87,22 +93,43 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
             by_box = node_handles[box.slot] < node_handles[other.slot]
         if not suited:
             told.hits.slots[i] = UNSUITED
+            why += 1
         elif box.slot == NONE or not by_box:
-            _tell(world, tree, moving, ways, i, asked, (scratch, other), told)
+            place = write_first(other, i, node_handles, told)
+            if other.slot != NONE:
+                _tell(world, tree, moving, ways, i, asked, (scratch, other), told, place)
         else:
-            hits, place = told.hits, (told.points[i, :ndim], told.normals[i, :ndim])
-            hits.slots[i], hits.ts[i], hits.features[i] = box.slot, box.t, box.feature
+            place = write_first(box, i, node_handles, told)
             there = box_of(tree, moving, box.slot)
-            locate(there, thin, box.t, box.feature, place[0], place[1])
+            locate(there, thin, box.t, box.feature, place[0][:ndim], place[1][:ndim])
     end_query(tree.state)
     return why
+
+
+def ball_reach(radius: Any, largest: Any) -> Any:
+    """By how much a ray may pass the box of an obstacle that its ball touches; `largest` of the
+    coordinates of its origin.
+    """
+    return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
+
+
+_ball_reach = inlined(ball_reach)
+
+
+@inlined
+def reach_of(ways, i):
+    """The same of a row, and of what has grown."""
+    largest = 0.0
+    for axis in range(ways.origins.shape[1]):
+        largest = max(largest, abs(ways.origins[i, axis]))
+    return _ball_reach(of_row(ways.radii, i), largest) + of_row(ways.grown, i)
 
 
 @inlined
 def walk(world, tree, moving, ways, i, asked, tools, thin):
     """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
-    at, pace, t_max, mask = ways.at[i], ways.pace[i], ways.t_max[i], ways.masks[i]
-    nodes, ndim, more = moving.nodes, ways.origins.shape[1], ways.more[i]
+    at, pace, t_max, mask = thin.at, thin.pace, of_row(ways.t_max, i), of_row(ways.masks, i)
+    nodes, ndim, more = moving.nodes, ways.origins.shape[1], reach_of(ways, i)
     corners = stack_array((2, 3), np.float64)
     for axis in range(ndim):
         corners[0, axis] = ways.origins[i, axis] - more
@@ -130,8 +157,8 @@ def walk(world, tree, moving, ways, i, asked, tools, thin):
 @inlined
 def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
     """`walk` through what is swept: (whether the way is for it, box, other)."""
-    snapshot, leaves, more = sweep.snapshot, sweep.leaves, ways.more[i]
-    origin, direction, t_max = ways.origins[i], ways.directions[i], ways.t_max[i]
+    snapshot, leaves, more = sweep.snapshot, sweep.leaves, reach_of(ways, i)
+    origin, direction, t_max = ways.origins[i], ways.directions[i], of_row(ways.t_max, i)
     records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
@@ -139,7 +166,12 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
     if not (suited and reach < FARTHEST_ORIGIN):
         return False, box, other
     widen(record, reach)
-    limits[0], octant, limit, mask = record.limit, octant_of(direction), t_max, ways.masks[i]
+    limits[0], octant, limit, mask = (
+        record.limit,
+        octant_of(direction),
+        t_max,
+        of_row(ways.masks, i),
+    )
     top = put_roots(snapshot, stack)
     while top > 0:
         slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
@@ -159,10 +191,11 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
 @inlined
 def look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found):
     """The first hits of a way, found = (box, other), after one more obstacle is looked at."""
-    (box, other), (node_handles, scratch), t_max = found, tools, ways.t_max[i]
+    (box, other), (node_handles, scratch), t_max = found, tools, of_row(ways.t_max, i)
     there = box_of(tree, moving, slot)
     grown = growth_of(there, asked[1], thin.at, thin.pace, t_max)
-    if ways.radii[i] + grown == 0.0 and plain(world.geometry, world.footprints, slot):
+    radius = of_row(ways.radii, i) + grown
+    if radius == 0.0 and plain(world.geometry, world.footprints, slot):
         hit, t, face = meet(there, thin, t_max)
         if hit and not (asked[0] and face == INSIDE):
             was = box.slot, box.t, box.feature
@@ -170,7 +203,6 @@ def look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found):
                 box = Best(slot, t, face)
     else:
         see(ways, i, there, scratch.ray)
-        radius = ways.radii[i] + grown
         t, feature = enter_obstacle(world, slot, scratch.ray, radius, t_max, scratch.work)
         if t < np.inf and not (asked[0] and feature == INSIDE):
             nearer = t < other.t
@@ -198,26 +230,37 @@ def see(ways, i, box, ray):
     """Write the ray as an obstacle sees it that moves."""
     _, _, velocity, reference = box
     seen = stack_array((2, 3), np.float64)
-    ndim, since = ways.origins.shape[1], ways.at[i] - reference
+    ndim, since = ways.origins.shape[1], of_row(ways.at, i) - reference
     for axis in range(ndim):
         seen[0, axis] = ways.origins[i, axis] - velocity[axis] * since
-        seen[1, axis] = ways.directions[i, axis] - velocity[axis] * ways.pace[i]
+        seen[1, axis] = ways.directions[i, axis] - velocity[axis] * of_row(ways.pace, i)
     set_ray(ray, seen[0, :ndim], seen[1, :ndim])
 
 
-@lean_kernel
-def _tell(world, tree, moving, ways, i, asked, found, told):
-    """Fill in a row: the obstacle, and where it is met."""
-    scratch, best = found
+@inlined
+def write_first(best, i, node_handles, told):
+    """Fill in what is met in a row, NONE if nothing is; where that is, (point, normal), is still
+    to be told.
+    """
     hits, point, normal = told.hits, told.points[i], told.normals[i]
     hits.slots[i], hits.ts[i], hits.features[i] = best.slot, best.t, best.feature
-    if best.slot == NONE:
-        return
+    met = best.slot != NONE
+    told.handles[i] = node_handles[best.slot] if met else NO_NODE
+    for axis in range(3):
+        point[axis], normal[axis] = 0.0 if met else np.nan, 0.0
+    return point, normal
+
+
+@lean_kernel
+def _tell(world, tree, moving, ways, i, asked, found, told, place):
+    """Write where an obstacle is met."""
+    (scratch, best), (point, normal), hits = found, place, told.hits
+    at, pace = of_row(ways.at, i), of_row(ways.pace, i)
     box = box_of(tree, moving, best.slot)
-    grown = growth_of(box, asked[1], ways.at[i], ways.pace[i], ways.t_max[i])
+    grown = growth_of(box, asked[1], at, pace, of_row(ways.t_max, i))
     see(ways, i, box, scratch.ray)
-    touch(world, scratch, ways.radii[i] + grown, hits, i, point, normal)
-    then = ways.at[i] - box[3] + best.t * ways.pace[i]
+    touch(world, scratch, of_row(ways.radii, i) + grown, hits, i, point, normal)
+    then = at - box[3] + best.t * pace
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * then
     for axis in range(3):

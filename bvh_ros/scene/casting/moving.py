@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...tree.checks import NOTHING
 from ...tree.entries import entry_points
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.casting import Casts, locate, no_motion
 from ...tree.motion.meeting import Course, box_of, fetch_box
-from ...tree.motion.queries import times_of
+from ...tree.motion.queries import rows_of, times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import AHEAD, UNSUITED
 from ...tree.moving import LARGEST
@@ -37,8 +38,7 @@ from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Hits, Rays, call, new_scratch, world_of
-from .first_moving import First, Ways, first_rows, first_swept
-from .frame import COORDINATES, FRAME_SLACK
+from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
 
 
@@ -100,12 +100,13 @@ def describe(tree, moving, origins, directions, at, pace, node_handles, hits, to
             fetch_box(tree, moving, slot_of(hits.ids[i + AHEAD]))
         told.handles[i], face = NO_NODE, INSIDE
         for k in range(3):
-            normal = hits.normals[i, k] if k < ndim else 0.0
-            told.points[i, k], told.normals[i, k] = np.nan, normal
-            if normal != 0.0:
-                face = 2 * k + (normal > 0.0)
+            told.points[i, k] = np.nan
+            told.normals[i, k] = hits.normals[i, k] if k < ndim else 0.0
         if hits.ids[i] < 0:
             continue
+        for k in range(ndim):
+            if hits.normals[i, k] != 0.0:
+                face = 2 * k + (hits.normals[i, k] > 0.0)
         told.handles[i], told.points[i, 2] = node_handles[slot_of(hits.ids[i])], origins[i, 2]
         set_ray(ray, origins[i, :ndim], directions[i, :ndim])
         course = Course(ray, of_row(at, i), of_row(pace, i))
@@ -123,16 +124,18 @@ _describe_entry = entry_points(
 def first_then(
     held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
 ) -> First:
-    """First hits of rays, or balls, while nobody comes to rest; as of `cast_then`. `sweep`: what
-    `sweep_for` says, of these and more rays.
+    """First hits of rays, or balls, while nobody comes to rest, their columns one for all or (n,);
+    as of `cast_then`. `sweep`: what `sweep_for` says, of these and more rays.
     """
     tree, columns, count = held.tree, held.columns, len(rays.origins)
     require_ends(held, rays)
     origins, directions = (along_axes(rows, tree.ndim) for rows in rays[:2])
-    more = reaches(held, rays, radii, times)
-    ways = Ways(origins, directions, rays.t_max, rays.masks, radii, *times, more)
+    grown = NOTHING
+    if held.uncertainty:
+        grown = np.atleast_1d(most_growth(held, times.at, times.ends(rays.t_max)))
+    ways = Ways(origins, directions, rays.t_max, rays.masks, radii, *times, grown)
     hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
-    told = First(hits, np.zeros((count, 3)), np.zeros((count, 3)))
+    told = First(hits, np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))
     given = ways, (skip, held.uncertainty), columns.node_handle, new_scratch(tree.ndim), told
     world, motion = world_of(tree, columns), _motion_of(held)
     if sweep is None:
@@ -141,10 +144,11 @@ def first_then(
     else:
         view = tree.view()
         known = motion.known(view, 0.0, 0.0)
-        accepted(call(first_swept, world, view.tree, known, sweep, *given))
-        _tell_others(held, (rays, radii, skip, times), told)
+        if accepted(call(first_swept, world, view.tree, known, sweep, *given)):
+            _tell_others(held, (rays, radii, skip, times), told)
     if tree.ndim == 2:
-        told.points[:, 2] = rays.origins[:, 2]
+        met = told.handles != NO_NODE
+        told.points[met, 2] = rays.origins[met, 2]
     return told
 
 
@@ -160,13 +164,11 @@ def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
 
 def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
     """Fill in the rows of ways that are not for a sweep; asked = what `first_then` is told."""
-    rays, radii, skip, times = asked
+    (rays, radii, skip, times), count = asked, len(told.handles)
     others = np.flatnonzero(told.hits.slots == UNSUITED)
-    if not len(others):
-        return
-    some = Rays(*(column[others] for column in rays))
-    when = Times(*(column[others] for column in times))
-    found = first_then(held, None, some, radii[others], skip, when)
+    some, when = rows_of(rays, count, others), rows_of(times, count, others)
+    balls = radii[others] if len(radii) == count else radii
+    found = first_then(held, None, some, balls, skip, when)
     for column, part in zip((*told.hits, *told[1:]), (*found.hits, *found[1:]), strict=True):
         column[others] = part
 
@@ -184,11 +186,6 @@ def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
     largest = functools.reduce(np.maximum, axes)  # `max` of short rows takes ten times as long
     growth = most_growth(held, times.at, times.ends(rays.t_max))
     return np.asarray(ball_reach(radii, largest) + growth)
-
-
-def ball_reach(radius: Any, largest: Any) -> Any:
-    """The same of balls that do not grow, with a largest coordinate."""
-    return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
 
 
 def _motion_of(held: Obstacles) -> Any:

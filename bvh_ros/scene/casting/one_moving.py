@@ -26,7 +26,6 @@ from ..store.places import most_growth
 from .arguments import Hits, call, new_scratch, world_of
 from .box_casting import BoxHit, too_long, way_between
 from .first_moving import First, Ways, first_rows
-from .moving import ball_reach
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 When = tuple[float, float]  # at, pace
@@ -62,6 +61,7 @@ class _Room(threading.local):
             *(np.empty(1), np.empty(1), np.empty(1), np.empty(1)),
         )
         self.hits = Hits(np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
+        self.handles = np.empty(1, np.uint32)
         self.scratch = new_scratch(ndim)
 
 
@@ -95,11 +95,10 @@ class OneWay:
         ways, hits, ndim = room.ways, room.hits, tree.ndim
         ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
         ways.masks[0], ways.radii[0], ways.at[0], ways.pace[0] = mask, radius, at, pace
-        more = ball_reach(radius, max(map(abs, origin[:ndim].tolist())))
+        ways.grown[0] = 0.0
         if held.uncertainty:
-            more += np.max(most_growth(held, ways.at, ways.at + pace))
-        ways.more[0] = more
-        told = First(hits, np.zeros((1, 3)), np.zeros((1, 3)))
+            ways.grown[0] = np.max(most_growth(held, ways.at, ways.at + pace))
+        told = First(hits, room.handles, np.empty((1, 3)), np.empty((1, 3)))
         given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
         world, motion = world_of(tree, held.columns), tree.motion
         spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)

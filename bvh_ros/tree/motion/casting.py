@@ -252,8 +252,7 @@ _IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
 _CASTS = Casts(*(_ROWS,) * 3, _ROW, np.empty(0, np.uint32), _ROW, _ROW, False, CLOSEST)
 _FOUND: Any = Found(_IDS, _ROW, _IDS)
 one_entry = entry_points(
-    *(cast_one, no_motion, (_ROW,) * 3),
-    *((0.0, np.uint32(0), False, CLOSEST), (0.0, 0.0), _ROWS),
+    *(cast_one, no_motion, (_ROW,) * 3), *((0.0, np.uint32(0), False, CLOSEST), (0.0, 0.0), _ROWS)
 )
 rows_entry = entry_points(cast_rows, no_motion, _CASTS, _IDS, _FOUND, 0)
 describe_entry = entry_points(describe_rows, no_motion, _CASTS, _IDS, _FOUND, Places(_ROWS, _ROWS))

@@ -28,14 +28,7 @@ from ..wide.ray_streams import (
     scratch_for,
     sort_by_octant,
 )
-from ..wide.raycasting import (
-    DECIDED_EXACTLY,
-    FOUND,
-    TALLY,
-    start_group,
-    traverse,
-    visit_leaf,
-)
+from ..wide.raycasting import DECIDED_EXACTLY, FOUND, TALLY, start_group, traverse, visit_leaf
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
 from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet
