@@ -157,14 +157,15 @@ class Moments:
         first = self._firsts(still, rays, times)
         if still:
             rays, radii = row_by_row(rays), every_row(radii, count)
-            times = times._make(every_row(one, count) for one in times)
+            at, pace = (every_row(one, count) for one in times)
+            times = times._replace(at=at, pace=pace)
         columns = *rays, radii, *times
 
         def work(start: int, stop: int) -> CastHits:
             *some, balls, begin, pace = (
                 one[start:stop] if len(one) == count else one for one in columns
             )
-            return first(Rays(*some), balls, bool(skip), times._make((begin, pace)))
+            return first(Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace))
 
         parts = in_threads(work, count, threads)
         if len(parts) == 1:
