@@ -141,7 +141,7 @@ class Moments:
     ) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
-        thick = bool(radii.any())
+        thick = radii is not checks.NOTHING and bool(radii.any())
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
         held, still = self._held, False

@@ -34,7 +34,7 @@ class RayBatches:
         """First hits of rays, or of balls that go along them; times = (at, until)."""
         count = len(rays.origins)
         if self._moments.meant(*times, count):
-            radii = np.zeros(1) if radii is None else radii
+            radii = checks.NOTHING if radii is None else radii
             return self._moments.first_of_many(rays, radii, skip, times, threads)
         thick = 0 if radii is None or radii is checks.NOTHING else np.count_nonzero(radii)
         if radii is None or not thick:

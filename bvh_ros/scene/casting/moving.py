@@ -78,8 +78,7 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
     tree, count, ndim = held.tree, len(rays.origins), held.tree.ndim
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
     asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
-    when: Any = (column.item() if len(column) == 1 else column for column in times)
-    found = motion.first_many(tree, asked, skip, CLOSEST, tuple(when), threads)
+    found = motion.first_at(tree, asked, skip, CLOSEST, times, threads)
     normals = found.normals if ndim == 3 else np.empty((count, 3))
     told = CastHits(np.empty(count, np.uint32), found.t, np.empty((count, 3)), normals)
     view = tree.view()

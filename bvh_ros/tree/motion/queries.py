@@ -156,8 +156,19 @@ class MotionQueries(Motion):
         """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
         which the ids tell it.
         """
-        count = len(rays[0])
-        when, view = _times(times, count), tree.view()
+        return self.first_at(tree, rays, skip_inside, mode, _times(times, len(rays[0])), threads)
+
+    def first_at(
+        self,
+        tree: Any,
+        rays: tuple[Floats, Floats, Floats, Any],
+        skip_inside: bool,
+        mode: int,
+        when: tuple[Floats, Floats],
+        threads: int,
+    ) -> RayHits:
+        """`first_many` at good times."""
+        count, view = len(rays[0]), tree.view()
         span, every = times_of(*when, rays[2])
         sweep = self.swept_for(tree, view, count, span) if every and count else None
         leaves = NO_LEAVES[tree.ndim] if sweep is None else sweep.leaves
