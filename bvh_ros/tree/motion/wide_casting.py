@@ -28,7 +28,17 @@ from ..wide.ray_streams import (
     scratch_for,
     sort_by_octant,
 )
-from ..wide.raycasting import DECIDED_EXACTLY, FOUND, TALLY, start_group, traverse, visit_leaf
+from ..wide.raycasting import (
+    DECIDED_EXACTLY,
+    FOUND,
+    MIXED,
+    MIXED_RAYS,
+    TALLY,
+    is_scan,
+    start_group,
+    traverse,
+    visit_leaf,
+)
 from ..wide.snapshot import Snapshot, no_snapshot
 from .casting import no_motion
 from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet
@@ -166,13 +176,20 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     tally[DECIDED_EXACTLY] = tally[WAITING] = 0
     hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
     count, unsuited = rays.origins.shape[0], np.int64(0)
+    mixed = 0 < count <= MIXED_RAYS and not is_scan(rays.origins)
     for first in range(0, count, RAYS_SORTED):
         batch, begin = scratch.rows[: min(count - first, RAYS_SORTED)], 0
-        sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
+        if mixed:
+            ends[:] = count
+            for row in range(count):
+                batch[row] = row
+        else:
+            sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
         for octant in range(OCTANTS):
             while begin < ends[octant]:
                 rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]
-                unsuited += _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits)
+                which = MIXED if mixed else octant
+                unsuited += _cast_group(snapshot, tree, which, rows, rays, scratch, tally, hits)
                 begin += rows.shape[0]
     count_rays(tree.state, count, tally[DECIDED_EXACTLY])
     end_query(tree.state)
