@@ -211,7 +211,7 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
             *(scratch.stack, pairs, snapshot.loose > 0),
         )
         group = octant, rows, scratch.lists[:alive]
-        traverse(snapshot, tree, group, rays, room, tally, let_wait, is_better)
+        traverse(snapshot, tree, group, rays, room, tally, let_wait, not_yet)
         visit_waiting(tree, rows, rays, room, tally)
     found = scratch.found[: tally[FOUND]]
     for place in range(found.shape[0]):
@@ -236,6 +236,12 @@ def let_wait(tree, rays, slot, listed, scratch, tally):
         if tally[WAITING] == scratch.pairs.shape[0]:
             visit_waiting(tree, rows, rays, scratch, tally)
     return True
+
+
+@inlined
+def not_yet(tree, ray, rays, row, slot, best):
+    """As `is_better` where no leaf is visited as it is met: `let_wait` has taken them all."""
+    return False, best[1], best[2]
 
 
 @lean_kernel
