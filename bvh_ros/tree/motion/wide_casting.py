@@ -20,6 +20,7 @@ from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
 from ..results import RayHits
 from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
 from ..wide.best_hit import ASK, MEETS, MISSES
+from ..wide.filtering import octant_of
 from ..wide.ray_streams import (
     OCTANTS,
     RAYS_AT_ONCE,
@@ -200,6 +201,9 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
 def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
     """Answer rays of one octant that go together; return how many are not suited."""
     alive = start_group(snapshot, rays, rows, scratch)
+    if octant == MIXED:
+        for i in range(rows.shape[0]):
+            scratch.records[i].octant = octant_of(rays.directions[rows[i]])
     for place in scratch.lists[alive : rows.shape[0]]:
         hits.ids[rows[place]] = UNSUITED
     tally[FOUND] = 0
