@@ -187,9 +187,10 @@ def add_dealt(typingctx, bins, items, item, places, at):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         bins_kind, items_kind, _, places_kind, _ = signature.args
-        item = boxes_from(context, builder, items_kind, *args[1:3], index(1))
-        first = boxes_from(context, builder, bins_kind, args[0], index(0), index(6 * WIDTH))
-        row = place_at(context, builder, places_kind, *args[3:], ir.VectorType(_INT, 4))
+        bins, items, number, places, at = args
+        item = boxes_from(context, builder, items_kind, items, number, index(1))
+        first = boxes_from(context, builder, bins_kind, bins, index(0), index(6 * WIDTH))
+        row = place_at(context, builder, places_kind, places, at, ir.VectorType(_INT, 4))
         row = builder.bitcast(row, _INT.as_pointer())
         lanes = [builder.load(builder.gep(row, [index(axis)])) for axis in range(3)]
         _add_to_bins(builder, first, builder.load(item, align=4), lanes)
