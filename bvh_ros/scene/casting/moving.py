@@ -23,7 +23,8 @@ from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.casting import Casts, locate, no_motion
 from ...tree.motion.meeting import Course, box_of, fetch_box
-from ...tree.motion.queries import rows_of, times_of
+from ...tree.motion.queries import rows_of
+from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import AHEAD, UNSUITED
 from ...tree.moving import LARGEST

@@ -16,7 +16,7 @@ from ...tree.entries import entry_points
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.casting import cast_one, no_motion
-from ...tree.motion.queries import span_of, times_of
+from ...tree.motion.spans import span_of, times_of
 from ...tree.nodes import NONE, slot_of
 from ...tree.rays.raycasting import CLOSEST
 from ...tree.store.turns import NOT_FINITE

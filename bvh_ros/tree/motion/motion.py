@@ -50,6 +50,7 @@ class Motion:
     def __init__(self, ndim: int) -> None:
         self.kept = velocities.room_for(0, ndim)
         self.moving = no_motion(ndim)._replace(version=NOT_FITTED)
+        self._no_nodes = self.moving.nodes
         self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
@@ -119,7 +120,11 @@ class Motion:
         """What is swept for rays, so many, whose times lie in a span; None while that does not pay
         or would not help. The rays of small batches wait until they are enough for one together.
         """
-        rest, (first, last), wanted = tree.snapshot_for(count, view), span, self._wanted
+        (first, last), wanted = span, self._wanted
+        sweep = self.ready_sweep(view, count, first, last)
+        if sweep is not None:
+            return sweep
+        rest = tree.snapshot_for(count, view)
         if rest is None:
             return None
         enough = RAYS_PER_BOX * view.tree.state.item(COUNT)
@@ -127,23 +132,33 @@ class Motion:
         covered = known and wanted.start <= first and last <= wanted.stop
         if covered and wanted.made:
             if count < enough or wanted.stop - wanted.start <= LONGER * (last - first):
-                return wanted.sweep
+                return None  # it did not help
             known = False
         if not known or (wanted.made and not covered):
             wanted = Wanted(view.version, first, last, 0)
         rays, start, stop = wanted.rays + count, first, last
         if count < enough:
             start, stop = min(first, wanted.start), max(last, wanted.stop)
-        sweep, made = None, rays >= enough
+        made = rays >= enough
         if made:
             sweep = swept(view.tree, self.known(view, start, stop), rest)
         self._wanted = Wanted(view.version, start, stop, rays, made, sweep)
         return sweep
 
+    def ready_sweep(self, view: View, count: int, one: float, other: float) -> Sweep | None:
+        """The sweep that is made, if it serves so many rays from one time to the other."""
+        version, start, stop, _, _, sweep = self._wanted
+        if sweep is None or version != view[1]:
+            return None
+        if not (start <= one <= stop and start <= other <= stop):
+            return None
+        if stop - start <= LONGER * abs(other - one):
+            return sweep
+        return sweep if count < RAYS_PER_BOX * view[0].state.item(COUNT) else None
+
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""
-        nodes = np.empty(0, self.moving.nodes.dtype)
-        return Moving(self.kept, nodes, start, stop, view.version)
+        return tuple.__new__(Moving, (self.kept, self._no_nodes, start, stop, view[1]))
 
     @property
     def nbytes(self) -> int:

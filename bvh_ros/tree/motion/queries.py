@@ -14,7 +14,7 @@ from .. import box_checks, checks, time_checks
 from ..boxes.nearest_packets import are_dense
 from ..boxes.ordering import order_of
 from ..boxes.overlapping import overlap_many
-from ..nodes import COUNT, NONE
+from ..nodes import COUNT, NONE, View
 from ..rays import ray_batches
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Found, more_room, room_for_hits
 from ..results import RayHits
@@ -27,6 +27,8 @@ from .casting import Casts, Places
 from .motion import Motion
 from .nearest import Near
 from .nearest_packets import Bounded
+from .spans import both_times, span_of, times_of
+from .sweeping import Sweep
 from .wide_casting import NO_LEAVES, UNSUITED, MovingRays
 
 Floats = NDArray[np.float64]
@@ -111,7 +113,7 @@ class MotionQueries(Motion):
         origins, directions, t_max, mask, skip_inside = rays
         count, skip = len(origins), checks.flag('skip_inside', skip_inside)
         limits = checks.limits_or_one('t_max', t_max, count)
-        rows = limits, checks.masks_or_one(mask, count), *_times(times, count)
+        rows = limits, checks.masks_or_one(mask, count), *both_times(times, count)
         return self.every(tree, Casts(origins, origins, directions, *rows, skip, EVERY))
 
     def every(self, tree: Any, casts: Casts) -> tuple[Ids, Ids, Found, Places]:
@@ -132,11 +134,12 @@ class MotionQueries(Motion):
             if done < count:
                 found = more_room(found, wanted)
         total = offsets[-1]
-        rows = np.repeat(np.arange(count), np.diff(offsets))
-        keys = begun.tree.handles[found.slots[:total]], found.ts[:total], rows
-        order = np.lexsort(keys)
-        found = Found(found.slots[order], found.ts[order], found.axes[order])
-        places = Places(np.empty((len(order), ndim)), np.empty((len(order), ndim)))
+        found = Found(found.slots[:total], found.ts[:total], found.axes[:total])
+        if casts.mode == EVERY:  # else there is one a row
+            rows = np.repeat(np.arange(count), np.diff(offsets))
+            order = np.lexsort((begun.tree.handles[found.slots], found.ts, rows))
+            found = Found(found.slots[order], found.ts[order], found.axes[order])
+        places = Places(np.empty((total, ndim)), np.empty((total, ndim)))
         if casts.mode != ANY:
             kernel = casting.describe_entry(ndim)
             kernel(begun.tree, self.moving, casts, offsets, found, places)
@@ -156,7 +159,17 @@ class MotionQueries(Motion):
         """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
         which the ids tell it.
         """
-        return self.first_at(tree, rays, skip_inside, mode, _times(times, len(rays[0])), threads)
+        at, pace = times
+        if threads == 1 and type(at) is type(pace) is float and len(rays[2]) == 1:
+            # What is ready is looked for before anything is made: of few rays, that is most.
+            view = tree.view()
+            last = at if pace == 0.0 else at + rays[2].item() * pace
+            sweep = self.ready_sweep(view, len(rays[0]), at, last)
+            if sweep is not None:
+                when = np.array([at]), checks.only(pace) if pace else np.array([pace])
+                return self._first(tree, view, sweep, (*rays, skip_inside, mode, *when), 1)
+        both = both_times(times, len(rays[0]))
+        return self.first_at(tree, rays, skip_inside, mode, both, threads)
 
     def first_at(
         self,
@@ -171,23 +184,21 @@ class MotionQueries(Motion):
         count, view = len(rays[0]), tree.view()
         span, every = times_of(*when, rays[2])
         sweep = self.swept_for(tree, view, count, span) if every and count else None
-        leaves = NO_LEAVES[tree.ndim] if sweep is None else sweep.leaves
-        moving = self.known(view, 0.0, 0.0)
-        asked = MovingRays(*rays, skip_inside, mode, *when, moving, leaves)
-        hits = ray_batches.room_for(count, tree.ndim, mode)
+        return self._first(tree, view, sweep, (*rays, skip_inside, mode, *when), threads)
 
-        def work(start: int, stop: int) -> int:
-            part, into = asked, hits
-            if stop - start < count:
-                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
-            if sweep is not None:
-                return wide_casting.cast(view, sweep.snapshot, part, into)
-            self._one_by_one(tree, part, into)
-            return 0
-
-        if sweep is None:
-            _check_finite(asked)
-        if any(in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)):
+    def _first(
+        self, tree: Any, view: View, sweep: Sweep | None, rays: tuple[Any, ...], threads: int
+    ) -> RayHits:
+        """First hits of rays, what a `MovingRays` holds up to `pace`."""
+        known = (self.known(view, 0.0, 0.0), NO_LEAVES[tree._ndim]) if sweep is None else sweep[1:]
+        # As MovingRays(...), with less Python.
+        asked, count = tuple.__new__(MovingRays, rays + known), len(rays[0])
+        hits = ray_batches.room_for(count, tree._ndim, rays[5])
+        if threads == 1 and sweep is not None:
+            unsuited = wide_casting.cast(view, sweep.snapshot, asked, hits)
+        else:
+            unsuited = self._shared(tree, view, sweep, asked, hits, threads)
+        if unsuited:
             others = np.flatnonzero(hits.ids == UNSUITED)
             _check_finite(asked)
             some = rows_of(hits, count, others)
@@ -196,10 +207,36 @@ class MotionQueries(Motion):
                 column[others[: len(part)]] = part
         return hits
 
+    def _shared(
+        self, tree: Any, view: View, sweep: Any, rays: MovingRays, hits: RayHits, threads: int
+    ) -> int:
+        """Answer rays, by so many threads: whether some are UNSUITED."""
+        count = len(rays.origins)
+
+        def work(start: int, stop: int) -> int:
+            part, into = rays, hits
+            if stop - start < count:
+                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (rays, hits))
+            if sweep is not None:
+                return wide_casting.cast(view, sweep.snapshot, part, into)
+            self._one_by_one(tree, part, into)
+            return 0
+
+        if sweep is None:
+            _check_finite(rays)
+        return any(in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE))
+
     def _one_by_one(self, tree: Any, rays: MovingRays, hits: RayHits) -> None:
         """Answer rays by the tree's own nodes."""
-        times = rays.at, rays.pace
-        casts = Casts(rays.origins, *rays[:4], *times, rays.skip_inside, rays.mode)
+        if len(rays.origins) == 1:  # with a third of the Python
+            swept = *rays.origins, *rays.origins, *rays.directions
+            asked = rays.t_max.item(), rays.masks[0], rays.skip_inside, rays.mode
+            times, place = (rays.at.item(), rays.pace.item()), np.empty((2, tree._ndim))
+            hits.ids[0], t = self.cast(tree, swept, asked, times, place)
+            if rays.mode == CLOSEST:
+                hits.t[0], hits.normals[0] = t, place[1] if hits.ids[0] >= 0 else 0.0
+            return
+        casts = Casts(rays.origins, *rays[:4], *rays[6:8], rays.skip_inside, rays.mode)
         offsets, handles, found, places = self.every(tree, casts)
         rows = np.flatnonzero(np.diff(offsets))
         hits.ids[:] = NONE
@@ -248,11 +285,6 @@ class MotionQueries(Motion):
         self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, bounded, squares))
 
 
-def _times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
-    """`at` and `pace`: each one for all or (n,), finite."""
-    return time_checks.moments('at', times[0], count), time_checks.moments('pace', times[1], count)
-
-
 def _check_finite(rays: MovingRays) -> None:
     checks.finite('origins', rays.origins)
     checks.finite('directions', rays.directions)
@@ -266,25 +298,3 @@ def rows_of(table: Any, count: int, rows: Any) -> Any:
             for column in table
         )
     )
-
-
-def span_of(at: float, pace: float, t_max: float) -> tuple[float, float]:
-    """First and last time of a ray; both now where it is too long for bounds."""
-    last = at if pace == 0.0 else at + t_max * pace
-    if not (abs(at) < LONGEST and abs(last) < LONGEST):
-        return 0.0, 0.0
-    return min(at, last), max(at, last)
-
-
-def times_of(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
-    """`span_of` of all rows for which there can be bounds, and whether that is all rows."""
-    if len(at) == len(pace) == len(t_max) == 1:
-        one = at.item(), pace.item(), t_max.item()
-        return span_of(*one), one[1] == 0.0 or one[2] < np.inf
-    with np.errstate(invalid='ignore', over='ignore'):
-        last = np.where(pace == 0.0, at, at + t_max * pace)
-        at = np.broadcast_to(at, last.shape)
-        good = (np.abs(at) < LONGEST) & (np.abs(last) < LONGEST)
-    moments = np.concatenate((at[good], last[good]))
-    span = (moments.min(), moments.max()) if len(moments) else (0.0, 0.0)
-    return span, bool(good.all())

@@ -73,6 +73,8 @@ class Sweep(NamedTuple):
     """What `wide_casting` asks."""
 
     snapshot: Snapshot
+    moving: Moving
+    """What it was made of."""
     leaves: Leaves
 
     @property
@@ -244,4 +246,4 @@ def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> Sweep | None:
     if accepted(blurred_entry(ndim)(tree, moving.version, BLURRED / per_length)):
         return None
     snapshot = snapshot._replace(planes=planes, center=center, per_length=per_length)
-    return Sweep(snapshot, Leaves(leaves, moving.start))
+    return Sweep(snapshot, moving, Leaves(leaves, moving.start))

@@ -95,7 +95,7 @@ class RayAsking(Timed):
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         motion = self._motion
-        if motion is not None or not at is pace is NOW:
+        if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace, count)
         if motion is not None:
             some = origins, directions, t_max, masks
