@@ -123,7 +123,9 @@ class DistanceQueries:
         times, asked = self._moments.seconds(at, 1), (checks.FOREVER, slot, signed)
         hulls, room = self._held.columns.hulls(), (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
         rows = QueryRows(*room, np.zeros(1), checks.EVERYTHING)  # a kernel fills them in
-        return self._moments.distances().clearances(rows, hulls, asked, times, 1)
+        found = self._moments.distances().clearances(rows, hulls, asked, times, 1)
+        assert found is not None
+        return found
 
     def nearest_many(
         self,
@@ -229,28 +231,26 @@ class DistanceQueries:
         reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
         more = reaches, NONE, sign_of(signed)
         found = None
-        if at is None and given.mesh is None:
-            found = self._clearances.find_rows(given_rows(given, 0.0, mask), None, more, threads)
+        if given.mesh is None:
+            found = self._find_rows(given_rows(given, 0.0, mask), None, more, threads, at)
         if found is None:
-            found = self._find_made(given, mask, more, threads, at)
+            rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
+            found = self._find_rows(rows, hulls, more, threads, at)
+        assert found is not None
         handles = self._held.columns.node_handle
         named = np.empty(len(found.slots), checks.UINT32)
         name_entry()(handles, found.slots, named)
         return named, found.distances, found.points[:, 0], found.points[:, 1]
 
-    def _find_made(
-        self, given: Shapes, mask: ArrayLike, asked: tuple[Any, ...], threads: int, at: Any
-    ) -> Neighbours:
-        """What is nearest to shapes that are made before a kernel is called; ValueError if one is
-        not legal.
-        """
-        rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
-        if self._moments.meant(at, None, len(rows.records)):
-            times = self._moments.seconds(at, len(rows.records))
+    def _find_rows(
+        self, rows: QueryRows, hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
+    ) -> Neighbours | None:
+        """What is nearest to shapes; None if a row that is `given` is not legal."""
+        count = rows.number()
+        if self._moments.meant(at, None, count):
+            times = self._moments.seconds(at, count)
             return self._moments.distances().clearances(rows, hulls, asked, times, threads)
-        found = self._clearances.find_rows(rows, hulls, asked, threads)
-        assert found is not None
-        return found
+        return self._clearances.find_rows(rows, hulls, asked, threads)
 
 
 def sign_of(signed: bool) -> Signed:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import BOXES, UNTURNED, given_rows, query_rows, shape_query
+from .distance.query_rows import BOXES, UNTURNED, QueryRows, given_rows, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
 from .geometry.shapes import Shapes, as_shapes
@@ -80,12 +80,14 @@ class OverlapQueries:
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        asked = query, hulls, checks.mask(mask), self._moments.second(at)
-        found, order = self._moments.distances().find(*asked)
-        if self._held.planar:
+        held, seen, moments = self._held, checks.mask(mask), self._moments
+        second = held.second(at) if type(at) is int else moments.second(at)
+        found, order = moments.distances().find(query, hulls, seen, second)
+        if held.planar:
             found.points[: len(order), 2] = query.height
-        hits = self._held.each_once(self._held.hits(found, order))
-        require_few(len(hits), most)
+        hits = held.each_once(held.hits(found, order))
+        if most is not None:
+            require_few(len(hits), most)
         return hits
 
     def overlap_shape(
@@ -219,19 +221,22 @@ class OverlapQueries:
         if not isinstance(want, str) or want not in WANTED:
             raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
         (tolerance, mask, names), threads = asked, checks.whole('threads', threads, 1)
-        if at is None and shapes.mesh is None:
-            rows = given_rows(shapes, tolerance, mask)
-            told = self._overlaps.answer(rows, None, WANTED[want], threads)
+        if shapes.mesh is None:
+            told = self._of_rows(given_rows(shapes, tolerance, mask), None, want, threads, at)
             if told is not None:
                 return told
         rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
-        count = len(rows.records)
-        if self._moments.meant(at, None, count):
-            times = self._moments.seconds(at, count)
-            given = rows, hulls, times, threads, want == 'any'
-            touched = self._moments.distances().touching(*given)
-            return self._told(touched, count, want)
-        return self._overlaps.answer(rows, hulls, WANTED[want], threads)
+        return self._of_rows(rows, hulls, want, threads, at)
+
+    def _of_rows(self, rows: QueryRows, hulls: Any, want: str, threads: int, at: Any) -> Any:
+        """The same; None if a row that is `given` is not legal."""
+        count = rows.number()
+        if not self._moments.meant(at, None, count):
+            return self._overlaps.answer(rows, hulls, WANTED[want], threads)
+        times = self._moments.seconds(at, count)
+        given = rows, hulls, times, threads, want == 'any'
+        touched = self._moments.distances().touching(*given)
+        return None if touched is None else self._told(touched, count, want)
 
     def _told(self, touched: Any, count: int, want: str) -> Any:
         """What is wanted of the obstacles that touch each row."""

@@ -21,8 +21,10 @@ from ...tree.motion.overlapping import overlap_then
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
+from ..geometry.canonical import FINE
 from ..store.places import WIDER
 from .narrow_phase import near
+from .query_rows import FAULTY, make_row
 from .query_shape import LARGEST, QueryShape, grow
 from .touching import Found, look_at, order_found
 
@@ -138,24 +140,31 @@ def reach_then(tree, moving, then, asked, slots):
 
 
 @lean_kernel
-def touch_rows(tree, moving, then, queries, begin, enough, offsets, room, found):
-    """Fill in what touches the rows from `begin` on: those of row i are at [offsets[i],
-    offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which comes first. `enough`:
-    any one of them, and not where it is. Returns (rows done, room wanted, pairs compared): fewer
-    rows than there are where there is no room for the next one; OUTSIDE or REFUSED instead.
+def touch_rows(tree, moving, then, queries, asked, offsets, room, found):
+    """Fill in what touches the rows [begin, stop), asked = (begin, stop, enough): those of row i
+    are at [offsets[i], offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which
+    comes first. `enough`: any one of them, and not where it is. Returns (rows done, room wanted,
+    pairs compared): fewer rows than there are where there is no room for the next one, or where
+    that is not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead.
     """
+    begin, stop, enough = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0, 0
-    grown = stack_array((2, 3), np.float64)
+    grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
+    own = stack_array(1, queries.records)
     row, filled, wanted, compared = np.int64(begin), 0, 0, 0
-    while row < then.at.shape[0]:
-        at, record = then.at[row], queries.records[row : row + 1]
+    while row < stop:
+        at = then.at[row]
         if covers(moving, at, 0.0, 0.0) == 0:
             row = np.int64(OUTSIDE)
             break
         tolerance, mask = of_row(queries.tolerances, row), of_row(queries.masks, row)
         reach = tolerance + most_growth(then, at)
-        grow(QueryShape(record, queries.bounds[row], False, reach, 0.0), grown)
+        record, bounds, fault = make_row(queries, row, own, box)
+        if fault != FINE:
+            wanted = FAULTY
+            break
+        grow(QueryShape(record, bounds, False, reach, 0.0), grown)
         count = reach_then(tree, moving, then, (grown, mask, at), room.slots)
         wanted = filled + count
         if wanted > found.slots.shape[0] or count > room.slots.shape[0]:

@@ -9,16 +9,19 @@ import numpy as np
 
 from ...tree.boxes.nearest import nearest
 from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
-from ...tree.motion.meeting import box_of
+from ...tree.motion.meeting import box_of, fetch_box
 from ...tree.motion.nearest import at_least, nearest_bounds
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
+from ..geometry.canonical import FINE
 from . import clearance
+from .closest import length
 from .moving import gone, most_growth, place, rests, swell
+from .query_rows import FAULTY, make_row
 from .sinking import sink_in_obstacle
 from .touching import ROUNDED, look_at, order_found
 from .touching_rows import keep, pad
@@ -127,7 +130,8 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
     row, stop, reaches, everybody, itself, signed = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0
-    wanted, handles = 0, then.node_handles
+    wanted, handles, own = 0, then.node_handles, stack_array(1, queries.records)
+    box = stack_array((2, 3), np.float64)
     grown, besides = 0.0, np.int64(NONE)
     if itself != NONE:
         grown = put_itself(tree, moving, then, queries, itself, room.spare)
@@ -138,16 +142,24 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
             row = np.int64(OUTSIDE)
             break
         more, wanted = most_growth(then, at) + grown, min(2, everybody + 1)
-        low, high = queries.bounds[row, 0], queries.bounds[row, 1]
+        record, bounds, fault = make_row(queries, row, own, box)
+        if fault != FINE:
+            end_query(tree.state)
+            return np.int64(row), FAULTY
+        low, high = bounds[0], bounds[1]
+        exact = more == 0.0 and not record[0].shaped
         limit = max(reach * clearance.ROUNDED, reach) + more
         while 2 * wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room, None, row)
             told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
+            fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
-                if handles[slot] != besides:
+                least = max(min(told.distances[row], reach), 0.0)
+                passed = exact and _is_farther(tree, moving, then, (record[0], slot, at), least)
+                if handles[slot] != besides and not passed:
                     growths = grown, place(tree, moving, then, room.spare, slot, at)
-                    pair = queries.records[row], slot, reach
+                    pair = record[0], slot, reach
                     _clear(room.spare, pair, growths, signed, handles, told, row)
             distance = max(told.distances[row], 0.0)
             if not others or last - more > distance * clearance.ROUNDED:
@@ -158,6 +170,33 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         row += 1
     end_query(tree.state)
     return np.int64(row), 2 * wanted
+
+
+@inlined
+def fetch(tree, moving, then, slots):
+    """Ask for the memory of what `place` reads."""
+    for slot in slots:
+        prefetch(then.bodies.shapes, slot, 2)
+        fetch_box(tree, moving, slot)
+
+
+@inlined
+def _is_farther(tree, moving, then, pair, least):
+    """Whether two aligned boxes, pair = (shape, slot, at), are farther apart than this: what
+    `place` and `clearance.box_gap` say, without a copy or points. For others False.
+    """
+    one, slot, at = pair
+    other, gaps = then.bodies.shapes[slot], stack_array(3, np.float64)
+    if other.shaped:
+        return False
+    _, _, velocity, reference = box_of(tree, moving, slot)
+    for axis in range(velocity.shape[0]):
+        way = gone(velocity[axis], reference, at, then.left)
+        position, half = other.position[axis] + way, other.half[axis]
+        low = max(one.position[axis] - one.half[axis], position - half)
+        high = min(one.position[axis] + one.half[axis], position + half)
+        gaps[axis] = max(low - high, 0.0)
+    return length(gaps[: velocity.shape[0]]) > least
 
 
 @inlined

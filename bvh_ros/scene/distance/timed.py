@@ -15,7 +15,6 @@ from ...tree.boxes.ordering import order_of
 from ...tree.jit.compiling import entry_point
 from ...tree.motion.nearest import Near
 from ...tree.motion.nearest_packets import Bounded
-from ...tree.motion.queries import rows_of
 from ...tree.nodes import COUNT, View
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
@@ -27,7 +26,7 @@ from .clearance import Neighbours
 from .kept import FEW, Known, Own, Scratch, no_rows
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
-from .query_rows import NO_GIVEN, QueryRows
+from .query_rows import FAULTY, NO_GIVEN, QueryRows
 from .query_shape import QueryShape
 from .touching import ROUNDED, Found
 from .touching_rows import Near as Nearest
@@ -70,11 +69,12 @@ class TimedDistances:
         while not done:
             view, found = tree.view(), scratch.found
             known = self._known(scratch, view, at, hulls)
-            given = asked, 0, False, offsets, known.room, found
+            given = asked, (0, 1, False), offsets, known.room, found
             done, wanted, compared = self._call(view, touch_rows, known.then, given, None)
             if not done:
                 scratch.have_room(wanted)
-        self._held.columns.pairs_compared += compared
+        if compared:
+            self._held.columns.pairs_compared += compared
         count = offsets.item(1)
         return found, found.order[:count].tolist() if count else []
 
@@ -110,32 +110,34 @@ class TimedDistances:
 
     def touching(
         self, queries: QueryRows, hulls: Hulls | None, at: Floats, threads: int, enough: bool
-    ) -> Touched:
+    ) -> Touched | None:
         """What n queries touch at times (n,), each obstacle once a row. `enough`: one a row will
-        do, and where it is nobody is told.
+        do, and where it is nobody is told. None if a row that is `given` is not legal.
         """
         then, columns = self._then(at, hulls), self._held.columns
         view = self._held.tree.view()
 
-        def work(start: int, stop: int) -> tuple[list[Touched], int]:
-            some = rows_of(queries, len(at), slice(start, stop))
-            when, begin, compared = then._replace(at=at[start:stop]), 0, 0
-            parts = [NOTHING]
-            while begin < stop - start:
-                offsets, found = np.zeros(stop - start + 1, np.int64), self._own.scratch.found
-                given = some, begin, enough, offsets, self._room(then), found
-                done, wanted, pairs = self._call(view, touch_rows, when, given, None)
-                parts.append(_taken(found, offsets, begin, done, start))
-                begin, compared = done, compared + pairs
+        def work(start: int, stop: int) -> tuple[list[Touched], int, bool]:
+            compared, parts = 0, [NOTHING]
+            while start < stop:
+                offsets, found = np.zeros(stop + 1, np.int64), self._own.scratch.found
+                given = queries, (start, stop, enough), offsets, self._room(then), found
+                done, wanted, pairs = self._call(view, touch_rows, then, given, None)
+                if wanted == FAULTY:
+                    return [], 0, False
+                parts.append(_taken(found, offsets, start, done, enough))
+                start, compared = done, compared + pairs
                 self._own.scratch.have_room(wanted)
-            return parts, compared
+            return parts, compared, True
 
         each = in_threads(work, len(at), threads)
-        columns.pairs_compared += sum(compared for _, compared in each)
-        parts = [NOTHING, *(part for some, _ in each for part in some)]
+        if not all(legal for *_, legal in each):
+            return None
+        columns.pairs_compared += sum(compared for _, compared, _ in each)
+        parts = [NOTHING, *(part for some, *_ in each for part in some)]
         every: Any = zip(*parts, strict=True)
         touched = Touched(*(np.concatenate(column) for column in every))
-        if columns.shadows:
+        if columns.shadows and not enough:
             keys = np.stack((touched.rows, columns.node_handle[touched.slots]))
             once = np.sort(np.unique(keys, axis=1, return_index=True)[1])
             every = (column[once] for column in touched)
@@ -191,24 +193,27 @@ class TimedDistances:
         asked: tuple[Floats, int, Signed],
         at: Floats,
         threads: int,
-    ) -> Neighbours:
+    ) -> Neighbours | None:
         """The obstacles nearest to n shapes at times (n,); asked = (reaches, the slot of the
-        obstacle that is the only row, or NONE, whether distances have a sign).
+        obstacle that is the only row, or NONE, whether distances have a sign). None if a row that
+        is `given` is not legal.
         """
         reaches, itself, signed = asked
         count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
         everybody = view.tree.state.item(COUNT)
         told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
 
-        def work(start: int, stop: int) -> None:
+        def work(start: int, stop: int) -> bool:
             while start < stop:
                 question = start, stop, reaches, everybody, itself, signed
                 given = queries, question, self._room(then), told
                 start, wanted = self._call(view, clear_rows, then, given, signed)
+                if wanted == FAULTY:
+                    return False
                 self._own.scratch.have_room(wanted)
+            return True
 
-        in_threads(work, count, threads)
-        return told
+        return told if all(in_threads(work, count, threads)) else None
 
     # ---- kernels
 
@@ -240,10 +245,11 @@ class TimedDistances:
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
-        last = at.item() if len(at) == 1 else at.max(initial=-np.inf)
         resting, ends = nobody_rests(held.tree.ndim), (0.0, 0.0)
-        if len(at_rest(held, last)):
-            resting = rest(held)
+        if not math.isinf(held.max_prediction):
+            last = at.item() if len(at) == 1 else at.max(initial=-np.inf)
+            if len(at_rest(held, last)):
+                resting = rest(held)
         if held.uncertainty:
             ends = movers(held)[1:3]
         places = bodies_of(held.columns, hulls), held.columns.node_handle
@@ -258,8 +264,8 @@ class TimedDistances:
 
     def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
-        tree, motion = self._held.tree, self._held.tree.motion
-        variant = kernel, kind, then.bodies.hulls is not None
+        tree, variant = self._held.tree, (kernel, kind, then.bodies.hulls is not None)
+        motion = tree.motion
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)
@@ -273,9 +279,14 @@ class TimedDistances:
         return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
 
 
-def _taken(found: Found, offsets: Slots, begin: int, done: int, start: int) -> Touched:
-    """What a kernel found of the rows from `begin` on, in order; rows count from `start`."""
+def _taken(found: Found, offsets: Slots, begin: int, done: int, enough: bool) -> Touched:
+    """What a kernel found of the rows from `begin` on, in order; if any one is `enough`, not
+    where.
+    """
     counts, filled = np.diff(offsets[begin : done + 1]), offsets.item(done)
+    if enough:
+        rows = np.flatnonzero(counts) + begin
+        return NOTHING._replace(rows=rows, slots=found.slots[:filled].copy())
     which = found.order[:filled] + np.repeat(offsets[begin:done], counts)
-    rows = np.repeat(np.arange(start + begin, start + done), counts)
+    rows = np.repeat(np.arange(begin, done), counts)
     return Touched(rows, found.slots[which], found.distances[which], found.points[which])
