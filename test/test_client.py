@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
+from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
@@ -145,6 +146,25 @@ def test_timeout(any_client):
     with pytest.raises(BvhTimeoutError, match=r'within 0\.1 s'):
         any_client.raycast((0, 0, 0), (1, 0, 0), 99.0, timeout=0.1)
     assert any_client.raycast((0, 0, 0), (1, 0, 0)) is None  # and works again
+
+
+def test_a_parameter_whose_reply_is_lost_is_asked_for_again(client, server):
+    # As rmw_fastrtps loses it: the service answers, and the client's reader is not yet known.
+    service = server.node.create_service(GetParameters, '~/told', lambda _, response: response)
+    sent, send = [], service.send_response
+
+    def lose_the_first(response, header):
+        sent.append(response)
+        if len(sent) > 1:
+            send(response, header)
+
+    service.send_response = lose_the_first
+    name, request = '/bvh/told', GetParameters.Request(names=['region'])
+    assert client.services.once(GetParameters, name, request, 30.0).values == []
+    assert len(sent) == 2
+    service.send_response = lambda response, header: None
+    with pytest.raises(BvhTimeoutError, match='/bvh/told did not answer'):
+        client.services.once(GetParameters, name, request, 0.5)
 
 
 def test_wrong_arguments(client):

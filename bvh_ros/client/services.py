@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -14,10 +15,12 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client.errors import BvhTimeoutError
-from bvh_ros.client.waiting import Pending, Waiting
+from bvh_ros.client.waiting import Pending, Waiting, left
 from bvh_ros.ros.qos import REQUESTS
 
 Answer = TypeVar('Answer')
+
+PATIENCE = 1.0  # seconds that the first of several tries may take
 
 
 class Services:
@@ -70,15 +73,29 @@ class Services:
         return self.begin(client, request).result(timeout)
 
     def once(self, kind: Any, service: str, request: Any, timeout: float) -> Any:
-        """Call another service, which is not kept open."""
+        """Call another service, which is not kept open and may be asked twice.
+
+        A reply is lost if the service has not discovered its client within 0.1 s, as happens under
+        load (ros2/rmw_fastrtps#842). So another client asks again, with twice the patience.
+        """
+        deadline, patience = time.monotonic() + timeout, PATIENCE
+        while (rest := left(deadline)) > 0.0:
+            answered, reply = self._try(kind, service, request, min(patience, rest))
+            if answered:
+                return reply
+            patience *= 2.0
+        raise BvhTimeoutError(f'{service} did not answer within {timeout:g} s')
+
+    def _try(self, kind: Any, service: str, request: Any, timeout: float) -> tuple[bool, Any]:
+        deadline = time.monotonic() + timeout
         client = self._node.create_client(kind, service, callback_group=self._group)
         self._waiting.add_client(client)
         try:
-            found = self._waiting.until(client.service_is_ready, timeout)
+            if not self._waiting.until(client.service_is_ready, timeout):
+                return False, None
             reply = client.call_async(request)
-            if not found or not self._waiting.until_done(reply, timeout):
-                raise BvhTimeoutError(f'{service} did not answer within {timeout:g} s')
-            return reply.result()
+            answered = self._waiting.until_done(reply, left(deadline))
+            return answered, reply.result() if answered else None
         finally:
             self._waiting.remove_client(client)
             self._node.destroy_client(client)

@@ -35,6 +35,9 @@ EVERY_NODE = {  # the services that rclpy opens for each node
 }
 
 
+_started: list[World] = []  # by the file whose tests run
+
+
 class World:
     """One running node, and the means to talk to it."""
 
@@ -194,7 +197,6 @@ def ros(ros_context: None) -> Iterator[Any]:
 def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]]:
     """Start a node with parameters, each in a namespace of its own."""
     counter = itertools.count()
-    worlds: list[World] = []
 
     def start(
         parameters: dict[str, Any] | None = None,
@@ -227,7 +229,7 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
             log.touch()
             process = forking.Fork(arguments, log)
         world = World(ros, process, namespace, log)
-        worlds.append(world)
+        _started.append(world)
         if wait:
             world.until(
                 lambda: 'ready' in world.said() or process.poll() is not None, START_TIMEOUT
@@ -236,8 +238,18 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         return world
 
     yield start
-    for world in worlds:
-        world.destroy()
+    while _started:
+        _started.pop(0).destroy()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Any:
+    """A failure comes with the last words of the nodes of its file."""
+    report = yield
+    if report.failed:
+        for world in _started:
+            report.sections.append((f'log of {world.name}', world.said()[-2000:]))
+    return report
 
 
 @pytest.fixture(scope='module')
