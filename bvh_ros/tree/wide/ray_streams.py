@@ -8,8 +8,9 @@ without a branch, each ray is put on the lists of the children that it meets, an
 one a list instead of one a ray (Barringer and Akenine-Möller 2014, "Dynamic Ray Stream
 Traversal").
 
-The lists of a node's children lie behind each other in one array, above those of its ancestors:
-the traversal is depth first, so what is above is done with when a node is visited.
+The lists of a node's children lie behind each other in one array, the nearest child's last and
+behind it those of its own children: the traversal is depth first, so what lies behind the list of
+a node that is visited is done with.
 """
 
 import threading
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import WIDTH, trailing_zeros
+from ..jit.int32x8 import AT_ONCE
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
 from .filtering import flies_away, octant_of, ray_dtype
@@ -34,16 +36,12 @@ OCTANTS = 8  # of two dimensions, four are empty
 AWAY = OCTANTS  # a ray that meets nothing
 PILES = OCTANTS + 1
 
-# Scratch for so many rays is kept by a thread, 0.6 MB among 10,000 boxes: to make it takes 5 us, a
+# Scratch for so many rays is kept by a thread, 0.5 MB among 10,000 boxes: to make it takes 5 us, a
 # sixth of 400 short rays, and less than 3 % of more rays.
 KEPT_RAYS = 1024
 
-# Sixteen children, and as many lists that nobody reads, see `child_lists`.
-LISTS = 2 * WIDTH
-
-# The columns of the stack: a node or ~slot of a leaf, its list, and where lists may begin that
-# are made from it.
-NODE, START, COUNT, FREE = range(4)
+# The columns of the stack: a node or ~slot of a leaf, and its list.
+NODE, START, COUNT = range(3)
 
 
 class Scratch(NamedTuple):
@@ -75,10 +73,10 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
         np.empty(min(count, RAYS_SORTED), np.uint8),
         np.empty(min(count, RAYS_SORTED), np.int64),
         aligned_empty(together, ray_dtype(ndim)),
-        np.empty(together * (1 + LISTS * depth), np.int32),
+        np.empty(together * (1 + WIDTH * depth) + AT_ONCE, np.int32),
         np.empty(together, np.int32),
-        np.empty(together, np.uint32),
-        np.empty((WIDTH * depth + LOOSE_NODES, 4), np.int32),
+        np.empty(together + AT_ONCE, np.uint32),
+        np.empty((WIDTH * depth + LOOSE_NODES, 3), np.int32),
     )
 
 
@@ -144,33 +142,6 @@ def sort_rows(octants, start, rows, ends):
     for i in range(rows.shape[0]):
         rows[ends[octants[i]]] = start + i
         ends[octants[i]] += 1
-
-
-@inlined
-def child_lists(lists, start, count, free, hits, ends):
-    """Put each ray of lists[start:start + count] on the lists of the children of its `hits`. That
-    of lane k begins at lists[free + k * count] and ends before lists[ends[k]].
-
-    Most rays meet two children at most. So two entries are always written, without a branch: where
-    a ray meets fewer children, the rest goes to lists that nobody reads. There are several such
-    lists, used in turn, because a write to the list that was written just before has to wait.
-    """
-    one = np.uint64(1)  # unsigned: an index that can't be negative
-    for k in range(LISTS):
-        ends[k] = np.uint64(free + k * count)
-    for i in range(count):
-        ray, met = lists[start + i], hits[i]
-        spare = np.uint32(i & 7)
-        for unread in (np.uint32(1 << WIDTH), np.uint32(1 << WIDTH + 8)):
-            lane = np.uint64(trailing_zeros(np.uint32(met | unread << spare)))
-            lists[ends[lane]] = ray
-            ends[lane] += one
-            met = without_lowest(met)
-        while met != np.uint32(0):
-            lane = np.uint64(trailing_zeros(met))
-            lists[ends[lane]] = ray
-            ends[lane] += one
-            met = without_lowest(met)
 
 
 @inlined

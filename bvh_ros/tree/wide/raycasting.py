@@ -9,6 +9,7 @@ import numpy as np
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
+from ..jit.int32x8 import AT_ONCE, list_met8
 from ..jit.intrinsics import WIDTH, prefetch, stack_array
 from ..nodes import ALL, NONE, WRITTEN, leaf_box
 from ..rays.ray_hits import NO_HITS, raycast_row
@@ -28,15 +29,12 @@ from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, fill_whole, limit32, octant_of, start_ray
 from .ray_streams import (
     COUNT,
-    FREE,
-    LISTS,
     NODE,
     OCTANTS,
     PILES,
     RAYS_AT_ONCE,
     RAYS_SORTED,
     START,
-    child_lists,
     farthest_first,
     list_rows,
     make_scratch,
@@ -156,17 +154,16 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
     (octant, rows, asked), lists, stack, masks = group, scratch.lists, scratch.stack, rays.masks
     alive = asked.shape[0]
     all_seen = masks.shape[0] == 1 and masks[0] == ALL32
-    nearest, ends = stack_array(WIDTH, np.int32), stack_array(LISTS, np.uint64)
-    keys = stack_array(WIDTH, np.int64)
+    nearest, keys = stack_array(WIDTH, np.int32), stack_array(WIDTH, np.int64)
     top = 1 + snapshot.loose
     for row in range(top):
         stack[row, NODE] = 0 if row == 0 else snapshot.size + row - 1
-        stack[row, START], stack[row, COUNT], stack[row, FREE] = 0, alive, alive
+        stack[row, START], stack[row, COUNT] = 0, alive
     patched = snapshot.loose > 0
     while top > 0:
         top -= 1
         node, start = np.int64(stack[top, NODE]), np.int64(stack[top, START])
-        count, free = np.int64(stack[top, COUNT]), np.int64(stack[top, FREE])
+        count = np.int64(stack[top, COUNT])
         if node < 0:
             listed = rows, lists[start : start + count]
             visit_leaf(tree, ~node, patched, listed, rays, scratch, tally, better)
@@ -177,23 +174,21 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
             met = apply_masks(snapshot.masks, node, masks, rows, here, scratch.met)
         if met == np.uint32(0):
             continue
-        first, step = start, np.int64(0)  # the list of a single ray serves all children
-        ends[:WIDTH] = np.uint64(start + 1)
-        if count > 1:
-            first, step = free, count
-            child_lists(lists, start, count, free, scratch.met, ends)
-            free += LISTS * count
+        begin, end = start, start + count  # the list of a single ray serves all children
+        scratch.met[count : count + AT_ONCE] = np.uint32(0)
         for i in range(farthest_first(met, nearest, keys)):
             lane = keys[i] & (WIDTH - 1)
-            child, begin = snapshot.children[node * WIDTH + lane], first + lane * step
+            child = snapshot.children[node * WIDTH + lane]
+            if count > 1:
+                begin = end
+                end = list_met8(lists, start, count, scratch.met, lane, begin)
             if child >= 0:
                 fetch_node(snapshot, np.int64(child))
             else:
-                listed = rows, lists[begin : np.int64(ends[lane])]
+                listed = rows, lists[begin:end]
                 if put_off(tree, rays, ~np.int64(child), listed, scratch, tally):
                     continue
-            stack[top, NODE], stack[top, START] = child, begin
-            stack[top, COUNT], stack[top, FREE] = np.int64(ends[lane]) - begin, free
+            stack[top, NODE], stack[top, START], stack[top, COUNT] = child, begin, end - begin
             top += 1
 
 
