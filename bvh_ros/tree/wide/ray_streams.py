@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jit.compiling import inlined, lean_kernel
+from ..jit.int32x8 import AT_ONCE
 from ..jit.intrinsics import WIDTH, trailing_zeros
 from ..jit.int32x8 import AT_ONCE
 from ..nodes import aligned_empty
