@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.int32x8 import AT_ONCE
 from ..jit.intrinsics import WIDTH, trailing_zeros
-from ..jit.int32x8 import AT_ONCE
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
 from .filtering import flies_away, octant_of, ray_dtype
