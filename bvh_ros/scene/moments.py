@@ -33,6 +33,7 @@ class Moments:
         self._held = held
         self._distances: TimedDistances | None = None
         self._one_way: OneWay | None = None
+        self._few: Callable[..., CastHits | None] | None = None
 
     def distances(self) -> 'TimedDistances':
         """Overlaps and distances at other times."""
@@ -136,6 +137,28 @@ class Moments:
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
         return self._held.each_once(hits)
 
+    def few(self, rays: tuple[Any, ...], skip: bool, at: Any, until: Any, to_goals: bool) -> Any:
+        """`moving_boxes.few_first` where the tree alone decides and nobody comes to rest; else
+        None.
+        """
+        held, last = self._held, at if until is None else until
+        if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
+            return None
+        if held.planar or held.uncertainty or not held.moves or held.columns.shaped:
+            return None
+        begin, end = at - held.epoch, last - held.epoch
+        if not -EXACT < begin <= end < EXACT:
+            return None
+        start = begin / 1e9  # as `_way_of_time`
+        when = start, 0.0 if until is None else end / 1e9 - start
+        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, rays[2]))):
+            return None
+        if self._few is None:
+            from .casting.moving_boxes import few_first  # no scene without velocities needs it
+
+            self._few = few_first
+        return self._few(held, rays, skip, when, to_goals)
+
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
     ) -> CastHits:
@@ -148,7 +171,7 @@ class Moments:
         if held.max_prediction < math.inf:
             still = len(at_rest(held, times.last(rays.t_max))) > 0
         if not (still or held.columns.shaped or held.uncertainty or thick):
-            from .casting.moving import first_boxes
+            from .casting.moving_boxes import first_boxes
 
             return first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
@@ -204,3 +227,9 @@ class Moments:
 def rows_needed(at: Any, until: Any, count: int) -> int:
     """How many rows say when: 1 where one time is for all."""
     return 1 if type(at) is int and (until is None or type(until) is int) else count
+
+
+def last_of(when: tuple[float, float], t_max: Floats) -> float:
+    """When the last ray ends of those that start together."""
+    longest: float = t_max.max(initial=0.0).item()
+    return when[0] + when[1] * longest if when[1] > 0.0 else when[0]

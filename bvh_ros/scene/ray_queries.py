@@ -150,8 +150,11 @@ class RayQueries:
         limits = checks.limits_or_one('t_max', t_max, count)
         asked = origins, directions, limits, checks.masks_or_one(mask, count)
         threads = checks.whole('threads', threads, 1)
-        if threads == 1 and radius is None and at is None and until is None:
-            found = self._batches.few(asked, skip, False)
+        if threads == 1 and radius is None:
+            if at is not None:
+                found = self._moments.few(asked, skip, at, until, False)
+            else:
+                found = None if until is not None else self._batches.few(asked, skip, False)
             if found is not None:
                 return found
         # As Rays(...), which would take one more call of a function of Python's.
@@ -195,8 +198,12 @@ class RayQueries:
         ends = checks.rows('goals', goals, 3, count)
         masks, threads = checks.masks_or_one(mask, count), checks.whole('threads', threads, 1)
         radii = checks.lengths_or_one('radius', radius, count)
-        if threads == 1 and radii is checks.NOTHING and at is None and until is None:
-            found = self._batches.few((origins, ends, WHOLE_WAY, masks), skip, True)
+        if threads == 1 and radii is checks.NOTHING:
+            asked = origins, ends, WHOLE_WAY, masks
+            if at is not None:
+                found = self._moments.few(asked, skip, at, until, True)
+            else:
+                found = None if until is not None else self._batches.few(asked, skip, True)
             if found is not None:
                 return found
         ways = np.empty((count, 3))

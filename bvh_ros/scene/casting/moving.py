@@ -18,23 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.checks import NOTHING
-from ...tree.entries import entry_points
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.casting import Casts, locate, no_motion
-from ...tree.motion.meeting import Course, box_of, fetch_box
-from ...tree.motion.queries import rows_of
+from ...tree.motion.casting import Casts
+from ...tree.motion.ray_queries import rows_of
 from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
-from ...tree.motion.wide_casting import AHEAD, UNSUITED
+from ...tree.motion.wide_casting import UNSUITED
 from ...tree.moving import LARGEST
-from ...tree.nodes import slot_of
-from ...tree.rays.ray_hits import NO_HITS
-from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
-from ...tree.rays.slab import INSIDE, RAY_ROWS, set_ray
+from ...tree.rays.raycasting import EVERY
+from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
-from ..results import NO_NODE, CastHits
+from ..results import NO_NODE
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
@@ -72,53 +66,6 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     first = len(parts[0].rows)
     _keep_exact_order(order, first)
     return met.take(order) if count else met
-
-
-def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: int) -> CastHits:
-    """First hits of thin rays where the tree alone decides."""
-    tree, count, ndim = held.tree, len(rays.origins), held.tree.ndim
-    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    asked, motion = (*flat, rays.t_max, rays.masks), _motion_of(held)
-    found = motion.first_at(tree, asked, skip, CLOSEST, times, threads)
-    normals = found.normals if ndim == 3 else np.empty((count, 3))
-    told = CastHits(np.empty(count, np.uint32), found.t, np.empty((count, 3)), normals)
-    view = tree.view()
-    moving = motion.known(view, 0.0, 0.0)
-    given = rays.origins, rays.directions, *times, held.columns.node_handle, found, told
-    _describe_entry(ndim)(view.tree, moving, *given)
-    tree.check_unchanged(view)
-    return told
-
-
-@lean_kernel
-def describe(tree, moving, origins, directions, at, pace, node_handles, hits, told):
-    """Fill in what is told of hits, as `box_casting.describe`."""
-    ray, ndim = stack_array((RAY_ROWS, 3), np.float64), hits.normals.shape[1]
-    count = origins.shape[0]
-    for i in range(count):
-        if i + AHEAD < count and hits.ids[i + AHEAD] >= 0:
-            fetch_box(tree, moving, slot_of(hits.ids[i + AHEAD]))
-        told.handles[i], face = NO_NODE, INSIDE
-        for k in range(3):
-            told.points[i, k] = np.nan
-            told.normals[i, k] = hits.normals[i, k] if k < ndim else 0.0
-        if hits.ids[i] < 0:
-            continue
-        for k in range(ndim):
-            if hits.normals[i, k] != 0.0:
-                face = 2 * k + (hits.normals[i, k] > 0.0)
-        told.handles[i], told.points[i, 2] = node_handles[slot_of(hits.ids[i])], origins[i, 2]
-        set_ray(ray, origins[i, :ndim], directions[i, :ndim])
-        course = Course(ray, of_row(at, i), of_row(pace, i))
-        box = box_of(tree, moving, slot_of(hits.ids[i]))
-        locate(box, course, hits.t[i], np.int64(face), told.points[i], told.normals[i])
-
-
-_ROW, _ROWS = np.empty(0), np.empty((0, 3))
-_TOLD = CastHits(np.empty(0, np.uint32), _ROW, _ROWS, _ROWS)
-_describe_entry = entry_points(
-    *(describe, no_motion, _ROWS, _ROWS, _ROW, _ROW, np.empty(0, np.int64), NO_HITS, _TOLD)
-)
 
 
 def first_then(

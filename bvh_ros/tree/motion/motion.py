@@ -42,6 +42,8 @@ class Wanted(NamedTuple):
     rays: int
     made: bool = False
     sweep: Sweep | None = None
+    enough: float = 0.0
+    """Rays for which boxes were to be swept at once."""
 
 
 class Motion:
@@ -121,7 +123,7 @@ class Motion:
         or would not help. The rays of small batches wait until they are enough for one together.
         """
         (first, last), wanted = span, self._wanted
-        sweep = self.ready_sweep(view, count, first, last)
+        sweep = self.ready_sweep(count, first, last) if wanted.version == view.version else None
         if sweep is not None:
             return sweep
         rest = tree.snapshot_for(count, view)
@@ -142,19 +144,19 @@ class Motion:
         made = rays >= enough
         if made:
             sweep = swept(view.tree, self.known(view, start, stop), rest)
-        self._wanted = Wanted(view.version, start, stop, rays, made, sweep)
+        self._wanted = Wanted(view.version, start, stop, rays, made, sweep, enough)
         return sweep
 
-    def ready_sweep(self, view: View, count: int, one: float, other: float) -> Sweep | None:
-        """The sweep that is made, if it serves so many rays from one time to the other."""
-        version, start, stop, _, _, sweep = self._wanted
-        if sweep is None or version != view[1]:
+    def ready_sweep(self, count: int, one: float, other: float) -> Sweep | None:
+        """The sweep that is made, of whatever version of the tree, if it serves so many rays from
+        one time to the other.
+        """
+        _, start, stop, _, _, sweep, enough = self._wanted
+        if sweep is None or not (start <= one <= stop and start <= other <= stop):
             return None
-        if not (start <= one <= stop and start <= other <= stop):
-            return None
-        if stop - start <= LONGER * abs(other - one):
+        if count < enough or stop - start <= LONGER * abs(other - one):
             return sweep
-        return sweep if count < RAYS_PER_BOX * view[0].state.item(COUNT) else None
+        return None
 
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""

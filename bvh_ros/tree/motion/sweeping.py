@@ -83,6 +83,12 @@ class Sweep(NamedTuple):
         return self.snapshot.planes.nbytes + self.leaves.records.nbytes
 
 
+def no_sweep(ndim: int) -> Sweep:
+    """To tell a compiler the types."""
+    leaves = Leaves(np.empty(0, leaf_dtype(ndim)), 0.0)
+    return Sweep(no_snapshot(ndim), no_motion(ndim), leaves)
+
+
 @inlined
 def _swept_side(box, axis, moving):
     """The bounds of a box on an axis over the span, surely not too narrow."""

@@ -13,12 +13,12 @@ from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import prefetch, stack_array, trailing_zeros
 from ..jit.moving_leaf import moving_slabs
-from ..nodes import NONE, View
+from ..nodes import NONE, Tree
 from ..rays.ray_hits import NO_HITS
-from ..rays.raycasting import ANY, CLOSEST, of_row
+from ..rays.raycasting import ANY, of_row
 from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
 from ..results import RayHits
-from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
+from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from ..wide.best_hit import ASK, MEETS, MISSES
 from ..wide.filtering import octant_of
 from ..wide.ray_streams import (
@@ -40,10 +40,9 @@ from ..wide.raycasting import (
     traverse,
     visit_leaf,
 )
-from ..wide.snapshot import Snapshot, no_snapshot
-from .casting import no_motion
-from .meeting import Course, Moving, box_of, distance_of, fetch_box, is_before, meet
-from .sweeping import Leaves, leaf_dtype
+from .asked_then import NO_RAYS, MovingRays, RaysThen
+from .meeting import Course, box_of, distance_of, fetch_box, is_before, meet
+from .sweeping import Sweep, no_sweep
 
 # Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
 # from that of the same box's record.
@@ -55,22 +54,6 @@ WAITING, PLACES = TALLY, TALLY + 1  # behind what is tallied: how many pairs wai
 MOST_WAITING, LEAST_WAITING, WAITING_SHARE = 64, 8, 8
 
 Floats = NDArray[np.float64]
-
-
-class MovingRays(NamedTuple):
-    """Rays as of `rays.raycasting.Rays`, and when they start."""
-
-    origins: Floats
-    directions: Floats
-    t_max: Floats
-    masks: NDArray[np.uint32]
-    skip_inside: bool
-    mode: int
-    at: Floats
-    pace: Floats
-    """One for all, or a row."""
-    moving: Moving
-    leaves: Leaves
 
 
 class Waiting(NamedTuple):
@@ -167,12 +150,20 @@ def write_hit(tree, ray, rays, row, hit, hits):
 
 
 @lean_kernel
-def cast_rows(tree, version, snapshot, rays, scratch, hits):
+def cast_rows(tree, sweep, asked, scratch, hits):
     """As `wide.raycasting.cast_rows`, but the id of a ray that is not suited is UNSUITED. Returns
     how many are not, or REFUSED.
     """
-    if not begin_query(tree.state, version):
+    if not begin_query(tree.state, sweep.moving.version):
         return np.int64(REFUSED)
+    snapshot, at, pace = sweep.snapshot, asked.at, asked.pace
+    if at.shape[0] == 0:
+        at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
+        at[0], pace[0] = asked.when
+    rays = MovingRays(
+        *(asked.origins, asked.directions, asked.t_max, asked.masks),
+        *(asked.skip_inside, asked.mode, at, pace, sweep.moving, sweep.leaves),
+    )
     tally, ends = stack_array(PLACES, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY] = tally[WAITING] = 0
     hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
@@ -266,24 +257,16 @@ def visit_waiting(tree, rows, rays, scratch, tally):
     tally[WAITING] = 0
 
 
-NO_LEAVES = {ndim: Leaves(np.empty(0, leaf_dtype(ndim)), 0.0) for ndim in (2, 3)}
-
-
-def _no_rays(ndim: int) -> MovingRays:
-    row, rows = np.empty(0), np.empty((0, 3))
-    asked = row, np.empty(0, np.uint32), False, CLOSEST
-    return MovingRays(rows, rows, *asked, row, row, no_motion(ndim), NO_LEAVES[ndim])
-
-
 cast_entry = entry_points(
-    cast_rows, 0, no_snapshot, _no_rays, lambda ndim: make_scratch(0, ndim, 0), NO_HITS
+    cast_rows, no_sweep, NO_RAYS, lambda ndim: make_scratch(0, ndim, 0), NO_HITS
 )
 
 
-def cast(view: View, snapshot: Snapshot, rays: MovingRays, hits: RayHits) -> int:
-    """Answer rays whose times lie in the span of a snapshot, but those that are UNSUITED: how
-    many; RuntimeError if the tree is changed meanwhile.
+def cast(tree: Tree, sweep: Sweep, rays: RaysThen, hits: RayHits) -> int:
+    """Answer rays whose times lie in the span of a sweep, but those that are UNSUITED: how many;
+    REFUSED if the tree is not what was swept, or is changed meanwhile.
     """
     count, ndim = rays.origins.shape
-    scratch = scratch_for(count, ndim, snapshot.depth)
-    return accepted(cast_entry(ndim)(*view, snapshot, rays, scratch, hits))
+    scratch = scratch_for(count, ndim, sweep.snapshot.depth)
+    done: int = cast_entry(ndim)(tree, sweep, rays, scratch, hits)
+    return done

@@ -1,0 +1,167 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of thin rays among axis-aligned boxes that move: the tree decides, and the kernel that
+asks it tells points, too.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.checks import INT64, UINT32
+from ...tree.entries import entry_points
+from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.intrinsics import stack_array
+from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, NO_TIMES, RaysThen
+from ...tree.motion.casting import locate, no_motion
+from ...tree.motion.meeting import Course, box_of, fetch_box
+from ...tree.motion.sweeping import Sweep, no_sweep
+from ...tree.motion.wide_casting import AHEAD, cast_rows
+from ...tree.nodes import Tree, slot_of
+from ...tree.rays.raycasting import CLOSEST, of_row
+from ...tree.rays.slab import INSIDE, RAY_ROWS, set_ray
+from ...tree.results import RayHits
+from ...tree.wide.ray_streams import make_scratch, scratch_for
+from ..geometry.shapes import Floats, along_axes
+from ..results import NO_NODE, CastHits
+from ..store.obstacles import Obstacles
+from .arguments import Rays, fill_ways
+from .box_casting import AT_ONCE
+from .moving import sweep_for
+from .seen import Times
+
+_NO_IDS = np.empty(0, np.int64)
+
+
+class Told(NamedTuple):
+    """Room for what n rays meet: a `RayHits`, and what a scene tells besides."""
+
+    ids: NDArray[np.int64]
+    """None for AT_ONCE rays or fewer, if nobody but the kernel is to read it."""
+    t: Floats
+    normals: Floats
+    """Shape (n, ndim)."""
+    handles: NDArray[np.uint32]
+    points: Floats
+    """Shape (n, 3); what is beyond the tree's axes stays as it is where a ray hits."""
+
+
+def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: int) -> CastHits:
+    """First hits of rays."""
+    tree: Any = held.tree
+    count, ndim, motion, view = len(rays.origins), tree.ndim, tree.motion, tree.view()
+    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
+    asked = RaysThen(*flat, rays.t_max, rays.masks, skip, CLOSEST, *times, AS_ARRAYS)
+    told = Told(
+        *(np.empty(count, np.int64), np.empty(count), np.empty((count, ndim))),
+        *(np.empty(count, np.uint32), np.empty((count, 3))),
+    )
+    told.points[:, ndim:] = rays.origins[:, ndim:]
+    node_handles = held.columns.node_handle
+
+    def cast(arrays: Tree, sweep: Sweep, some: RaysThen, into: Told) -> int:
+        scratch = scratch_for(len(some.origins), ndim, sweep.snapshot.depth)
+        done: int = _cast_entry(ndim)(arrays, sweep, some, False, node_handles, scratch, into)
+        return done
+
+    sweep = sweep_for(held, rays, times)
+    if not motion.answer(tree, (view, sweep), asked, told, threads, cast):
+        known = motion.known(view, 0.0, 0.0)
+        _describe_entry(ndim)(view.tree, known, asked, node_handles, told)
+        tree.check_unchanged(view)
+    normals = told.normals
+    if ndim == 2:
+        normals = np.zeros((count, 3))
+        normals[:, :2] = told.normals
+    return CastHits(told.handles, told.t, told.points, normals)
+
+
+def few_first(
+    held: Obstacles, rays: tuple[Any, ...], skip: bool, when: tuple[float, float], to_goals: bool
+) -> CastHits | None:
+    """`first_boxes` in a tree of three dimensions through what is swept already, with as little
+    Python as can be: of few rays, that is most. None where nothing is swept, or a ray is not for
+    it. rays = (origins, directions, t_max, masks), when = (at, pace) of all. `to_goals`: what is
+    called directions are the goals of the ways.
+    """
+    tree: Any = held.tree
+    count, (at, pace) = len(rays[0]), when
+    if len(rays[2]) != 1 or tree._storage.heirs:
+        return None
+    last = at if pace == 0.0 else at + rays[2].item() * pace
+    sweep = tree._motion.ready_sweep(count, at, last)
+    if sweep is None:
+        return None
+    # As RaysThen(...) and so on, which would take more calls of functions of Python's.
+    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, NO_TIMES, NO_TIMES, when))
+    ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
+    handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
+    normals = np.empty((count, 3))
+    told = tuple.__new__(Told, (ids, ts, normals, handles, points))
+    scratch = scratch_for(count, 3, sweep.snapshot.depth)
+    given = asked, to_goals, held.columns.node_handle, scratch, told
+    if _cast_entry(3)(tree._storage.tree, sweep, *given) != 0:
+        return None
+    return tuple.__new__(CastHits, (handles, ts, points, normals))
+
+
+@lean_kernel
+def cast_and_describe(tree, sweep, asked, to_goals, node_handles, scratch, told):
+    """First hits of rays in one call; returns as `wide_casting.cast_rows`, 1 where a way is not
+    finite.
+    """
+    directions, ids = asked.directions, told.ids
+    if to_goals:
+        directions = told.points
+        if fill_ways(asked.origins, asked.directions, directions) >= 0:
+            return np.int64(1)
+    if ids.shape[0] == 0:
+        ids = stack_array(AT_ONCE, np.int64)[: asked.origins.shape[0]]
+    rays = RaysThen(
+        *(asked.origins, directions, asked.t_max, asked.masks, asked.skip_inside, asked.mode),
+        *(asked.at, asked.pace, asked.when),
+    )
+    hits = Told(ids, told.t, told.normals, told.handles, told.points)
+    done = cast_rows(tree, sweep, rays, scratch, RayHits(ids, told.t, told.normals))
+    if done == 0:
+        describe(tree, sweep.moving, rays, node_handles, hits)
+    return done
+
+
+@lean_kernel
+def describe(tree, moving, rays, node_handles, told):
+    """Fill in what is told of hits; directions and points may be the same memory."""
+    ray, ndim = stack_array((RAY_ROWS, 3), np.float64), told.normals.shape[1]
+    at, pace = rays.at, rays.pace
+    if at.shape[0] == 0:
+        at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
+        at[0], pace[0] = rays.when
+    count = rays.origins.shape[0]
+    for i in range(count):
+        if i + AHEAD < count and told.ids[i + AHEAD] >= 0:
+            fetch_box(tree, moving, slot_of(told.ids[i + AHEAD]))
+        point, face = told.points[i], INSIDE
+        if told.ids[i] < 0:
+            told.handles[i] = NO_NODE
+            for k in range(3):
+                point[k] = np.nan
+            continue
+        for k in range(ndim):
+            if told.normals[i, k] != 0.0:
+                face = 2 * k + (told.normals[i, k] > 0.0)
+        slot = slot_of(told.ids[i])
+        told.handles[i] = node_handles[slot]
+        set_ray(ray, rays.origins[i], rays.directions[i])
+        course = Course(ray, of_row(at, i), of_row(pace, i))
+        box = box_of(tree, moving, slot)
+        locate(box, course, told.t[i], np.int64(face), point, told.normals[i])
+
+
+_ROWS = np.empty((0, 3))
+_TOLD = Told(_NO_IDS, np.empty(0), _ROWS, np.empty(0, np.uint32), _ROWS)
+_describe_entry = entry_points(describe, no_motion, NO_RAYS, _NO_IDS, _TOLD)
+_cast_entry = entry_points(
+    *(cast_and_describe, no_sweep, NO_RAYS, False, _NO_IDS),
+    *(lambda ndim: make_scratch(0, ndim, 0), _TOLD),
+)

@@ -1,0 +1,67 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Batches of few rays among boxes that move: the same as single ones, through what is swept."""
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import NO_NODE, Scene, Shapes
+
+pytestmark = pytest.mark.slow  # kernels of its own
+BOXES, SECOND = 200, 10**9
+
+
+def put(scene: Scene, rows: np.ndarray, rng: np.random.Generator) -> None:
+    shapes = Shapes.boxes(rng.uniform(-9, 9, (len(rows), 3)), rng.uniform(0.3, 2, (len(rows), 3)))
+    speeds = rng.normal(size=(len(rows), 3)) * 3
+    assert not scene.update('s', [f'b{i}' for i in rows], shapes, stamp=0, velocities=speeds)
+
+
+@pytest.mark.parametrize('max_prediction', [np.inf, 0.8])
+@pytest.mark.parametrize('planar', [False, True])
+def test_rows_are_single_ways(planar: bool, max_prediction: float):
+    """While boxes change: what was swept before is of no account."""
+    rng, swept = np.random.default_rng(5), 0
+    scene = Scene(planar=planar, max_prediction=max_prediction)
+    put(scene, np.arange(BOXES), rng)
+    for turn in range(24):
+        if turn % 6 == 5:
+            put(scene, rng.integers(0, BOXES, 1), rng)
+        count = int(rng.integers(0, 40)) if 1 < turn % 6 < 5 else 2
+        starts, goals = rng.uniform(-12, 12, (2, count, 3))
+        if turn % 4 == 3 and len(starts):
+            starts[0] = 1e9  # not suited for what is swept
+        times = {'at': 0, 'until': SECOND if turn % 3 else SECOND // 2}
+        skip, mask = turn % 2 == 1, 3 if turn % 5 == 4 else 1
+        to_goals = scene.sweep_many(starts, goals, 0.0, mask, skip, **times)
+        along = scene.raycast_many(starts, goals - starts, 1.0, mask, skip, **times)
+        swept += scene._held.tree.motion._wanted.sweep is not None
+        for i in range(len(starts)):
+            hit = scene.raycast(starts[i], goals[i], 0.0, mask, skip, **times)
+            for many in (to_goals, along):
+                if hit is None:
+                    assert (many.handles[i], many.t[i]) == (NO_NODE, np.inf)
+                    assert np.isnan(many.points[i]).all()
+                    assert not many.normals[i].any()
+                    continue
+                assert (hit.handle, hit.t) == (many.handles[i], many.t[i])
+                assert hit.point.tolist() == many.points[i].tolist()
+                assert hit.normal.tolist() == many.normals[i].tolist()
+    assert 8 <= swept < 24
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf, 1.7e308])
+def test_bad_ways_are_refused(bad: float):
+    """Where boxes are swept, as elsewhere."""
+    scene, rng = Scene(), np.random.default_rng(2)
+    put(scene, np.arange(BOXES), rng)
+    starts, goals, times = np.zeros((40, 3)), np.ones((40, 3)), {'at': 0, 'until': SECOND}
+    for _ in range(20):  # as many are worth it
+        scene.sweep_many(starts, goals, **times)
+    assert scene._held.tree.motion._wanted.sweep is not None
+    goals[3, 1], starts[3, 1] = bad, -1e308
+    with pytest.raises(ValueError, match='row 3'):
+        scene.sweep_many(starts, goals, **times)
+    if not np.isfinite(bad):
+        with pytest.raises(ValueError, match=r'directions .*row 3'):
+            scene.raycast_many(starts, goals, 1.0, **times)
