@@ -26,6 +26,9 @@ from .sinking import sink_in_obstacle
 from .touching import ROUNDED, look_at, order_found
 from .touching_rows import keep, pad
 
+# Room for boxes that are as near as the last one that is wanted: those that a shape touches.
+PLACES = 4
+
 
 @inlined
 def _nearest_bounds(tree, moving, near_by, known, row, slots, gaps):
@@ -46,9 +49,10 @@ def neighbours(tree, moving, then, near_by, room, known, row):
     `known`: see `near_rows`.
     """
     low, high, at, wanted, limit, mask = near_by
-    slots, gaps = room.slots, room.gaps[:wanted]
-    total, left_out = _nearest_bounds(tree, moving, near_by, known, row, slots[:wanted], gaps)
-    more, last = total == wanted, at_least(left_out)
+    places = max(wanted, PLACES) if known is None else wanted
+    slots, gaps = room.slots, room.gaps[:places]
+    total, left_out = _nearest_bounds(tree, moving, near_by, known, row, slots[:places], gaps)
+    more, last = total >= wanted, at_least(left_out)
     if then.rest.state[ROOT] != NONE:
         count, total = total, np.int64(0)
         for i in range(count):
@@ -125,9 +129,10 @@ def _lie(tree, moving, then, asked, signed, room, slots, found):
 def clear_rows(tree, moving, then, queries, asked, room, told):
     """Fill in the rows [start, stop) of `told`, a `clearance.Neighbours`; asked = (start, stop,
     reaches, how many boxes there are, the slot of the obstacle that is the only row, or NONE,
-    `touching_rows.Signed`). Returns (rows done, room wanted) as `touch_rows`.
+    `touching_rows.Signed`, whether the nearest box is likely to be that of the nearest obstacle).
+    Returns (rows done, room wanted) as `touch_rows`.
     """
-    row, stop, reaches, everybody, itself, signed = asked
+    row, stop, reaches, everybody, itself, signed, alike = asked
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED), 0
     wanted, handles, own = 0, then.node_handles, stack_array(1, queries.records)
@@ -141,22 +146,22 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         if covers(moving, at, 0.0, 0.0) == 0:
             row = np.int64(OUTSIDE)
             break
-        more, wanted = most_growth(then, at) + grown, min(2, everybody + 1)
+        more = most_growth(then, at) + grown
         record, bounds, fault = make_row(queries, row, own, box)
         if fault != FINE:
             end_query(tree.state)
             return np.int64(row), FAULTY
         low, high = bounds[0], bounds[1]
         exact = more == 0.0 and not record[0].shaped
-        limit = max(reach * clearance.ROUNDED, reach) + more
+        limit, wanted = max(reach * clearance.ROUNDED, reach) + more, 1 if exact and alike else 2
         while 2 * wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room, None, row)
             told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
-                least = max(min(told.distances[row], reach), 0.0)
-                passed = exact and _is_farther(tree, moving, then, (record[0], slot, at), least)
+                pair, least = (record[0], slot, at), max(told.distances[row], 0.0)
+                passed = least < np.inf and exact and _is_farther(tree, moving, then, pair, least)
                 if handles[slot] != besides and not passed:
                     growths = grown, place(tree, moving, then, room.spare, slot, at)
                     pair = record[0], slot, reach

@@ -15,7 +15,7 @@ from ...tree.boxes.ordering import order_of
 from ...tree.jit.compiling import entry_point
 from ...tree.motion.nearest import Near
 from ...tree.motion.nearest_packets import Bounded
-from ...tree.nodes import COUNT, View
+from ...tree.nodes import COUNT, NONE, View
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
@@ -201,11 +201,12 @@ class TimedDistances:
         reaches, itself, signed = asked
         count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
         everybody = view.tree.state.item(COUNT)
+        alike = itself == NONE and not self._held.columns.shaped and not len(then.rest_slots)
         told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
 
         def work(start: int, stop: int) -> bool:
             while start < stop:
-                question = start, stop, reaches, everybody, itself, signed
+                question = start, stop, reaches, everybody, itself, signed, alike
                 given = queries, question, self._room(then), told
                 start, wanted = self._call(view, clear_rows, then, given, signed)
                 if wanted == FAULTY:

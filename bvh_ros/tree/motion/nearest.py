@@ -154,11 +154,13 @@ def _walk(tree, moving, near, limit, kept, keep):
 
 @inlined
 def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
-    """By what is known of all: kept = (slots, squares, [least square that is left out])."""
+    """By what is known of all: kept = (slots, squares, [least square that is left out]). There may
+    be room for more than k: then for those that are as near as the k-th, as far as bounds tell.
+    """
     (slots, squares, left_out), k = kept, near[3]
-    if count == k:
-        left_out[0] = min(left_out[0], max(square, squares[k - 1]))
-        if square >= squares[k - 1]:
+    if count == slots.shape[0]:
+        left_out[0] = min(left_out[0], max(square, squares[count - 1]))
+        if square >= squares[count - 1]:
             return count, limit
         count -= 1
     place = count
@@ -166,7 +168,7 @@ def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
         slots[place], squares[place] = slots[place - 1], squares[place - 1]
         place -= 1
     slots[place], squares[place] = leaf >> 1, square
-    if count + 1 == k:
+    if count + 1 >= k:
         limit = min(limit, squares[k - 1] * FARTHER + 2.0 * LEAST_SQUARE)
     return count + 1, limit
 
@@ -185,14 +187,17 @@ def _keep_distance(tree, moving, near, leaf, square, kept, count, limit):
 
 @lean_kernel
 def nearest_bounds(tree, moving, near, slots, squares):
-    """Write the k boxes to arrays (k,) whose bounds are nearest, near = (low, high, at, k, reach,
-    mask), nearest first, and the squares of how far those are: (how many, where they are k the
-    least such square of others). Bounds may be within `reach` where the box is not.
+    """Write the k boxes to arrays (k,), or longer ones, whose bounds are nearest, near = (low,
+    high, at, k, reach, mask), nearest first, and the squares of how far those are: (how many,
+    where they are k or more the least such square of others). Bounds may be within `reach` where
+    the box is not.
     """
     left_out, limit = stack_array(1, np.float64), pruning_limit(near[4])
     left_out[0] = np.inf
     kept = slots, squares, left_out
     count, limit = _walk(tree, moving, near, limit, kept, keep_bound)
+    while count > near[3] and squares[count - 1] > limit:
+        count -= 1
     return count, min(left_out[0], limit)
 
 
