@@ -4,7 +4,7 @@
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,14 @@ if TYPE_CHECKING:
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 
 
+class Courses(NamedTuple):
+    """Modules of `casting`."""
+
+    moving: Any
+    moving_boxes: Any
+    seen: Any
+
+
 class Moments:
     """The world of other times than that of its last update."""
 
@@ -33,7 +41,7 @@ class Moments:
         self._held = held
         self._distances: TimedDistances | None = None
         self._one_way: OneWay | None = None
-        self._few: Callable[..., CastHits | None] | None = None
+        self._courses: Courses | None = None
 
     def distances(self) -> 'TimedDistances':
         """Overlaps and distances at other times."""
@@ -42,6 +50,16 @@ class Moments:
 
             self._distances = TimedDistances(self._held)
         return self._distances
+
+    def _courses_then(self) -> 'Courses':
+        """What is imported for rays and balls at other times, by name; a statement that imports
+        takes half a microsecond each time.
+        """
+        if self._courses is None:
+            from .casting import moving, moving_boxes, seen  # no scene without velocities needs it
+
+            self._courses = Courses(moving, moving_boxes, seen)
+        return self._courses
 
     def meant(self, at: Any, until: Any, count: int) -> bool:
         """Whether it matters when: a time is asked for, and something moves. ValueError if these
@@ -76,17 +94,16 @@ class Moments:
 
     def _times(self, at: Any, until: Any, count: int) -> 'Times':
         """Times in seconds, one for all or (count,)."""
-        from .casting.seen import Times  # no scene without velocities needs it
-
+        named = self._courses_then().seen.Times
         if type(at) is int and (until is None or type(until) is int):
             begin, pace = self._way_of_time(at, until)
-            return Times(np.array([begin]), np.array([pace]))
+            return tuple.__new__(named, (np.array([begin]), np.array([pace])))
         rows = rows_needed(at, until, count)
         start = self.seconds(at, rows)
         if until is None:
-            return Times(start, np.zeros(rows))
+            return named(start, np.zeros(rows))
         stop = self._held.seconds(column('until', until, rows, LAST_TIME, FIRST_TIME))
-        return Times(start, stop - start)
+        return named(start, stop - start)
 
     def _way_of_time(self, at: Any, until: Any) -> tuple[float, float]:
         """`_times` of one way."""
@@ -128,10 +145,10 @@ class Moments:
         origin, direction, radius = way
         masks = np.full(1, checks.mask(mask))
         rays = Rays(origin[None], direction[None], np.ones(1), masks)
-        from .casting.moving import cast_then  # no scene without velocities needs it
-
         times = self._times(at, until, 1)
-        met = cast_then(self._held, rays, np.full(1, radius), bool(skip), times)
+        met = self._courses_then().moving.cast_then(
+            self._held, rays, np.full(1, radius), bool(skip), times
+        )
         require_few(len(met.slots), most)
         columns = met.slots.tolist(), met.ts.tolist(), met.points, met.normals
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
@@ -153,31 +170,28 @@ class Moments:
         when = start, 0.0 if until is None else end / 1e9 - start
         if held.max_prediction < math.inf and len(at_rest(held, last_of(when, rays[2]))):
             return None
-        if self._few is None:
-            from .casting.moving_boxes import few_first  # no scene without velocities needs it
-
-            self._few = few_first
-        return self._few(held, rays, skip, when, to_goals)
+        courses = self._courses or self._courses_then()
+        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
     ) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
-        thick = radii is not checks.NOTHING and bool(radii.any())
+        thick = radii is not checks.NOTHING and is_any(radii)
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
         held, still = self._held, False
         if held.max_prediction < math.inf:
             still = len(at_rest(held, times.last(rays.t_max))) > 0
         if not (still or held.columns.shaped or held.uncertainty or thick):
-            from .casting.moving_boxes import first_boxes
-
-            return first_boxes(held, rays, skip, times, threads)
+            return self._courses_then().moving_boxes.first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
             checks.finite('origins', rays.origins)
             checks.finite('directions', rays.directions)
         first = self._firsts(still, rays, times)
+        if threads == 1 and not still:
+            return first(rays, radii, bool(skip), times)
         if still:
             rays, radii = row_by_row(rays), every_row(radii, count)
             at, pace = (every_row(one, count) for one in times)
@@ -197,12 +211,10 @@ class Moments:
 
     def _firsts(self, still: bool, rays: Rays, times: 'Times') -> Callable[..., CastHits]:
         """What tells the first hits of some of these rays."""
-        from .casting.moving import cast_then, first_then, sweep_for  # as above
-
-        node_handles = self._held.columns.node_handle
+        moving, node_handles = self._courses_then().moving, self._held.columns.node_handle
 
         def among_some_at_rest(some: Rays, *asked: Any) -> CastHits:
-            met, count = cast_then(self._held, some, *asked), len(some.origins)
+            met, count = moving.cast_then(self._held, some, *asked), len(some.origins)
             rows, first = np.unique(met.rows, return_index=True)
             hits = CastHits(
                 *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
@@ -215,11 +227,11 @@ class Moments:
 
         if still:
             return among_some_at_rest
-        sweep = sweep_for(self._held, rays, times)
+        sweep = moving.sweep_for(self._held, rays, times)
 
         def among_moving(*asked: Any) -> CastHits:
-            hits, *told = first_then(self._held, sweep, *asked)
-            return CastHits(told[0], hits.ts, told[1], told[2])
+            hits, handles, points, normals = moving.first_then(self._held, sweep, *asked)
+            return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
 
         return among_moving
 
@@ -233,3 +245,8 @@ def last_of(when: tuple[float, float], t_max: Floats) -> float:
     """When the last ray ends of those that start together."""
     longest: float = t_max.max(initial=0.0).item()
     return when[0] + when[1] * longest if when[1] > 0.0 else when[0]
+
+
+def is_any(radii: Floats) -> bool:
+    """Whether one is not 0."""
+    return bool(radii.item(0) if len(radii) == 1 else radii.any())

@@ -11,13 +11,14 @@ of its way: too early rather than too late.
 """
 
 import functools
+import threading
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.checks import NOTHING
+from ...tree.checks import INT64, NOTHING, UINT32
 from ...tree.motion.casting import Casts
 from ...tree.motion.ray_queries import rows_of
 from ...tree.motion.spans import times_of
@@ -32,7 +33,7 @@ from ..results import NO_NODE
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Hits, Rays, call, new_scratch, world_of
+from .arguments import Hits, Rays, Scratch, call, new_scratch, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
 
@@ -68,6 +69,25 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     return met.take(order) if count else met
 
 
+class Kept(threading.local):
+    """Scratch for one way, of a thread, by number of dimensions. Kernels write it before they read
+    it.
+    """
+
+    def __init__(self) -> None:
+        self._rooms: dict[int, Scratch] = {}
+
+    def scratch(self, ndim: int) -> Scratch:
+        """In so many dimensions."""
+        room = self._rooms.get(ndim)
+        if room is None:
+            room = self._rooms[ndim] = new_scratch(ndim)
+        return room
+
+
+_kept = Kept()
+
+
 def first_then(
     held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
 ) -> First:
@@ -75,15 +95,17 @@ def first_then(
     as of `cast_then`. `sweep`: what `sweep_for` says, of these and more rays.
     """
     tree, columns, count = held.tree, held.columns, len(rays.origins)
-    require_ends(held, rays)
-    origins, directions = (along_axes(rows, tree.ndim) for rows in rays[:2])
-    grown = NOTHING
+    ndim, grown = tree.ndim, NOTHING
     if held.uncertainty:
+        require_ends(held, rays)
         grown = np.atleast_1d(most_growth(held, times.at, times.ends(rays.t_max)))
-    ways = Ways(origins, directions, rays.t_max, rays.masks, radii, *times, grown)
-    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
-    told = First(hits, np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))
-    given = ways, (skip, held.uncertainty), columns.node_handle, new_scratch(tree.ndim), told
+    # As Ways(...) and so on, which would take more calls of functions of Python's.
+    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
+    ways = tuple.__new__(Ways, (*flat, rays.t_max, rays.masks, radii, *times, grown))
+    hits = tuple.__new__(Hits, (np.empty(count, INT64), np.empty(count), np.empty(count, INT64)))
+    places = np.empty((count, 3)), np.empty((count, 3))
+    told = tuple.__new__(First, (hits, np.empty(count, UINT32), *places))
+    given = ways, (skip, held.uncertainty), columns.node_handle, _kept.scratch(ndim), told
     world, motion = world_of(tree, columns), _motion_of(held)
     if sweep is None:
         spans = partial(times_of, times.at, times.pace, rays.t_max)

@@ -86,8 +86,8 @@ def few_first(
     called directions are the goals of the ways.
     """
     tree: Any = held.tree
-    count, (at, pace) = len(rays[0]), when
-    if len(rays[2]) != 1 or tree._storage.heirs:
+    count, storage, (at, pace) = len(rays[0]), tree._storage, when
+    if len(rays[2]) != 1 or storage.heirs:
         return None
     last = at if pace == 0.0 else at + rays[2].item() * pace
     sweep = tree._motion.ready_sweep(count, at, last)
@@ -101,7 +101,7 @@ def few_first(
     told = tuple.__new__(Told, (ids, ts, normals, handles, points))
     scratch = scratch_for(count, 3, sweep.snapshot.depth)
     given = asked, to_goals, held.columns.node_handle, scratch, told
-    if _cast_entry(3)(tree._storage.tree, sweep, *given) != 0:
+    if _cast_entry(3)(storage.tree, sweep, *given) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 

@@ -242,14 +242,18 @@ def not_yet(tree, ray, rays, row, slot, best):
 @lean_kernel
 def visit_waiting(tree, rows, rays, scratch, tally):
     """See of the pairs that wait whether the leaf is the ray's best hit."""
-    pairs, kept = scratch.pairs, 0
+    pairs, kept, leaves = scratch.pairs, 0, rays.leaves
+    alike = rays.at.shape[0] == 1 and rays.pace.shape[0] == 1
+    since, pace = rays.at[0] - leaves.start, rays.pace[0]
     for i in range(tally[WAITING]):
-        slot, place = pairs[i] >> 32, pairs[i] & 0xFFFFFFFF
+        pair = pairs[i]
+        slot, place = pair >> 32, pair & 0xFFFFFFFF
         row, limit = rows[place], scratch.records[place].best_t
-        since, pace = of_row(rays.at, row) - rays.leaves.start, of_row(rays.pace, row)
-        way = rays.origins[row], rays.directions[row]
-        near = may_meet(rays.leaves.records, slot, *way, since, pace, limit, 0.0)
-        pairs[kept] = pairs[i]
+        if not alike:
+            since, pace = of_row(rays.at, row) - leaves.start, of_row(rays.pace, row)
+        way = rays.origins[np.uint64(row)], rays.directions[np.uint64(row)]
+        near = may_meet(leaves.records, slot, *way, since, pace, limit, 0.0)
+        pairs[kept] = pair
         kept += near
     for i in range(kept):
         group = rows, (pairs[i] & 0xFFFFFFFF,)
