@@ -22,9 +22,7 @@ def method_of(
 
     @wraps(method)
     def ask(whole: Any, /, *arguments: P.args, **named: P.kwargs) -> R:
-        change = whole._held.change
-        if change.unfinished:  # asked here, too: a call costs a query's hundredth
-            change.require_none()
+        whole._held.change.require_none()
         return method(getattr(whole, part), *arguments, **named)
 
     return ask

@@ -11,7 +11,7 @@ from ..tree import checks
 from ..tree.nodes import ALL, NONE
 from ..tree.store.turns import IS_CHANGED
 from .distance import clearance, nearness
-from .distance.clearance import Neighbours, name_entry
+from .distance.clearance import Neighbours
 from .distance.query_rows import QueryRows, given_rows, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
@@ -24,11 +24,10 @@ from .store.obstacles import Obstacles
 class DistanceQueries:
     """How far things are. Any number of threads may ask while none changes the scene."""
 
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
-        self._nearness = nearness.Nearness(held.tree, held.columns)
-        self._clearances = clearance.Clearances(held.tree, held.columns)
-        self._moments = Moments(held)
+    _held: Obstacles
+    _moments: Moments
+    _nearness: nearness.Nearness
+    _clearances: clearance.Clearances
 
     def nearest(
         self,
@@ -72,6 +71,8 @@ class DistanceQueries:
             If an argument is NaN, negative (`max_distance`), less than 1 (`k`) or of the wrong
             shape.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         where = checks.point('point', point, 3)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
@@ -96,6 +97,8 @@ class DistanceQueries:
         rounded touch, see `narrow_phase`. `at` (ns): both where they are at that time. KeyError if
         there is no obstacle of this name.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         slot = self._held.slot(name)
         timed = self._moments.meant(at, None, 1)
         slots, handles = [slot], self._held.columns.node_handle
@@ -166,17 +169,23 @@ class DistanceQueries:
         ValueError
             As `nearest`; the message names the first bad row.
         """
-        where = checks.rows('points', points, 3)
-        count, many = len(where), checks.capacity('k', k)
+        if self._held.change.unfinished:
+            self._held.change.require_none()
+        where, many = checks.rows('points', points, 3), k
+        if type(k) is not int or k != 1:
+            many = checks.capacity('k', k)
+        count = len(where)
         if at is not None or count >= nearness.MANY:
             checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         # As Points(...), which would take one more call of a function of Python's.
-        asked = tuple.__new__(Points, (where, reaches, masks, self._nearness.order_of(where)))
+        order = nearness.NO_ORDER if count < nearness.MANY else self._nearness.order_of(where)
+        asked = tuple.__new__(Points, (where, reaches, masks, order))
         sign: Signed = sign_of(signed)
-        threads = checks.whole('threads', threads, 1)
-        if self._moments.meant(at, None, count):
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        if at is not None and self._moments.meant(at, None, count):
             times, k = self._moments.seconds(at, count), min(many, max(len(self._held.tree), 1))
             return _padded(self._moments.distances().nearest(asked, k, sign, times, threads), many)
         near = self._nearness.find_rows(asked, many, sign, threads)
@@ -227,25 +236,32 @@ class DistanceQueries:
         ValueError
             If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
         """
-        given, threads = as_shapes(shapes), checks.whole('threads', threads, 1)
-        reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
-        more = reaches, NONE, sign_of(signed)
-        found = None
+        if self._held.change.unfinished:
+            self._held.change.require_none()
+        given = as_shapes(shapes)
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        reaches = checks.FOREVER
+        if max_distance is not np.inf:
+            reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
+        asked, found = (reaches, NONE, sign_of(signed)), None
         if given.mesh is None:
-            found = self._find_rows(given_rows(given, 0.0, mask), None, more, threads, at)
+            rows = given_rows(given[:4], 0.0, mask)
+            if at is None:
+                found = self._clearances.find_rows(rows, None, asked, threads)
+            else:
+                found = self._find_then(rows, None, asked, threads, at)
         if found is None:
             rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
-            found = self._find_rows(rows, hulls, more, threads, at)
+            found = self._find_then(rows, hulls, asked, threads, at)
         assert found is not None
-        handles = self._held.columns.node_handle
-        named = np.empty(len(found.slots), checks.UINT32)
-        name_entry()(handles, found.slots, named)
-        return named, found.distances, found.points[:, 0], found.points[:, 1]
+        _, distances, points, handles = found
+        return handles, distances, points[:, 0], points[:, 1]
 
-    def _find_rows(
+    def _find_then(
         self, rows: QueryRows, hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
     ) -> Neighbours | None:
-        """What is nearest to shapes; None if a row that is `given` is not legal."""
+        """What is nearest to shapes at times; None if a row that is `given` is not legal."""
         count = rows.number()
         if self._moments.meant(at, None, count):
             times = self._moments.seconds(at, count)

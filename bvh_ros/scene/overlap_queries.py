@@ -22,10 +22,9 @@ from .store.obstacles import Obstacles
 class OverlapQueries:
     """What touches. Any number of threads may ask while none changes the scene."""
 
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
-        self._overlaps = overlaps.Overlaps(held.tree, held.columns)
-        self._moments = Moments(held)
+    _held: Obstacles
+    _moments: Moments
+    _touching: overlaps.Overlaps
 
     def overlap(
         self,
@@ -70,10 +69,12 @@ class OverlapQueries:
             If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape, or (as
             TooManyHitsError) there are more hits than `most`.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         query = box_query(start, goal, orientation, tolerance, self._held.planar)
         if self._moments.meant(at, None, 1):
             return self._then(query, None, mask, most, at)
-        found, rows = self._overlaps.find(query, None, checks.mask(mask), most)
+        found, rows = self._touching.find(query, None, checks.mask(mask), most)
         return self._held.each_once(self._held.hits(found, rows))
 
     def _then(
@@ -102,10 +103,12 @@ class OverlapQueries:
         tolerance, mask, at
             As in `overlap`.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         query, hulls = shape_query(shape, tolerance, self._held.planar)
         if self._moments.meant(at, None, 1):
             return self._then(query, hulls, mask, None, at)
-        found, rows = self._overlaps.find(query, hulls, checks.mask(mask), None)
+        found, rows = self._touching.find(query, hulls, checks.mask(mask), None)
         return self._held.each_once(self._held.hits(found, rows))
 
     def overlap_many(
@@ -155,19 +158,20 @@ class OverlapQueries:
         ValueError
             As `overlap`; the message names the first bad row. If `want` is none of these.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         places = checks.rows('centers', centers, 3)
         turns, count = UNTURNED, len(places)
-        if isinstance(sizes, np.ndarray) and sizes.shape != (3,):
+        if isinstance(sizes, np.ndarray) and (sizes.ndim == 2 or sizes.shape != (3,)):
             edges = checks.rows('sizes', sizes, 3, count)
         else:
             edges = checks.floats('sizes', sizes)
             edges = edges[None] if edges.shape == (3,) else checks.rows('sizes', edges, 3, count)
         if orientations is not None:
             turns = checks.rows('orientations', orientations, 4, count)
+        given = BOXES, places, turns, edges
         names = 'centers', 'sizes', 'orientations'
-        # As Shapes(...), which would take one more call of a function of Python's.
-        shapes = tuple.__new__(Shapes, (BOXES, places, turns, edges, None))
-        return self._answer(shapes, (tolerance, mask, names), want, threads, at)
+        return self._answer(given, None, names, (tolerance, mask, threads, at), want)
 
     def overlap_shape_many(
         self,
@@ -193,49 +197,61 @@ class OverlapQueries:
         tolerance, mask, want, threads, at
             As in `overlap_many`, which see for what is returned and raised.
         """
-        one = as_shapes(shape)
-        if len(one.kind) != 1:
-            raise ValueError(f'shape must be one row of Shapes, not {len(one.kind)}')
+        if self._held.change.unfinished:
+            self._held.change.require_none()
+        kinds, _, turns, sizes, mesh = as_shapes(shape)
+        if len(kinds) != 1:
+            raise ValueError(f'shape must be one row of Shapes, not {len(kinds)}')
         places = checks.rows('positions', positions, 3)
         count = len(places)
-        kinds, turns, sizes, mesh = one.kind, one.orientation, one.size, one.mesh
         if orientations is not None:
             turns = checks.rows('orientations', orientations, 4, count)
         elif mesh is not None:
             turns = turns.repeat(count, axis=0)
         if mesh is not None:
             kinds, sizes, mesh = kinds.repeat(count), sizes.repeat(count, 0), mesh.repeat(count)
-        rows = tuple.__new__(Shapes, (kinds, places, turns, sizes, mesh))
         names = 'positions', '', '' if orientations is None else 'orientations'
-        return self._answer(rows, (tolerance, mask, names), want, threads, at)
+        given = kinds, places, turns, sizes
+        return self._answer(given, mesh, names, (tolerance, mask, threads, at), want)
 
     def _answer(
         self,
-        shapes: Shapes,
-        asked: tuple[ArrayLike, ArrayLike, tuple[str, ...]],
+        given: tuple[Any, ...],
+        mesh: Any,
+        names: tuple[str, ...],
+        asked: tuple[ArrayLike, ArrayLike, int, Any],
         want: str,
-        threads: int,
-        at: Any,
     ) -> Any:
-        """What `overlap_many` returns of any shapes; asked = (tolerance, mask, names)."""
-        if not isinstance(want, str) or want not in WANTED:
+        """What `overlap_many` returns of any shapes, as of `Shapes`; asked = (tolerance, mask,
+        threads, at).
+        """
+        wanted = WANTED.get(want) if isinstance(want, str) else None
+        if wanted is None:
             raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
-        (tolerance, mask, names), threads = asked, checks.whole('threads', threads, 1)
-        if shapes.mesh is None:
-            told = self._of_rows(given_rows(shapes, tolerance, mask), None, want, threads, at)
+        tolerance, mask, threads, at = asked
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        if mesh is None:
+            rows = given_rows(given, tolerance, mask)
+            told = (
+                self._touching.answer(rows, None, wanted, threads)
+                if at is None
+                else self._then_many(rows, None, want, threads, at)
+            )
             if told is not None:
                 return told
+        shapes = Shapes(given[0], given[1], given[2], given[3], mesh)
         rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
-        return self._of_rows(rows, hulls, want, threads, at)
+        return self._then_many(rows, hulls, want, threads, at)
 
-    def _of_rows(self, rows: QueryRows, hulls: Any, want: str, threads: int, at: Any) -> Any:
-        """The same; None if a row that is `given` is not legal."""
+    def _then_many(self, rows: QueryRows, hulls: Any, want: str, threads: int, at: Any) -> Any:
+        """The same at times; None if a row that is `given` is not legal."""
         count = rows.number()
         if not self._moments.meant(at, None, count):
-            return self._overlaps.answer(rows, hulls, WANTED[want], threads)
+            return self._touching.answer(rows, hulls, WANTED[want], threads)
         times = self._moments.seconds(at, count)
-        given = rows, hulls, times, threads, want == 'any'
-        touched = self._moments.distances().touching(*given)
+        asked = rows, hulls, times, threads, want == 'any'
+        touched = self._moments.distances().touching(*asked)
         return None if touched is None else self._told(touched, count, want)
 
     def _told(self, touched: Any, count: int, want: str) -> Any:
@@ -262,6 +278,8 @@ class OverlapQueries:
         Each pair once, the older obstacle first; sorted by handle. `mask`: only obstacles with
         ``categories & mask != 0`` are seen.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         pairs = overlaps.find_pairs(self._held.tree, self._held.columns, mask)
         if self._held.columns.shadows:
             pairs = overlaps.each_once(self._held.columns, pairs)

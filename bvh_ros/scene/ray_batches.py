@@ -33,11 +33,13 @@ class RayBatches:
     ) -> CastHits:
         """First hits of rays, or of balls that go along them; times = (at, until)."""
         count = len(rays.origins)
-        if self._moments.meant(*times, count):
+        if (times[0] is not None or times[1] is not None) and self._moments.meant(*times, count):
             radii = checks.NOTHING if radii is None else radii
             return self._moments.first_of_many(rays, radii, skip, times, threads)
-        thick = 0 if radii is None or radii is checks.NOTHING else np.count_nonzero(radii)
-        if radii is None or not thick:
+        if radii is None or radii is checks.NOTHING:
+            return self._thin(rays, skip, threads)
+        thick = int(radii.item() > 0.0) if len(radii) == 1 else np.count_nonzero(radii)
+        if not thick:
             return self._thin(rays, skip, threads)
         ways = rays.directions if rays.t_max is WHOLE_WAY else ways_of(rays, radii)
         balls = tuple.__new__(Balls, (rays.origins, ways, radii, rays.masks))
@@ -69,7 +71,8 @@ class RayBatches:
     def _balls(self, balls: Balls, t_max: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls, at t from 0 to `t_max`."""
         held = self._held
-        found = sweeping.first_of_many(held.tree, held.columns, balls, skip, threads)
+        found = sweeping.first_of_many(held.tree, held.columns, balls, (False, skip), threads)
+        assert found is not None
         if t_max is not WHOLE_WAY:
             np.multiply(found.t, t_max, out=found.t, where=found.handles != NO_NODE)
         return found

@@ -9,6 +9,7 @@ from ..tree import checks
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting
 from .casting.arguments import WHOLE_WAY, Rays, ways_entry
+from .casting.sweeping import Balls, first_of_many
 from .geometry.shapes import Floats
 from .moments import Moments
 from .ray_batches import RayBatches
@@ -19,10 +20,9 @@ from .store.obstacles import Obstacles
 class RayQueries:
     """What rays meet. Any number of threads may ask while none changes the scene."""
 
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
-        self._moments = Moments(held)
-        self._batches = RayBatches(held, self._moments)
+    _held: Obstacles
+    _moments: Moments
+    _batches: RayBatches
 
     def raycast(
         self,
@@ -68,6 +68,8 @@ class RayQueries:
         ValueError
             If an argument is NaN, infinite, negative (`radius`) or of the wrong shape.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         if self._moments.meant(at, until, 1):
             return self._moments.first((start, goal, radius), mask, skip_inside, at, until)
         held, radius = self._held, checks.limit('radius', radius)
@@ -96,6 +98,8 @@ class RayQueries:
         answer is never cut short. For a ball that counts what it may touch, before the last digit
         is looked at.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         origin, direction, radius = box_casting.segment(start, goal, radius)
         if self._moments.meant(at, until, 1):
             way = origin, direction, radius
@@ -140,6 +144,8 @@ class RayQueries:
         CastHits
             `t` in units of the directions.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         origins = checks.rows('origins', origins, 3)
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
@@ -193,19 +199,27 @@ class RayQueries:
         ValueError
             As `raycast`; the message names the first bad row.
         """
+        if self._held.change.unfinished:
+            self._held.change.require_none()
         origins = checks.rows('starts', starts, 3)
         count, skip = len(origins), bool(skip_inside)
         ends = checks.rows('goals', goals, 3, count)
-        masks, threads = checks.masks_or_one(mask, count), checks.whole('threads', threads, 1)
-        radii = checks.lengths_or_one('radius', radius, count)
-        if threads == 1 and radii is checks.NOTHING:
+        masks = checks.masks_or_one(mask, count)
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        radii, found = checks.lengths_or_one('radius', radius, count), None
+        if radii is checks.NOTHING:
             asked = origins, ends, WHOLE_WAY, masks
-            if at is not None:
+            if threads == 1 and at is not None:
                 found = self._moments.few(asked, skip, at, until, True)
-            else:
-                found = None if until is not None else self._batches.few(asked, skip, True)
-            if found is not None:
-                return found
+            elif threads == 1 and until is None:
+                found = self._batches.few(asked, skip, True)
+        elif at is until is None and (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
+            # As Balls(...), which would take one more call of a function of Python's.
+            balls, held = tuple.__new__(Balls, (origins, ends, radii, masks)), self._held
+            found = first_of_many(held.tree, held.columns, balls, (True, skip), threads)
+        if found is not None:
+            return found
         ways = np.empty((count, 3))
         far = ways_entry()(origins, ends, ways)
         if far >= 0:

@@ -10,10 +10,15 @@ from numpy.typing import ArrayLike
 
 from ..tree import checks
 from .delegation import method_of
+from .distance.clearance import Clearances
+from .distance.nearness import Nearness
+from .distance.overlaps import Overlaps
 from .distance_queries import DistanceQueries
 from .geometry.shapes import Floats
 from .inspection import Inspection
+from .moments import Moments
 from .overlap_queries import OverlapQueries
+from .ray_batches import RayBatches
 from .ray_queries import RayQueries
 from .region import as_region
 from .removals import Removals
@@ -23,7 +28,7 @@ from .store.registry import UNKNOWN
 from .updates import Categorise, Updates
 
 
-class Scene:
+class Scene(RayQueries, OverlapQueries, DistanceQueries):
     """Obstacles that come and go, and the questions about them.
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
@@ -91,13 +96,14 @@ class Scene:
         self._begin(held, Updates(held, categorise, as_region(region, 2 if planar else 3)))
 
     def _begin(self, held: Obstacles, updates: Updates) -> None:
-        self._held = held
+        self._held, self._moments = held, Moments(held)
+        self._batches = RayBatches(held, self._moments)
+        self._touching = Overlaps(held.tree, held.columns)
+        self._nearness = Nearness(held.tree, held.columns)
+        self._clearances = Clearances(held.tree, held.columns)
         self._updates = updates
         self._slices = SlicedUpdates(held, self._updates)
         self._removals = Removals(held)
-        self._rays = RayQueries(held)
-        self._overlaps = OverlapQueries(held)
-        self._distances = DistanceQueries(held)
         self._inspection = Inspection(held)
 
     def copy(self) -> 'Scene':
@@ -142,22 +148,6 @@ class Scene:
         """Build the tree anew."""
         self._held.change.require_none()
         self._held.tree.rebuild()
-
-    # ---- questions
-
-    raycast = method_of('_rays', RayQueries.raycast)
-    raycast_all = method_of('_rays', RayQueries.raycast_all)
-    raycast_many = method_of('_rays', RayQueries.raycast_many)
-    sweep_many = method_of('_rays', RayQueries.sweep_many)
-    overlap = method_of('_overlaps', OverlapQueries.overlap)
-    overlap_shape = method_of('_overlaps', OverlapQueries.overlap_shape)
-    overlap_many = method_of('_overlaps', OverlapQueries.overlap_many)
-    overlap_shape_many = method_of('_overlaps', OverlapQueries.overlap_shape_many)
-    overlap_pairs = method_of('_overlaps', OverlapQueries.overlap_pairs)
-    nearest = method_of('_distances', DistanceQueries.nearest)
-    nearest_many = method_of('_distances', DistanceQueries.nearest_many)
-    clearance = method_of('_distances', DistanceQueries.clearance)
-    clearance_many = method_of('_distances', DistanceQueries.clearance_many)
 
     # ---- what there is
 

@@ -271,13 +271,12 @@ def limits_or_one(name: str, value: Any, count: int) -> Floats:
 
 def lengths_or_one(name: str, value: Any, count: int) -> Floats:
     """As `limits_or_one`, but finite."""
-    if type(value) is float and value == 0.0:
-        return NOTHING
+    if type(value) is float and 0.0 <= value < math.inf:
+        return NOTHING if value == 0.0 else only(value)
     lengths = limits_or_one(name, value, count)
-    if type(value) is not float or value == math.inf:
-        endless = np.flatnonzero(lengths == np.inf)
-        if len(endless):
-            raise ValueError(f'{name} must be finite: row {endless[0]} is inf')
+    endless = np.flatnonzero(lengths == np.inf)
+    if len(endless):
+        raise ValueError(f'{name} must be finite: row {endless[0]} is inf')
     return lengths
 
 

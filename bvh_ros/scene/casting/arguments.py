@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point, lean_kernel
-from ...tree.nodes import DEEPEST
+from ...tree.nodes import DEEPEST, ROOT, Tree
 from ...tree.rays.slab import RAY_ROWS
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
@@ -140,8 +140,21 @@ def ways_entry() -> Callable[..., Any]:
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
     """The arrays of a scene."""
-    shapes = columns.geometry_arrays(), columns.footprint_arrays()
-    return tuple.__new__(CastWorld, (*tree.arrays(), *shapes))
+    return world_in(tree.view().tree, columns)
+
+
+def world_in(tree: Tree, columns: Columns) -> CastWorld:
+    """The same, of a view of its tree."""
+    nodes, _, tight, handles, state = tree
+    # As CastWorld(...), which would take one more call of a function of Python's.
+    parts = nodes, tight, handles, state.item(ROOT), *shapes_in(columns)
+    return tuple.__new__(CastWorld, parts)
+
+
+def shapes_in(columns: Columns) -> tuple[Any, Any]:
+    """Geometry and footprints of a scene, one of which is None."""
+    footprint, hulls = columns.footprint, columns.hulls()
+    return ((columns.geometry, hulls), None) if footprint is None else (None, (footprint, hulls))
 
 
 _entries: dict[tuple[Any, bool, bool], Any] = {}

@@ -5,52 +5,42 @@ whose first obstacle only exact arithmetic tells.
 """
 
 import threading
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.checks import BOOL, UINT32
+from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE
+from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
-from ...tree.store.turns import accepted, begin_query, end_query
+from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, begin_query, end_query
 from ...tree.store.workers import in_threads
 from ...tree.wide.snapshot import no_snapshot
-from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Ball, Hits, call, every_row, new_scratch, world_of
+from .arguments import Ball, CastWorld, Hits, new_scratch, shapes_in
 from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
 from .casting import AT, EARLY, LATE, course_of, plain, touch
 from .wide_sweeps import UNSUITED, find_wide
 
 FEW = 64  # obstacles that a ball may touch before more room is made
+OPEN = -1  # only exact arithmetic tells
 
 
 class Balls(NamedTuple):
     """n balls, each swept along a segment."""
 
     origins: Any
-    """(n, 3), or (n, ndim) for the kernel."""
+    """(n, 3)"""
     directions: Any
     radii: Any
     """One for all, or (n,)."""
     masks: Any
     """The same."""
-
-
-class Told(NamedTuple):
-    """What is told of each row."""
-
-    handles: Any
-    ts: Any
-    points: Any
-    normals: Any
-    open: Any
-    """Whether only exact arithmetic tells."""
 
 
 class Kept(threading.local):
@@ -116,20 +106,26 @@ def first_of(world, node_handles, hits, brackets, count, skip_inside):
 
 
 @lean_kernel
-def sweep_balls(world, through, node_handles, balls, skip_inside, place, room, told):
-    """Fill in what the balls of the rows [start, stop) meet; through = (the tree's state, version,
-    snapshot), place = (start, stop). Returns (rows done, room wanted): fewer than there are where
-    there is no room for what the next one may touch, negative if the tree is changed; and how many
-    of them are open. What every ball goes through is inlined: to hand all these arrays over takes
-    a third of a ball's time.
+def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room, told):
+    """Fill in what the balls of the rows [start, stop) meet; shapes as of `shapes_in`, asked =
+    (whether what is called directions are goals, skip_inside), place = (start, stop). Returns
+    (rows done, room wanted): fewer than there are where there is no room for what the next one may
+    touch, or only exact arithmetic tells what it meets, which is OPEN instead of the room; REFUSED
+    if the tree is changed, NOT_FINITE if a way is not. What every ball goes through is inlined: to
+    hand all these arrays over takes a third of a ball's time.
     """
-    (state, version, snapshot), (start, stop) = through, place
+    (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
+    state = tree.state
     scratch, hits, times, features = room
+    ndim, count, direction = scratch.ray.shape[1], 0, stack_array(3, np.float64)
     if not begin_query(state, version):
-        return -1, 0, 0
-    count, row, unsure = 0, start, 0
+        return REFUSED, 0
+    world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     while row < stop:
-        way = balls.origins[row], balls.directions[row]
+        if not fill_way(balls.origins[row], balls.directions[row], to_goals, direction):
+            row = NOT_FINITE
+            break
+        way = balls.origins[row, :ndim], direction[:ndim]
         ball = Ball(of_row(balls.radii, row), 0.0)
         set_ray(scratch.ray, way[0], way[1])
         count = may_touch(
@@ -139,18 +135,32 @@ def sweep_balls(world, through, node_handles, balls, skip_inside, place, room, t
             break
         first, sure = first_of(world, node_handles, hits, (times, features), count, skip_inside)
         met = sure and first != NONE
-        told.open[row], unsure = not sure, unsure + (not sure)
-        told.handles[row], told.ts[row] = NO_NODE, np.inf
+        told.handles[row], told.t[row] = NO_NODE, np.inf
         for axis in range(3):
             told.points[row, axis], told.normals[row, axis] = 0.0 if met else np.nan, 0.0
         if met:
             hits.ts[first], hits.features[first] = times[AT, first], features[AT, first]
             touch(world, scratch, ball.radius, hits, first, told.points[row], told.normals[row])
             told.handles[row] = node_handles[hits.slots[first]]
-            told.ts[row] = times[AT, first]
+            told.t[row] = times[AT, first]
+            if ndim == 2:
+                told.points[row, 2] = balls.origins[row, 2]
+        if not sure:
+            count = OPEN
+            break
         row += 1
     end_query(state)
-    return row, count, unsure
+    return row, count
+
+
+@inlined
+def fill_way(start, end, to_goal, way):
+    """Fill in a way (3,), given itself or by its goal; return whether it is finite."""
+    finite = True
+    for axis in range(3):
+        way[axis] = end[axis] - start[axis] if to_goal else end[axis]
+        finite &= np.isfinite(way[axis])
+    return finite
 
 
 @inlined
@@ -173,47 +183,80 @@ def may_touch(world, snapshot, way, ball, asked, room):
     return count
 
 
-def tell_open_ones(
-    tree: DynamicBVH, columns: Columns, balls: Balls, skip_inside: bool, told: Told
-) -> None:
-    """Fill in what exact arithmetic tells."""
-    radii, masks = (every_row(column, len(told.open)) for column in balls[2:])
-    for row in np.flatnonzero(told.open).tolist():
-        way = balls.origins[row], balls.directions[row]
-        one = Sweep(*way, radii.item(row), masks[row], skip_inside, False)
-        for slot, t, point, normal in cast_ball(tree, columns, one):
-            told.handles[row] = columns.node_handle[slot]
-            told.ts[row], told.points[row], told.normals[row] = t, point, normal
-
-
 def first_of_many(
-    tree: DynamicBVH, columns: Columns, balls: Balls, skip_inside: bool, threads: int
-) -> CastHits:
-    """First hits of n balls."""
-    world, count, ndim, view = world_of(tree, columns), len(balls.origins), tree.ndim, tree.view()
-    origins, directions = (along_axes(rows, ndim) for rows in balls[:2])
-    flat = tuple.__new__(Balls, (origins, directions, balls.radii, balls.masks))
+    tree: DynamicBVH, columns: Columns, balls: Balls, asked: tuple[bool, bool], threads: int
+) -> CastHits | None:
+    """First hits of n balls, asked = (whether what is called directions are goals, skip_inside);
+    None if a way is not finite.
+    """
+    view, count, shapes = tree.view(), len(balls.origins), shapes_in(columns)
+    ndim = 3 if shapes[1] is None else 2
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
-    through = view.tree.state, view.version, snapshot
-    columns_told = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
-    more = np.empty((count, 3)), np.empty(count, BOOL)
-    told = tuple.__new__(Told, (*columns_told, *more))
+    parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    # As CastHits(...), which would take one more call of a function of Python's.
+    told = tuple.__new__(CastHits, parts)
+    given = view, snapshot, shapes, columns.node_handle, balls, asked
+    if threads == 1:  # without what others take: a tenth of a call of a row
+        start, _ = _code_for(given, told)(*given, (0, count), _kept.of(ndim), told)
+        if start == count or (start >= 0 and _work(tree, columns, given, told, start, count)):
+            return told
+    work = partial(_work, tree, columns, given, told)
+    return told if all(in_threads(work, count, threads)) else None
 
-    def work(start: int, stop: int) -> int:
-        unsure = 0
-        while start < stop:
-            room = _kept.of(ndim)
-            given = through, columns.node_handle, flat, skip_inside, (start, stop), room, told
-            start, wanted, more = call(sweep_balls, world, *given)
-            accepted(start)
-            if start < stop:
-                _kept.make(ndim, wanted)
-            unsure += more
-        return unsure
 
-    if sum(in_threads(work, count, threads)):
-        tell_open_ones(tree, columns, flat, skip_inside, told)
-    if ndim == 2:
-        met = told.handles != NO_NODE
-        told.points[met, 2] = balls.origins[met, 2]
-    return tuple.__new__(CastHits, told[:4])
+def _work(
+    tree: DynamicBVH,
+    columns: Columns,
+    given: tuple[Any, ...],
+    told: CastHits,
+    start: int,
+    stop: int,
+) -> bool:
+    """Fill in the rows [start, stop); whether all ways are finite."""
+    while start < stop:
+        room = _kept.of(tree.ndim)
+        start, wanted = _code_for(given, told)(*given, (start, stop), room, told)
+        if start == NOT_FINITE:
+            return False
+        accepted(start)
+        if start < stop and wanted == OPEN:
+            _tell_open_one(tree, columns, given[4], given[5], told, start)
+            start += 1
+        elif start < stop:
+            _kept.make(tree.ndim, wanted)
+    return True
+
+
+def _tell_open_one(
+    tree: DynamicBVH,
+    columns: Columns,
+    balls: Balls,
+    asked: tuple[bool, bool],
+    told: CastHits,
+    row: int,
+) -> None:
+    """Fill in what exact arithmetic tells of a row, which says that nothing is met."""
+    to_goals, skip_inside = asked
+    origin, way = balls.origins[row], balls.directions[row]
+    radius, mask = (column[row if len(column) > 1 else 0] for column in balls[2:])
+    way = way - origin if to_goals else way
+    one = Sweep(origin, way, radius.item(), mask, skip_inside, False)
+    for slot, t, point, normal in cast_ball(tree, columns, one):
+        told.handles[row] = columns.node_handle[slot]
+        told.t[row], told.points[row], told.normals[row] = t, point, normal
+        if tree.ndim == 2:
+            told.points[row, 2] = origin[2]
+
+
+_codes: dict[tuple[bool, bool], Any] = {}
+
+
+def _code_for(given: tuple[Any, ...], told: CastHits) -> Any:
+    """The machine code of `sweep_balls` for these types."""
+    solid, flat = given[2]
+    variant = flat is None, (solid or flat)[1] is None
+    code = _codes.get(variant)
+    if code is None:
+        room = _kept.of(3 if flat is None else 2)
+        code = _codes[variant] = entry_point(sweep_balls, *given, (0, 0), room, told)
+    return code

@@ -20,7 +20,7 @@ from ...tree.wide.snapshot import no_snapshot
 from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Asked, Ball, Hits, Rays, call, new_scratch, row_by_row, world_of
+from .arguments import Asked, Ball, Hits, Rays, call, new_scratch, row_by_row, world_in
 from .casting import cast, doubt_of, enter_obstacle, first_of, no_hit, touch, with_one_more, write
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 
@@ -86,7 +86,8 @@ def first_of_many(
     tree: DynamicBVH, columns: Columns, rays: Rays, skip_inside: bool, threads: int
 ) -> CastHits:
     """First hits of n rays."""
-    world, count, ndim, view = world_of(tree, columns), len(rays.origins), tree.ndim, tree.view()
+    view, count, ndim = tree.view(), len(rays.origins), tree.ndim
+    world = world_in(view.tree, columns)
     origins, directions = (along_axes(rows, ndim) for rows in rays[:2])
     flat = row_by_row(rays._replace(origins=origins, directions=directions))
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)

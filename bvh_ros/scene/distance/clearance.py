@@ -6,10 +6,8 @@ No two shapes are nearer than their boxes. So the tree is asked for the nearest 
 them, until the next box is farther than the nearest shape among those it has named.
 """
 
-import functools
 import math
 import threading
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -17,9 +15,9 @@ import numpy as np
 
 from ...tree import checks
 from ...tree.boxes.nearest import nearest
-from ...tree.checks import INT64
+from ...tree.checks import INT64, UINT32
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import COUNT, NONE, View
 from ...tree.rays.raycasting import of_row
@@ -52,6 +50,16 @@ class Neighbours(NamedTuple):
     distances: Any
     points: Any
     """(n, 2, 3): the shape's, and the obstacle's."""
+    handles: Any
+    """(n,) uint32 node handles of the obstacles, NO_NODE where there is none."""
+
+
+def room_for(count: int) -> Neighbours:
+    """Room for so many rows."""
+    slots, handles = np.empty(count, INT64), np.empty(count, UINT32)
+    # As Neighbours(...), which would take one more call of a function of Python's.
+    parts = slots, np.empty(count), np.empty((count, 2, 3)), handles
+    return tuple.__new__(Neighbours, parts)
 
 
 class Room(NamedTuple):
@@ -134,13 +142,13 @@ def box_gap(one, other, ndim, points):
 
 @lean_kernel
 def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
-    """Fill in the rows [start, stop) of `told`; asked = (reaches, how many boxes there are, the
-    node handle that is not looked at, `touching_rows.Signed`), place = (start, stop). Returns
-    (rows done, room wanted): fewer than there are where there is no room, REFUSED if the tree is
-    changed, FAULTY if a shape is not legal.
+    """Fill in the rows [start, stop) of `told`; asked = (reaches, the node handle that is not
+    looked at, `touching_rows.Signed`), place = (start, stop). Returns (rows done, room wanted):
+    fewer than there are where there is no room, REFUSED if the tree is changed, FAULTY if a shape
+    is not legal.
     """
-    reaches, everybody, besides, signed = asked
-    tree, (row, stop) = view.tree, place
+    reaches, besides, signed = asked
+    tree, (row, stop), everybody = view.tree, place, view.tree.state[COUNT]
     if not begin_query(tree.state, view.version):
         return -1, 0
     wanted, own, box = 0, stack_array(1, rows.records), stack_array((2, 3), np.float64)
@@ -149,7 +157,7 @@ def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
         if fault != FINE:
             row = FAULTY
             break
-        told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
+        tell_nobody(told, row)
         reach, wanted, looked = of_row(reaches, row), min(2, everybody + 1), 0
         while wanted <= room.slots.shape[0]:
             low, high = bounds[0], bounds[1]
@@ -196,6 +204,13 @@ def look_at(bodies, one, row, asked, node_handles, slots, told):
 
 
 @inlined
+def tell_nobody(told, row):
+    """Write that there is none."""
+    told.slots[row], told.handles[row] = NONE, NO_NODE
+    told.distances[row], told.points[row] = np.inf, np.nan
+
+
+@inlined
 def keep_nearer(node_handles, found, points, told, row):
     """Keep an obstacle, found = (slot, distance, reach), and points (2, 3), if it is nearer than
     what is there; ties by handle.
@@ -204,27 +219,13 @@ def keep_nearer(node_handles, found, points, told, row):
     best = told.slots[row]
     if distance > reach or distance > told.distances[row]:
         return
-    tied = distance == told.distances[row] and best != NONE
-    if tied and node_handles[best] < node_handles[slot]:
+    handle, tied = node_handles[slot], distance == told.distances[row] and best != NONE
+    if tied and node_handles[best] < handle:
         return
-    told.slots[row], told.distances[row] = slot, distance
+    told.slots[row], told.distances[row], told.handles[row] = slot, distance, handle
     for side in range(2):
         for axis in range(3):
             told.points[row, side, axis] = points[side, axis]
-
-
-@lean_kernel
-def name_slots(node_handles, slots, names):
-    """Fill in the node handles (n,) uint32 of slots (n,), NO_NODE for NONE."""
-    for i in range(slots.shape[0]):
-        names[i] = node_handles[slots[i]] if slots[i] != NONE else NO_NODE
-
-
-@functools.cache
-def name_entry() -> Callable[..., Any]:
-    """The machine code of `name_slots`."""
-    numbers = np.empty(0, np.int64)
-    return entry_point(name_slots, numbers, numbers, np.empty(0, np.uint32))
 
 
 class Kept(threading.local):
@@ -241,7 +242,10 @@ class Clearances:
         self._tree = tree
         self._columns = columns
         self._kept = Kept()
-        self._kernels = {None: RowKernel(clearance_rows), True: RowKernel(clearance_rows)}
+        self._kernels = {
+            None: RowKernel(clearance_rows).call,
+            True: RowKernel(clearance_rows).call,
+        }
 
     def find_rows(
         self, rows: QueryRows, hulls: Hulls | None, asked: tuple[Floats, int, Signed], threads: int
@@ -250,17 +254,15 @@ class Clearances:
         that is not looked at, whether distances have a sign). None if a row that is `given` is not
         legal.
         """
-        reaches, besides, signed = asked
-        count, columns, view = rows.number(), self._columns, self._tree.view()
-        bodies, everybody = bodies_of(columns, hulls), view.tree.state.item(COUNT)
-        # As Neighbours(...), which would take one more call of a function of Python's.
-        parts = np.empty(count, INT64), np.empty(count), np.empty((count, 2, 3))
-        told, question = tuple.__new__(Neighbours, parts), (reaches, everybody, besides, signed)
+        columns, view = self._columns, self._tree.view()
+        count = len(rows.records) or len(rows.given[1])
+        bodies = bodies_of(columns, hulls)
+        told = room_for(count)
         if threads == 1:  # without what others take
-            every = rows, question, (0, count), columns.node_handle, self._kept.room, told
-            if self._kernels[signed](view, bodies, every)[0] == count:
+            every = rows, asked, (0, count), columns.node_handle, self._kept.room, told
+            if self._kernels[asked[2]](view, bodies, every)[0] == count:
                 return told
-        given = view, bodies, rows, question, told
+        given = view, bodies, rows, asked, told
         return told if all(in_threads(partial(self._work, *given), count, threads)) else None
 
     def _work(
@@ -268,16 +270,16 @@ class Clearances:
         view: View,
         bodies: Any,
         rows: QueryRows,
-        question: tuple[Any, ...],
+        asked: tuple[Any, ...],
         told: Neighbours,
         start: int,
         stop: int,
     ) -> bool:
         """Fill in the rows [start, stop); whether all are legal."""
-        wanted, kernel, handles = FEW, self._kernels[question[3]], self._columns.node_handle
+        wanted, kernel, handles = FEW, self._kernels[asked[2]], self._columns.node_handle
         while start < stop:
             room = Room(np.empty(wanted, INT64), np.empty(wanted))
-            given = rows, question, (start, stop), handles, room, told
+            given = rows, asked, (start, stop), handles, room, told
             start, wanted = kernel(view, bodies, given)
             if start == FAULTY:
                 return False

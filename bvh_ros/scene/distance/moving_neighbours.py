@@ -157,7 +157,7 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
         while 2 * wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
             others, last, total = neighbours(tree, moving, then, near_by, room, None, row)
-            told.slots[row], told.distances[row], told.points[row] = NONE, np.inf, np.nan
+            clearance.tell_nobody(told, row)
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
                 pair, least = (record[0], slot, at), max(told.distances[row], 0.0)

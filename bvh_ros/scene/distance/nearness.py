@@ -37,7 +37,7 @@ class Nearness:
         self._columns = columns
         self._scratch = Scratch()
         self._entries: dict[tuple[bool | None, Signed], Any] = {}
-        self._rows = {None: RowKernel(nearest_rows), True: RowKernel(nearest_rows)}
+        self._rows = {None: RowKernel(nearest_rows).call, True: RowKernel(nearest_rows).call}
 
     def find(
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed
@@ -90,8 +90,6 @@ class Nearness:
 
     def order_of(self, points: Floats) -> NDArray[np.int64]:
         """The order in which many points are asked: neighbours load the same nodes."""
-        if len(points) < MANY:
-            return NO_ORDER
         return order_of(self._tree, along_axes(points, self._tree.ndim))
 
     def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near | None:
@@ -103,7 +101,7 @@ class Nearness:
         parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)
-        asked = k, view.tree.state.item(COUNT), columns.shadows > 0, signed
+        asked = k, columns.shadows > 0, signed
         found = self._scratch.found
         if threads == 1 and k < len(found.slots):  # without what others take
             every = points, asked, (0, count), columns.node_handle, found, near
@@ -119,13 +117,13 @@ class Nearness:
         view: View,
         bodies: Any,
         points: Points,
-        asked: tuple[int, int, bool, Signed],
+        asked: tuple[int, bool, Signed],
         near: Near,
         start: int,
         stop: int,
     ) -> bool:
         """Answer the rows [start, stop); whether all points are finite."""
-        k, everybody, _, signed = asked
+        (k, _, signed), everybody = asked, view.tree.state.item(COUNT)
         wanted, kernel, scratch = min(k, everybody) + 1, self._rows[signed], self._scratch
         handles = self._columns.node_handle
         while start < stop:

@@ -3,13 +3,13 @@
 """Which obstacles touch a query shape, and which touch each other."""
 
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.boxes.within import boxes_within
-from ...tree.checks import BOOL, INT64, UINT32
+from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point
 from ...tree.nodes import View
@@ -28,22 +28,30 @@ from .touching_rows import (
     ALL,
     ANY,
     COUNT,
+    FEW,
     FIRST,
     HITS,
+    NOBODY,
+    OPEN,
     Answers,
     RowKernel,
     bodies_of,
     overlap_rows,
+    room_for,
 )
 
-FEW = 64  # handles that there is room for at first
-NOBODY = np.empty(0, np.uint32)
-NOT_WANTED = NOBODY, np.empty(0), np.empty((0, 3))
-TOLD_AS = {ANY: BOOL, COUNT: INT64, FIRST: UINT32}
-# Of an answer: why there is none, node handles of all that are met, in parts, and what is
-# counted. It has a name, as Python makes an annotation of a function within a function anew at
-# each call, in 3 us.
-Part: TypeAlias = tuple[int, list[NDArray[np.uint32]], int, int, int]
+
+class Part(NamedTuple):
+    """What became of the rows [start, stop)."""
+
+    reason: int
+    """Why there is no answer, or 0."""
+    start: int
+    stop: int
+    handles: list[NDArray[np.uint32]]
+    """Of all that are met, in parts."""
+    compared: int
+    more: int
 
 
 class Overlaps:
@@ -54,7 +62,7 @@ class Overlaps:
         self._columns = columns
         self._scratch = Scratch()
         self._entries: dict[bool | None, Any] = {}
-        self._rows = RowKernel(overlap_rows)
+        self._rows = RowKernel(overlap_rows).call
 
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, most: int | None
@@ -78,105 +86,69 @@ class Overlaps:
         """`find` of n shapes: what is `wanted` (see `touching_rows`) of each, as
         `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
-        if wanted == ALL:
-            return self._every(rows, hulls, threads)
-        found_rows = self._find_rows(rows, hulls, wanted, threads)
-        if found_rows is None:
-            return None
-        told, _, unsure = found_rows
-        if unsure:
-            rows = with_records(rows)
-        for row in np.flatnonzero(told.numbers < 0).tolist() if unsure else ():
-            found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
-            told.numbers[row] = len(order)
-            handles = self._columns.node_handle[found.slots[order]]
-            if wanted == FIRST:
-                told.numbers[row] = handles[0] if len(order) else NO_NODE
-            elif wanted == HITS:
-                told.handles[row] = handles[0] if len(order) else NO_NODE
-                told.distances[row] = found.distances[order[0]] if len(order) else np.inf
-                told.points[row] = found.points[order[0]] if len(order) else np.nan
-        if wanted in (COUNT, HITS) and self._columns.shadows:
-            # Who stands at two places counts once, see slicing.py.
-            told.numbers[:] = np.diff(self._every(rows, hulls, threads)[0])
-        if wanted == HITS:
-            return BoxHits(told.handles, told.numbers, told.distances, told.points)
-        return told.numbers.astype(TOLD_AS[wanted], copy=False)
-
-    def _every(self, rows: QueryRows, hulls: Hulls | None, threads: int) -> Any:
-        """(offsets, node handles) of all that touch each shape; None as `answer`."""
-        found_rows = self._find_rows(rows, hulls, ALL, threads)
-        if found_rows is None:
-            return None
-        told, handles, unsure = found_rows
-        count = len(told.numbers)
-        offsets = np.zeros(count + 1, np.int64)
-        if not (unsure or self._columns.shadows):
-            told.numbers.cumsum(out=offsets[1:])
-            return offsets, handles
-        is_open = told.numbers < 0
-        counts = np.where(is_open, ~told.numbers, told.numbers)
-        rows, of = with_records(rows), np.repeat(np.arange(count), counts)
-        sure, open_rows, each = ~is_open[of], np.flatnonzero(is_open), [NOBODY]
-        for row in open_rows.tolist():
-            found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
-            each.append(self._columns.node_handle[found.slots[order]].astype(np.uint32))
-        of = np.concatenate((of[sure], np.repeat(open_rows, [len(found) for found in each[1:]])))
-        handles = np.concatenate((handles[sure], *each))
-        if self._columns.shadows:
-            first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
-            of, handles = of[first], handles[first]
-        np.cumsum(np.bincount(of, minlength=count), out=offsets[1:])
-        return offsets, handles[np.argsort(of, kind='stable')]
-
-    def _find_rows(
-        self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int, narrow: bool = False
-    ) -> tuple[Answers, NDArray[np.uint32], int] | None:
-        """What is wanted of each row, but of those that are `open`: these are left to `find`; the
-        handles of all that are met, row after row, if those are wanted; how many are open. None if
-        a row that is `given` is not legal. `narrow`: such a row needs a narrow phase.
-        """
-        count, columns, view = rows.number(), self._columns, self._tree.view()
-        if len(rows.records):
-            narrow = bool(rows.records['shaped'].any())
-        elif count:  # a kernel that comes to one that is shaped begins anew
-            narrow = narrow or rows.begins_shaped()
-        hits = count if wanted == HITS else 0
-        first = NOT_WANTED
-        if hits:
-            first = np.empty(hits, np.uint32), np.empty(hits), np.empty((hits, 3))
-            first[0][:], first[1][:], first[2][:] = NO_NODE, np.inf, np.nan
-        # As Answers(...), which would take one more call of a function of Python's.
-        told = tuple.__new__(Answers, (np.empty(count, INT64), *first))
-        bodies = bodies_of(columns, hulls) if narrow or columns.shaped else None
-        given, unsure = (view, bodies, rows, wanted, told), 0
-        if threads == 1 and wanted != ALL:  # without what others take: a third of a call of a row
-            asked = rows, wanted, (0, count), columns.node_handle, self._scratch.found, told
-            start, _, _, compared, more, unsure = self._rows(view, bodies, asked)
-            if start == count:
+        columns, view = self._columns, self._tree.view()
+        count = len(rows.records) or len(rows.given[1])
+        narrow = columns.shaped > 0 or (count > 0 and rows.begins_shaped())
+        told, done = room_for(count, wanted), 0
+        parts: list[NDArray[np.uint32]] = []
+        if threads == 1:  # without what others take: a fifth of a call of a row
+            bodies = bodies_of(columns, hulls) if narrow else None
+            asked = rows, wanted, (0, count, 0), columns.node_handle, self._scratch.found, told
+            done, _, written, compared, more = self._rows(view, bodies, asked)
+            if done >= 0:
                 if compared:
-                    columns.pairs_compared += compared
-                    columns.pairs_in_more_digits += more
-                return told, NOBODY, unsure
-            if start == NARROW:
-                return self._find_rows(rows, hulls, wanted, threads, True)
-            unsure = 0
-        handles: list[NDArray[np.uint32]] = []
-        for reason, parts, compared, more, several in in_threads(
-            partial(self._work, *given), count, threads
-        ):
-            if reason == NARROW:
-                return self._find_rows(rows, hulls, wanted, threads, True)
-            if reason == FAULTY:
+                    self._count(compared, more)
+                if done == count and wanted == ANY:
+                    return told[0]
+                if wanted == ALL:
+                    parts.append(told.handles[:written])
+        if done < count or threads > 1:
+            others = self._work_on(
+                view, hulls, rows, (wanted, threads, narrow, max(done, 0)), told
+            )
+            if others is None:
                 return None
-            if compared:
-                columns.pairs_compared += compared
-                columns.pairs_in_more_digits += more
-            handles += parts
-            unsure += several
-        if len(handles) > 1:
-            return told, np.concatenate(handles), unsure
-        return told, handles[0] if handles else NOBODY, unsure
+            parts += others
+        if wanted == ALL:
+            return self._joined(told.numbers, parts)
+        if columns.shadows and wanted in (COUNT, HITS):
+            # Who stands at two places counts once, see slicing.py.
+            told.numbers[:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
+        if wanted == HITS:
+            return tuple.__new__(BoxHits, (told.handles, told.numbers, *told[3:]))
+        return told[wanted]
+
+    def _work_on(
+        self,
+        view: View,
+        hulls: Hulls | None,
+        rows: QueryRows,
+        asked: tuple[int, int, bool, int],
+        told: Answers,
+    ) -> list[NDArray[np.uint32]] | None:
+        """Answer the rows from `first` on, asked = (wanted, threads, whether some need a narrow
+        phase, first); return what handles are met in parts, None if a row that is `given` is not
+        legal.
+        """
+        wanted, threads, narrow, first = asked
+        bodies, count = bodies_of(self._columns, hulls) if narrow else None, rows.number()
+        parts: list[NDArray[np.uint32]] = []
+        work = partial(self._work, view, bodies, rows, wanted, told)
+        for done in in_threads(work, count, threads) if first == 0 else [work(first, count)]:
+            if done.reason == NARROW:  # a kernel that comes to a row that is shaped begins anew
+                return self._work_on(view, hulls, rows, (wanted, threads, True, first), told)
+            if done.reason == FAULTY:
+                return None
+            self._count(done.compared, done.more)
+            if wanted == ALL and done.start > 0:
+                told.numbers[done.start + 1 : done.stop + 1] += told.numbers[done.start]
+            parts += done.handles
+        return parts
+
+    def _count(self, compared: int, more: int) -> None:
+        """Keep the books of pairs that were compared, some of them in more digits."""
+        self._columns.pairs_compared += compared
+        self._columns.pairs_in_more_digits += more
 
     def _work(
         self,
@@ -190,22 +162,61 @@ class Overlaps:
     ) -> Part:
         """Answer the rows [start, stop), if no reason is in the way."""
         parts: list[NDArray[np.uint32]] = []
-        compared, more, unsure, room = 0, 0, 0, FEW
+        begin, total, compared, more, room, legal = start, 0, 0, 0, FEW, None
         while start < stop:
             found, answers = self._scratch.found, told
             if wanted == ALL:
-                answers = told._replace(handles=np.empty(room, np.uint32))
-            given = rows, wanted, (start, stop), self._columns.node_handle, found, answers
-            start, needed, written, pairs, digits, several = self._rows(view, bodies, given)
+                answers = told._replace(handles=np.empty(room, UINT32))
+            place = start, stop, total
+            given = rows, wanted, place, self._columns.node_handle, found, answers
+            start, needed, written, pairs, digits = self._rows(view, bodies, given)
             if start < 0:
-                return start, parts, compared, more, unsure
+                return Part(start, begin, stop, parts, 0, 0)
+            compared, more, total = compared + pairs, more + digits, total + written
             if written:
                 parts.append(answers.handles[:written])
-            compared, more, unsure = compared + pairs, more + digits, unsure + several
+            if start < stop and needed == OPEN:
+                legal = legal or with_records(rows)
+                parts.append(self._tell(legal, bodies, wanted, told, start))
+                total += len(parts[-1])
+                start += 1
+                if wanted == ALL:
+                    told.numbers[start] = total
+                continue
             room = max(2 * room, needed)
             if needed > len(found.slots):
                 self._scratch.make_room(needed)
-        return 0, parts, compared, more, unsure
+        return Part(0, begin, stop, parts, compared, more)
+
+    def _tell(
+        self, rows: QueryRows, bodies: Any, wanted: int, told: Answers, row: int
+    ) -> NDArray[np.uint32]:
+        """Answer a row that is open, by `find`; return the handles."""
+        hulls = None if bodies is None else bodies.query_hulls
+        found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+        handles = self._columns.node_handle[found.slots[order]].astype(np.uint32)
+        met, first = len(order), order[0] if order else 0
+        if wanted == ANY:
+            told.touched[row] = met > 0
+        if wanted in (COUNT, HITS):
+            told.numbers[row] = met
+        if wanted in (FIRST, HITS):
+            told.handles[row] = handles[0] if met else NO_NODE
+        if wanted == HITS:
+            told.distances[row] = found.distances[first] if met else np.inf
+            told.points[row] = found.points[first] if met else np.nan
+        return handles
+
+    def _joined(self, offsets: Slots, parts: list[NDArray[np.uint32]]) -> Any:
+        """(offsets, node handles) of what is told in parts."""
+        handles = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+        if self._columns.shadows:
+            count = len(offsets) - 1
+            of = np.repeat(np.arange(count), np.diff(offsets))
+            first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
+            handles = handles[first]
+            np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
+        return offsets, handles
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32

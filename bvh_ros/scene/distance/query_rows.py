@@ -59,7 +59,11 @@ class QueryRows(NamedTuple):
         return len(self.records) or len(self.given[1])
 
     def begins_shaped(self) -> bool:
-        """Whether the first row that is given seems to be more than an axis-aligned box."""
+        """Whether a row, or the first that is given, seems to be more than an axis-aligned
+        box.
+        """
+        if len(self.records):
+            return bool(self.records['shaped'].any())
         kinds, _, turns, _ = self.given
         if kinds is BOXES and turns is UNTURNED:
             return False
@@ -98,14 +102,17 @@ def make_row(rows, row, own, box):
     return own, box, fault
 
 
-def given_rows(given: Shapes, tolerance: ArrayLike, mask: ArrayLike) -> QueryRows:
-    """`query_rows` of shapes without meshes, whose records a kernel makes, and whose faults it
-    finds.
+def given_rows(given: tuple[Any, ...], tolerance: Any, mask: ArrayLike) -> QueryRows:
+    """`query_rows` of shapes without meshes, as of `QueryRows.given`, whose records a kernel
+    makes, and whose faults it finds.
     """
-    count = len(given.position)
-    tolerances = checks.lengths_or_one('tolerance', tolerance, count)
+    count, tolerances, masks = len(given[1]), checks.NOTHING, checks.EVERYTHING
+    if not (type(tolerance) is float and tolerance == 0.0):
+        tolerances = checks.lengths_or_one('tolerance', tolerance, count)
+    if mask is not ALL:
+        masks = checks.masks_or_one(mask, count)
     # As QueryRows(...), which would take one more call of a function of Python's.
-    parts = NO_RECORDS, NO_BOUNDS, tolerances, checks.masks_or_one(mask, count), given[:4]
+    parts = NO_RECORDS, NO_BOUNDS, tolerances, masks, given
     return tuple.__new__(QueryRows, parts)
 
 

@@ -22,7 +22,7 @@ from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
 from ..store.registry import Slots
-from .clearance import Neighbours
+from .clearance import Neighbours, room_for
 from .kept import FEW, Known, Own, Scratch, no_rows
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
@@ -202,7 +202,7 @@ class TimedDistances:
         count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
         everybody = view.tree.state.item(COUNT)
         alike = itself == NONE and not self._held.columns.shaped and not len(then.rest_slots)
-        told = Neighbours(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
+        told = room_for(count)
 
         def work(start: int, stop: int) -> bool:
             while start < stop:

@@ -8,8 +8,10 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from ...tree.checks import BOOL, INT64, UINT32
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import COUNT as COUNTED
 from ...tree.nodes import View
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import is_finite
@@ -34,21 +36,48 @@ from .touching import (
 Signed: TypeAlias = Literal[True] | None
 
 ANY, COUNT, FIRST, ALL, HITS = range(5)  # what is wanted of each row
+OPEN = -1  # only exact arithmetic tells
+FEW = 64  # handles that there is room for at first
 WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL, 'hits': HITS}
 
 
 class Answers(NamedTuple):
-    """What overlap queries find."""
+    """What overlap queries find: of each row, if it is wanted."""
 
+    touched: Any
+    """(n,) whether there is any, if that is all that is wanted."""
     numbers: Any
-    """(n,) whether there is any, how many there are, or the node handle of the first; negative,
-    ~number, where exact arithmetic must say."""
+    """(n,) how many there are; where ALL are wanted (n + 1,), offsets of theirs."""
     handles: Any
-    """Of all that are met, row after row; where HITS are wanted (n,), of the first."""
+    """(n,) of the first, NO_NODE without any; where ALL are wanted those of all that are met, row
+    after row."""
     distances: Any
-    """Where HITS are wanted (n,), of the first."""
+    """(n,) of the first, inf without any."""
     points: Any
-    """The same, (n, 3)."""
+    """The same, (n, 3), NaN without any."""
+
+
+NOBODY = np.empty(0, np.uint32)
+NOT_WANTED = np.empty(0, np.bool_), np.empty(0, np.int64), NOBODY, np.empty(0), np.empty((0, 3))
+
+
+def room_for(count: int, wanted: int) -> Answers:
+    """Room for what is wanted of so many rows."""
+    touched, numbers, handles, distances, points = NOT_WANTED
+    if wanted == ANY:
+        touched = np.empty(count, BOOL)
+    elif wanted == COUNT:
+        numbers = np.empty(count, INT64)
+    elif wanted == FIRST:
+        handles = np.empty(count, UINT32)
+    elif wanted == ALL:
+        numbers, handles = np.empty(count + 1, INT64), np.empty(FEW, UINT32)
+        numbers[0] = 0
+    else:
+        numbers, handles = np.empty(count, INT64), np.empty(count, UINT32)
+        distances, points = np.empty(count), np.empty((count, 3))
+    # As Answers(...), which would take one more call of a function of Python's.
+    return tuple.__new__(Answers, (touched, numbers, handles, distances, points))
 
 
 class Points(NamedTuple):
@@ -74,16 +103,17 @@ class Near(NamedTuple):
 
 @lean_kernel
 def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers):
-    """Answer the rows [start, stop); place = (start, stop). Returns (rows done, room wanted in
-    `found`, handles written, pairs compared, those of them that took more digits, rows that are
-    open): fewer rows than there are where there is no room for the next one, REFUSED if the tree
-    is changed, FAULTY or NARROW if a row is.
+    """Answer the rows [start, stop); place = (start, stop, handles before these rows). Returns
+    (rows done, room wanted in `found`, handles written, pairs compared, those of them that took
+    more digits): fewer rows than there are where there is no room for the next one, or it is OPEN,
+    which is said instead of the room; REFUSED if the tree is changed, FAULTY or NARROW if a row
+    is.
     """
-    tree, (row, stop), enough = view.tree, place, wanted == ANY
-    written, compared, more, needed, unsure = 0, 0, 0, 0, 0
+    tree, (row, stop, before), enough = view.tree, place, wanted == ANY
+    written, compared, more, needed = 0, 0, 0, 0
     own, box = stack_array(1, rows.records), stack_array((2, 3), np.float64)
     if not begin_query(tree.state, view.version):
-        return REFUSED, 0, 0, 0, 0, 0
+        return REFUSED, 0, 0, 0, 0
     while row < stop:
         record, bounds, fault = make_row(rows, row, own, box)
         aligned, height = not record[0].shaped, record[0].position[2]
@@ -105,38 +135,44 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
             break
         if wanted == ALL and written + count > answers.handles.shape[0]:
             break
-        is_open = doubtful > 0 and (wanted != ANY or count == doubtful)
-        unsure, number = unsure + is_open, np.int64(count)
-        if wanted == ANY:
-            number = np.int64(count > 0)
-        elif wanted == FIRST:
-            number = np.int64(NO_NODE)
-            if count > 0:
-                number = np.int64(node_handles[found.slots[found.order[0]]])
+        if doubtful > 0 and (not enough or count == doubtful):
+            needed = OPEN
+            break
+        if enough:
+            answers.touched[row] = count > 0
         elif wanted == ALL:
             for i in range(count):
                 answers.handles[written + i] = node_handles[found.slots[found.order[i]]]
             written += count
-        elif wanted == HITS and count > 0:
-            first = found.order[0]
-            answers.handles[row] = node_handles[found.slots[first]]
-            answers.distances[row] = found.distances[first]
-            for axis in range(3):
-                answers.points[row, axis] = found.points[first, axis]
-        answers.numbers[row] = ~number if is_open else number
+            answers.numbers[row + 1] = before + written
+        if wanted in (FIRST, HITS):
+            tell_first(node_handles, found, count, wanted, answers, row)
+        if wanted in (COUNT, HITS):
+            answers.numbers[row] = count
         row += 1
     end_query(tree.state)
-    return row, needed, written, compared, more, unsure
+    return row, needed, written, compared, more
+
+
+@inlined
+def tell_first(node_handles, found, count, wanted, answers, row):
+    """Write what is known of the first."""
+    first = found.order[0]
+    answers.handles[row] = node_handles[found.slots[first]] if count > 0 else NO_NODE
+    if wanted == HITS:
+        answers.distances[row] = found.distances[first] if count > 0 else np.inf
+        for axis in range(3):
+            answers.points[row, axis] = found.points[first, axis] if count > 0 else np.nan
 
 
 @lean_kernel
 def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
-    """Fill in the rows [start, stop) of `near`; asked = (k, how many boxes there are, whether an
-    obstacle may stand at two places, see slicing.py, `Signed`), place = (start, stop). Returns
-    (rows done, room wanted in `found`) as `overlap_rows`; NOT_FINITE rows if a point is not.
+    """Fill in the rows [start, stop) of `near`; asked = (k, whether an obstacle may stand at two
+    places, see slicing.py, `Signed`), place = (start, stop). Returns (rows done, room wanted in
+    `found`) as `overlap_rows`; NOT_FINITE rows if a point is not.
     """
-    k, everybody, twice, signed = asked
-    tree, (done, stop) = view.tree, place
+    k, twice, signed = asked
+    tree, (done, stop), everybody = view.tree, place, view.tree.state[COUNTED]
     in_order = bodies is None and signed is None and not twice  # as the tree has them
     if not begin_query(tree.state, view.version):
         return -1, 0
@@ -220,16 +256,16 @@ class RowKernel:
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
-        self._entries: dict[bool | None, Any] = {}
+        self._codes: dict[bool | None, Any] = {}
 
-    def __call__(self, view: View, bodies: Bodies | None, given: tuple[Any, ...]) -> Any:
+    def call(self, view: View, bodies: Bodies | None, given: tuple[Any, ...]) -> Any:
         """Call it; RuntimeError if the tree is changed meanwhile."""
-        variant = None if bodies is None else bodies.hulls is not None
-        entry = self._entries.get(variant)
-        if entry is None:
+        variant = None if bodies is None else bodies[2] is not None
+        code = self._codes.get(variant)
+        if code is None:
             code = entry_point(self._kernel, view, bodies, *given)
-            entry = self._entries[variant] = code
-        counted = entry(view, bodies, *given)
+            self._codes[variant] = code
+        counted = code(view, bodies, *given)
         if counted[0] == REFUSED:
             raise RuntimeError(IS_CHANGED)
         return counted

@@ -144,17 +144,9 @@ class Columns:
         for slot in self._with_meshes(copies):
             self.meshes.take(self.meshes[int(self.geometry['mesh'][slot])])
 
-    def geometry_arrays(self) -> tuple[NDArray[np.void], Hulls | None] | None:
-        """Geometry and `hulls`; None where the scene is planar and has footprints."""
-        return (self.geometry, self.hulls()) if self.footprint is None else None
-
-    def footprint_arrays(self) -> tuple[NDArray[np.void], Hulls | None] | None:
-        """Footprints and `hulls`; None where the scene is not planar."""
-        return (self.footprint, self.hulls()) if self.footprint is not None else None
-
     def hulls(self) -> Hulls | None:
         """The meshes for the kernels; None without any: what is None is not compiled."""
-        return self.meshes.hulls if len(self.meshes) or self._expects_meshes else None
+        return self.meshes.hulls if self._expects_meshes or self.meshes.held else None
 
     def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> tuple[int, int]:
         """Write rows of an update; `owner` is (source, group). Returns how many obstacles were in

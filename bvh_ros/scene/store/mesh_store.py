@@ -114,25 +114,25 @@ class MeshStore:
 
     def __init__(self) -> None:
         self._numbers: dict[bytes, int] = {}
-        self._meshes: dict[int, Mesh | Polygon] = {}
+        self.held: dict[int, Mesh | Polygon] = {}
         self._uses: dict[int, int] = {}
         self._free: list[int] = []  # numbers
         self._used = 0  # vertices
         self._joined = _Joined()
 
     def __len__(self) -> int:
-        return len(self._meshes)
+        return len(self.held)
 
     def __getitem__(self, number: int) -> Mesh | Polygon:
-        return self._meshes[number]
+        return self.held[number]
 
     def take(self, mesh: Mesh | Polygon) -> int:
         """Number of a mesh, used once more."""
         number = self._numbers.get(mesh.key)
         if number is None:
-            number = self._free.pop() if self._free else len(self._meshes)
+            number = self._free.pop() if self._free else len(self.held)
             self._joined.add(number, mesh)
-            self._numbers[mesh.key], self._meshes[number], self._uses[number] = number, mesh, 0
+            self._numbers[mesh.key], self.held[number], self._uses[number] = number, mesh, 0
             self._used += len(mesh.vertices)
         self._uses[number] += 1
         return number
@@ -142,13 +142,13 @@ class MeshStore:
         self._uses[number] -= 1
         if self._uses[number]:
             return
-        mesh = self._meshes.pop(number)
+        mesh = self.held.pop(number)
         del self._numbers[mesh.key], self._uses[number]
         self._free.append(number)
         self._used -= len(mesh.vertices)
         if self._joined.size > MOST_FORGOTTEN * self._used + FEW_FORGOTTEN:
             self._joined = _Joined()
-            for other, kept in self._meshes.items():
+            for other, kept in self.held.items():
                 self._joined.add(other, kept)
 
     @property

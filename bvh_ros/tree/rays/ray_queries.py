@@ -195,9 +195,13 @@ class RayQueries(RayAsking):
             offsets, ids, found, _ = motion.every_ray(self, some, (at, pace))
             return offsets, ids, found.ts
         count = len(origins)
-        limits = checks.limits_or_one('t_max', t_max, count)
-        masks = checks.masks_or_one(mask, count)
-        skip = checks.flag('skip_inside', skip_inside)
+        limits, masks, skip = checks.FOREVER, checks.EVERYTHING, skip_inside
+        if t_max is not np.inf:
+            limits = checks.limits_or_one('t_max', t_max, count)
+        if mask is not ALL:
+            masks = checks.masks_or_one(mask, count)
+        if skip is not False:
+            skip = checks.flag('skip_inside', skip)
         # As Rays(...), which would take one more call of a function of Python's.
         rays = tuple.__new__(Rays, (origins, directions, limits, masks, skip, EVERY, True))
         offsets, end, found = raycasting.every_hit(self.view(), rays, True)

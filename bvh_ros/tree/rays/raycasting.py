@@ -280,9 +280,14 @@ def every_hit(view: View, rays: Rays, named: bool) -> tuple[Ids, int, Found]:
     are in all, and what was found, as `raycast_every_row` has it. ValueError if a ray is not
     finite, RuntimeError if the tree is changed before they are found.
     """
-    count, ndim = rays.origins.shape
-    offsets, found, kernel = np.empty(count + 1, INT64), room_for_hits(FEW), every_entry(ndim)
-    tree, version = view
+    (count, ndim), (tree, version) = rays[0].shape, view
+    # As `room_for_hits`, which would take one more call of a function of Python's.
+    parts = np.empty(FEW, INT64), np.empty(FEW), np.empty(FEW, INT64)
+    offsets, found, kernel = (
+        np.empty(count + 1, INT64),
+        tuple.__new__(Found, parts),
+        every_entry(ndim),
+    )
     done, end, exact = kernel(tree, version, rays, named, offsets, found, (0, 0))
     while done != count:
         if done == NOT_FINITE:

@@ -8,6 +8,7 @@ in which the scene fits into [-1, 1], rounded outwards. It is built when a batch
 worth it, and again after the tree has changed.
 """
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -271,8 +272,9 @@ def collapse(tree, version, shares, snapshot, queue):
     return depth
 
 
+@functools.cache
 def no_snapshot(ndim: int) -> Snapshot:
-    """Arrays without places, to tell a compiler the types."""
+    """Arrays without places: for who has none, and to tell a compiler the types."""
     lanes = np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0, np.uint32)
     return Snapshot(*lanes, np.empty(0), 1.0, 0, 0, 0, 0, np.empty(0, ray_dtype(ndim)))
 
