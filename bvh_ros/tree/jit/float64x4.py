@@ -13,6 +13,7 @@ from .intrinsics import elements_at, index, operation, pick, splat
 FOUR = 4
 
 _INT, _DOUBLE = ir.IntType(32), ir.DoubleType()
+_LONGS = ir.VectorType(ir.IntType(64), FOUR)
 _VECTOR, _NARROW = ir.VectorType(_DOUBLE, FOUR), ir.VectorType(ir.FloatType(), FOUR)
 
 
@@ -32,9 +33,21 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
     return numbers
 
 
+def _any(builder: Any, truths: Any) -> Any:
+    bits = builder.bitcast(truths, ir.IntType(FOUR))
+    return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
+
+
 def _all(builder: Any, truths: Any) -> Any:
     bits = builder.bitcast(truths, ir.IntType(FOUR))
     return builder.icmp_unsigned('==', bits, ir.Constant(bits.type, -1))
+
+
+def _octant(builder: Any, direction: Any) -> Any:
+    """Bit k: the number of lane k has a sign."""
+    signs = builder.bitcast(direction, _LONGS)
+    negative = builder.icmp_signed('<', signs, ir.Constant(_LONGS, [0] * FOUR))
+    return builder.zext(builder.bitcast(negative, ir.IntType(FOUR)), ir.IntType(64))
 
 
 def _largest(builder: Any, numbers: Any) -> Any:
@@ -45,9 +58,9 @@ def _largest(builder: Any, numbers: Any) -> Any:
 
 @intrinsic
 def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
-    """Write how a ray meets planes, `slope`, `near_shift` and `far_shift` of a record as of
-    `filtering.ray_dtype`; what lies in the four bytes behind each of them is lost. Returns the
-    largest component of the direction, and whether the ray is within `bounds`.
+    """Write how a ray meets planes, `slope`, `near_shift`, `far_shift` and `octant` of a record as
+    of `filtering.ray_dtype`; what lies in the four bytes behind the first three is lost. Returns
+    the largest component of the direction, and whether the ray is within `bounds`.
 
     `bounds`, float64: how far an origin may be, least and largest component that is not zero; how
     large an inverse becomes, and the pad.
@@ -78,6 +91,8 @@ def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
         distance = _each(builder, 'fabs', start)
         pad = builder.fmul(builder.fmul(pad, steepness), builder.fadd(one, distance))
         shift = builder.fneg(builder.fmul(start, slope))
+        octant = builder.trunc(_octant(builder, direction), ir.IntType(8))
+        builder.store(octant, builder.gep(record, [index(ray.offset('octant'))]))
         store('slope', slope)
         store('near_shift', builder.fsub(shift, pad))
         store('far_shift', builder.fadd(shift, pad))
@@ -89,3 +104,37 @@ def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
         return context.make_tuple(builder, signature.return_type, (largest, _all(builder, within)))
 
     return result(ray, origin, direction, center, per_length, bounds), codegen
+
+
+@intrinsic
+def look_ahead(typingctx, ray, origin, direction, whole):
+    """Whether a ray begins beyond a box on an axis and comes no nearer there, so that it meets
+    nothing in it, exactly; one that is not finite does not. And its octant, bit k: it flies down
+    axis k, as its slope does, that of -0.0, too.
+
+    `whole` is the box' lower and upper corner, FOUR numbers each; `ray` a record as of
+    `filtering.ray_dtype`, which says how many axes there are, and no more.
+    """
+    ndim = ray.typeof('slope').shape[0]
+    result = types.Tuple((types.boolean, types.int64))
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def side(first: int) -> Any:
+            kind = signature.args[3]
+            place = elements_at(context, builder, kind, args[3], index(first), index(FOUR))
+            return builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=8)
+
+        start, way = (_row(context, builder, signature.args[k], args[k], ndim) for k in (1, 2))
+        zero = ir.Constant(_VECTOR, [0.0] * FOUR)
+        above = builder.and_(
+            builder.fcmp_ordered('>', start, side(FOUR)), builder.fcmp_ordered('>=', way, zero)
+        )
+        below = builder.and_(
+            builder.fcmp_ordered('<', start, side(0)), builder.fcmp_ordered('<=', way, zero)
+        )
+        nothing = builder.fadd(builder.fsub(start, start), builder.fsub(way, way))
+        finite = _all(builder, builder.fcmp_ordered('==', nothing, zero))
+        away = builder.and_(_any(builder, builder.or_(above, below)), finite)
+        return context.make_tuple(builder, signature.return_type, (away, _octant(builder, way)))
+
+    return result(ray, origin, direction, whole), codegen

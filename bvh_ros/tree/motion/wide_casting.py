@@ -20,26 +20,19 @@ from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
 from ..results import RayHits
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from ..wide.best_hit import ASK, MEETS, MISSES
-from ..wide.filtering import octant_of
+from ..wide.ray_piles import MIXED_RAYS, is_scan
 from ..wide.ray_streams import (
+    DECIDED_EXACTLY,
+    FOUND,
     OCTANTS,
     RAYS_AT_ONCE,
     RAYS_SORTED,
+    TALLY,
     make_scratch,
     scratch_for,
     sort_by_octant,
 )
-from ..wide.raycasting import (
-    DECIDED_EXACTLY,
-    FOUND,
-    MIXED,
-    MIXED_RAYS,
-    TALLY,
-    is_scan,
-    start_group,
-    traverse,
-    visit_leaf,
-)
+from ..wide.raycasting import MIXED, start_group, traverse, visit_leaf
 from .asked_then import NO_RAYS, MovingRays, RaysThen
 from .meeting import Course, box_of, distance_of, fetch_box, is_before, meet
 from .sweeping import Sweep, no_sweep
@@ -192,9 +185,6 @@ def cast_rows(tree, sweep, asked, scratch, hits):
 def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
     """Answer rays of one octant that go together; return how many are not suited."""
     alive = start_group(snapshot, rays, rows, scratch)
-    if octant == MIXED:
-        for i in range(rows.shape[0]):
-            scratch.records[i].octant = octant_of(rays.directions[rows[i]])
     for place in scratch.lists[alive : rows.shape[0]]:
         hits.ids[rows[place]] = UNSUITED
     tally[FOUND] = 0
@@ -205,7 +195,7 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
             *(scratch.ray, scratch.records, scratch.lists, scratch.found, scratch.met),
             *(scratch.stack, pairs, snapshot.loose > 0),
         )
-        group = octant, rows, scratch.lists[:alive]
+        group = octant, rows, alive
         traverse(snapshot, tree, group, rays, room, tally, let_wait, not_yet)
         visit_waiting(tree, rows, rays, room, tally)
     found = scratch.found[: tally[FOUND]]

@@ -11,6 +11,7 @@ import numpy as np
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
+from ..jit.float64x4 import look_ahead
 from ..jit.intrinsics import WIDTH, stack_array, trailing_zeros
 from ..nodes import NONE, WRITTEN
 from ..rays.ray_hits import NO_HITS, raycast_row
@@ -19,7 +20,8 @@ from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
 from .collapse_plan import DEEPEST_WIDE
-from .filtering import fill_whole, flies_away, limit32, octant_of, start_ray
+from .filtering import CORNERS, fill_whole, limit32, start_ray
+from .ray_piles import write_miss
 from .ray_streams import without_lowest
 from .raycasting import ALL32, is_stale, set_inverse, write_hit
 from .snapshot import LOOSE_NODES, no_snapshot
@@ -42,11 +44,12 @@ def cast_few(tree, version, snapshot, rays, hits):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     one = Found(slots, stack_array(1, np.float64), axes)
     records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)
-    exact, record, whole = np.int64(0), records[0], stack_array((2, 3), np.float64)
+    exact, record, whole = np.int64(0), records[0], stack_array(CORNERS, np.float64)
     fill_whole(tree, whole)
     for row in range(rays.origins.shape[0]):
         origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
-        if flies_away(whole, origin, direction):
+        away, _ = look_ahead(record, origin, direction, whole)
+        if away:
             write_miss(rays, row, hits)
             continue
         if not start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max):
@@ -69,22 +72,12 @@ def cast_few(tree, version, snapshot, rays, hits):
 
 
 @inlined
-def write_miss(rays, row, hits):
-    """Write that a ray hits nothing."""
-    hits.ids[row] = NONE
-    if rays.mode != ANY:
-        hits.t[row] = np.inf
-        for axis in range(hits.normals.shape[1]):
-            hits.normals[row, axis] = 0.0
-
-
-@inlined
 def cast_one(snapshot, tree, rays, row, ray, records, stack):
     """Best hit of a ray, or any: (slot, about t, axis). An entry of the stack is a node or ~slot
     of a leaf, and above that the bits of a float32: where the ray enters.
     """
     record, mask, t_max = records[0], of_row(rays.masks, row), of_row(rays.t_max, row)
-    octant, patched = np.uint64(octant_of(rays.directions[row])), snapshot.loose > 0
+    octant, patched = np.uint64(record.octant), snapshot.loose > 0
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     nearest, met, first = (
         stack_array(WIDTH, np.int32),

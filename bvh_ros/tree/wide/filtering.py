@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 
 from ..jit.compiling import inlined
-from ..jit.float64x4 import set_slopes
+from ..jit.float64x4 import FOUR, set_slopes
 from ..nodes import NONE, ROOT
-from ..rays.slab import INSIDE, is_finite
+from ..rays.slab import INSIDE
 
 PAD32 = 2.0**-22
 FARTHEST_ORIGIN = 2.0**10
 STEEPEST = 2.0**40
+CORNERS = 2 * FOUR  # numbers of a box around all boxes
 _BOUNDS = FARTHEST_ORIGIN, 1e-290, 1e200, STEEPEST, PAD32
 NOWHERE = np.float32(-1.0)  # a limit that no box is within
 
@@ -46,7 +47,7 @@ def ray_dtype(ndim: int) -> np.dtype[Any]:
         'slot': (np.int32, 56),  # of the best hit, or NONE
         'axis': (np.int16, 60),
         'exact': (np.bool_, 62),  # whether a decision took exact arithmetic
-        'octant': (np.uint8, 63),  # of rays that go together with those of others
+        'octant': (np.uint8, 63),  # bit k: it flies down axis k
     }
     kinds, offsets = zip(*fields.values(), strict=True)
     return np.dtype({'names': list(fields), 'formats': kinds, 'offsets': offsets, 'itemsize': 64})
@@ -72,24 +73,13 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
 
 @inlined
 def fill_whole(tree, whole):
-    """Write the box around all boxes, lower corner first; of none, everything."""
+    """Write the box around all boxes as of `look_ahead`; of none, everything."""
     root = tree.state[ROOT]
-    for axis in range(tree.nodes[0].lo.shape[0]):
-        whole[0, axis], whole[1, axis] = -np.inf, np.inf
-        if root != NONE:
-            whole[0, axis], whole[1, axis] = tree.nodes[root].lo[axis], tree.nodes[root].hi[axis]
-
-
-@inlined
-def flies_away(whole, origin, direction):
-    """Whether a ray begins beyond all boxes on an axis and comes no nearer there, so that it meets
-    none, exactly; one that is not finite does not.
-    """
-    away = False
-    for axis in range(origin.shape[0]):
-        away |= (origin[axis] > whole[1, axis]) & (direction[axis] >= 0.0)
-        away |= (origin[axis] < whole[0, axis]) & (direction[axis] <= 0.0)
-    return away and is_finite(origin, direction)
+    for axis in range(FOUR):
+        whole[axis], whole[FOUR + axis] = -np.inf, np.inf
+    if root != NONE:
+        for axis in range(tree.nodes[0].lo.shape[0]):
+            whole[axis], whole[FOUR + axis] = tree.nodes[root].lo[axis], tree.nodes[root].hi[axis]
 
 
 @inlined

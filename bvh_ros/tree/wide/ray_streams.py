@@ -24,17 +24,14 @@ from ..jit.int32x8 import AT_ONCE
 from ..jit.intrinsics import WIDTH, trailing_zeros
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
-from .filtering import flies_away, octant_of, ray_dtype
+from .filtering import octant_of, ray_dtype
 from .snapshot import LOOSE_NODES
 
-# How many rays go together: their records stay in a processor core's own cache, and so do, for the
-# most part, the rays and answers of those that are sorted by octant in one go.
+# How many rays go together at most.
 RAYS_AT_ONCE = 4096
 RAYS_SORTED = 8 * RAYS_AT_ONCE
 
 OCTANTS = 8  # of two dimensions, four are empty
-AWAY = OCTANTS  # a ray that meets nothing
-PILES = OCTANTS + 1
 
 # Scratch for so many rays is kept by a thread, 0.5 MB among 10,000 boxes: to make it takes 5 us, a
 # sixth of 400 short rays, and less than 3 % of more rays.
@@ -42,6 +39,8 @@ KEPT_RAYS = 1024
 
 # The columns of the stack: a node or ~slot of a leaf, and its list.
 NODE, START, COUNT = range(3)
+FOUND, DECIDED_EXACTLY, BAD = range(3)  # what is counted
+TALLY = 3
 
 
 class Scratch(NamedTuple):
@@ -50,11 +49,11 @@ class Scratch(NamedTuple):
     ray: NDArray[np.float64]
     """One ray, as of `slab`."""
     octants: NDArray[np.uint8]
-    """Of the rays that are sorted together."""
+    """Of rays that are sorted, see `sort_by_octant`."""
     rows: NDArray[np.int64]
-    """Of these rays, octant by octant."""
+    """Of rays, octant by octant."""
     records: NDArray[Any]
-    """Of `filtering.ray_dtype`, those at once."""
+    """Of `filtering.ray_dtype`, as many."""
     lists: NDArray[np.int32]
     """Places in `records`."""
     found: NDArray[np.int32]
@@ -67,12 +66,12 @@ class Scratch(NamedTuple):
 
 def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
     """For `count` rays through a snapshot of so many levels of wide nodes."""
-    together = min(count, RAYS_AT_ONCE)
+    together, piled = min(count, RAYS_AT_ONCE), min(OCTANTS * count, RAYS_SORTED)
     return Scratch(
         np.empty((RAY_ROWS, ndim)),
         np.empty(min(count, RAYS_SORTED), np.uint8),
-        np.empty(min(count, RAYS_SORTED), np.int64),
-        aligned_empty(together, ray_dtype(ndim)),
+        np.empty(piled, np.int64),
+        aligned_empty(piled, ray_dtype(ndim)),
         np.empty(together * (1 + WIDTH * depth) + AT_ONCE, np.int32),
         np.empty(together, np.int32),
         np.empty(together + AT_ONCE, np.uint32),
@@ -100,41 +99,14 @@ def scratch_for(count: int, ndim: int, depth: int) -> Scratch:
     return scratch
 
 
-@inlined
-def list_rows(rays, whole, rows):
-    """Write to `rows` the numbers of the rays that may meet anything; return how many."""
-    listed = 0
-    for row in range(rows.shape[0]):
-        rows[listed] = row
-        listed += not flies_away(whole, rays.origins[row], rays.directions[row])
-    return listed
-
-
-@inlined
-def pile_rows(rays, whole, first, octants, rows, ends):
-    """The same of the rays from `first` on, octant by octant, see `sort_by_octant`."""
-    for i in range(rows.shape[0]):
-        origin, direction = rays.origins[first + i], rays.directions[first + i]
-        away = flies_away(whole, origin, direction)
-        octants[i] = AWAY if away else octant_of(direction)
-    sort_rows(octants, first, rows, ends)
-
-
 @lean_kernel
 def sort_by_octant(directions, start, octants, rows, ends):
     """Fill `rows` with the numbers from `start` on, octant by octant; those of octant k end before
     ends[k]. `octants` is scratch.
     """
-    for i in range(rows.shape[0]):
-        octants[i] = octant_of(directions[start + i])
-    sort_rows(octants, start, rows, ends)
-
-
-@inlined
-def sort_rows(octants, start, rows, ends):
-    """As `sort_by_octant` of rows whose `octants` are known."""
     ends[:] = 0
     for i in range(rows.shape[0]):
+        octants[i] = octant_of(directions[start + i])
         ends[octants[i]] += 1
     before = 0
     for octant in range(ends.shape[0]):

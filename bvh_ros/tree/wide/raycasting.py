@@ -12,8 +12,8 @@ from ..jit.float32x16 import seen16, stream16
 from ..jit.int32x8 import AT_ONCE, list_met8
 from ..jit.intrinsics import WIDTH, prefetch, stack_array
 from ..nodes import ALL, NONE, WRITTEN, leaf_box
-from ..rays.ray_hits import NO_HITS, raycast_row
-from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
+from ..rays.ray_hits import NO_HITS
+from ..rays.raycasting import ANY, NO_RAYS, of_row
 from ..rays.slab import (
     DIRECTION,
     EXACT,
@@ -26,31 +26,25 @@ from ..rays.slab import (
 )
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
-from .filtering import NOWHERE, fill_whole, limit32, octant_of, start_ray
+from .filtering import NOWHERE, limit32, start_ray
+from .ray_piles import pile_size, start_rays
 from .ray_streams import (
+    BAD,
     COUNT,
+    DECIDED_EXACTLY,
+    FOUND,
     NODE,
     OCTANTS,
-    PILES,
-    RAYS_AT_ONCE,
-    RAYS_SORTED,
     START,
+    TALLY,
     farthest_first,
-    list_rows,
     make_scratch,
-    pile_rows,
 )
 from .snapshot import no_snapshot
 
 ALL32 = np.uint32(ALL)
-# Up to so many rays go together whatever their octants: lists that are eight times as long make up
-# for planes that are loaded for each ray. Measured with AVX-512 and AVX2: that takes 0.75 to 0.9
-# times as long for 256, 0.83 to 1.04 times for 8,192, 0.92 to 1.08 times for 16,384; but of rays
-# of a scan, which fly side by side, 1.1 to 1.3 times as long for 200 to 700.
-MIXED_RAYS, MIXED = 2 * RAYS_AT_ONCE, -1
+MIXED = -1  # for an octant: that of each ray
 LINES_OF_PLANES = 6  # of a wide node of three dimensions
-FOUND, DECIDED_EXACTLY, BAD = range(3)  # what is counted
-TALLY = 3
 
 
 @lean_kernel
@@ -63,44 +57,21 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
         end_query(tree.state)
         return np.int64(REFUSED)
-    tally, ends = stack_array(TALLY, np.int64), stack_array(PILES, np.int64)
-    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
-    one = Found(slots, stack_array(1, np.float64), axes)
-    tally[DECIDED_EXACTLY] = tally[BAD] = 0
-    hits.ids[:], hits.t[:], hits.normals[:] = NONE, np.inf, 0.0
-    count, whole = rays.origins.shape[0], stack_array((2, 3), np.float64)
-    fill_whole(tree, whole)
-    mixed = 0 < count <= MIXED_RAYS and not is_scan(rays.origins)
-    for first in range(0, count, RAYS_SORTED):
-        batch = scratch.rows[: min(count - first, RAYS_SORTED)]
-        if mixed:
-            ends[:] = list_rows(rays, whole, batch)
+    tally, piled = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
+    tally[DECIDED_EXACTLY], tally[BAD], piled[:] = 0, 0, 0
+    count, row, pile = rays.origins.shape[0], np.int64(0), np.int64(0)
+    together, mixed = pile_size(snapshot, rays.origins)
+    while row < count or pile < OCTANTS:
+        full = pile
+        if row < count:
+            piles = scratch.records, scratch.rows, piled, together, mixed
+            row, full = start_rays(snapshot, tree, rays, row, piles, scratch.ray, tally, hits)
         else:
-            pile_rows(rays, whole, first, scratch.octants, batch, ends)
-        begin = 0
-        for octant in range(OCTANTS):
-            while begin < ends[octant]:
-                rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]
-                alive = start_group(snapshot, rays, rows, scratch)
-                if mixed:
-                    for i in range(rows.shape[0]):
-                        scratch.records[i].octant = octant_of(rays.directions[rows[i]])
-                # Those that are not suited come last in the list.
-                for place in scratch.lists[alive : rows.shape[0]]:
-                    done = raycast_row(tree, scratch.ray, rays, rows[place], one, hits)
-                    tally[BAD] = min(tally[BAD], done)
-                    tally[DECIDED_EXACTLY] += done
-                tally[FOUND] = 0
-                if alive > 0:
-                    group = MIXED if mixed else octant, rows, scratch.lists[:alive]
-                    traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_first)
-                for i in scratch.found[: tally[FOUND]]:
-                    best, row = scratch.records[i], rows[i]
-                    set_inverse(scratch.ray, rays.origins[row], rays.directions[row])
-                    hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
-                    exact = write_hit(tree, scratch.ray, rays, row, hit, hits)
-                    tally[DECIDED_EXACTLY] += exact and not best.exact
-                begin += rows.shape[0]
+            pile += 1
+        if piled[full] > 0:
+            group = MIXED if mixed else full, full * together, piled[full]
+            cast_pile(snapshot, tree, group, rays, scratch, tally, hits)
+            piled[full] = 0
     if rays.counted and tally[BAD] == 0:
         count_rays(tree.state, count, tally[DECIDED_EXACTLY])
     end_query(tree.state)
@@ -108,20 +79,27 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
 
 
 @inlined
-def is_scan(origins):
-    """Whether rays seem to come from one place."""
-    same, last = True, origins.shape[0] - 1
-    for axis in range(origins.shape[1]):
-        first = origins[0, axis]
-        same &= first == origins[last // 2, axis] and first == origins[last, axis]
-    return same
-
-
-@inlined
 def is_first(tree, ray, rays, row, slot, best):
     """`best_hit.is_better` of a ray that is still to be set."""
     set_inverse(ray, rays.origins[row], rays.directions[row])
     return is_better(tree, ray, of_row(rays.t_max, row), rays.skip_inside, slot, best)
+
+
+@inlined
+def cast_pile(snapshot, tree, group, rays, scratch, tally, hits):
+    """Answer rays that go together: (octant, the first place, how many)."""
+    octant, begin, count = group
+    for i in range(count):
+        scratch.lists[i] = begin + i
+    tally[FOUND] = 0
+    group = octant, scratch.rows, count
+    traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_first)
+    for place in scratch.found[: tally[FOUND]]:
+        best, row = scratch.records[place], scratch.rows[place]
+        set_inverse(scratch.ray, rays.origins[row], rays.directions[row])
+        hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
+        exact = write_hit(tree, scratch.ray, rays, row, hit, hits)
+        tally[DECIDED_EXACTLY] += exact and not best.exact
 
 
 @inlined
@@ -147,12 +125,12 @@ def start_group(snapshot, rays, rows, scratch):
 
 @inlined
 def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
-    """Find the best hits of the rays of a group, (octant, rows, places of those that are asked),
+    """Find the best hits of the rays of a group, (octant, rows of places, how many are listed),
     and note them in their records. `put_off` asks for the memory of a leaf, and says whether it
     keeps the rays that visit it for later.
     """
-    (octant, rows, asked), lists, stack, masks = group, scratch.lists, scratch.stack, rays.masks
-    alive = asked.shape[0]
+    octant, rows, alive = group
+    lists, stack, masks = scratch.lists, scratch.stack, rays.masks
     all_seen = masks.shape[0] == 1 and masks[0] == ALL32
     nearest, keys = stack_array(WIDTH, np.int32), stack_array(WIDTH, np.int64)
     top = 1 + snapshot.loose
