@@ -90,8 +90,9 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
 
                 entry, met = _slabs(builder, boxes_for(ray), field)
                 so_far = builder.load(least)
-                nearer = pick(builder, '<', entry, so_far)
-                builder.store(builder.select(met, nearer, so_far), least)
+                far = ir.Constant(_WIDE, [float('inf')] * WIDTH)
+                nearer = builder.select(met, entry, far)
+                builder.store(pick(builder, '<', nearer, so_far), least)
                 bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
                 builder.store(bits, builder.gep(hits, [number]))
                 builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
