@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ...tree.checks import INT64, UINT32
 from ...tree.entries import entry_points
-from ...tree.jit.compiling import lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, NO_TIMES, RaysThen
-from ...tree.motion.casting import locate, no_motion
+from ...tree.motion.casting import locate
 from ...tree.motion.meeting import Course, box_of, fetch_box
 from ...tree.motion.sweeping import Sweep, no_sweep
 from ...tree.motion.wide_casting import AHEAD, cast_rows
@@ -32,6 +32,9 @@ from .moving import sweep_for
 from .seen import Times
 
 _NO_IDS = np.empty(0, np.int64)
+# What is called directions: those of rays, the goals of the ways, or those of rays whose hits are
+# there already, to be described.
+ALONG, TO_GOALS, FOUND = range(3)
 
 
 class Told(NamedTuple):
@@ -62,13 +65,14 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
 
     def cast(arrays: Tree, sweep: Sweep, some: RaysThen, into: Told) -> int:
         scratch = scratch_for(len(some.origins), ndim, sweep.snapshot.depth)
-        done: int = _cast_entry(ndim)(arrays, sweep, some, False, node_handles, scratch, into)
+        done: int = _entry(ndim)(arrays, sweep, some, ALONG, node_handles, scratch, into)
         return done
 
     sweep = sweep_for(held, rays, times)
     if not motion.answer(tree, (view, sweep), asked, told, threads, cast):
-        known = motion.known(view, 0.0, 0.0)
-        _describe_entry(ndim)(view.tree, known, asked, node_handles, told)
+        known = no_sweep(ndim)._replace(moving=motion.known(view, 0.0, 0.0))
+        given = asked, FOUND, node_handles, scratch_for(0, ndim, 0), told
+        _entry(ndim)(view.tree, known, *given)
         tree.check_unchanged(view)
     normals = told.normals
     if ndim == 2:
@@ -100,19 +104,19 @@ def few_first(
     normals = np.empty((count, 3))
     told = tuple.__new__(Told, (ids, ts, normals, handles, points))
     scratch = scratch_for(count, 3, sweep.snapshot.depth)
-    given = asked, to_goals, held.columns.node_handle, scratch, told
-    if _cast_entry(3)(storage.tree, sweep, *given) != 0:
+    given = asked, int(to_goals), held.columns.node_handle, scratch, told
+    if _entry(3)(storage.tree, sweep, *given) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 
 
 @lean_kernel
-def cast_and_describe(tree, sweep, asked, to_goals, node_handles, scratch, told):
+def cast_and_describe(tree, sweep, asked, what, node_handles, scratch, told):
     """First hits of rays in one call; returns as `wide_casting.cast_rows`, 1 where a way is not
     finite.
     """
-    directions, ids = asked.directions, told.ids
-    if to_goals:
+    directions, ids, done = asked.directions, told.ids, np.int64(0)
+    if what == TO_GOALS:
         directions = told.points
         if fill_ways(asked.origins, asked.directions, directions) >= 0:
             return np.int64(1)
@@ -123,13 +127,14 @@ def cast_and_describe(tree, sweep, asked, to_goals, node_handles, scratch, told)
         *(asked.at, asked.pace, asked.when),
     )
     hits = Told(ids, told.t, told.normals, told.handles, told.points)
-    done = cast_rows(tree, sweep, rays, scratch, RayHits(ids, told.t, told.normals))
+    if what != FOUND:
+        done = cast_rows(tree, sweep, rays, scratch, RayHits(ids, told.t, told.normals))
     if done == 0:
         describe(tree, sweep.moving, rays, node_handles, hits)
     return done
 
 
-@lean_kernel
+@inlined
 def describe(tree, moving, rays, node_handles, told):
     """Fill in what is told of hits; directions and points may be the same memory."""
     ray, ndim = stack_array((RAY_ROWS, 3), np.float64), told.normals.shape[1]
@@ -160,8 +165,7 @@ def describe(tree, moving, rays, node_handles, told):
 
 _ROWS = np.empty((0, 3))
 _TOLD = Told(_NO_IDS, np.empty(0), _ROWS, np.empty(0, np.uint32), _ROWS)
-_describe_entry = entry_points(describe, no_motion, NO_RAYS, _NO_IDS, _TOLD)
-_cast_entry = entry_points(
-    *(cast_and_describe, no_sweep, NO_RAYS, False, _NO_IDS),
+_entry = entry_points(
+    *(cast_and_describe, no_sweep, NO_RAYS, ALONG, _NO_IDS),
     *(lambda ndim: make_scratch(0, ndim, 0), _TOLD),
 )
