@@ -158,30 +158,47 @@ class Moments:
         """`moving_boxes.few_first` where the tree alone decides and nobody comes to rest; else
         None.
         """
+        held = self._held
+        if held.planar or held.uncertainty or not held.moves or held.columns.shaped:
+            return None
+        when = self._together(at, until, rays[2])
+        if when is None:
+            return None
+        courses = self._courses or self._courses_then()
+        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
+
+    def _together(self, at: Any, until: Any, t_max: Floats) -> tuple[float, float] | None:
+        """`_way_of_time` where all rays go at the same time and nobody comes to rest; else None,
+        or where at and until are not the most common.
+        """
         held, last = self._held, at if until is None else until
         if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
-            return None
-        if held.planar or held.uncertainty or not held.moves or held.columns.shaped:
             return None
         begin, end = at - held.epoch, last - held.epoch
         if not -EXACT < begin <= end < EXACT:
             return None
-        start = begin / 1e9  # as `_way_of_time`
+        start = begin / 1e9
         when = start, 0.0 if until is None else end / 1e9 - start
-        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, rays[2]))):
+        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, t_max))):
             return None
-        courses = self._courses or self._courses_then()
-        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
+        return when
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
     ) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
+        held, thick = self._held, radii is not checks.NOTHING and is_any(radii)
+        if threads == 1 and (rays.t_max is WHOLE_WAY if thick else held.columns.shaped):
+            together = self._together(*when, rays.t_max)
+            if together is not None and not (held.planar or held.uncertainty):
+                moving = (self._courses or self._courses_then()).moving
+                told: CastHits | None = moving.few_then(held, rays, radii, bool(skip), together)
+                if told is not None:
+                    return told
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
-        thick = radii is not checks.NOTHING and is_any(radii)
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
-        held, still = self._held, False
+        still = False
         if held.max_prediction < math.inf:
             still = len(at_rest(held, times.last(rays.t_max))) > 0
         if not (still or held.columns.shaped or held.uncertainty or thick):

@@ -29,11 +29,11 @@ from ...tree.rays.raycasting import EVERY
 from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
-from ..results import NO_NODE
+from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Hits, Rays, Scratch, call, new_scratch, world_of
+from .arguments import Hits, Rays, Scratch, call, new_scratch, world_in, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
 
@@ -119,6 +119,33 @@ def first_then(
         met = told.handles != NO_NODE
         told.points[met, 2] = rays.origins[met, 2]
     return told
+
+
+def few_then(
+    held: Obstacles, rays: Rays, radii: Floats, skip: bool, when: tuple[float, float]
+) -> CastHits | None:
+    """`first_then` in a solid scene through what is swept already, with as little Python as can
+    be; None where nothing is swept, or a way is not for it. when = (at, pace) of all.
+    """
+    tree: Any = held.tree
+    count, storage, (at, pace), t_max = len(rays.origins), tree._storage, when, rays.t_max
+    if len(t_max) != 1 or storage.heirs:
+        return None
+    last = at if pace == 0.0 else at + t_max.item() * pace
+    sweep = tree._motion.ready_sweep(count, at, last)
+    if sweep is None:
+        return None
+    # As Ways(...) and so on, which would take more calls of functions of Python's.
+    ways = tuple.__new__(Ways, (*rays, radii, np.array([at]), np.array([pace]), NOTHING))
+    ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    hits = tuple.__new__(Hits, (np.empty(count, INT64), ts, np.empty(count, INT64)))
+    handles, columns = np.empty(count, UINT32), held.columns
+    told = tuple.__new__(First, (hits, handles, points, normals))
+    given = ways, (skip, held.uncertainty), columns.node_handle, _kept.scratch(3), told
+    world, arrays = world_in(storage.tree, columns), storage.tree
+    if call(first_swept, world, arrays, sweep.moving, sweep, *given) != 0:
+        return None
+    return tuple.__new__(CastHits, (handles, ts, points, normals))
 
 
 def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
