@@ -55,18 +55,21 @@ class RayBatches:
         return CastHits(*(np.concatenate(column)[order] for column in columns))
 
     def few(self, rays: tuple[Any, ...], skip: bool, to_goals: bool) -> CastHits | None:
-        """`first` of thin rays that are few, among solid boxes alone, with as little Python as can
-        be; None if they are not, or not finite. `to_goals`: what is called directions are the
-        goals of the ways.
+        """`first` of thin rays with as little Python as can be: among solid boxes alone of those
+        that are few, else None, as where one is not finite. `to_goals`: what is called directions
+        are the goals of the ways.
         """
         held = self._held
-        if held.planar or held.columns.shaped:
+        if held.columns.shaped:
+            some, asked = tuple.__new__(Rays, rays), (to_goals, skip)
+            return wide_rays.first_of_many(held.tree, held.columns, some, asked, 1)
+        if held.planar:
             return None
         # As Rays(...), which would take one more call of a function of Python's.
-        asked = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
-        if len(asked.origins) > FEW and not held.tree.few_rays(asked):
+        thin = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
+        if len(thin.origins) > FEW and not held.tree.few_rays(thin):
             return None
-        return box_casting.few_first(held.tree, held.columns.node_handle, asked, to_goals)
+        return box_casting.few_first(held.tree, held.columns.node_handle, thin, to_goals)
 
     def _balls(self, balls: Balls, t_max: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls, at t from 0 to `t_max`."""
@@ -83,7 +86,9 @@ class RayBatches:
         if not held.columns.shaped:
             handles = held.columns.node_handle
             return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
-        return wide_rays.first_of_many(held.tree, held.columns, rays, skip, threads)
+        found = wide_rays.first_of_many(held.tree, held.columns, rays, (False, skip), threads)
+        assert found is not None
+        return found
 
     def cast(self, rays: Rays, skip: bool, every: bool) -> Found:
         """Thin rays against the true shapes."""

@@ -157,19 +157,25 @@ def shapes_in(columns: Columns) -> tuple[Any, Any]:
     return ((columns.geometry, hulls), None) if footprint is None else (None, (footprint, hulls))
 
 
-_entries: dict[tuple[Any, bool, bool], Any] = {}
+_codes: dict[tuple[Any, bool, bool], Any] = {}
+
+
+def code_for(kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...]) -> Any:
+    """The machine code of a kernel that takes a world, or its `shapes_in`, and always the same
+    types besides: numba would look at every array of it.
+    """
+    solid, flat = shapes
+    variant = kernel, flat is None, (solid or flat)[1] is None
+    code = _codes.get(variant)
+    if code is None:
+        code = _codes[variant] = entry_point(kernel, *given)
+    return code
 
 
 def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
-    """Call a kernel that takes a world, and always the same types besides, as machine code: numba
-    would look at every array of it.
-    """
-    _, hulls = world.geometry or world.footprints
-    variant = kernel, world.footprints is None, hulls is None
-    code = _entries.get(variant)
-    if code is None:
-        code = _entries[variant] = entry_point(kernel, world, *arguments)
-    return code(world, *arguments)
+    """Call a kernel that takes a world."""
+    given = world, *arguments
+    return code_for(kernel, (world.geometry, world.footprints), given)(*given)
 
 
 def new_scratch(ndim: int) -> Scratch:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
+from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
@@ -22,7 +22,7 @@ from ...tree.store.workers import in_threads
 from ...tree.wide.snapshot import no_snapshot
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Ball, CastWorld, Hits, new_scratch, shapes_in
+from .arguments import Ball, CastWorld, Hits, code_for, new_scratch, shapes_in
 from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
 from .casting import AT, EARLY, LATE, course_of, plain, touch
 from .wide_sweeps import UNSUITED, find_wide
@@ -61,7 +61,7 @@ class Kept(threading.local):
         return room
 
 
-_kept = Kept()
+kept = Kept()
 
 
 @inlined
@@ -197,7 +197,8 @@ def first_of_many(
     told = tuple.__new__(CastHits, parts)
     given = view, snapshot, shapes, columns.node_handle, balls, asked
     if threads == 1:  # without what others take: a tenth of a call of a row
-        start, _ = _code_for(given, told)(*given, (0, count), _kept.of(ndim), told)
+        every = *given, (0, count), kept.of(ndim), told
+        start, _ = code_for(sweep_balls, shapes, every)(*every)
         if start == count or (start >= 0 and _work(tree, columns, given, told, start, count)):
             return told
     work = partial(_work, tree, columns, given, told)
@@ -214,8 +215,8 @@ def _work(
 ) -> bool:
     """Fill in the rows [start, stop); whether all ways are finite."""
     while start < stop:
-        room = _kept.of(tree.ndim)
-        start, wanted = _code_for(given, told)(*given, (start, stop), room, told)
+        some = *given, (start, stop), kept.of(tree.ndim), told
+        start, wanted = code_for(sweep_balls, given[2], some)(*some)
         if start == NOT_FINITE:
             return False
         accepted(start)
@@ -223,7 +224,7 @@ def _work(
             _tell_open_one(tree, columns, given[4], given[5], told, start)
             start += 1
         elif start < stop:
-            _kept.make(tree.ndim, wanted)
+            kept.make(tree.ndim, wanted)
     return True
 
 
@@ -246,17 +247,3 @@ def _tell_open_one(
         told.t[row], told.points[row], told.normals[row] = t, point, normal
         if tree.ndim == 2:
             told.points[row, 2] = origin[2]
-
-
-_codes: dict[tuple[bool, bool], Any] = {}
-
-
-def _code_for(given: tuple[Any, ...], told: CastHits) -> Any:
-    """The machine code of `sweep_balls` for these types."""
-    solid, flat = given[2]
-    variant = flat is None, (solid or flat)[1] is None
-    code = _codes.get(variant)
-    if code is None:
-        room = _kept.of(3 if flat is None else 2)
-        code = _codes[variant] = entry_point(sweep_balls, *given, (0, 0), room, told)
-    return code

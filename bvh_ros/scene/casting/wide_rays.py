@@ -8,57 +8,70 @@ tell apart from touching. Who is met is decided as in `casting`.
 
 import numpy as np
 
+from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE
+from ...tree.nodes import NONE, ROOT
+from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
-from ...tree.store.turns import REFUSED, accepted, begin_query, end_query
+from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, begin_query, end_query
 from ...tree.store.workers import in_threads
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ...tree.wide.snapshot import no_snapshot
-from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Asked, Ball, Hits, Rays, call, new_scratch, row_by_row, world_in
+from .arguments import Asked, Ball, CastWorld, Hits, Rays, code_for, shapes_in
 from .casting import cast, doubt_of, enter_obstacle, first_of, no_hit, touch, with_one_more, write
+from .sweeping import fill_way, kept
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 
 
 @lean_kernel
-def cast_many(world, through, node_handles, rays, skip_inside, scratch, told):
-    """Fill in what rays meet first; through = (the tree's state, version, snapshot). Returns 0, or
-    REFUSED if the tree is changed.
+def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, scratch, told):
+    """Fill in what the rays of the rows [start, stop) meet first; shapes as of `shapes_in`, asked
+    = (whether what is called directions are goals, skip_inside), place = (start, stop). Returns 0,
+    REFUSED if the tree is changed, or NOT_FINITE if a way is not.
     """
-    state, version, snapshot = through
+    (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
+    state, ndim, direction = tree.state, scratch.ray.shape[1], stack_array(3, np.float64)
     if not begin_query(state, version):
         return np.int64(REFUSED)
+    world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     features = stack_array(1, np.int64)
     one = Hits(stack_array(1, np.int64), stack_array(1, np.float64), features)
-    for row in range(rays.origins.shape[0]):
-        set_ray(scratch.ray, rays.origins[row], rays.directions[row])
+    while row < stop:
+        if not fill_way(rays.origins[row], rays.directions[row], to_goals, direction):
+            end_query(state)
+            return np.int64(NOT_FINITE)
+        way = rays.origins[row, :ndim], direction[:ndim]
+        t_max, mask = of_row(rays.t_max, row), of_row(rays.masks, row)
+        question = Asked(t_max, t_max, mask, skip_inside, False)
+        set_ray(scratch.ray, way[0], way[1])
         found, suited = 0, False
         if snapshot.size > 0:
-            found, suited = find_first(world, snapshot, rays, row, skip_inside, scratch, one)
+            found, suited = find_first(world, snapshot, way, question, scratch, one)
         if not suited:
-            t_max = rays.t_max[row]
-            asked = Asked(t_max, t_max, rays.masks[row], skip_inside, False)
-            found = cast(world, Ball(0.0, 0.0), asked, scratch, one, 0)
+            found = cast(world, Ball(0.0, 0.0), question, scratch, one, 0)
         told.handles[row], told.t[row] = NO_NODE, np.inf
         for axis in range(3):
             told.points[row, axis], told.normals[row, axis] = 0.0 if found else np.nan, 0.0
         if found:
             touch(world, scratch, 0.0, one, 0, told.points[row], told.normals[row])
             told.handles[row], told.t[row] = node_handles[one.slots[0]], one.ts[0]
+            if ndim == 2:
+                told.points[row, 2] = rays.origins[row, 2]
+        row += 1
     end_query(state)
     return np.int64(0)
 
 
 @inlined
-def find_first(world, snapshot, rays, row, skip_inside, scratch, hits):
-    """Write the first hit of a ray: (how many there are, whether it is for the snapshot)."""
-    origin, direction = rays.origins[row], rays.directions[row]
-    t_max, mask = rays.t_max[row], rays.masks[row]
+def find_first(world, snapshot, way, asked, scratch, hits):
+    """Write the first hit of a ray, way = (origin, direction): (how many there are, whether it is
+    for the snapshot).
+    """
+    (origin, direction), t_max, mask = way, asked.t_max, asked.mask
     records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     box, other = no_hit(), no_hit()
@@ -73,7 +86,7 @@ def find_first(world, snapshot, rays, row, skip_inside, scratch, hits):
         if slot == NONE or (snapshot.loose > 0 and world.nodes[2 * slot].mask & mask == 0):
             continue
         t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, t_max, scratch.work)
-        if t == np.inf or (skip_inside and feature == INSIDE):
+        if t == np.inf or (asked.skip_inside and feature == INSIDE):
             continue
         hit = slot, t, np.int64(feature)
         box, other = with_one_more(world, scratch.ray, 0.0, hit, box, other)
@@ -83,28 +96,26 @@ def find_first(world, snapshot, rays, row, skip_inside, scratch, hits):
 
 
 def first_of_many(
-    tree: DynamicBVH, columns: Columns, rays: Rays, skip_inside: bool, threads: int
-) -> CastHits:
-    """First hits of n rays."""
-    view, count, ndim = tree.view(), len(rays.origins), tree.ndim
-    world = world_in(view.tree, columns)
-    origins, directions = (along_axes(rows, ndim) for rows in rays[:2])
-    flat = row_by_row(rays._replace(origins=origins, directions=directions))
+    tree: DynamicBVH, columns: Columns, rays: Rays, asked: tuple[bool, bool], threads: int
+) -> CastHits | None:
+    """First hits of n rays, asked = (whether what is called directions are goals, skip_inside);
+    None if a way is not finite.
+    """
+    view, count, shapes = tree.view(), len(rays.origins), shapes_in(columns)
+    ndim = 3 if shapes[1] is None else 2
     snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
-    through = view.tree.state, view.version, snapshot
-    told = CastHits(
-        *(np.empty(count, np.uint32), np.empty(count)),
-        *(np.empty((count, 3)), np.empty((count, 3))),
-    )
+    parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    # As CastHits(...), which would take one more call of a function of Python's.
+    told = tuple.__new__(CastHits, parts)
 
-    def work(start: int, stop: int) -> None:
-        some = Rays(*(column[start:stop] for column in flat))
-        here = tuple.__new__(CastHits, (column[start:stop] for column in told))
-        given = through, columns.node_handle, some, skip_inside, new_scratch(ndim), here
-        accepted(call(cast_many, world, *given))
+    def work(start: int, stop: int) -> int:
+        node_handles, scratch = columns.node_handle, kept.of(ndim)[0]
+        given = view, snapshot, shapes, node_handles, rays, asked, (start, stop), scratch, told
+        done: int = code_for(cast_many, shapes, given)(*given)
+        return done
 
-    in_threads(work, count, threads)
-    if ndim == 2:
-        met = told.handles != NO_NODE
-        told.points[met, 2] = rays.origins[met, 2]
+    done = work(0, count) if threads == 1 else min(in_threads(work, count, threads))
+    if done == NOT_FINITE:
+        return None
+    accepted(done)
     return told
