@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.jit.moving_sides import FRONTS
 from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import OUTSIDE, descend, locate
@@ -175,8 +175,9 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
     top = put_roots(snapshot, stack)
     while top > 0:
         slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
-        if slot == NONE or tree.nodes[2 * slot].mask & mask == 0:
+        if slot == NONE or (snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0):
             continue
+        fetch(tree, moving, world.geometry, world.footprints, slot)
         since = thin.at - leaves.start
         if not may_meet(*(leaves.records, slot, origin, direction, since, thin.pace, limit, more)):
             continue
@@ -186,6 +187,17 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
             limit = min(box.t, other.t)
             record.limit = limits[0] = limit32(limit, record.unit)
     return True, box, other
+
+
+@inlined
+def fetch(tree, moving, geometry, footprints, slot):
+    """Ask for the memory of what `look_at` reads of most obstacles."""
+    prefetch(moving.kept, slot, 1)
+    prefetch(tree.handles, slot, 1)
+    if geometry is not None:
+        prefetch(geometry[0], slot, 2)
+    if footprints is not None:
+        prefetch(footprints[0], slot, 2)
 
 
 @inlined
