@@ -93,6 +93,34 @@ def test_axis_aligned_boxes_exactly():
     assert found.point.tolist() == found.other_point.tolist() == [1, 0.25, 0.25]
 
 
+@pytest.mark.parametrize('nudge', [0.0, 2.0**-50])
+def test_the_first_of_many_as_near_at_a_time(nudge):
+    """On whole numbers of metres many touch, or are as near as others: more than there is room
+    for at first. So they are where some are farther by a last digit.
+    """
+    rng = np.random.default_rng(3)
+    corners = rng.integers(-4, 5, (400, 3)) + np.where(rng.random((400, 1)) < 0.5, 0.0, nudge)
+    speeds = rng.integers(-2, 3, (400, 3)).astype(float)
+    scene = Scene()
+    names = [f'{i:03}' for i in range(400)]
+    scene.update('test', names, Shapes.boxes(corners, (1, 1, 1)), stamp=0, velocities=speeds)
+    places = rng.integers(-9, 10, (300, 3)).astype(float)
+    handles, distances, points, others = scene.clearance_many(
+        Shapes.boxes(places, (1, 1, 1)), at=1_000_000_000
+    )
+    low, high = corners + speeds - 0.5, corners + speeds + 0.5
+    places = places[:, None]
+    apart = np.maximum(np.maximum(low - (places + 0.5), (places - 0.5) - high), 0.0)
+    gaps = np.sqrt((apart**2).sum(axis=2))
+    nearest = gaps.min(axis=1)
+    equally = np.count_nonzero(gaps == nearest[:, None], axis=1)
+    assert (equally > 8).any()
+    assert (equally[nearest > 0.0] > 2).any()
+    assert (distances == nearest).all()
+    assert (handles == scene.handles()[np.argmax(gaps == nearest[:, None], axis=1)]).all()
+    assert np.allclose(np.linalg.norm(points - others, axis=1), nearest, rtol=0.0, atol=1e-14)
+
+
 def test_meshes_apart_in_one_box():
     """Two corners cut off a cube: the middle of their boxes is the same, and lies in neither."""
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
