@@ -118,7 +118,8 @@ class DistanceQueries:
             found.distances.item(0),
             self._held.registry.name(found.slots[0]),
             int(handles[found.slots[0]]),
-            *found.points[0],
+            found.points[0],
+            found.other_points[0],
         )
 
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
@@ -255,8 +256,8 @@ class DistanceQueries:
             rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
             found = self._find_then(rows, hulls, asked, threads, at)
         assert found is not None
-        _, distances, points, handles = found
-        return handles, distances, points[:, 0], points[:, 1]
+        _, distances, points, other_points, handles = found
+        return handles, distances, points, other_points
 
     def _find_then(
         self, rows: QueryRows, hulls: Any, asked: tuple[Any, ...], threads: int, at: Any

@@ -49,16 +49,18 @@ class Neighbours(NamedTuple):
     """(n,) NONE where there is none."""
     distances: Any
     points: Any
-    """(n, 2, 3): the shape's, and the obstacle's."""
+    """(n, 3): the shape's."""
+    other_points: Any
+    """(n, 3): the obstacle's."""
     handles: Any
     """(n,) uint32 node handles of the obstacles, NO_NODE where there is none."""
 
 
 def room_for(count: int) -> Neighbours:
     """Room for so many rows."""
-    slots, handles = np.empty(count, INT64), np.empty(count, UINT32)
+    points, handles = (np.empty((count, 3)), np.empty((count, 3))), np.empty(count, UINT32)
     # As Neighbours(...), which would take one more call of a function of Python's.
-    parts = slots, np.empty(count), np.empty((count, 2, 3)), handles
+    parts = np.empty(count, INT64), np.empty(count), *points, handles
     return tuple.__new__(Neighbours, parts)
 
 
@@ -207,7 +209,9 @@ def look_at(bodies, one, row, asked, node_handles, slots, told):
 def tell_nobody(told, row):
     """Write that there is none."""
     told.slots[row], told.handles[row] = NONE, NO_NODE
-    told.distances[row], told.points[row] = np.inf, np.nan
+    told.distances[row] = np.inf
+    for axis in range(3):
+        told.points[row, axis] = told.other_points[row, axis] = np.nan
 
 
 @inlined
@@ -223,9 +227,8 @@ def keep_nearer(node_handles, found, points, told, row):
     if tied and node_handles[best] < handle:
         return
     told.slots[row], told.distances[row], told.handles[row] = slot, distance, handle
-    for side in range(2):
-        for axis in range(3):
-            told.points[row, side, axis] = points[side, axis]
+    for axis in range(3):
+        told.points[row, axis], told.other_points[row, axis] = points[0, axis], points[1, axis]
 
 
 class Kept(threading.local):
@@ -242,10 +245,8 @@ class Clearances:
         self._tree = tree
         self._columns = columns
         self._kept = Kept()
-        self._kernels = {
-            None: RowKernel(clearance_rows).call,
-            True: RowKernel(clearance_rows).call,
-        }
+        kinds: tuple[Signed, ...] = (None, True)
+        self._kernels = {signed: RowKernel(clearance_rows).call for signed in kinds}
 
     def find_rows(
         self, rows: QueryRows, hulls: Hulls | None, asked: tuple[Floats, int, Signed], threads: int
