@@ -90,15 +90,17 @@ def few_first(
     called directions are the goals of the ways.
     """
     tree: Any = held.tree
-    count, storage, (at, pace) = len(rays[0]), tree._storage, when
-    if len(rays[2]) != 1 or storage.heirs:
+    (origins, directions, t_max, masks), (at, pace) = rays, when
+    count, storage = len(origins), tree._storage
+    if len(t_max) != 1 or storage.heirs:
         return None
-    last = at if pace == 0.0 else at + rays[2].item() * pace
+    last = at if pace == 0.0 else at + t_max.item() * pace
     sweep = tree._motion.ready_sweep(count, at, last)
     if sweep is None:
         return None
     # As RaysThen(...) and so on, which would take more calls of functions of Python's.
-    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, NO_TIMES, NO_TIMES, when))
+    parts = origins, directions, t_max, masks, skip, CLOSEST, NO_TIMES, NO_TIMES, when
+    asked = tuple.__new__(RaysThen, parts)
     ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
     handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
     normals = np.empty((count, 3))

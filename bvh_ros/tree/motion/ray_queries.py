@@ -103,7 +103,7 @@ class MotionRays(Motion):
         self,
         tree: Any,
         rays: tuple[Floats, Floats, Floats, Any],
-        skip_inside: bool,
+        skip: bool,
         mode: int,
         times: tuple[Any, Any],
         threads: int,
@@ -111,15 +111,16 @@ class MotionRays(Motion):
         """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
         which the ids tell it.
         """
-        count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
-        if threads == 1 and type(at) is type(pace) is float and len(rays[2]) == 1:
+        (origins, directions, t_max, masks), (at, pace) = rays, times
+        count, ndim = len(origins), tree._ndim
+        if threads == 1 and type(at) is type(pace) is float and len(t_max) == 1:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            last = at if pace == 0.0 else at + rays[2].item() * pace
+            last = at if pace == 0.0 else at + t_max.item() * pace
             sweep = self.ready_sweep(count, at, last)
             if sweep is not None and not tree._storage.heirs:
                 # As RaysThen(...), `room_for` and `wide_casting.cast`, which would take more calls
                 # of functions of Python's.
-                given = *rays, skip_inside, mode, NO_TIMES, NO_TIMES, times
+                given = origins, directions, t_max, masks, skip, mode, NO_TIMES, NO_TIMES, times
                 asked = tuple.__new__(RaysThen, given)
                 if mode != CLOSEST or count >= LARGE:
                     hits = ray_batches.room_for(count, ndim, mode)
@@ -133,7 +134,7 @@ class MotionRays(Motion):
                 if done >= 0:
                     return hits
         both = both_times(times, count)
-        return self.first_at(tree, rays, skip_inside, mode, both, threads)
+        return self.first_at(tree, rays, skip, mode, both, threads)
 
     def first_at(
         self,
