@@ -220,6 +220,7 @@ class Updates:
         if len(handles):
             still = np.zeros((len(handles), held.tree.ndim))
             held.tree.set_velocities(handles, still, held.tree.velocities(handles)[1])
+            held.moves = False  # so who moves next begins the tree's time anew
 
     def require_memory(self, rows: int) -> None:
         """Raise MemoryError now, and not when half of the rows are applied."""

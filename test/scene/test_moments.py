@@ -186,3 +186,41 @@ def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
         assert not hits.normals.any()
         assert scene.raycast([0, 0, 0], [9, 0, 0], radius, at=NOW, until=until) is None
         assert scene.raycast_all([0, 0, 0], [9, 0, 0], radius, at=NOW, until=until) == []
+
+
+def near_zero_and_now(scene: Scene) -> list[float]:
+    """How far a car has come that is told now, where somebody was told when the clock said 0."""
+    old, car = Shapes.boxes([[0, 500, 0]], [1, 1, 1]), Shapes.boxes([[5, 0, 0]], [1, 1, 1])
+    scene.update('s', ['old'], old, stamp=1, velocities=[[0, 0, 1]])
+    scene.update('s', ['car'], car, stamp=NOW + 1, velocities=[[-1e4, 0, 0]])
+    times = range(NOW + 1, NOW + 3000, 7)
+    hits = [scene.raycast([0, 0, 0], [8, 0, 0], at=at) for at in times]
+    return [
+        abs(hit.t * 8 - (4.5 - 1e-5 * (at - NOW - 1)))
+        for hit, at in zip(hits, times, strict=True)
+        if hit is not None and hit.name == 'car'
+    ]
+
+
+def test_nanoseconds_count_wherever_the_clock_began():
+    scene = Scene()
+    errors = near_zero_and_now(scene)
+    assert len(errors) == 429
+    assert max(errors) < 1e-13  # 1.2 mm with times of 1e9 s in doubles
+    (old,) = scene.nearest([0, 500, NOW / 1e9], at=NOW)
+    assert (old.name, old.t) == ('old', 0.0)
+    scene.update('s', ['car'], Shapes.boxes([[5, 0, 0]], [1, 1, 1]), stamp=NOW + 2 * SECOND)
+    assert scene.raycast([0, 0, 0], [8, 0, 0], at=NOW + 1).t * 8 == 4.5  # at rest
+
+
+def test_time_begins_anew_when_all_are_forgotten_or_at_rest():
+    scene, box = Scene(), Shapes.boxes([[5, 0, 0]], [1, 1, 1])
+    for forget in (scene.clear, scene.rest, lambda: scene.remove('s', ['car'])):
+        scene.update('s', ['car'], box, stamp=NOW, velocities=[[1, 0, 0]])
+        forget()
+        scene.update('s', ['car'], box, stamp=1, velocities=[[-1e4, 0, 0]])
+        hit = scene.raycast([0, 0, 0], [8, 0, 0], at=8)  # as the clock was set back
+        assert hit is not None
+        assert abs(hit.t * 8 - (4.5 - 7e-5)) < 1e-13
+        scene.update('s', ['car'], box, stamp=1)
+        scene.clear()

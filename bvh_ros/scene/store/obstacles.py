@@ -41,7 +41,7 @@ class Obstacles:
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
         self.moves = False
-        """Whether any obstacle was told a velocity so far."""
+        """Whether any obstacle was told a velocity since nobody had one."""
         self.epoch = 0
         """Time 0 of the tree, ns."""
         self.max_prediction = np.inf
@@ -158,8 +158,20 @@ class Obstacles:
                 self.epoch = rows.stamp.item(0)
                 self.moves = bool(now.any())
         if self.moves:
+            self._follow_time(rows.stamp)
             since = self.seconds(rows.stamp)
             self.tree.set_velocities(self.columns.tree_handle[slots], now, since)
+
+    def _follow_time(self, stamps: NDArray[np.int64]) -> None:
+        """Bring the tree's time 0 along where stamps have left it so far behind that they would
+        lose nanoseconds: a run of months, or one that began before its clock was set.
+        """
+        latest = stamps.item(0) if len(stamps) == 1 else int(stamps.max())
+        if latest - self.epoch < EXACT:
+            return
+        self.epoch, handles = latest, self.tree.ids()
+        told = self.seconds(self.columns.stamp[handles & SLOT_MASK])
+        self.tree.set_velocities(handles, self.tree.velocities(handles)[0], told)
 
     def second(self, stamp: int) -> float:
         """One of `seconds`."""
@@ -169,8 +181,8 @@ class Obstacles:
         return float(np.longdouble(since) / 10**9)
 
     def seconds(self, stamps: NDArray[np.int64]) -> Floats:
-        """Times in ns as the tree has them: since the first velocity was told, so that no digit of
-        the nanoseconds is lost in 100 days, in which they are rounded once.
+        """Times in ns as the tree has them: since the first velocity was told, or 100 days ago at
+        most, so that no digit of the nanoseconds is lost, in which they are rounded once.
         """
         if len(stamps) == 1:
             return np.array([self.second(stamps.item())])
@@ -264,6 +276,7 @@ class Obstacles:
         return count
 
     def _forget_all(self) -> None:
+        self.moves = False  # so who moves next begins the tree's time anew
         self.tree.clear()
         self.registry.clear()
         self.groups.clear()
