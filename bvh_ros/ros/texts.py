@@ -23,3 +23,13 @@ def shortened(text: str, most: int = LONGEST_NAME) -> str:
 def as_line(error: Exception) -> str:
     """Return what an exception says, in one line."""
     return shortened(' '.join(str(error)[: 2 * LONGEST_LINE].split()), LONGEST_LINE)
+
+
+def seconds(ns: int) -> str:
+    """Return a time of at least 0 in seconds, to the last nanosecond: what is too late by one is.
+
+    >>> seconds(1_500_000_001), seconds(1_500_000_000), seconds(0)
+    ('1.500000001', '1.5', '0')
+    """
+    whole, rest = divmod(ns, 1_000_000_000)
+    return f'{whole}.{rest:09d}'.rstrip('0').rstrip('.')

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.texts import seconds
 from bvh_ros.ros.world.past import Past
 
 if TYPE_CHECKING:
@@ -66,18 +67,17 @@ class KnownTimes:
         first, last = self._ends(now)
         stop = span.at if span.until is None else span.until
         if span.at < first:
-            kept = self.past.length / 1e9
-            ago = (first - span.at) / 1e9 + kept
+            kept = self.past.length
             raise ValueError(
-                f'the time asked for is {ago:.9g} s before the newest data, '
-                f'more than history ({kept:g} s)'
+                f'the time asked for is {seconds(first - span.at + kept)} s before the newest '
+                f'data, more than history ({seconds(kept)} s)'
             )
         self.state(span.at, now)
         if stop > last:
-            ahead = (stop - last) / 1e9 + self._ahead / 1e9
+            ahead = self._ahead
             raise ValueError(
-                f'the time asked for is {ahead:.9g} s after the newest data, '
-                f'more than max_prediction ({self._ahead / 1e9:g} s)'
+                f'the time asked for is {seconds(stop - last + ahead)} s after the newest data, '
+                f'more than max_prediction ({seconds(ahead)} s)'
             )
         return span
 
@@ -145,7 +145,7 @@ def span_of(request: Any, *, moves: bool) -> Span:
     if not start:
         raise ValueError('goal has a stamp, and start has none: when it is left is not known')
     if goal < start:
-        raise ValueError(f'goal is stamped {(start - goal) / 1e9:.9g} s before start')
+        raise ValueError(f'goal is stamped {seconds(start - goal)} s before start')
     if moves:
         return Span(start, goal)
     if goal != start:

@@ -148,3 +148,13 @@ def test_a_node_answers_about_its_past(keeping, messages):
     world.trigger('clear')
     with pytest.raises(BvhError, match='nothing has been told'):
         client.raycast(*way, at=now - SECOND)
+
+
+def test_a_time_that_is_not_known_is_named_to_the_nanosecond():
+    scene = Scene(max_prediction=1.0)
+    times = KnownTimes(scene, 1.0, 1.5)
+    told(times, scene, 0.0, 0)
+    with pytest.raises(ValueError, match=r'1\.000000001 s after .* max_prediction \(1 s\)'):
+        times.require(Span(NOW, NOW + SECOND + 1), NOW)
+    with pytest.raises(ValueError, match=r'1\.500000001 s before .* history \(1\.5 s\)'):
+        times.require(Span(NOW - 3 * SECOND // 2 - 1), NOW)
