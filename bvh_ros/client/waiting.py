@@ -147,10 +147,12 @@ class Pending:
 
     def forget(self) -> None:
         """Wait for it no longer."""
-        if self._answer.done():
-            self._answer.exception()  # else rclpy complains that nobody looked at it
-        else:
+        if not self._answer.done():
             self._forget(self._answer)
+            # Another thread may be about to bring it, or has by now.
+            self._answer.add_done_callback(Future.exception)
+        else:
+            self._answer.exception()  # else rclpy complains that nobody looked at it
 
 
 def left(deadline: float) -> float:
