@@ -56,9 +56,10 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
     """Test the rays of `places` against the sixteen boxes of a wide node.
 
     hits[i] becomes the bit mask of the boxes that the i-th of them meets, `nearest` the bits of
-    the least distance of each box, as integers of the same order; returns which boxes any ray
-    meets. The rays are records as of `filtering.ray_dtype`; bit k of `octant` says that they fly
-    down axis k; where it is negative, the octant of each ray does. An unsigned one never is.
+    the least distance of each box, as integers of the same order, or nearest[i] of the distances
+    of the i-th, where it meets the box; returns which boxes any ray meets. The rays are records as
+    of `filtering.ray_dtype`; bit k of `octant` says that they fly down axis k; where it is
+    negative, the octant of each ray does. An unsigned one never is.
     """
     sig = types.uint32(planes, node, octant, rays, places, hits, nearest)
     record = rays.dtype
@@ -74,9 +75,15 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
         floats = index(2 * ndim * WIDTH)
         planes = part(0, builder.mul(node, floats), floats)
         places, hits = part(4, index(0), count), part(5, index(0), count)
-        nearest = part(6, index(0), index(WIDTH))
+        each_own = signature.args[6].ndim == 2
+        numbers = builder.mul(count, index(WIDTH)) if each_own else index(WIDTH)
+        nearest = part(6, index(0), numbers)
         least = variable(builder, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         any_hits = variable(builder, ir.Constant(_INT, 0))
+
+        def write(distances: Any, first: Any) -> None:
+            row = builder.bitcast(builder.gep(nearest, [first]), _WIDE.as_pointer())
+            builder.store(distances, row, align=4)
 
         def test_rays(boxes_for: Any) -> None:
             with each(builder, count) as number:
@@ -89,10 +96,12 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
                     return splat(builder, number, WIDTH)
 
                 entry, met = _slabs(builder, boxes_for(ray), field)
-                so_far = builder.load(least)
-                far = ir.Constant(_WIDE, [float('inf')] * WIDTH)
-                nearer = builder.select(met, entry, far)
-                builder.store(pick(builder, '<', nearer, so_far), least)
+                if each_own:
+                    write(entry, builder.mul(number, index(WIDTH)))
+                else:
+                    far = ir.Constant(_WIDE, [float('inf')] * WIDTH)
+                    nearer = builder.select(met, entry, far)
+                    builder.store(pick(builder, '<', nearer, builder.load(least)), least)
                 bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
                 builder.store(bits, builder.gep(hits, [number]))
                 builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
@@ -114,7 +123,8 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
                     test_all_alike()
         else:
             test_all_alike()
-        builder.store(builder.load(least), builder.bitcast(nearest, _WIDE.as_pointer()), align=4)
+        if not each_own:
+            write(builder.load(least), index(0))
         return builder.load(any_hits)
 
     return sig, codegen

@@ -23,11 +23,14 @@ from .collapse_plan import DEEPEST_WIDE
 from .filtering import CORNERS, fill_whole, limit32, start_ray
 from .ray_piles import write_miss
 from .ray_streams import without_lowest
-from .raycasting import ALL32, is_stale, set_inverse, write_hit
+from .raycasting import ALL32, MIXED, is_stale, set_inverse, write_hit
 from .snapshot import LOOSE_NODES, no_snapshot
 
 _STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
+# So many rays are tested against the root one behind the other: what none of them decides yet the
+# processor need not guess.
+ABREAST = 8
 
 
 @lean_kernel
@@ -40,53 +43,77 @@ def cast_few(tree, version, snapshot, rays, hits):
     if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
         end_query(tree.state)
         return np.int64(REFUSED)
-    ray = stack_array((RAY_ROWS, 3), np.float64)
-    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
-    one = Found(slots, stack_array(1, np.float64), axes)
-    records, stack = stack_array(1, snapshot.record), stack_array(_STACK, np.int64)
-    exact, record, whole = np.int64(0), records[0], stack_array(CORNERS, np.float64)
+    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(_STACK, np.int64)
+    records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
+    places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
+    nearest, whole = stack_array((ABREAST, WIDTH), np.int32), stack_array(CORNERS, np.float64)
+    count, row, exact = rays.origins.shape[0], np.int64(0), np.int64(0)
     fill_whole(tree, whole)
-    for row in range(rays.origins.shape[0]):
-        origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
-        away, _ = look_ahead(record, origin, direction, whole)
-        if away:
-            write_miss(rays, row, hits)
+    while row < count:
+        row, alive, done = start_abreast(snapshot, tree, rays, row, whole, (records, rows), hits)
+        if done < 0:
+            end_query(tree.state)
+            return done
+        exact += done
+        if alive == 0:
             continue
-        if not start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max):
-            done = raycast_row(tree, ray, rays, row, one, hits)
-            if done < 0:
-                end_query(tree.state)
-                return done
-            exact += done
-            continue
-        ray[EXACT, 0] = 0.0
-        hit = cast_one(snapshot, tree, rays, row, ray, records, stack)
-        write_miss(rays, row, hits)
-        if hit[0] != NONE:
-            write_hit(tree, ray, rays, row, hit, hits)
-        exact += np.int64(ray[EXACT, 0])
+        for i in range(alive):
+            places[i] = i
+        stream16(snapshot.planes, 0, MIXED, records, places[:alive], met, nearest)
+        for i in range(alive):
+            ray[EXACT, 0] = 0.0
+            seen = places[i : i + 1], met[i], nearest[i : i + 1]
+            hit = cast_one(snapshot, tree, rays, rows[i], ray, records, seen, stack)
+            if hit[0] != NONE:
+                write_hit(tree, ray, rays, rows[i], hit, hits)
+            exact += np.int64(ray[EXACT, 0])
     if rays.counted:
-        count_rays(tree.state, rays.origins.shape[0], exact)
+        count_rays(tree.state, count, exact)
     end_query(tree.state)
     return exact
 
 
 @inlined
-def cast_one(snapshot, tree, rays, row, ray, records, stack):
-    """Best hit of a ray, or any: (slot, about t, axis). An entry of the stack is a node or ~slot
-    of a leaf, and above that the bits of a float32: where the ray enters.
+def start_abreast(snapshot, tree, rays, row, whole, room, hits):
+    """Fill records and rows of the next rays that may meet anything, ABREAST at most, and answer
+    those that are not suited: (the row behind them, how many are filled, how many took exact
+    arithmetic or NOT_FINITE).
     """
-    record, mask, t_max = records[0], of_row(rays.masks, row), of_row(rays.t_max, row)
+    (records, rows), ray = room, stack_array((RAY_ROWS, 3), np.float64)
+    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
+    found = Found(slots, stack_array(1, np.float64), axes)
+    alive, exact, center = np.int64(0), np.int64(0), snapshot.center
+    while row < rays.origins.shape[0] and alive < ABREAST and exact >= 0:
+        origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
+        write_miss(rays, row, hits)
+        away, _ = look_ahead(records[alive], origin, direction, whole)
+        rows[alive] = row
+        if away:
+            pass
+        elif start_ray(records[alive], origin, direction, center, snapshot.per_length, t_max):
+            alive += 1
+        else:
+            done = raycast_row(tree, ray, rays, row, found, hits)
+            exact = done if done < 0 else exact + done
+        row += 1
+    return row, alive, exact
+
+
+@inlined
+def cast_one(snapshot, tree, rays, row, ray, records, seen, stack):
+    """Best hit of a ray, or any: (slot, about t, axis); `seen`: its place, and what it meets of
+    the root, see `stream16`. An entry of the stack is a node or ~slot of a leaf, and above that
+    the bits of a float32: where the ray enters.
+    """
+    place, lanes, nearest = seen
+    record, mask, t_max = records[place[0]], of_row(rays.masks, row), of_row(rays.t_max, row)
     octant, patched = np.uint64(record.octant), snapshot.loose > 0
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
-    nearest, met, first = (
-        stack_array(WIDTH, np.int32),
-        stack_array(1, np.uint32),
-        stack_array(1, np.int32),
-    )
-    limits = stack_array(1, np.float32)
-    first[0], limits[0], ready = 0, record.limit, False
-    stack[0], top = 0, 1
+    limits, met = stack_array(1, np.float32), stack_array(1, np.uint32)
+    limits[0], ready = record.limit, False
+    if mask != ALL32:
+        lanes = np.uint32(lanes & seen16(snapshot.masks, 0, mask))
+    top = push_children(snapshot, np.int64(0), lanes, nearest[0], stack, 0)
     for loose in range(snapshot.loose):
         stack[top] = snapshot.size + loose
         top += 1
@@ -96,10 +123,10 @@ def cast_one(snapshot, tree, rays, row, ray, records, stack):
             continue
         node = np.int64(np.int32(stack[top] & _CHILD))
         if node >= 0:
-            lanes = stream16(snapshot.planes, node, octant, records, first, met, nearest)
+            lanes = stream16(snapshot.planes, node, octant, records, place, met, nearest)
             if mask != ALL32:
                 lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
-            top = push_children(snapshot, node, lanes, nearest, stack, top)
+            top = push_children(snapshot, node, lanes, nearest[0], stack, top)
             continue
         slot = ~node
         if patched and is_stale(tree, slot, mask, best):
