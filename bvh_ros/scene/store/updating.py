@@ -85,9 +85,11 @@ def column(
     masked = isinstance(value, np.ma.MaskedArray)
     if not array.size:
         array = array.astype(np.int64)  # an empty list is of floats
-    if array.shape not in ((), (count,)) or masked or array.dtype.kind not in 'iu':
+    beyond = array.dtype == object and all(type(number) is int for number in array.flat)
+    whole = beyond or array.dtype.kind in 'iu'  # numpy makes objects of integers beyond 64 bits
+    if array.shape not in ((), (count,)) or masked or not whole:
         raise ValueError(
-            f'{name} must be an integer of 64 bits or {count} of them, '
+            f'{name} must be an integer or {count} of them, '
             f'not {array.dtype} of shape {array.shape}'
         )
     if array.size and not _spans(array, least, largest):
