@@ -19,8 +19,8 @@ from .tables import Cell, Table
 from .timing import Job, interleaved
 
 BOXES = 1_000, 10_000, 100_000
-SIZES = 1, 4, 15, 16, 64, 255, 256, 1_024, 4_096, 20_000
-RAYS, TURNS, REPEATS = 65_536, 4_096, 9
+SIZES = 1, 4, 15, 16, 64, 255, 256, 1_024, 4_096, 20_000, 100_000
+RAYS, TURNS, REPEATS = 200_000, 4_096, 9
 LIDAR, PLANE = (64, 512), (1, 681)  # rows and beams a row of a scan
 PLACES = 0.2, 0.3, 0.4, 0.5  # m, on the cube's diagonal
 ANYWHERE = 'from anywhere'

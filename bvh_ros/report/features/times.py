@@ -23,6 +23,7 @@ SPEED, WAY, RADIUS = 1.5, 5.0, 0.2  # m/s, standard deviation an axis; m
 STEP = 0.1  # m
 SECOND = 10**9
 TOLD = 'all told anew'
+FEW = 1, 16  # rows of a small batch
 TOGETHER, LATER = {'at': 0, 'until': SECOND}, {'at': SECOND}  # a way takes a second
 PACED, THEN = {'at': 0.0, 'pace': 1.0}, {'at': 1.0}
 
@@ -35,6 +36,17 @@ def _jobs(questions: Questions, timed: bool) -> dict[str, Job]:
     for name, (ask, given, count, times) in questions.items():
         call = partial(ask, **times) if timed else ask
         found[name] = Job(partial(call, *given), count) if count else each(call, *given)
+    return found
+
+
+def _small(ask: Callable[..., object], *given: Any, times: dict[str, Any]) -> Questions:
+    """Of small batches; arrays of `given` have a row a question, numbers are for all."""
+    found = {}
+    for rows in FEW:
+        size = len(given[0]) // rows * rows
+        calls = [part[:size].reshape(-1, rows, 3)[:CALLS] for part in given[:2]]
+        rest = [[number] * len(calls[0]) for number in given[2:]]
+        found[f'{ask.__name__}, {rows} a call'] = ask, (*calls, *rest), 0, times
     return found
 
 
@@ -58,6 +70,7 @@ def _of_tree(boxes: Boxes, velocities: Floats | None, asked: tuple[Floats, ...])
         'overlap': (tree.overlap, (lo[few], hi[few]), 0, THEN),
         'nearest': (tree.nearest, (starts[few],), 0, THEN),
         'raycast_many': (tree.raycast_many, (*rays, 1.0), count, PACED),
+        **_small(tree.raycast_many, starts, ways, 1.0, times=PACED),
         'overlap_many': (tree.overlap_many, (lo, hi), count, THEN),
         'nearest_many': (tree.nearest_many, (starts,), count, THEN),
         TOLD: (refresh, (), len(ids), {}),
@@ -87,7 +100,9 @@ def _of_scene(shapes: Shapes, velocities: Floats | None, asked: tuple[Floats, ..
         'nearest': (scene.nearest, (starts[few],), 0, LATER),
         'clearance': (scene.clearance, (names[few],), 0, LATER),
         'raycast_many': (scene.raycast_many, (starts, ways, 1.0), count, TOGETHER),
+        **_small(scene.raycast_many, starts, ways, 1.0, times=TOGETHER),
         'sweep_many': (scene.sweep_many, (starts, goals, RADIUS), count, TOGETHER),
+        **_small(scene.sweep_many, starts, goals, RADIUS, times=TOGETHER),
         'overlap_many': (scene.overlap_many, (starts, size), count, LATER),
         'nearest_many': (scene.nearest_many, (starts,), count, LATER),
         'clearance_many': (scene.clearance_many, (many,), len(many.kind), LATER),
