@@ -10,11 +10,11 @@ from ..tree import checks
 from ..tree.rays.raycasting import CLOSEST
 from ..tree.rays.raycasting import Rays as ThinRays
 from .casting import box_casting, casting, sweeping, wide_rays
-from .casting.arguments import WHOLE_WAY, Found, Rays, row_by_row, ways_of
+from .casting.arguments import Found, Rays, row_by_row, ways_of
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
-from .results import NO_NODE, CastHits
+from .results import CastHits
 from .store.obstacles import Obstacles
 
 # So many rays go one by one, whatever they are: of lists a second kernel tells points and normals.
@@ -22,7 +22,7 @@ FEW = 200
 
 
 class RayBatches:
-    """Answers batches of good input."""
+    """Answers batches of input that is good but for rows that are not finite."""
 
     def __init__(self, held: Obstacles, moments: Moments) -> None:
         self._held = held
@@ -41,15 +41,13 @@ class RayBatches:
         thick = int(radii.item() > 0.0) if len(radii) == 1 else np.count_nonzero(radii)
         if not thick:
             return self._thin(rays, skip, threads)
-        ways = rays.directions if rays.t_max is WHOLE_WAY else ways_of(rays, radii)
-        balls = tuple.__new__(Balls, (rays.origins, ways, radii, rays.masks))
         if thick == len(radii):
-            return self._balls(balls, rays.t_max, skip, threads)
+            return self._balls(rays, radii, skip, threads)
+        refuse_endless(rays, radii)  # by their rows here
         each, both = row_by_row(rays), (np.flatnonzero(radii == 0.0), np.flatnonzero(radii))
-        thin, rows = both
-        some = Balls(*(column[rows] for column in balls._replace(masks=each.masks)))
-        found = self._balls(some, each.t_max[rows], skip, threads)
-        others = self._thin(Rays(*(column[thin] for column in each)), skip, threads)
+        thin, rows = (Rays(*(column[which] for column in each)) for which in both)
+        found = self._balls(rows, radii[both[1]], skip, threads)
+        others = self._thin(thin, skip, threads)
         columns: Any = zip(others, found, strict=True)
         order = np.argsort(np.concatenate(both))
         return CastHits(*(np.concatenate(column)[order] for column in columns))
@@ -71,13 +69,14 @@ class RayBatches:
             return None
         return box_casting.few_first(held.tree, held.columns.node_handle, thin, to_goals)
 
-    def _balls(self, balls: Balls, t_max: Floats, skip: bool, threads: int) -> CastHits:
-        """First hits of balls, at t from 0 to `t_max`."""
+    def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
+        """First hits of balls that go along rays."""
         held = self._held
+        balls = tuple.__new__(Balls, (*rays[:2], radii, *rays[2:]))
         found = sweeping.first_of_many(held.tree, held.columns, balls, (False, skip), threads)
+        if found is None:
+            refuse_endless(rays, radii)
         assert found is not None
-        if t_max is not WHOLE_WAY:
-            np.multiply(found.t, t_max, out=found.t, where=found.handles != NO_NODE)
         return found
 
     def _thin(self, rays: Rays, skip: bool, threads: int) -> CastHits:
@@ -85,8 +84,12 @@ class RayBatches:
         held = self._held
         if not held.columns.shaped:
             handles = held.columns.node_handle
+            if held.planar:
+                refuse_infinite(rays)  # else the tree's kernel looks
             return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
         found = wide_rays.first_of_many(held.tree, held.columns, rays, (False, skip), threads)
+        if found is None:
+            refuse_infinite(rays)
         assert found is not None
         return found
 
@@ -96,3 +99,15 @@ class RayBatches:
         origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
         flat = Rays(origins, directions, rays.t_max, rays.masks)
         return casting.cast_all(held.tree, held.columns, flat, skip, every)
+
+
+def refuse_infinite(rays: Rays) -> None:
+    """ValueError if a ray is not finite."""
+    checks.finite('origins', rays.origins)
+    checks.finite('directions', rays.directions)
+
+
+def refuse_endless(rays: Rays, radii: Floats) -> None:
+    """ValueError if a ray, or the way of a ball, is not finite."""
+    refuse_infinite(rays)
+    ways_of(rays, radii)

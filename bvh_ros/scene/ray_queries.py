@@ -149,13 +149,13 @@ class RayQueries:
         origins = checks.rows('origins', origins, 3)
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
-        held = self._held
-        if radius is not None or held.planar or held.columns.shaped:
-            checks.finite('origins', origins)  # else the tree's kernel looks
-            checks.finite('directions', directions)
         limits = checks.limits_or_one('t_max', t_max, count)
         asked = origins, directions, limits, checks.masks_or_one(mask, count)
-        threads = checks.whole('threads', threads, 1)
+        threads, held = checks.whole('threads', threads, 1), self._held
+        timed = at is not None or until is not None
+        if timed and (radius is not None or held.planar or held.columns.shaped):
+            checks.finite('origins', origins)  # else a kernel looks
+            checks.finite('directions', directions)
         if threads == 1 and radius is None:
             if at is not None:
                 found = self._moments.few(asked, skip, at, until, False)
@@ -216,7 +216,8 @@ class RayQueries:
                 found = self._batches.few(asked, skip, True)
         elif at is until is None and (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
             # As Balls(...), which would take one more call of a function of Python's.
-            balls, held = tuple.__new__(Balls, (origins, ends, radii, masks)), self._held
+            balls = tuple.__new__(Balls, (origins, ends, radii, WHOLE_WAY, masks))
+            held = self._held
             found = first_of_many(held.tree, held.columns, balls, (True, skip), threads)
         if found is not None:
             return found

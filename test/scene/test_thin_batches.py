@@ -80,3 +80,23 @@ def test_what_is_not_finite_is_refused(asked, bad):
             ask(other, rows)
     with pytest.raises(ValueError, match='the segment of row 1 is longer'):
         scene.sweep_many([[0, 0, 0], [1e308] * 3], [[1, 0, 0], [-1e308] * 3])
+
+
+@pytest.mark.parametrize('radius', [None, 0.0, 0.5, [0.0, 0.5, 0.0, 0.5, 0.5]])
+@pytest.mark.parametrize('planar', [False, True], ids=['solid', 'planar'])
+@pytest.mark.parametrize('turned', [False, True], ids=['boxes', 'turned'])
+def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
+    scene, turn = Scene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
+    scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
+    good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
+    for axis in range(3):
+        for bad in np.nan, np.inf, -np.inf:
+            rows[3] = 30.0
+            rows[3, axis] = bad
+            with pytest.raises(ValueError, match='origins must be finite: row 3'):
+                scene.raycast_many(rows, good, 1.0, radius=radius)
+            with pytest.raises(ValueError, match='directions must be finite: row 3'):
+                scene.raycast_many(good, rows, 0.0, radius=radius)
+    if radius:
+        with pytest.raises(ValueError, match='end the way of a ball: row 3 has none'):
+            scene.raycast_many(good, good, [1, 1, 1, np.inf, 1], radius=radius)

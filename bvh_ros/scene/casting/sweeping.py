@@ -39,6 +39,8 @@ class Balls(NamedTuple):
     directions: Any
     radii: Any
     """One for all, or (n,)."""
+    t_max: Any
+    """The same: where the way ends, if it is not given by a goal."""
     masks: Any
     """The same."""
 
@@ -111,8 +113,8 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room,
     (whether what is called directions are goals, skip_inside), place = (start, stop). Returns
     (rows done, room wanted): fewer than there are where there is no room for what the next one may
     touch, or only exact arithmetic tells what it meets, which is OPEN instead of the room; REFUSED
-    if the tree is changed, NOT_FINITE if a way is not. What every ball goes through is inlined: to
-    hand all these arrays over takes a third of a ball's time.
+    if the tree is changed, NOT_FINITE if a start or a way is not. What every ball goes through is
+    inlined: to hand all these arrays over takes a third of a ball's time.
     """
     (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
     state = tree.state
@@ -122,10 +124,11 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room,
         return REFUSED, 0
     world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     while row < stop:
-        if not fill_way(balls.origins[row], balls.directions[row], to_goals, direction):
+        origin, t_max = balls.origins[row], of_row(balls.t_max, row)
+        if not fill_way(origin, balls.directions[row], to_goals, t_max, direction):
             row = NOT_FINITE
             break
-        way = balls.origins[row, :ndim], direction[:ndim]
+        way = origin[:ndim], direction[:ndim]
         ball = Ball(of_row(balls.radii, row), 0.0)
         set_ray(scratch.ray, way[0], way[1])
         count = may_touch(
@@ -142,9 +145,9 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room,
             hits.ts[first], hits.features[first] = times[AT, first], features[AT, first]
             touch(world, scratch, ball.radius, hits, first, told.points[row], told.normals[row])
             told.handles[row] = node_handles[hits.slots[first]]
-            told.t[row] = times[AT, first]
+            told.t[row] = times[AT, first] * t_max
             if ndim == 2:
-                told.points[row, 2] = balls.origins[row, 2]
+                told.points[row, 2] = origin[2]
         if not sure:
             count = OPEN
             break
@@ -154,12 +157,14 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room,
 
 
 @inlined
-def fill_way(start, end, to_goal, way):
-    """Fill in a way (3,), given itself or by its goal; return whether it is finite."""
+def fill_way(start, end, to_goal, t_max, way):
+    """Fill in a way (3,), given by its goal, or by a direction and where it ends; return whether
+    it and its start are finite.
+    """
     finite = True
     for axis in range(3):
-        way[axis] = end[axis] - start[axis] if to_goal else end[axis]
-        finite &= np.isfinite(way[axis])
+        way[axis] = end[axis] - start[axis] if to_goal else end[axis] * t_max
+        finite &= np.isfinite(way[axis]) and np.isfinite(start[axis])
     return finite
 
 
@@ -187,7 +192,7 @@ def first_of_many(
     tree: DynamicBVH, columns: Columns, balls: Balls, asked: tuple[bool, bool], threads: int
 ) -> CastHits | None:
     """First hits of n balls, asked = (whether what is called directions are goals, skip_inside);
-    None if a way is not finite.
+    None if a start or a way is not finite.
     """
     view, count, shapes = tree.view(), len(balls.origins), shapes_in(columns)
     ndim = 3 if shapes[1] is None else 2
@@ -239,11 +244,11 @@ def _tell_open_one(
     """Fill in what exact arithmetic tells of a row, which says that nothing is met."""
     to_goals, skip_inside = asked
     origin, way = balls.origins[row], balls.directions[row]
-    radius, mask = (column[row if len(column) > 1 else 0] for column in balls[2:])
-    way = way - origin if to_goals else way
+    radius, t_max, mask = (column[row if len(column) > 1 else 0] for column in balls[2:])
+    way = way - origin if to_goals else way * t_max
     one = Sweep(origin, way, radius.item(), mask, skip_inside, False)
     for slot, t, point, normal in cast_ball(tree, columns, one):
         told.handles[row] = columns.node_handle[slot]
-        told.t[row], told.points[row], told.normals[row] = t, point, normal
+        told.t[row], told.points[row], told.normals[row] = t * t_max, point, normal
         if tree.ndim == 2:
             told.points[row, 2] = origin[2]

@@ -31,7 +31,7 @@ from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
 def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, scratch, told):
     """Fill in what the rays of the rows [start, stop) meet first; shapes as of `shapes_in`, asked
     = (whether what is called directions are goals, skip_inside), place = (start, stop). Returns 0,
-    REFUSED if the tree is changed, or NOT_FINITE if a way is not.
+    REFUSED if the tree is changed, or NOT_FINITE if a start or a way is not.
     """
     (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
     state, ndim, direction = tree.state, scratch.ray.shape[1], stack_array(3, np.float64)
@@ -41,7 +41,7 @@ def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, scratch,
     features = stack_array(1, np.int64)
     one = Hits(stack_array(1, np.int64), stack_array(1, np.float64), features)
     while row < stop:
-        if not fill_way(rays.origins[row], rays.directions[row], to_goals, direction):
+        if not fill_way(rays.origins[row], rays.directions[row], to_goals, 1.0, direction):
             end_query(state)
             return np.int64(NOT_FINITE)
         way = rays.origins[row, :ndim], direction[:ndim]
@@ -99,7 +99,7 @@ def first_of_many(
     tree: DynamicBVH, columns: Columns, rays: Rays, asked: tuple[bool, bool], threads: int
 ) -> CastHits | None:
     """First hits of n rays, asked = (whether what is called directions are goals, skip_inside);
-    None if a way is not finite.
+    None if a start or a way is not finite.
     """
     view, count, shapes = tree.view(), len(rays.origins), shapes_in(columns)
     ndim = 3 if shapes[1] is None else 2
