@@ -63,11 +63,12 @@ def binary_kernel() -> Any:
 def wide_kernel() -> Any:
     """`wide.raycasting.cast_rows` without the exact decision."""
     better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
-    return rewired(
-        wide_raycasting.cast_rows,
+    pile = rewired(
+        wide_raycasting.cast_pile,
         is_first=rewired(wide_raycasting.is_first, is_better=better),
         write_hit=rewired(wide_raycasting.write_hit, exact_entry_axis=_plain_axis),
     )
+    return rewired(wide_raycasting.cast_rows, cast_pile=pile)
 
 
 @contextmanager

@@ -69,6 +69,8 @@ def rewired(original: Any, **calls: Any) -> Any:
     the functions it calls replaced.
     """
     python = original.py_func
+    if unknown := calls.keys() - {*python.__code__.co_names}:
+        raise NameError(f'{python.__name__} does not call {sorted(unknown)}')
     function = FunctionType(python.__code__, {**python.__globals__, **calls}, python.__name__)
     own = 'nopython', 'boundscheck', 'no_cfunc_wrapper'
     return numba.njit(

@@ -6,7 +6,6 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from .intrinsics import each, elements_at, index, operation, splat, variable
@@ -32,6 +31,14 @@ def _rearranged(builder: Any, numbers: Any, lanes: Any) -> Any:
     return found
 
 
+def _constant(builder: Any, value: Any) -> Any:
+    """Pointer to a constant of the module."""
+    name = builder.module.get_unique_name('lanes_chosen')
+    kept = ir.GlobalVariable(builder.module, value.type, name)
+    kept.initializer, kept.global_constant, kept.linkage = value, True, 'internal'
+    return kept
+
+
 @intrinsic
 def list_met8(typingctx, lists, start, count, met, bit, into):
     """Copy those of lists[start:start + count] whose `met` has a bit to lists[into:], in their
@@ -52,7 +59,7 @@ def list_met8(typingctx, lists, start, count, met, bit, into):
 
         rows = [ir.Constant(_ROW, lanes) for lanes in _CHOSEN]
         table = ir.Constant(ir.ArrayType(_ROW, len(rows)), rows)
-        table = cgutils.global_constant(builder, 'lanes_chosen', table)
+        table = _constant(builder, table)
         up = splat(builder, builder.trunc(builder.sub(index(31), bit), _INT), AT_ONCE)
         end = variable(builder, into)
         groups = builder.lshr(builder.add(count, index(AT_ONCE - 1)), index(3))
