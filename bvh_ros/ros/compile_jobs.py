@@ -227,15 +227,13 @@ def _checks(needs: Needs) -> None:
 
 def _batches(needs: Needs) -> None:
     """Of each size that is answered in a way of its own; first what compiles without boxes."""
-    from bvh_ros.scene.casting import box_casting
+    from bvh_ros.scene.casting.box_casting import few_entry
     from bvh_ros.tree.wide.collapse_plan import planning_entry
-    from bvh_ros.tree.wide.few_rays import few_entry
     from bvh_ros.tree.wide.raycasting import cast_entry
     from bvh_ros.tree.wide.snapshot import blurred_entry, collapse_entry
 
-    for entry in blurred_entry, planning_entry, collapse_entry, cast_entry:
+    for entry in blurred_entry, planning_entry, collapse_entry, cast_entry, few_entry:
         entry(2 if needs.planar else 3)
-    _ = few_entry(2) if needs.planar else box_casting.few_entry()
     scene = Scene(planar=needs.planar, margin=needs.margin)
     line = np.arange(MANY * 3.0).reshape(MANY, 3)
     scene.raycast_many(line[:1], line[:1])

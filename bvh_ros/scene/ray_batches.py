@@ -61,8 +61,6 @@ class RayBatches:
         if held.columns.shaped:
             some, asked = tuple.__new__(Rays, rays), (to_goals, skip)
             return wide_rays.first_of_many(held.tree, held.columns, some, asked, 1)
-        if held.planar:
-            return None
         # As Rays(...), which would take one more call of a function of Python's.
         thin = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
         if len(thin.origins) > FEW and not held.tree.few_rays(thin):

@@ -18,9 +18,9 @@ def boxes(rng, count):
     return Shapes.boxes(rng.integers(-20, 21, (count, 3)), rng.integers(0, 5, (count, 3)) * 1.0)
 
 
-def world(count):
+def world(count, planar=False):
     rng = np.random.default_rng(count)
-    scene = Scene()
+    scene = Scene(planar=planar)
     masks = rng.integers(1, 4, count)
     names = [str(i) for i in range(count)]
     scene.update('test', names, boxes(rng, count), stamp=1, categories=masks)
@@ -48,9 +48,10 @@ def check(scene, rng, count):
             assert found.normals[row].tolist() == hit.normal.tolist()
 
 
+@pytest.mark.parametrize('planar', [False, True], ids=['solid', 'planar'])
 @pytest.mark.parametrize('many', [0, 1, 300, 15_000])
-def test_each_is_the_single_question(many):
-    scene, rng = world(many)
+def test_each_is_the_single_question(many, planar):
+    scene, rng = world(many, planar)
     check(scene, rng, 20)  # there is no snapshot yet
     scene.raycast_many(*rng.normal(size=(2, 8000, 3)))
     for count in SIZES:

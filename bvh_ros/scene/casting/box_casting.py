@@ -128,21 +128,22 @@ def every(
 def few_first(
     tree: DynamicBVH, node_handles: NDArray[np.int64], rays: raycasting.Rays, to_goals: bool
 ) -> CastHits | None:
-    """`first_of_many` of few rays in a tree of three dimensions, with as little Python as can be;
-    None if a ray is not finite. `to_goals`: what is called directions are the goals of the ways.
+    """`first_of_many` of few rays, with as little Python as can be; None if a ray is not finite.
+    `to_goals`: what is called directions are the goals of the ways.
     """
-    count = len(rays.origins)
+    count, ndim = len(rays.origins), tree.ndim
     ts, points = np.empty(count), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     columns = np.empty(count, UINT32), ts, points, np.empty((count, 3))
     told = tuple.__new__(CastHits, columns)
     ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
+    flat = None if ndim == 3 else np.empty((3, count, ndim))
     ready, done = tree.ready_snapshot(), REFUSED
     if ready is not None:
-        given = rays, to_goals, node_handles, ids, told
-        done = few_entry()(ready[0], ANY_VERSION, ready[1], *given)
+        given = rays, to_goals, node_handles, ids, flat, told
+        done = few_entry(ndim)(ready[0], ANY_VERSION, ready[1], *given)
     if done == REFUSED:
-        done = _few_slowly(tree, node_handles, rays, to_goals, ids, told)
+        done = _few_slowly(tree, node_handles, rays, to_goals, (ids, flat), told)
     if done == NOT_FINITE:
         return None
     accepted(done)
@@ -154,28 +155,33 @@ def _few_slowly(
     node_handles: NDArray[np.int64],
     rays: raycasting.Rays,
     to_goals: bool,
-    ids: NDArray[np.int64],
+    room: tuple[NDArray[np.int64], Floats | None],
     told: CastHits,
 ) -> int:
     """Fill in `few_first` where the snapshot is to be made or patched, or there is none; how many
     took exact arithmetic, or why not.
     """
-    view, count = tree.view(), len(rays.origins)
+    view, count, ndim = tree.view(), len(rays.origins), tree.ndim
     snapshot = tree.snapshot_for(count, view)
     done: int
     if snapshot is not None:
-        done = few_entry()(*view, snapshot, rays, to_goals, node_handles, ids, told)
+        done = few_entry(ndim)(*view, snapshot, rays, to_goals, node_handles, *room, told)
         return done
     if to_goals:
         ways = np.empty((count, 3))
         if ways_entry()(rays.origins, rays.directions, ways) >= 0:
             return NOT_FINITE
         rays = rays._replace(directions=ways)
-    hits = RayHits(np.empty(count, INT64), told.t, told.normals)
+    some, normals = (rays.origins, rays.directions), told.normals
+    if ndim == 2:
+        if checks.first_not_finite(some[0]) >= 0 or checks.first_not_finite(some[1]) >= 0:
+            return NOT_FINITE
+        normals = np.empty((count, 2))
+        rays = rays._replace(origins=along_axes(some[0], 2), directions=along_axes(some[1], 2))
+    hits = RayHits(np.empty(count, INT64), told.t, normals)
     done = ray_batches.cast(*view, None, rays, hits)
     if done >= 0:
-        some = rays.origins, rays.directions
-        _describe_entry(3)(view.tree, node_handles, *some, hits, told)
+        _describe_entry(ndim)(view.tree, node_handles, *some, hits, told)
     return done
 
 
@@ -224,33 +230,51 @@ def describe(tree, node_handles, origins, directions, hits, told):
 
 
 @lean_kernel
-def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, told):
+def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, flat, told):
     """First hits of rays in one call; returns as `cast_few`. `to_goals`: what is called directions
-    are the goals of the ways. `ids` is scratch for the hits of more than AT_ONCE rays.
+    are the goals of the ways. Scratch: `ids` for the hits of more than AT_ONCE rays, `flat`
+    (3, n, 2), or None in three dimensions, for rays and normals as a planar tree has them.
     """
     directions = rays.directions
     if to_goals:
         directions = told.points
         if fill_ways(rays.origins, rays.directions, directions) >= 0:
             return np.int64(NOT_FINITE)
+    starts, ways, normals = rays.origins, directions, told.normals
+    if flat is not None:
+        if not flatten(starts, ways, flat):
+            return np.int64(NOT_FINITE)
+        starts, ways, normals = flat[0], flat[1], flat[2]
     asked = raycasting.Rays(
-        *(rays.origins, directions, rays.t_max, rays.masks),
-        *(rays.skip_inside, rays.mode, rays.counted),
+        *(starts, ways, rays.t_max, rays.masks), *(rays.skip_inside, rays.mode, rays.counted)
     )
     if ids.shape[0] == 0:
         ids = stack_array(AT_ONCE, np.int64)[: rays.origins.shape[0]]
-    hits = RayHits(ids, told.t, told.normals)
+    hits = RayHits(ids, told.t, normals)
     done = cast_few(tree, version, snapshot, asked, hits)
     if done >= 0:
         describe(tree, node_handles, rays.origins, directions, hits, told)
     return done
 
 
+@inlined
+def flatten(starts, ways, flat):
+    """Copy what a planar tree sees of rays; return whether all of them is finite."""
+    finite = True
+    for i in range(starts.shape[0]):
+        for axis in range(3):
+            finite &= math.isfinite(starts[i, axis]) and math.isfinite(ways[i, axis])
+        for axis in range(2):
+            flat[0, i, axis], flat[1, i, axis] = starts[i, axis], ways[i, axis]
+    return finite
+
+
 @functools.cache
-def few_entry() -> Callable[..., Any]:
+def few_entry(ndim: int) -> Callable[..., Any]:
     """The machine code of `cast_and_describe`."""
-    asked = raycasting.NO_RAYS, False, _NO_IDS, _NO_IDS, _TOLD
-    return entry_point(cast_and_describe, empty_tree(3), 0, no_snapshot(3), *asked)
+    flat = None if ndim == 3 else np.empty((3, 0, ndim))
+    asked = raycasting.NO_RAYS, False, _NO_IDS, _NO_IDS, flat, _TOLD
+    return entry_point(cast_and_describe, empty_tree(ndim), 0, no_snapshot(ndim), *asked)
 
 
 _POINT = np.empty(3)
