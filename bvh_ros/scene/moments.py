@@ -154,17 +154,21 @@ class Moments:
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
         return self._held.each_once(hits)
 
-    def few(self, rays: tuple[Any, ...], skip: bool, at: Any, until: Any, to_goals: bool) -> Any:
-        """`moving_boxes.few_first` where the tree alone decides and nobody comes to rest; else
-        None.
+    def few(
+        self, rays: tuple[Any, ...], radii: Floats, skip: bool, at: Any, until: Any, to_goals: bool
+    ) -> Any:
+        """`first_of_many` with as little Python as can be, in a solid scene while nobody comes to
+        rest; else None, as `moving_boxes.few_first`. No ball without an end may be asked for.
         """
         held = self._held
-        if held.planar or held.uncertainty or not held.moves or held.columns.shaped:
+        if held.planar or held.uncertainty or not held.moves:
             return None
         when = self._together(at, until, rays[2])
         if when is None:
             return None
         courses = self._courses or self._courses_then()
+        if held.columns.shaped or (radii is not checks.NOTHING and is_any(radii)):
+            return courses.moving.few_then(held, rays, radii, skip, when, to_goals)
         return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
 
     def _together(self, at: Any, until: Any, t_max: Floats) -> tuple[float, float] | None:
@@ -188,13 +192,6 @@ class Moments:
     ) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
         held, thick = self._held, radii is not checks.NOTHING and is_any(radii)
-        if threads == 1 and (rays.t_max is WHOLE_WAY if thick else held.columns.shaped):
-            together = self._together(*when, rays.t_max)
-            if together is not None and not (held.planar or held.uncertainty):
-                moving = (self._courses or self._courses_then()).moving
-                told: CastHits | None = moving.few_then(held, rays, radii, bool(skip), together)
-                if told is not None:
-                    return told
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end

@@ -158,7 +158,7 @@ class RayQueries:
             checks.finite('directions', directions)
         if threads == 1 and radius is None:
             if at is not None:
-                found = self._moments.few(asked, skip, at, until, False)
+                found = self._moments.few(asked, checks.NOTHING, skip, at, until, False)
             else:
                 found = None if until is not None else self._batches.few(asked, skip, False)
             if found is not None:
@@ -208,13 +208,14 @@ class RayQueries:
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         radii, found = checks.lengths_or_one('radius', radius, count), None
-        if radii is checks.NOTHING:
-            asked = origins, ends, WHOLE_WAY, masks
-            if threads == 1 and at is not None:
-                found = self._moments.few(asked, skip, at, until, True)
-            elif threads == 1 and until is None:
-                found = self._batches.few(asked, skip, True)
-        elif at is until is None and (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
+        if at is not None:
+            if threads == 1:
+                asked = origins, ends, WHOLE_WAY, masks
+                found = self._moments.few(asked, radii, skip, at, until, True)
+        elif radii is checks.NOTHING:
+            if threads == 1 and until is None:
+                found = self._batches.few((origins, ends, WHOLE_WAY, masks), skip, True)
+        elif until is None and (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
             # As Balls(...), which would take one more call of a function of Python's.
             balls = tuple.__new__(Balls, (origins, ends, radii, WHOLE_WAY, masks))
             held = self._held

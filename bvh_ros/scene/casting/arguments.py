@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...tree import checks
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import entry_point, lean_kernel
-from ...tree.nodes import DEEPEST, ROOT, Tree
+from ...tree.nodes import DEEPEST, ROOT
 from ...tree.rays.slab import RAY_ROWS
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
@@ -140,12 +140,7 @@ def ways_entry() -> Callable[..., Any]:
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
     """The arrays of a scene."""
-    return world_in(tree.view().tree, columns)
-
-
-def world_in(tree: Tree, columns: Columns) -> CastWorld:
-    """The same, of a view of its tree."""
-    nodes, _, tight, handles, state = tree
+    nodes, _, tight, handles, state = tree.view().tree
     # As CastWorld(...), which would take one more call of a function of Python's.
     parts = nodes, tight, handles, state.item(ROOT), *shapes_in(columns)
     return tuple.__new__(CastWorld, parts)

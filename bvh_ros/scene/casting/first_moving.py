@@ -16,12 +16,13 @@ from ...tree.motion.casting import OUTSIDE, descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
 from ...tree.moving import LARGEST
-from ...tree.nodes import DEEPEST, NONE
+from ...tree.nodes import DEEPEST, NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ..results import NO_NODE
+from .arguments import CastWorld, fill_ways
 from .casting import Best, enter_obstacle, no_hit, plain, touch
 from .frame import COORDINATES, FRAME_SLACK
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
@@ -37,8 +38,9 @@ class Ways(NamedTuple):
     masks: Any
     radii: Any
     at: Any
-    """s, as how many seconds a unit of t takes."""
+    """s; empty, as `pace`, if `first_swept` is told when."""
     pace: Any
+    """How many seconds a unit of t takes."""
     grown: Any
     """What no obstacle has grown by more, m."""
 
@@ -64,11 +66,22 @@ def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
 
 
 @lean_kernel
-def first_swept(world, tree, moving, sweep, ways, asked, node_handles, scratch, told):
+def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
     """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
-    UNSUITED. Returns how many.
+    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `shapes_in`, tools =
+    (node_handles, scratch), when = (at, pace) of all if the ways tell no times. With `room`,
+    (n, 3), what is called directions are the goals of the ways, which are written there.
     """
-    return _rows(world, tree, moving, sweep, ways, asked, (node_handles, scratch), told)
+    origins, directions, t_max, masks, radii, at, pace, grown = ways
+    if room.shape[0] > 0 and fill_ways(origins, directions, room) >= 0:
+        return np.int64(1)
+    directions = room if room.shape[0] > 0 else directions
+    if at.shape[0] == 0:
+        at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
+        at[0], pace[0] = when
+    every = Ways(origins, directions, t_max, masks, radii, at, pace, grown)
+    world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
+    return _rows(world, tree, sweep.moving, sweep, every, asked, tools, told)
 
 
 @lean_kernel
@@ -76,8 +89,7 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     why, ndim = np.int64(0), ways.origins.shape[1]
-    ray = stack_array((RAY_ROWS, 3), np.float64)
-    node_handles, scratch = tools
+    ray, (node_handles, scratch) = stack_array((RAY_ROWS, 3), np.float64), tools
     for i in range(ways.origins.shape[0]):
         thin, suited = Course(ray, of_row(ways.at, i), of_row(ways.pace, i)), True
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
@@ -166,12 +178,8 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
     if not (suited and reach < FARTHEST_ORIGIN):
         return False, box, other
     widen(record, reach)
-    limits[0], octant, limit, mask = (
-        record.limit,
-        octant_of(direction),
-        t_max,
-        of_row(ways.masks, i),
-    )
+    limits[0], octant = record.limit, octant_of(direction)
+    limit, mask = t_max, of_row(ways.masks, i)
     top = put_roots(snapshot, stack)
     while top > 0:
         slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)

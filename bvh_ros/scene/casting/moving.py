@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.checks import INT64, NOTHING, UINT32
+from ...tree.motion.asked_then import AS_ARRAYS, NO_TIMES
 from ...tree.motion.casting import Casts
 from ...tree.motion.ray_queries import rows_of
 from ...tree.motion.spans import times_of
@@ -33,7 +34,7 @@ from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Hits, Rays, Scratch, call, new_scratch, world_in, world_of
+from .arguments import Hits, Rays, Scratch, call, code_for, new_scratch, shapes_in, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
 
@@ -86,6 +87,7 @@ class Kept(threading.local):
 
 
 _kept = Kept()
+_NO_ROOM = np.empty((0, 3))
 
 
 def first_then(
@@ -105,15 +107,17 @@ def first_then(
     hits = tuple.__new__(Hits, (np.empty(count, INT64), np.empty(count), np.empty(count, INT64)))
     places = np.empty((count, 3)), np.empty((count, 3))
     told = tuple.__new__(First, (hits, np.empty(count, UINT32), *places))
-    given = ways, (skip, held.uncertainty), columns.node_handle, _kept.scratch(ndim), told
-    world, motion = world_of(tree, columns), _motion_of(held)
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, _kept.scratch(ndim))
+    motion = _motion_of(held)
     if sweep is None:
+        world, given = world_of(tree, columns), (ways, asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
     else:
-        view = tree.view()
-        known = motion.known(view, 0.0, 0.0)
-        if accepted(call(first_swept, world, view.tree, known, sweep, *given)):
+        view, shapes = tree.view(), shapes_in(columns)
+        now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
+        every = shapes, view.tree, now, ways, asked, tools, told, AS_ARRAYS, _NO_ROOM
+        if accepted(code_for(first_swept, shapes, every)(*every)):
             _tell_others(held, (rays, radii, skip, times), told)
     if tree.ndim == 2:
         met = told.handles != NO_NODE
@@ -122,13 +126,19 @@ def first_then(
 
 
 def few_then(
-    held: Obstacles, rays: Rays, radii: Floats, skip: bool, when: tuple[float, float]
+    held: Obstacles,
+    rays: tuple[Any, ...],
+    radii: Floats,
+    skip: bool,
+    when: tuple[float, float],
+    to_goals: bool,
 ) -> CastHits | None:
     """`first_then` in a solid scene through what is swept already, with as little Python as can
-    be; None where nothing is swept, or a way is not for it. when = (at, pace) of all.
+    be; else as `moving_boxes.few_first`.
     """
     tree: Any = held.tree
-    count, storage, (at, pace), t_max = len(rays.origins), tree._storage, when, rays.t_max
+    (origins, _, t_max, _), (at, pace) = rays, when
+    count, storage, columns = len(origins), tree._storage, held.columns
     if len(t_max) != 1 or storage.heirs:
         return None
     last = at if pace == 0.0 else at + t_max.item() * pace
@@ -136,14 +146,15 @@ def few_then(
     if sweep is None:
         return None
     # As Ways(...) and so on, which would take more calls of functions of Python's.
-    ways = tuple.__new__(Ways, (*rays, radii, np.array([at]), np.array([pace]), NOTHING))
+    ways = tuple.__new__(Ways, (*rays, radii, NO_TIMES, NO_TIMES, NOTHING))
     ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     hits = tuple.__new__(Hits, (np.empty(count, INT64), ts, np.empty(count, INT64)))
-    handles, columns = np.empty(count, UINT32), held.columns
+    handles, room = np.empty(count, UINT32), np.empty((count, 3)) if to_goals else _NO_ROOM
     told = tuple.__new__(First, (hits, handles, points, normals))
-    given = ways, (skip, held.uncertainty), columns.node_handle, _kept.scratch(3), told
-    world, arrays = world_in(storage.tree, columns), storage.tree
-    if call(first_swept, world, arrays, sweep.moving, sweep, *given) != 0:
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, _kept.scratch(3))
+    shapes = shapes_in(columns)
+    every = shapes, storage.tree, sweep, ways, asked, tools, told, when, room
+    if code_for(first_swept, shapes, every)(*every) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 
