@@ -157,35 +157,26 @@ class Moments:
     def few(
         self, rays: tuple[Any, ...], radii: Floats, skip: bool, at: Any, until: Any, to_goals: bool
     ) -> Any:
-        """`first_of_many` with as little Python as can be, in a solid scene while nobody comes to
-        rest; else None, as `moving_boxes.few_first`. No ball without an end may be asked for.
-        """
-        held = self._held
-        if held.planar or held.uncertainty or not held.moves:
-            return None
-        when = self._together(at, until, rays[2])
-        if when is None:
-            return None
-        courses = self._courses or self._courses_then()
-        if held.columns.shaped or (radii is not checks.NOTHING and is_any(radii)):
-            return courses.moving.few_then(held, rays, radii, skip, when, to_goals)
-        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
-
-    def _together(self, at: Any, until: Any, t_max: Floats) -> tuple[float, float] | None:
-        """`_way_of_time` where all rays go at the same time and nobody comes to rest; else None,
-        or where at and until are not the most common.
+        """`first_of_many` with as little Python as can be, where all rays go at the same time in
+        a solid scene while nobody comes to rest; else None, as where at and until are not the most
+        common, or `moving_boxes.few_first` says so. No ball without an end may be asked for.
         """
         held, last = self._held, at if until is None else until
+        if held.planar or held.uncertainty or not held.moves:
+            return None
         if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
             return None
         begin, end = at - held.epoch, last - held.epoch
         if not -EXACT < begin <= end < EXACT:
             return None
-        start = begin / 1e9
+        start = begin / 1e9  # as `_way_of_time`
         when = start, 0.0 if until is None else end / 1e9 - start
-        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, t_max))):
+        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, rays[2]))):
             return None
-        return when
+        courses = self._courses or self._courses_then()
+        if held.columns.shaped or (radii is not checks.NOTHING and is_any(radii)):
+            return courses.moving.few_then(held, rays, radii, skip, when, to_goals)
+        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int

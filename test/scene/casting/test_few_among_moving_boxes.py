@@ -54,18 +54,19 @@ def test_rows_are_single_ways(planar: bool, turned: bool, max_prediction: float)
     assert 4 <= swept < 24
 
 
+@pytest.mark.parametrize(('turned', 'radius'), [(False, 0.0), (False, 0.2), (True, 0.0)])
 @pytest.mark.parametrize('bad', [np.nan, np.inf, 1.7e308])
-def test_bad_ways_are_refused(bad: float):
+def test_bad_ways_are_refused(bad: float, turned: bool, radius: float):
     """Where boxes are swept, as elsewhere."""
     scene, rng = Scene(), np.random.default_rng(2)
-    put(scene, np.arange(BOXES), rng)
+    put(scene, np.arange(BOXES), rng, turned)
     starts, goals, times = np.zeros((40, 3)), np.ones((40, 3)), {'at': 0, 'until': SECOND}
     for _ in range(20):  # as many are worth it
-        scene.sweep_many(starts, goals, **times)
+        scene.sweep_many(starts, goals, radius, **times)
     assert scene._held.tree.motion._wanted.sweep is not None
     goals[3, 1], starts[3, 1] = bad, -1e308
     with pytest.raises(ValueError, match='row 3'):
-        scene.sweep_many(starts, goals, **times)
+        scene.sweep_many(starts, goals, radius, **times)
     if not np.isfinite(bad):
         with pytest.raises(ValueError, match=r'directions .*row 3'):
             scene.raycast_many(starts, goals, 1.0, **times)
