@@ -10,7 +10,7 @@ import numpy as np
 
 from ..tree import checks
 from ..tree.store.workers import in_threads
-from .casting.arguments import WHOLE_WAY, Rays, every_row, row_by_row, ways_of
+from .casting.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
 from .casting.box_casting import segment
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
@@ -161,8 +161,11 @@ class Moments:
         a solid scene while nobody comes to rest; else None, as where at and until are not the most
         common, or `moving_boxes.few_first` says so. No ball without an end may be asked for.
         """
-        held, last = self._held, at if until is None else until
+        held, last, t_max = self._held, at if until is None else until, rays[2]
+        tree: Any = held.tree
         if held.planar or held.uncertainty or not held.moves:
+            return None
+        if len(t_max) != 1 or tree._storage.heirs:
             return None
         if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
             return None
@@ -170,13 +173,17 @@ class Moments:
         if not -EXACT < begin <= end < EXACT:
             return None
         start = begin / 1e9  # as `_way_of_time`
-        when = start, 0.0 if until is None else end / 1e9 - start
-        if held.max_prediction < math.inf and len(at_rest(held, last_of(when, rays[2]))):
+        pace = 0.0 if until is None else end / 1e9 - start
+        when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
+        if held.max_prediction < math.inf and len(at_rest(held, stop)):
+            return None
+        sweep = tree._motion.ready_sweep(len(rays[0]), start, stop)
+        if sweep is None:
             return None
         courses = self._courses or self._courses_then()
         if held.columns.shaped or (radii is not checks.NOTHING and is_any(radii)):
-            return courses.moving.few_then(held, rays, radii, skip, when, to_goals)
-        return courses.moving_boxes.few_first(held, rays, skip, when, to_goals)
+            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
+        return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
@@ -192,8 +199,7 @@ class Moments:
         if not (still or held.columns.shaped or held.uncertainty or thick):
             return self._courses_then().moving_boxes.first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
-            checks.finite('origins', rays.origins)
-            checks.finite('directions', rays.directions)
+            refuse_infinite(rays)
         first = self._firsts(still, rays, times)
         if threads == 1 and not still:
             return first(rays, radii, bool(skip), times)
@@ -244,12 +250,6 @@ class Moments:
 def rows_needed(at: Any, until: Any, count: int) -> int:
     """How many rows say when: 1 where one time is for all."""
     return 1 if type(at) is int and (until is None or type(until) is int) else count
-
-
-def last_of(when: tuple[float, float], t_max: Floats) -> float:
-    """When the last ray ends of those that start together."""
-    longest: float = t_max.max(initial=0.0).item()
-    return when[0] + when[1] * longest if when[1] > 0.0 else when[0]
 
 
 def is_any(radii: Floats) -> bool:

@@ -10,7 +10,7 @@ from ..tree import checks
 from ..tree.rays.raycasting import CLOSEST
 from ..tree.rays.raycasting import Rays as ThinRays
 from .casting import box_casting, casting, sweeping, wide_rays
-from .casting.arguments import Found, Rays, row_by_row, ways_of
+from .casting.arguments import Found, Rays, refuse_infinite, row_by_row, ways_of
 from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
@@ -97,12 +97,6 @@ class RayBatches:
         origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
         flat = Rays(origins, directions, rays.t_max, rays.masks)
         return casting.cast_all(held.tree, held.columns, flat, skip, every)
-
-
-def refuse_infinite(rays: Rays) -> None:
-    """ValueError if a ray is not finite."""
-    checks.finite('origins', rays.origins)
-    checks.finite('directions', rays.directions)
 
 
 def refuse_endless(rays: Rays, radii: Floats) -> None:

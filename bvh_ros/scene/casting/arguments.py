@@ -107,6 +107,12 @@ def row_by_row(rays: Rays) -> Rays:
     return Rays(rays.origins, rays.directions, t_max, masks)
 
 
+def refuse_infinite(rays: Rays) -> None:
+    """ValueError if a ray is not finite."""
+    checks.finite('origins', rays.origins)
+    checks.finite('directions', rays.directions)
+
+
 def ways_of(rays: Rays, radii: Floats) -> Floats:
     """The way of each ray to its end; ValueError where that of a ball has none."""
     with np.errstate(over='ignore', invalid='ignore'):

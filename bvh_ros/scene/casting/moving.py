@@ -11,7 +11,6 @@ of its way: too early rather than too late.
 """
 
 import functools
-import threading
 from functools import partial
 from typing import Any
 
@@ -34,9 +33,10 @@ from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Hits, Rays, Scratch, call, code_for, new_scratch, shapes_in, world_of
+from .arguments import Hits, Rays, call, code_for, shapes_in, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
+from .sweeping import kept
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -70,23 +70,6 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     return met.take(order) if count else met
 
 
-class Kept(threading.local):
-    """Scratch for one way, of a thread, by number of dimensions. Kernels write it before they read
-    it.
-    """
-
-    def __init__(self) -> None:
-        self._rooms: dict[int, Scratch] = {}
-
-    def scratch(self, ndim: int) -> Scratch:
-        """In so many dimensions."""
-        room = self._rooms.get(ndim)
-        if room is None:
-            room = self._rooms[ndim] = new_scratch(ndim)
-        return room
-
-
-_kept = Kept()
 _NO_ROOM = np.empty((0, 3))
 
 
@@ -107,7 +90,7 @@ def first_then(
     hits = tuple.__new__(Hits, (np.empty(count, INT64), np.empty(count), np.empty(count, INT64)))
     places = np.empty((count, 3)), np.empty((count, 3))
     told = tuple.__new__(First, (hits, np.empty(count, UINT32), *places))
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, _kept.scratch(ndim))
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.of(ndim)[0])
     motion = _motion_of(held)
     if sweep is None:
         world, given = world_of(tree, columns), (ways, asked, *tools, told)
@@ -127,6 +110,7 @@ def first_then(
 
 def few_then(
     held: Obstacles,
+    sweep: Sweep,
     rays: tuple[Any, ...],
     radii: Floats,
     skip: bool,
@@ -137,23 +121,16 @@ def few_then(
     be; else as `moving_boxes.few_first`.
     """
     tree: Any = held.tree
-    (origins, _, t_max, _), (at, pace) = rays, when
-    count, storage, columns = len(origins), tree._storage, held.columns
-    if len(t_max) != 1 or storage.heirs:
-        return None
-    last = at if pace == 0.0 else at + t_max.item() * pace
-    sweep = tree._motion.ready_sweep(count, at, last)
-    if sweep is None:
-        return None
+    count, columns = len(rays[0]), held.columns
     # As Ways(...) and so on, which would take more calls of functions of Python's.
     ways = tuple.__new__(Ways, (*rays, radii, NO_TIMES, NO_TIMES, NOTHING))
     ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     hits = tuple.__new__(Hits, (np.empty(count, INT64), ts, np.empty(count, INT64)))
     handles, room = np.empty(count, UINT32), np.empty((count, 3)) if to_goals else _NO_ROOM
     told = tuple.__new__(First, (hits, handles, points, normals))
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, _kept.scratch(3))
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.of(3)[0])
     shapes = shapes_in(columns)
-    every = shapes, storage.tree, sweep, ways, asked, tools, told, when, room
+    every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
     if code_for(first_swept, shapes, every)(*every) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))

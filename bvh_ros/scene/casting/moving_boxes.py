@@ -41,7 +41,7 @@ class Told(NamedTuple):
     """Room for what n rays meet: a `RayHits`, and what a scene tells besides."""
 
     ids: NDArray[np.int64]
-    """None for AT_ONCE rays or fewer, if nobody but the kernel is to read it."""
+    """Empty for AT_ONCE rays or fewer, if nobody but the kernel is to read them."""
     t: Floats
     normals: Floats
     """Shape (n, ndim)."""
@@ -82,32 +82,29 @@ def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: 
 
 
 def few_first(
-    held: Obstacles, rays: tuple[Any, ...], skip: bool, when: tuple[float, float], to_goals: bool
+    held: Obstacles,
+    sweep: Sweep,
+    rays: tuple[Any, ...],
+    skip: bool,
+    when: tuple[float, float],
+    to_goals: bool,
 ) -> CastHits | None:
     """`first_boxes` in a tree of three dimensions through what is swept already, with as little
-    Python as can be: of few rays, that is most. None where nothing is swept, or a ray is not for
-    it. rays = (origins, directions, t_max, masks), when = (at, pace) of all. `to_goals`: what is
-    called directions are the goals of the ways.
+    Python as can be: of few rays, that is most. None where a ray is not for it. rays = (origins,
+    directions, t_max, masks), when = (at, pace) of all. `to_goals`: what is called directions are
+    the goals of the ways.
     """
     tree: Any = held.tree
-    (origins, directions, t_max, masks), (at, pace) = rays, when
-    count, storage = len(origins), tree._storage
-    if len(t_max) != 1 or storage.heirs:
-        return None
-    last = at if pace == 0.0 else at + t_max.item() * pace
-    sweep = tree._motion.ready_sweep(count, at, last)
-    if sweep is None:
-        return None
+    count = len(rays[0])
     # As RaysThen(...) and so on, which would take more calls of functions of Python's.
-    parts = origins, directions, t_max, masks, skip, CLOSEST, NO_TIMES, NO_TIMES, when
-    asked = tuple.__new__(RaysThen, parts)
+    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, NO_TIMES, NO_TIMES, when))
     ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
     handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
     normals = np.empty((count, 3))
     told = tuple.__new__(Told, (ids, ts, normals, handles, points))
     scratch = scratch_for(count, 3, sweep.snapshot.depth)
     given = asked, int(to_goals), held.columns.node_handle, scratch, told
-    if _entry(3)(storage.tree, sweep, *given) != 0:
+    if _entry(3)(tree._storage.tree, sweep, *given) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 

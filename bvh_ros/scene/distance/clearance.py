@@ -256,7 +256,7 @@ class Clearances:
         legal.
         """
         columns, view = self._columns, self._tree.view()
-        count = len(rows.records) or len(rows.given[1])
+        count = rows.number()
         bodies = bodies_of(columns, hulls)
         told = room_for(count)
         if threads == 1:  # without what others take

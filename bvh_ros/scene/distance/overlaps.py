@@ -87,7 +87,7 @@ class Overlaps:
         `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
         columns, view = self._columns, self._tree.view()
-        count = len(rows.records) or len(rows.given[1])
+        count = rows.number()
         narrow = columns.shaped > 0 or (count > 0 and rows.begins_shaped())
         told, done = room_for(count, wanted), 0
         parts: list[NDArray[np.uint32]] = []
