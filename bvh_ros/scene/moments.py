@@ -177,11 +177,14 @@ class Moments:
         when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
         if held.max_prediction < math.inf and len(at_rest(held, stop)):
             return None
-        sweep = tree._motion.ready_sweep(len(rays[0]), start, stop)
+        shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
+        sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))
         if sweep is None:
-            return None
+            sweep = tree._motion.ready_sweep(len(rays[0]), start, stop)
+            if sweep is None:
+                return None
         courses = self._courses or self._courses_then()
-        if held.columns.shaped or (radii is not checks.NOTHING and is_any(radii)):
+        if shaped:
             return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
         return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
 

@@ -15,6 +15,7 @@ from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, NO_TIMES, RaysThen
 from ...tree.motion.casting import locate
+from ...tree.motion.few_casting import FEW, NO_FEW, cast_few
 from ...tree.motion.meeting import Course, box_of, fetch_box
 from ...tree.motion.sweeping import Sweep, no_sweep
 from ...tree.motion.wide_casting import AHEAD, cast_rows
@@ -96,17 +97,39 @@ def few_first(
     """
     tree: Any = held.tree
     count = len(rays[0])
-    # As RaysThen(...) and so on, which would take more calls of functions of Python's.
+    # As CastHits(...) and so on, which would take more calls of functions of Python's.
+    handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
+    normals, node_handles = np.empty((count, 3)), held.columns.node_handle
+    hits = tuple.__new__(CastHits, (handles, ts, points, normals))
+    if count < FEW:
+        few = rays, skip, when, to_goals, node_handles, hits
+        return hits if _few_entry(3)(tree._storage.tree, sweep, *few) == 0 else None
     asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, NO_TIMES, NO_TIMES, when))
     ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
-    handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
-    normals = np.empty((count, 3))
     told = tuple.__new__(Told, (ids, ts, normals, handles, points))
     scratch = scratch_for(count, 3, sweep.snapshot.depth)
-    given = asked, int(to_goals), held.columns.node_handle, scratch, told
-    if _entry(3)(tree._storage.tree, sweep, *given) != 0:
-        return None
-    return tuple.__new__(CastHits, (handles, ts, points, normals))
+    given = asked, int(to_goals), node_handles, scratch, told
+    return hits if _entry(3)(tree._storage.tree, sweep, *given) == 0 else None
+
+
+@lean_kernel
+def cast_few_and_describe(tree, sweep, rays, skip_inside, when, to_goals, node_handles, hits):
+    """As `cast_and_describe`, of fewer rays than FEW, see `few_casting.cast_few`."""
+    (origins, directions, t_max, masks), ids = rays, stack_array(FEW, np.int64)
+    if to_goals:
+        directions = hits.points
+        if fill_ways(origins, rays[1], directions) >= 0:
+            return np.int64(1)
+    told = Told(ids[: origins.shape[0]], hits.t, hits.normals, hits.handles, hits.points)
+    found = RayHits(told.ids, told.t, told.normals)
+    some = origins, directions, t_max, masks
+    done = cast_few(tree, sweep, some, skip_inside, CLOSEST, when, found)
+    if done == 0:
+        at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
+        at[0], pace[0] = when
+        asked = RaysThen(*some, skip_inside, CLOSEST, at, pace, when)
+        describe(tree, sweep.moving, asked, node_handles, told)
+    return done
 
 
 @lean_kernel
@@ -164,6 +187,10 @@ def describe(tree, moving, rays, node_handles, told):
 
 _ROWS = np.empty((0, 3))
 _TOLD = Told(_NO_IDS, np.empty(0), _ROWS, np.empty(0, np.uint32), _ROWS)
+_few_entry = entry_points(
+    *(cast_few_and_describe, no_sweep, NO_FEW, False, AS_ARRAYS, False),
+    *(_NO_IDS, CastHits(np.empty(0, np.uint32), np.empty(0), _ROWS, _ROWS)),
+)
 _entry = entry_points(
     *(cast_and_describe, no_sweep, NO_RAYS, ALONG, _NO_IDS),
     *(lambda ndim: make_scratch(0, ndim, 0), _TOLD),

@@ -17,6 +17,7 @@ from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from . import velocities
 from .bounds import fit_nodes, moving_dtype
 from .casting import no_motion
+from .few_casting import FEW
 from .meeting import Moving
 from .sweeping import Sweep, swept
 
@@ -157,6 +158,13 @@ class Motion:
         if count < enough or stop - start <= LONGER * abs(other - one):
             return sweep
         return None
+
+    def few_sweep(self, count: int) -> Sweep | None:
+        """The sweep that is made, of whatever version of the tree and span, if it serves so many
+        rays, and they are few.
+        """
+        _, _, _, _, _, sweep, enough = self._wanted
+        return sweep if count < FEW and count < enough else None
 
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""

@@ -15,19 +15,19 @@ from .. import checks, time_checks
 from ..checks import INT64
 from ..nodes import NONE, Tree, View
 from ..rays import ray_batches
-from ..rays.ray_batches import LARGE
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Found, more_room, room_for_hits
 from ..results import RayHits
-from ..store.turns import NOT_FINITE, accepted
+from ..store.turns import NOT_FINITE, REFUSED, accepted
 from ..store.workers import in_threads
-from ..wide.ray_streams import RAYS_AT_ONCE, scratch_for
+from ..wide.ray_streams import RAYS_AT_ONCE
 from . import casting, wide_casting
 from .asked_then import AS_ARRAYS, NO_TIMES, RaysThen
 from .casting import Casts, Places
+from .few_casting import FEW, few_entry
 from .motion import Motion
 from .spans import both_times, span_of, times_of
 from .sweeping import Sweep
-from .wide_casting import UNSUITED, cast_entry
+from .wide_casting import UNSUITED
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -111,30 +111,47 @@ class MotionRays(Motion):
         """`raycast_many` of rays = (origins, directions, t_max, masks), and `occluded_many`, of
         which the ids tell it.
         """
-        (origins, directions, t_max, masks), (at, pace) = rays, times
-        count, ndim = len(origins), tree._ndim
-        if threads == 1 and type(at) is type(pace) is float and len(t_max) == 1:
+        count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
+        if threads == 1 and type(at) is type(pace) is float and not tree._storage.heirs:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            last = at if pace == 0.0 else at + t_max.item() * pace
-            sweep = self.ready_sweep(count, at, last)
-            if sweep is not None and not tree._storage.heirs:
-                # As RaysThen(...), `room_for` and `wide_casting.cast`, which would take more calls
-                # of functions of Python's.
-                given = origins, directions, t_max, masks, skip, mode, NO_TIMES, NO_TIMES, times
-                asked = tuple.__new__(RaysThen, given)
-                if mode != CLOSEST or count >= LARGE:
+            _, _, _, _, _, sweep, enough = self._wanted  # as `few_sweep`
+            if sweep is not None and count < FEW and count < enough:
+                if mode != CLOSEST:
                     hits = ray_batches.room_for(count, ndim, mode)
-                else:
+                else:  # as RayHits(...), which would take one more call of a function of Python's
                     parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
                     hits = tuple.__new__(RayHits, parts)
-                scratch = scratch_for(count, ndim, sweep.snapshot.depth)
-                done = cast_entry(ndim)(tree._storage.tree, sweep, asked, scratch, hits)
-                if done > 0:
-                    self._tell_unsuited(tree, asked, hits)
-                if done >= 0:
-                    return hits
+                done = few_entry(ndim)(tree._storage.tree, sweep, rays, skip, mode, times, hits)
+            else:
+                done, hits = self._first_ready(tree, rays, skip, mode, times)
+            if done > 0:
+                asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, times)
+                self._tell_unsuited(tree, asked, hits)
+            if done >= 0:
+                return hits
         both = both_times(times, count)
         return self.first_at(tree, rays, skip, mode, both, threads)
+
+    def _first_ready(
+        self,
+        tree: Any,
+        rays: tuple[Floats, Floats, Floats, Any],
+        skip: bool,
+        mode: int,
+        when: tuple[float, float],
+    ) -> tuple[int, Any]:
+        """What `wide_casting.cast` returns, and hits, of rays that all go at the same time through
+        what is swept already; REFUSED where nothing is.
+        """
+        count, (at, pace), t_max = len(rays[0]), when, rays[2]
+        if len(t_max) == 1:
+            last = at if pace == 0.0 else at + t_max.item() * pace
+            sweep = self.ready_sweep(count, at, last)
+            if sweep is not None:
+                hits = ray_batches.room_for(count, tree._ndim, mode)
+                asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+                return wide_casting.cast(tree._storage.tree, sweep, asked, hits), hits
+        return REFUSED, None
 
     def first_at(
         self,

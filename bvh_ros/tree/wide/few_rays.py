@@ -26,7 +26,7 @@ from .ray_streams import without_lowest
 from .raycasting import ALL32, MIXED, is_stale, set_inverse, write_hit
 from .snapshot import LOOSE_NODES, no_snapshot
 
-_STACK = DEEPEST_WIDE + LOOSE_NODES
+STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
 # So many rays are tested against the root one behind the other: what none of them decides yet the
 # processor need not guess.
@@ -43,7 +43,7 @@ def cast_few(tree, version, snapshot, rays, hits):
     if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
         end_query(tree.state)
         return np.int64(REFUSED)
-    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(_STACK, np.int64)
+    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
     records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
     places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
     nearest, whole = stack_array((ABREAST, WIDTH), np.int32), stack_array(CORNERS, np.float64)
@@ -63,7 +63,8 @@ def cast_few(tree, version, snapshot, rays, hits):
         for i in range(alive):
             ray[EXACT, 0] = 0.0
             seen = places[i : i + 1], met[i], nearest[i : i + 1]
-            hit = cast_one(snapshot, tree, rays, rows[i], ray, records, seen, stack)
+            room = ray, records, stack
+            hit = cast_one(snapshot, tree, rays, rows[i], seen, room, set_inverse, better_of_row)
             if hit[0] != NONE:
                 write_hit(tree, ray, rays, rows[i], hit, hits)
             exact += np.int64(ray[EXACT, 0])
@@ -100,12 +101,19 @@ def start_abreast(snapshot, tree, rays, row, whole, room, hits):
 
 
 @inlined
-def cast_one(snapshot, tree, rays, row, ray, records, seen, stack):
+def better_of_row(tree, ray, rays, row, slot, best):
+    """`best_hit.is_better` of a row."""
+    return is_better(tree, ray, of_row(rays.t_max, row), rays.skip_inside, slot, best)
+
+
+@inlined
+def cast_one(snapshot, tree, rays, row, seen, room, prepare, better):
     """Best hit of a ray, or any: (slot, about t, axis); `seen`: its place, and what it meets of
-    the root, see `stream16`. An entry of the stack is a node or ~slot of a leaf, and above that
-    the bits of a float32: where the ray enters.
+    the root, see `stream16`; room = (ray, records, stack), and `prepare` is called to write the
+    ray before `better` may read it. An entry of the stack is a node or ~slot of a leaf, and above
+    that the bits of a float32: where the ray enters.
     """
-    place, lanes, nearest = seen
+    (place, lanes, nearest), (ray, records, stack) = seen, room
     record, mask, t_max = records[place[0]], of_row(rays.masks, row), of_row(rays.t_max, row)
     octant, patched = np.uint64(record.octant), snapshot.loose > 0
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
@@ -132,11 +140,11 @@ def cast_one(snapshot, tree, rays, row, ray, records, seen, stack):
         if patched and is_stale(tree, slot, mask, best):
             continue
         if not ready:  # many rays meet no leaf
-            set_inverse(ray, rays.origins[row], rays.directions[row])
+            prepare(ray, rays.origins[row], rays.directions[row])
             ready = True
         before = best, best_t, best_axis
-        better, t, axis = is_better(tree, ray, t_max, rays.skip_inside, slot, before)
-        if better:
+        first, t, axis = better(tree, ray, rays, row, slot, before)
+        if first:
             best, best_t, best_axis = slot, t, np.int64(axis)
             record.limit = limits[0] = limit32(t, record.unit)
             if rays.mode == ANY:
