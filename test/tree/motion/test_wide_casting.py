@@ -12,6 +12,7 @@ from tree.motion.worlds import Random, worlds
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.motion.few_casting import FEW
 
 pytestmark = pytest.mark.slow  # kernels of its own
 RAYS = 64  # as many are worth a snapshot of few boxes
@@ -138,3 +139,38 @@ def test_who_goes_far_is_swept_unless_all_go_together(together: bool):
     found = list(zip(hits.ids.tolist(), hits.t.tolist(), strict=True))
     assert found == one_by_one(tree, origins, ways, times)
     assert 20 < sum(row != -1 for row, _ in found) < 200
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_few_rays_are_those_one_by_one(ndim: int):
+    """Batches too small for lists, whose rays graze corners of boxes that tie."""
+    rng, count = np.random.default_rng(ndim), 1600
+    lo = rng.integers(-12, 12, (count, ndim)).astype(np.float64)
+    box_masks = rng.integers(1, 8, count).astype(np.uint32)
+    tree = DynamicBVH.from_boxes(lo, lo + rng.integers(0, 3, lo.shape), mask=box_masks)
+    tree.set_velocities(tree.ids(), rng.integers(-2, 3, lo.shape))
+    many = rng.integers(-13, 13, (2, 500, ndim)).astype(np.float64)
+    for _ in range(3):
+        tree.raycast_many(*many, 1.0, pace=1.0)
+    assert tree.motion.few_sweep(FEW - 1) is not None
+    assert tree.motion.few_sweep(FEW) is None
+    hit = 0
+    for number, size in enumerate((1, 7, 8, 9, 40, FEW - 1) * 2):
+        origins, ways = rng.integers(-13, 13, (2, size, ndim)).astype(np.float64)
+        if number % 2:
+            origins[0], ways[-1], ways[size // 2] = 1e6, 0.0, 1e-250  # not all are suited
+        masks = rng.integers(1, 8, size).astype(np.uint32)
+        for times in ({'pace': 1.0}, {'at': 0.5}, {'at': 1.0, 'pace': -1.0}, {'at': 3.0}):
+            asked = origins, ways, 1.0, masks, number % 3 == 0
+            hits = tree.raycast_many(*asked, **times)
+            met = tree.occluded_many(*asked, **times)
+            for row in range(size):
+                one = tree.raycast(origins[row], ways[row], 1.0, int(masks[row]), asked[4], **times)
+                assert met[row] == (one is not None)
+                assert hits.ids[row] == (-1 if one is None else one.id)
+                assert hits.t[row] == (math.inf if one is None else one.t)
+                assert hits.normals[row].tolist() == (
+                    [0.0] * ndim if one is None else one.normal.tolist()
+                )
+                hit += one is not None
+    assert 200 < hit < 1500
