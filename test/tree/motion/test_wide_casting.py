@@ -165,7 +165,8 @@ def test_few_rays_are_those_one_by_one(ndim: int):
             hits = tree.raycast_many(*asked, **times)
             met = tree.occluded_many(*asked, **times)
             for row in range(size):
-                one = tree.raycast(origins[row], ways[row], 1.0, int(masks[row]), asked[4], **times)
+                asked_one = origins[row], ways[row], 1.0, int(masks[row]), asked[4]
+                one = tree.raycast(*asked_one, **times)
                 assert met[row] == (one is not None)
                 assert hits.ids[row] == (-1 if one is None else one.id)
                 assert hits.t[row] == (math.inf if one is None else one.t)
