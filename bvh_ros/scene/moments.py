@@ -14,7 +14,7 @@ from .casting.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_
 from .casting.box_casting import segment
 from .geometry.shapes import Floats
 from .results import NO_NODE, CastHits, SceneHit, require_few
-from .store.obstacles import EXACT, Obstacles
+from .store.obstacles import EXACT, Obstacles, all_in_seconds, in_seconds
 from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
@@ -99,11 +99,12 @@ class Moments:
             begin, pace = self._way_of_time(at, until)
             return tuple.__new__(named, (np.array([begin]), np.array([pace])))
         rows = rows_needed(at, until, count)
-        start = self.seconds(at, rows)
+        starts = column('at', at, rows, LAST_TIME, FIRST_TIME)
+        start = self._held.seconds(starts)
         if until is None:
             return named(start, np.zeros(rows))
-        stop = self._held.seconds(column('until', until, rows, LAST_TIME, FIRST_TIME))
-        return named(start, stop - start)
+        stops = column('until', until, rows, LAST_TIME, FIRST_TIME).astype(np.longdouble)
+        return named(start, all_in_seconds(stops - starts))
 
     def _way_of_time(self, at: Any, until: Any) -> tuple[float, float]:
         """`_times` of one way."""
@@ -112,9 +113,9 @@ class Moments:
             begin, end = at - held.epoch, (at if until is None else until) - held.epoch
             if -EXACT < begin <= end < EXACT:  # `held.second`, of which two calls take as long
                 start = begin / 1e9
-                return start, 0.0 if until is None else end / 1e9 - start
+                return start, (end - begin) / 1e9
             start = held.second(at)
-            return start, 0.0 if until is None else held.second(until) - start
+            return start, 0.0 if until is None else in_seconds(until - at)
         (start,), (pace,) = (column.tolist() for column in self._times(at, until, 1))
         return start, pace
 
@@ -173,7 +174,7 @@ class Moments:
         if not -EXACT < begin <= end < EXACT:
             return None
         start = begin / 1e9  # as `_way_of_time`
-        pace = 0.0 if until is None else end / 1e9 - start
+        pace = (end - begin) / 1e9
         when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
         if held.max_prediction < math.inf and len(at_rest(held, stop)):
             return None

@@ -72,6 +72,16 @@ class Timed(Arrays):
         self.check_unchanged(view)
         self._change(motion.write, view.version, named, rows, times)
 
+    def count_nanoseconds(self) -> None:
+        """Let times, and paces, mean the whole nanoseconds nearest to them: of these all is
+        decided, exactly, up to 2**51 ns (26 days) from time 0. Few of them are doubles of seconds.
+        For a tree that knows no velocities yet.
+        """
+        if self._motion is None:
+            from .motion.queries import MotionQueries
+
+            self._motion = MotionQueries(self.ndim, nanoseconds=True)
+
     def velocities(self, handles: ArrayLike) -> tuple[Floats, Floats]:
         """(velocities, references) of boxes, shape (n, ndim) and (n,); zero where a box has none.
         KeyError if a handle names no box.

@@ -180,7 +180,7 @@ def describe(tree, moving, rays, node_handles, told):
         slot = slot_of(told.ids[i])
         told.handles[i] = node_handles[slot]
         set_ray(ray, rays.origins[i], rays.directions[i])
-        course = Course(ray, of_row(at, i), of_row(pace, i))
+        course = Course(ray, of_row(at, i), of_row(pace, i), moving.nanoseconds)
         box = box_of(tree, moving, slot)
         locate(box, course, told.t[i], np.int64(face), point, told.normals[i])
 

@@ -17,7 +17,8 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
 from ...tree.motion.meeting import box_of
-from ...tree.motion.overlapping import overlap_then
+from ...tree.motion.overlapping import overlap_then, touches_then
+from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
@@ -78,9 +79,9 @@ def most_growth(then, at):
 
 
 @inlined
-def gone(velocity, reference, at, left):
-    """How far an obstacle has gone along an axis, as `places.ways` has it."""
-    return min(max(velocity * min(at - reference, left), -LARGEST), LARGEST)
+def gone(velocity, since, left):
+    """How far an obstacle has gone along an axis, as `places.ways` has it; since = `elapsed`."""
+    return min(max(velocity * min(since[0], left), -LARGEST), LARGEST)
 
 
 @inlined
@@ -88,13 +89,14 @@ def place(tree, moving, then, spare, slot, at):
     """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
     _, _, velocity, reference = box_of(tree, moving, slot)
     way, moves, shape = stack_array(3, np.float64), False, spare.shapes[0]
+    since = elapsed(at, reference, moving.nanoseconds)
     spare.shapes[0] = then.bodies.shapes[slot]
     for axis in range(velocity.shape[0]):
-        way[axis] = gone(velocity[axis], reference, at, then.left)
+        way[axis] = gone(velocity[axis], since, then.left)
         shape.position[axis] += way[axis]
         moves |= velocity[axis] != 0.0
     place_footprint(then.bodies.footprints, spare.footprints, slot, way)
-    return then.growth * abs(at - reference) if moves else 0.0
+    return then.growth * abs(since[0]) if moves else 0.0
 
 
 @inlined
@@ -127,13 +129,11 @@ def reach_then(tree, moving, then, asked, slots):
         return total
     for i in range(count, total):
         slot = then.rest_slots[slots[i]]
-        lo, hi, velocity, reference = box_of(tree, moving, slot)
-        touches = rests(velocity, reference, at, then.left)
-        for axis in range(lo.shape[0]):
-            way = gone(velocity[axis], reference, at, then.left)
-            touches &= lo[axis] + way <= corners[1, axis]
-            touches &= hi[axis] + way >= corners[0, axis]
-        if touches:
+        box = box_of(tree, moving, slot)
+        low, high, end = corners[0, :ndim], corners[1, :ndim], box[3] + then.left
+        if rests(box[2], box[3], at, then.left) and touches_then(
+            *(box, low, high, end, moving.nanoseconds)
+        ):
             slots[count] = slot
             count += 1
     return count

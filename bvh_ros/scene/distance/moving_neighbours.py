@@ -14,6 +14,7 @@ from ...tree.motion.bounds import covers
 from ...tree.motion.casting import OUTSIDE
 from ...tree.motion.meeting import box_of, fetch_box
 from ...tree.motion.nearest import at_least, nearest_bounds
+from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import REFUSED, begin_query, end_query
@@ -195,8 +196,9 @@ def _is_farther(tree, moving, then, pair, least):
     if other.shaped:
         return False
     _, _, velocity, reference = box_of(tree, moving, slot)
+    since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(velocity.shape[0]):
-        way = gone(velocity[axis], reference, at, then.left)
+        way = gone(velocity[axis], since, then.left)
         position, half = other.position[axis] + way, other.half[axis]
         low = max(one.position[axis] - one.half[axis], position - half)
         high = min(one.position[axis] + one.half[axis], position + half)
@@ -211,8 +213,9 @@ def put_itself(tree, moving, then, queries, slot, spare):
     """
     lo, hi, velocity, reference = box_of(tree, moving, slot)
     at, bounds = then.at[0], queries.bounds[0]
+    since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(lo.shape[0]):
-        way = gone(velocity[axis], reference, at, then.left)
+        way = gone(velocity[axis], since, then.left)
         bounds[0, axis], bounds[1, axis] = lo[axis] + way, hi[axis] + way
     grown = place(tree, moving, then, spare, slot, at)
     queries.records[0] = spare.shapes[0]

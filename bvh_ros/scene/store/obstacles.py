@@ -23,8 +23,22 @@ from .names import Families
 from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
-EXACT = 1 << 53  # ns, 104 days: each of them is a double
+EXACT = 1 << 51  # ns, 26 days: a double of seconds that is rounded once tells which one it is
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
+
+
+def in_seconds(nanoseconds: int) -> float:
+    """A length of time, rounded once where it is below EXACT."""
+    if -EXACT < nanoseconds < EXACT:
+        return nanoseconds / 1e9
+    return float(np.longdouble(nanoseconds) / 10**9)
+
+
+def all_in_seconds(nanoseconds: NDArray[np.longdouble]) -> Floats:
+    """The same of many."""
+    near = nanoseconds.astype(np.float64) / 1e9
+    far = (nanoseconds / 10**9).astype(np.float64)
+    return np.where(np.abs(nanoseconds) < EXACT, near, far)
 
 
 class Obstacles:
@@ -157,6 +171,8 @@ class Obstacles:
             if not self.moves:
                 self.epoch = rows.stamp.item(0)
                 self.moves = bool(now.any())
+                if self.moves:
+                    self.tree.count_nanoseconds()
         if self.moves:
             self._follow_time(rows.stamp)
             since = self.seconds(rows.stamp)
@@ -175,20 +191,15 @@ class Obstacles:
 
     def second(self, stamp: int) -> float:
         """One of `seconds`."""
-        since = stamp - self.epoch
-        if -EXACT < since < EXACT:
-            return since / 1e9
-        return float(np.longdouble(since) / 10**9)
+        return in_seconds(stamp - self.epoch)
 
     def seconds(self, stamps: NDArray[np.int64]) -> Floats:
-        """Times in ns as the tree has them: since the first velocity was told, or 100 days ago at
-        most, so that no digit of the nanoseconds is lost, in which they are rounded once.
+        """Times in ns as the tree has them: seconds since the first velocity was told, or 26 days
+        ago at most, so that it knows which whole nanosecond is meant.
         """
         if len(stamps) == 1:
             return np.array([self.second(stamps.item())])
-        since = stamps.astype(np.longdouble) - np.longdouble(self.epoch)
-        near = since.astype(np.float64) / 1e9
-        return np.where(np.abs(since) < EXACT, near, (since / 10**9).astype(np.float64))
+        return all_in_seconds(stamps.astype(np.longdouble) - np.longdouble(self.epoch))
 
     def leave_shadows(self, rows: Rows) -> Slots:
         """Copies of the obstacles that are about to move, of the same names and handles, that stay

@@ -20,6 +20,7 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_quer
 from . import velocities
 from .bounds import covers, enter_node, moving_dtype, set_fronts
 from .meeting import Course, Moving, box_of, is_before, meet
+from .sums import elapsed
 
 OUTSIDE = -4  # why a query did nothing: its times are not in the span of the bounds
 
@@ -136,13 +137,15 @@ def locate(box, course, t, face, point, normal):
     touch the closest to the centre of what is swept, in the box as it is then, on the face met.
     """
     lo, hi, velocity, reference = box
-    when = course.at if course.pace == 0.0 else course.at + t * course.pace
+    since = elapsed(course.at, reference, course.nanoseconds)[0]
+    if course.pace != 0.0:
+        since += t * course.pace
     for k in range(lo.shape[0]):
         low, high = course.ray[ORIGIN, k], course.ray[UPPER, k]
         normal[k], point[k] = 0.0, low * 0.5 + high * 0.5
         if face == INSIDE and low == high:
             continue
-        way = velocity[k] * (when - reference)
+        way = velocity[k] * since
         if face != INSIDE and k == face >> 1:
             point[k], normal[k] = (lo[k] + way, -1.0) if face & 1 == 0 else (hi[k] + way, 1.0)
         else:
@@ -166,7 +169,7 @@ def cast_one(tree, moving, swept, asked, times, place):
         return OUTSIDE, np.inf
     if not begin_query(state, moving.version):
         return REFUSED, np.inf
-    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, pace)
+    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, pace, moving.nanoseconds)
     set_swept_box(course.ray, lo, hi, direction)
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
@@ -195,7 +198,7 @@ def cast_rows(tree, moving, casts, offsets, found, first):
     done, exact, end, refused = np.int64(first), np.int64(0), np.int64(0), np.int64(0)
     while done < casts.lo.shape[0]:
         lo, hi, direction = casts.lo[done], casts.hi[done], casts.directions[done]
-        course = Course(ray, of_row(casts.at, done), of_row(casts.pace, done))
+        course = Course(ray, of_row(casts.at, done), of_row(casts.pace, done), moving.nanoseconds)
         t_max, mask = of_row(casts.t_max, done), of_row(casts.masks, done)
         if not is_sound(lo, hi, direction, (course.at, course.pace)):
             refused = np.int64(NOT_FINITE)
@@ -225,7 +228,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(casts.lo.shape[0]):
         set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
-        course = Course(ray, of_row(casts.at, i), of_row(casts.pace, i))
+        course = Course(ray, of_row(casts.at, i), of_row(casts.pace, i), moving.nanoseconds)
         for j in range(offsets[i] + 1, offsets[i + 1]):
             hit, place = (slots[j], ts[j], faces[j]), j
             while place > offsets[i] and is_before(
@@ -245,7 +248,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
 def no_motion(ndim: int) -> Moving:
     """To tell a compiler the types."""
     nodes = np.empty(0, moving_dtype(ndim))
-    return Moving(velocities.room_for(0, ndim), nodes, 0.0, 0.0, 0)
+    return Moving(velocities.room_for(0, ndim), nodes, 0.0, 0.0, 0, False)
 
 
 _IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))

@@ -34,6 +34,8 @@ class Moving(NamedTuple):
     stop: float
     version: int
     """Of the tree when the nodes were fitted."""
+    nanoseconds: bool
+    """Whether the times of decisions are whole nanoseconds: the nearest, as `sums` has them."""
 
 
 class Course(NamedTuple):
@@ -45,6 +47,8 @@ class Course(NamedTuple):
     """When it starts, s."""
     pace: float
     """Seconds a unit of t."""
+    nanoseconds: bool
+    """As of `Moving`."""
 
 
 @inlined
@@ -82,25 +86,28 @@ def _side(box, course, axis, lower):
 @inlined
 def _gap(course, side):
     plane, front, velocity, reference, _ = side
-    return gap(plane, front, velocity, course.at, reference)
+    return gap(plane, front, velocity, course.at, reference, course.nanoseconds)
 
 
 @inlined
 def _rate(course, side):
-    return rate(side[4], side[2], course.pace)
+    return rate(side[4], side[2], course.pace, course.nanoseconds)
 
 
 @lean_kernel
-def _compare_exactly(at, pace, side, other):
-    """Sign of gap / rate - the same of another side; both quotients not negative."""
+def _compare_exactly(times, side, other):
+    """Sign of gap / rate - the same of another side; both quotients not negative; times = (at,
+    pace, nanoseconds).
+    """
+    at, pace, whole = times
     gaps, rates = stack_array(LIMBS, np.int64), stack_array(LIMBS, np.int64)
     other_gaps, other_rates = stack_array(LIMBS, np.int64), stack_array(LIMBS, np.int64)
     plane, front, velocity, reference, direction = side
-    add_gap(gaps, plane, front, velocity, at, reference)
-    add_gap(rates, direction, 0.0, -velocity, pace, 0.0)
+    add_gap(gaps, plane, front, velocity, at, reference, whole)
+    add_gap(rates, direction, 0.0, -velocity, pace, 0.0, whole)
     plane, front, velocity, reference, direction = other
-    add_gap(other_gaps, plane, front, velocity, at, reference)
-    add_gap(other_rates, direction, 0.0, -velocity, pace, 0.0)
+    add_gap(other_gaps, plane, front, velocity, at, reference, whole)
+    add_gap(other_rates, direction, 0.0, -velocity, pace, 0.0, whole)
     magnitude(gaps)
     magnitude(rates)
     magnitude(other_gaps)
@@ -116,7 +123,7 @@ def _compare(course, t, side, other_t, other):
     if other_t * CLEAR + TINY < t:
         return np.int64(1)
     course.ray[EXACT, 0] = 1.0
-    return _compare_exactly(course.at, course.pace, side, other)
+    return _compare_exactly((course.at, course.pace, course.nanoseconds), side, other)
 
 
 @inlined

@@ -50,9 +50,9 @@ class Wanted(NamedTuple):
 class Motion:
     """The velocities of a tree, and bounds of its nodes over the times that are asked for."""
 
-    def __init__(self, ndim: int) -> None:
+    def __init__(self, ndim: int, nanoseconds: bool = False) -> None:
         self.kept = velocities.room_for(0, ndim)
-        self.moving = no_motion(ndim)._replace(version=NOT_FITTED)
+        self.moving = no_motion(ndim)._replace(version=NOT_FITTED, nanoseconds=nanoseconds)
         self._no_nodes = self.moving.nodes
         self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
 
@@ -113,7 +113,8 @@ class Motion:
         # Processors fetch two cache lines together, if the first of them is an even one.
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim), 2 * CACHE_LINE)
         order = np.empty(len(arrays.nodes), np.int64)
-        moving = Moving(self.kept, nodes, float(first), float(last), version)
+        span = float(first), float(last)
+        moving = Moving(self.kept, nodes, *span, version, before.nanoseconds)
         if fit_entry(ndim)(arrays, moving, order) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         self.moving = moving
@@ -168,7 +169,8 @@ class Motion:
 
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""
-        return tuple.__new__(Moving, (self.kept, self._no_nodes, start, stop, view[1]))
+        told = self.kept, self._no_nodes, start, stop, view[1], self.moving.nanoseconds
+        return tuple.__new__(Moving, told)
 
     @property
     def nbytes(self) -> int:

@@ -20,11 +20,10 @@ from ..jit.moving_sides import FRONTS, square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from ..unrounded import two_sum
 from .bounds import covers, fetch_children, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import box_of, fetch_box
-from .sums import gap, quick_gap, surely_below
+from .sums import elapsed, gap, quick_gap, surely_below
 
 # Squares whose root says something, and by how much it is rounded down.
 LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
@@ -47,12 +46,12 @@ class Near(NamedTuple):
 
 
 @inlined
-def _quick_apart(box, axis, low, high, at):
-    """How far a box is from the one from low to high on an axis, 0 where they touch, in doubles:
-    (how far, whether that is enough). Without branches, so that axes become lanes.
+def _quick_apart(box, axis, low, high, since):
+    """How far a box is from the one from low to high on an axis, 0 where they touch, in doubles,
+    since = `elapsed`: (how far, whether that is enough). Without branches, so that axes become
+    lanes.
     """
-    lo, hi, velocity, reference = box
-    since, lost = two_sum(at, -reference)
+    (lo, hi, velocity, _), (since, lost) = box, since
     way = velocity[axis] * since
     below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
     # One side tells it, as the other is surely passed; a choice costs less than a guess.
@@ -65,45 +64,49 @@ def _quick_apart(box, axis, low, high, at):
 
 
 @inlined
-def _apart_surely(box, axis, low, high, at):
+def _apart_surely(box, axis, low, high, when):
     """How far, whatever the sums are."""
     lo, hi, velocity, reference = box
-    below = _gap_now(lo[axis], high[axis], velocity[axis], at, reference)
-    above = _gap_now(hi[axis], low[axis], velocity[axis], at, reference)
+    below = _gap_now(lo[axis], high[axis], velocity[axis], when, reference)
+    above = _gap_now(hi[axis], low[axis], velocity[axis], when, reference)
     return max(below, -above, 0.0)
 
 
 @inlined
-def _gap_now(plane, front, velocity, at, reference):
+def _gap_now(plane, front, velocity, when, reference):
     """As a double; inf where it exceeds the largest."""
-    high, _, exponent = gap(plane, front, velocity, at, reference)
+    high, _, exponent = gap(plane, front, velocity, when[0], reference, when[1])
     return high if exponent == 0 else math.ldexp(high, exponent)
 
 
 @inlined
-def distance_then(box, low, high, at):
-    """Distance of a box at a time from the one from low to high, 0 where they touch."""
+def distance_then(box, low, high, when):
+    """Distance of a box at a time from the one from low to high, 0 where they touch; when = (at,
+    nanoseconds).
+    """
     longest, total, sure = 0.0, 0.0, True
+    since = elapsed(when[0], box[3], when[1])
     for axis in range(box[0].shape[0]):
-        apart, enough = _quick_apart(box, axis, low, high, at)
+        apart, enough = _quick_apart(box, axis, low, high, since)
         sure &= enough
         longest = max(longest, apart)
         total += apart * apart
     if sure & ((1e-140 < longest < 1e140) | (longest == 0.0)):
         return math.sqrt(total)
-    return _any_distance(box, low, high, at)
+    return _any_distance(box, low, high, when)
 
 
 @lean_kernel
-def _any_distance(box, low, high, at):
+def _any_distance(box, low, high, when):
     """The same, whatever the sums are; squares as in `boxes.nearest.distance`; inf where it
     exceeds the largest double.
     """
     gaps, longest, total = stack_array(3, np.float64), 0.0, 0.0
+    since = elapsed(when[0], box[3], when[1])
     for axis in range(box[0].shape[0]):
-        gaps[axis], enough = _quick_apart(box, axis, low, high, at)
+        gaps[axis], enough = _quick_apart(box, axis, low, high, since)
         if not enough:
-            gaps[axis] = _apart_surely(box, axis, low, high, at)
+            gaps[axis] = _apart_surely(box, axis, low, high, when)
         longest = max(longest, gaps[axis])
     if longest == 0.0 or math.isinf(longest):
         return longest
@@ -177,7 +180,8 @@ def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
 def _keep_distance(tree, moving, near, leaf, square, kept, count, limit):
     """By its distance: kept = (slots, distances)."""
     (slots, distances), (low, high, at, k, reach, _) = kept, near
-    apart = distance_then(box_of(tree, moving, leaf >> 1), low, high, at)
+    box = box_of(tree, moving, leaf >> 1)
+    apart = distance_then(box, low, high, (at, moving.nanoseconds))
     if apart <= reach:
         count = insert_candidate(slots, distances, tree.handles, count, k, leaf >> 1, apart)
         if count == k:
@@ -234,7 +238,8 @@ def decide(tree, moving, near, bounded, found, distances):
         fetch_box(tree, moving, found[i])
     for i in range(candidates):
         slot = found[i]
-        apart = distance_then(box_of(tree, moving, slot), low, high, at)
+        box = box_of(tree, moving, slot)
+        apart = distance_then(box, low, high, (at, moving.nanoseconds))
         farthest = max(farthest, apart)
         if apart <= reach:
             count = insert_candidate(found, distances, tree.handles, count, k, slot, apart)

@@ -19,7 +19,7 @@ from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .bounds import covers, fetch_children, set_fronts
 from .casting import OUTSIDE, is_sound, no_motion
 from .meeting import Course, box_of, meet
-from .sums import surely_below
+from .sums import elapsed, surely_below
 
 
 class QueriesThen(NamedTuple):
@@ -33,19 +33,20 @@ class QueriesThen(NamedTuple):
 
 
 @lean_kernel
-def touches_then(box, low, high, at):
+def touches_then(box, low, high, at, nanoseconds):
     """Whether a box that moves touches the one from low to high at a time: exactly."""
     lo, hi, velocity, reference = box
+    since, _ = elapsed(at, reference, nanoseconds)
     clear, nowhere = True, stack_array(3, np.float64)
     for axis in range(lo.shape[0]):
-        way, nowhere[axis] = velocity[axis] * (at - reference), 0.0
+        way, nowhere[axis] = velocity[axis] * since, 0.0
         if surely_below(high[axis], lo[axis], -way) or surely_below(hi[axis], low[axis], way):
             return False
         clear &= surely_below(lo[axis], high[axis], way)
         clear &= surely_below(low[axis], hi[axis], -way)
     if clear:
         return True
-    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0)
+    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0, nanoseconds)
     set_swept_box(course.ray, low, high, nowhere)
     return meet(box, course, 0.0)[0]
 
@@ -67,7 +68,10 @@ def overlap_then(tree, moving, box, mask, found, count):
         node = stack[top]
         if is_leaf(node):
             touches = bounded and is_behind(nodes, node, fronts, ahead, nodes[node].loose)
-            if touches or touches_then(box_of(tree, moving, node >> 1), lo, hi, at):
+            if not touches:
+                there = box_of(tree, moving, node >> 1)
+                touches = touches_then(there, lo, hi, at, moving.nanoseconds)
+            if touches:
                 if count < found.shape[0]:
                     found[count] = node >> 1
                 count += 1

@@ -10,11 +10,14 @@ and a front that moves by `direction` a unit of t, while time goes by `pace`, co
 
     rate = direction - velocity * pace.
 
-They meet at t = gap / rate. Differences of such sums lose digits where terms cancel. So each is a
-triple (high, low, exponent), (high + low) * 2**exponent, of a relative error below 2**-55, with
-the sign that real arithmetic gives it, 0 only where it is. In doubles, the terms' errors kept, it
-is wrong by less than 2**-100 of its largest term: enough unless it is smaller than 2**-40 of that
-one, or leaves 2**-900 .. 2**900. Then `wide_numbers` adds it up without rounding.
+They meet at t = gap / rate. Times may stand for whole nanoseconds (`Moving.nanoseconds`), few of
+which are doubles of seconds: then `at`, `reference` and `pace` mean the nearest ones.
+
+Differences of such sums lose digits where terms cancel. So each is a triple (high, low, exponent),
+(high + low) * 2**exponent, of a relative error below 2**-55, with the sign that real arithmetic
+gives it, 0 only where it is. In doubles, the terms' errors kept, it is wrong by less than 2**-100
+of its largest term: enough unless it is smaller than 2**-40 of that one, or leaves 2**-900 ..
+2**900. Then `wide_numbers` adds it up without rounding.
 """
 
 import math
@@ -30,12 +33,24 @@ from .wide_numbers import clear, leading, magnitude
 CANCELLED = 2.0**-40
 SMALL, LARGE = 2.0**-900, 2.0**900
 DOUBT = 2.0**-50  # of the terms of a sum of three: more than its rounding
+A_SECOND, A_NANOSECOND = 1e9, 1e-9
+
+
+@inlined
+def elapsed(at, reference, nanoseconds):
+    """at - reference in s as (what it is rounded, what that lacks)."""
+    if not nanoseconds:
+        return two_sum(at, -reference)
+    whole, rest = two_sum(np.rint(at * A_SECOND), -np.rint(reference * A_SECOND))
+    since = whole * A_NANOSECOND
+    product, error = two_product(since, A_SECOND)
+    return since, ((whole - product) - error + rest) * A_NANOSECOND
 
 
 @lean_kernel
-def gap(plane, front, velocity, at, reference):
+def gap(plane, front, velocity, at, reference, nanoseconds):
     """plane - front + velocity * (at - reference) as (high, low, exponent)."""
-    since, lost = two_sum(at, -reference)
+    since, lost = elapsed(at, reference, nanoseconds)
     if velocity == 0.0 or since == 0.0:
         apart, least = two_sum(plane, -front)
         if apart == 0.0 or SMALL < abs(apart) < LARGE:
@@ -44,7 +59,7 @@ def gap(plane, front, velocity, at, reference):
         high, low, enough = quick_gap(plane, front, velocity, since, lost)
         if enough:
             return high, low, 0
-    return exact_gap(plane, front, velocity, at, reference)
+    return exact_gap(plane, front, velocity, at, reference, nanoseconds)
 
 
 @inlined
@@ -68,27 +83,36 @@ def surely_below(plane, front, way):
 
 
 @inlined
-def rate(direction, velocity, pace):
+def rate(direction, velocity, pace, nanoseconds):
     """direction - velocity * pace as (high, low, exponent)."""
-    return gap(direction, 0.0, -velocity, pace, 0.0)
+    return gap(direction, 0.0, -velocity, pace, 0.0, nanoseconds)
 
 
 @lean_kernel
-def exact_gap(plane, front, velocity, at, reference):
+def exact_gap(plane, front, velocity, at, reference, nanoseconds):
     """`gap`, added up without rounding."""
     limbs = stack_array(LIMBS, np.int64)
-    add_gap(limbs, plane, front, velocity, at, reference)
+    add_gap(limbs, plane, front, velocity, at, reference, nanoseconds)
     sign = magnitude(limbs)
     high, low, exponent = leading(limbs)
+    if nanoseconds:
+        share = high / A_SECOND
+        product, error = two_product(share, A_SECOND)
+        high, low = share, ((high - product) - error + low) / A_SECOND
     return sign * high, sign * low, exponent
 
 
 @lean_kernel
-def add_gap(limbs, plane, front, velocity, at, reference):
-    """Let an accumulator hold `gap`."""
+def add_gap(limbs, plane, front, velocity, at, reference, nanoseconds):
+    """Let an accumulator hold `gap`; 10**9 times of it where times are whole nanoseconds, of which
+    a second is no sum of products.
+    """
     clear(limbs)
-    add_product(limbs, plane, 1.0)
-    add_product(limbs, front, -1.0)
+    second = 1.0
+    if nanoseconds:
+        second, at, reference = A_SECOND, np.rint(at * A_SECOND), np.rint(reference * A_SECOND)
+    add_product(limbs, plane, second)
+    add_product(limbs, front, -second)
     add_product(limbs, velocity, at)
     add_product(limbs, -velocity, reference)
 

@@ -114,7 +114,8 @@ def is_better(tree, ray, rays, row, slot, best):
     if verdict != ASK:
         return verdict == MEETS and not (rays.skip_inside and face == INSIDE), t, np.int64(face)
     set_ray(ray, origin, direction)
-    return _is_better(tree, Course(ray, at, pace), rays, row, slot, best)
+    course = Course(ray, at, pace, rays.moving.nanoseconds)
+    return _is_better(tree, course, rays, row, slot, best)
 
 
 @lean_kernel
@@ -136,7 +137,8 @@ def write_hit(tree, ray, rays, row, hit, hits):
     slot, _, face = hit
     hits.ids[row] = tree.handles[slot]
     if rays.mode != ANY:
-        course = Course(ray, of_row(rays.at, row), of_row(rays.pace, row))
+        times = of_row(rays.at, row), of_row(rays.pace, row)
+        course = Course(ray, *times, rays.moving.nanoseconds)
         hits.t[row] = distance_of(box_of(tree, rays.moving, slot), course, face)
         if face != INSIDE:
             hits.normals[row, face >> 1] = -1.0 if face & 1 == 0 else 1.0

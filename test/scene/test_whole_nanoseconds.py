@@ -1,0 +1,139 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scene decides of whole nanoseconds, few of which are doubles of seconds: who is touched at the
+last instant, as fractions tell it.
+"""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bvh_ros.scene import Scene, Shapes
+
+SECOND = 10**9
+HALF = 1  # of every box
+# When it began, and how often is told: 10, 30 and 100 Hz, each ns, and nearly each second.
+BEGINNINGS = 0, 1_790_000_000 * SECOND, -37
+STEPS = SECOND // 10, SECOND // 30, SECOND // 100, 1, SECOND - 63
+
+
+class Crowd:
+    """Boxes that are told at some of many instants, and where they are at others."""
+
+    def __init__(self, rng, most=None):
+        count = int(rng.choice([1, 6, 40]))
+        self.begin, self.step = int(rng.choice(BEGINNINGS)), int(rng.choice(STEPS))
+        self.most = most
+        self.position = rng.integers(-20, 20, (count, 3)).astype(float)
+        self.velocity = rng.integers(-15, 16, (count, 3)) / rng.choice([1.0, 2.0, 4.0, 8.0])
+        self.stamps = self.instants(rng, count, 30)
+        self.scene = Scene(max_prediction=np.inf if most is None else float(most))
+        shapes = Shapes.boxes(self.position, np.full((count, 3), 2 * HALF))
+        names = [f'box{i}' for i in range(count)]
+        told = {'stamp': self.stamps, 'velocities': self.velocity}
+        self.scene.update('crowd', names, shapes, **told)
+
+    def instants(self, rng, count, most):
+        return self.begin + rng.integers(0, most, count) * self.step
+
+    def __len__(self):
+        return len(self.position)
+
+    def place(self, i, time):
+        """The middle of a box, exactly."""
+        since = Fraction(int(time) - int(self.stamps[i]), SECOND)
+        if self.most is not None:
+            since = min(since, self.most)
+        rows = zip(self.position[i].tolist(), self.velocity[i].tolist(), strict=True)
+        return [Fraction(at) + Fraction(speed) * since for at, speed in rows]
+
+    def touched(self, point, time):
+        """Names of the boxes that a point touches."""
+        return {
+            f'box{i}'
+            for i in range(len(self))
+            if all(
+                abs(Fraction(x) - y) <= HALF
+                for x, y in zip(point.tolist(), self.place(i, time), strict=True)
+            )
+        }
+
+    def met(self, start, goal, at, until):
+        """{name: t} of the boxes that are met on the way."""
+        found = {}
+        for i in range(len(self)):
+            enter, leave = Fraction(0), Fraction(1)
+            ends = zip(
+                start.tolist(), goal.tolist(), self.place(i, at), self.place(i, until), strict=True
+            )
+            for here, there, begin, end in ends:
+                gap, way = begin - Fraction(here), Fraction(there) - Fraction(here) - end + begin
+                if way == 0 and abs(gap) > HALF:
+                    enter = Fraction(2)
+                elif way != 0:
+                    first, last = sorted(((gap - HALF) / way, (gap + HALF) / way))
+                    enter, leave = max(enter, first), min(leave, last)
+            if enter <= leave:
+                found[f'box{i}'] = enter
+        return found
+
+    def corners(self, rng, times):
+        """Points that corners of boxes reach at these times, as nearly as doubles are."""
+        points = [
+            [float(x + side) for x, side in zip(self.place(i, time), sides, strict=True)]
+            for time, i, sides in zip(
+                *(times, rng.integers(len(self), size=len(times))),
+                rng.integers(-1, 2, (len(times), 3)) * HALF,
+                strict=True,
+            )
+        ]
+        return np.array(points)
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_who_is_touched_at_an_instant(seed):
+    rng = np.random.default_rng(seed)
+    crowd = Crowd(rng, most=Fraction(1, 2) if seed % 4 == 3 else None)
+    times = crowd.instants(rng, 40, 90)
+    points = crowd.corners(rng, times)
+    wanted = [crowd.touched(*asked) for asked in zip(points, times, strict=True)]
+    assert any(wanted)
+    for point, time, names in zip(points, times, wanted, strict=True):
+        assert {hit.name for hit in crowd.scene.overlap(point, point, at=int(time))} == names
+    counts = crowd.scene.overlap_many(points, (0, 0, 0), want='count', at=times)
+    assert counts.tolist() == [len(names) for names in wanted]
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_who_is_met_until_an_instant(seed):
+    rng = np.random.default_rng(seed)
+    crowd = Crowd(rng)
+    many = 2000 if seed % 8 == 7 else 40  # the more are swept for
+    at = crowd.instants(rng, many, 60)
+    until = at + rng.integers(1, 40, many) * crowd.step
+    goals = crowd.corners(rng, until)
+    starts = goals + rng.integers(-3, 4, goals.shape) * rng.integers(0, 2, (many, 1))
+    whole = (starts + (goals - starts) == goals).all(axis=1)
+    whole &= (goals - (goals - starts) == starts).all(axis=1)
+    met = 0
+    found = crowd.scene.raycast_many(starts, goals - starts, 1.0, at=at, until=until)
+    for row in np.flatnonzero(whole)[:80]:
+        way, when = (starts[row], goals[row]), (int(at[row]), int(until[row]))
+        wanted = crowd.met(*way, *when)
+        hits = crowd.scene.raycast_all(*way, at=when[0], until=when[1])
+        assert {hit.name for hit in hits} == set(wanted)
+        assert [wanted[hit.name] for hit in hits] == sorted(wanted.values())
+        for hit in hits:
+            assert hit.t == pytest.approx(float(wanted[hit.name]), rel=1e-15, abs=0.0)
+        one = crowd.scene.raycast(*way, at=when[0], until=when[1])
+        assert (None if one is None else one.name) == (hits[0].name if hits else None)
+        assert found.t[row] == (hits[0].t if hits else np.inf)
+        few = crowd.scene.raycast_many(
+            *(starts[row : row + 1], (goals - starts)[row : row + 1], 1.0),
+            at=when[0],
+            until=when[1],
+        )
+        assert few.t.item() == found.t[row]
+        met += bool(hits)
+    assert met
