@@ -234,18 +234,17 @@ def test_boxes_are_decided_exactly():
     lo, hi = scene._held.tree.boxes(scene._held.columns.tree_handle[:300])
     names = [scene._held.registry.name(slot) for slot in range(300)]
     time = 3 * SECOND // 7
-    seconds = time / SECOND
+    seconds = Fraction(time, SECOND)
     speeds = speeds[[int(name) for name in names]]
     for row in range(300):
         # A corner of the query as near to the box's as doubles go, on either side.
-        corner = hi[row] + speeds[row] * seconds
+        corner = hi[row] + speeds[row] * float(seconds)
         for bits in range(-1, 2):
             start = corner + bits * np.spacing(corner)
             hit = {h.name for h in scene.overlap(start, start + 0.1, at=time)}
             touches = all(
-                Fraction(hi[row][a]) + Fraction(speeds[row][a]) * Fraction(seconds)
-                >= Fraction(start[a])
-                and Fraction(lo[row][a]) + Fraction(speeds[row][a]) * Fraction(seconds)
+                Fraction(hi[row][a]) + Fraction(speeds[row][a]) * seconds >= Fraction(start[a])
+                and Fraction(lo[row][a]) + Fraction(speeds[row][a]) * seconds
                 <= Fraction((start + 0.1)[a])
                 for a in range(3)
             )

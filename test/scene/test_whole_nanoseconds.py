@@ -13,9 +13,10 @@ from bvh_ros.scene import Scene, Shapes
 
 SECOND = 10**9
 HALF = 1  # of every box
-# When it began, and how often is told: 10, 30 and 100 Hz, each ns, and nearly each second.
+# When it began, and how often is told: 10, 30 and 100 Hz, each ns, nearly each second, and as
+# rarely as 100 times in 23 days.
 BEGINNINGS = 0, 1_790_000_000 * SECOND, -37
-STEPS = SECOND // 10, SECOND // 30, SECOND // 100, 1, SECOND - 63
+STEPS = SECOND // 10, SECOND // 30, SECOND // 100, 1, SECOND - 63, 20_000 * SECOND + 1
 
 
 class Crowd:

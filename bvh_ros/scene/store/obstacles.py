@@ -23,7 +23,8 @@ from .names import Families
 from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
-EXACT = 1 << 51  # ns, 26 days: a double of seconds that is rounded once tells which one it is
+EXACT = 1 << 53  # ns, 104 days: each of them is a double
+KNOWN = 1 << 51  # ns, 26 days: of each of them a double of seconds tells which one it is
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
 
 
@@ -183,7 +184,7 @@ class Obstacles:
         lose nanoseconds: a run of months, or one that began before its clock was set.
         """
         latest = stamps.item(0) if len(stamps) == 1 else int(stamps.max())
-        if latest - self.epoch < EXACT:
+        if latest - self.epoch < KNOWN:
             return
         self.epoch, handles = latest, self.tree.ids()
         told = self.seconds(self.columns.stamp[handles & SLOT_MASK])
