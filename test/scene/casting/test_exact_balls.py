@@ -217,6 +217,31 @@ def test_equal_times_go_to_the_older():
         assert hits[0].t == pytest.approx((3.5 - 0.75) / 9)
 
 
+def test_faces_in_one_plane_go_to_the_older():
+    """Cars that stand across one another in a lane: a ball meets their sides at once, or first the
+    corner of one that is nearer by an ulp.
+    """
+    rng = np.random.default_rng(8)
+    tied = 0
+    for _ in range(60):
+        lane = float(rng.choice([0.0, 3.6, 7.2]))
+        middles = [[x, lane, 0.75] for x in 2e4 + rng.uniform(-3, 3, 4)]
+        middles[3][1] = np.nextafter(lane, lane + rng.choice([-9, 0, 9]))
+        scene = Scene()
+        names = [str(row) for row in range(4)]
+        scene.update('cars', names, Shapes.boxes(middles, [4.5, 1.8, 1.5]), stamp=1)
+        boxes = scene._held.tree.boxes(scene._held.columns.tree_handle[:4])
+        lo, hi = (side.tolist() for side in boxes)
+        start = np.array([2e4 + rng.uniform(-3, 3), lane - 2.5, 0.75])
+        goal = np.add(start, (rng.uniform(-2, 2), rng.uniform(1, 3), 0.0))
+        sweep = Sweep(start.tolist(), (goal - start).tolist(), 0.5)
+        rows = expected_rows(list(zip(lo, hi, strict=True)), sweep, False)
+        hits = scene.raycast_all(start, goal, 0.5)
+        assert [int(hit.name) for hit in hits] == rows
+        tied += len(hits) > 1 and hits[0].t == hits[1].t
+    assert tied > 9
+
+
 def test_few_roots_are_asked_for_however_far_or_small(monkeypatch):
     """A ball's way may be longer than the world, come from afar, and the ball be next to nothing:
     seventy boxes are not compared root by root.
