@@ -108,7 +108,7 @@ def _plot(path: Path, rows: list[list[Cell]]) -> None:
     from matplotlib.figure import Figure
 
     shown = {row[0]: [r for r in rows if r[:2] == [row[0], ANYWHERE]] for row in rows}
-    figure = Figure(figsize=(4 * len(shown), 3.4), layout='constrained')
+    figure = Figure(figsize=(4.6 * len(shown), 3.4), layout='constrained')
     panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
     for axes, (size, points) in zip(panels, shown.items(), strict=True):
         counts = np.array([row[2] for row in points])
