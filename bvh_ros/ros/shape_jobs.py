@@ -71,7 +71,7 @@ def _batches_of_rays(needs: Needs) -> None:
     from bvh_ros.scene.casting.wide_rays import first_of_many
 
     held, ray = _no_shapes(needs)
-    first_of_many(held.tree, held.columns, ray, (False, False), 1)
+    first_of_many(held.tree, held.columns, tuple(ray), (False, False), 1)
     with_shapes(needs).raycast_many([START], [GOAL])
 
 

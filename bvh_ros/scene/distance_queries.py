@@ -125,7 +125,7 @@ class DistanceQueries:
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
         times, asked = self._moments.seconds(at, 1), (checks.FOREVER, slot, signed)
-        hulls, room = self._held.columns.hulls(), (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
+        hulls, room = self._held.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
         rows = QueryRows(*room, np.zeros(1), checks.EVERYTHING)  # a kernel fills them in
         found = self._moments.distances().clearances(rows, hulls, asked, times, 1)
         assert found is not None

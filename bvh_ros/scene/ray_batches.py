@@ -11,7 +11,6 @@ from ..tree.rays.raycasting import CLOSEST
 from ..tree.rays.raycasting import Rays as ThinRays
 from .casting import box_casting, casting, sweeping, wide_rays
 from .casting.arguments import Found, Rays, refuse_infinite, row_by_row, ways_of
-from .casting.sweeping import Balls
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
 from .results import CastHits
@@ -29,14 +28,13 @@ class RayBatches:
         self._moments = moments
 
     def first(
-        self, rays: Rays, radii: Floats | None, skip: bool, times: tuple[Any, Any], threads: int
+        self, rays: Rays, radii: Floats, skip: bool, times: tuple[Any, Any], threads: int
     ) -> CastHits:
         """First hits of rays, or of balls that go along them; times = (at, until)."""
         count = len(rays.origins)
         if (times[0] is not None or times[1] is not None) and self._moments.meant(*times, count):
-            radii = checks.NOTHING if radii is None else radii
             return self._moments.first_of_many(rays, radii, skip, times, threads)
-        if radii is None or radii is checks.NOTHING:
+        if radii is checks.NOTHING:
             return self._thin(rays, skip, threads)
         thick = int(radii.item() > 0.0) if len(radii) == 1 else np.count_nonzero(radii)
         if not thick:
@@ -52,26 +50,32 @@ class RayBatches:
         order = np.argsort(np.concatenate(both))
         return CastHits(*(np.concatenate(column)[order] for column in columns))
 
-    def few(self, rays: tuple[Any, ...], skip: bool, to_goals: bool) -> CastHits | None:
-        """`first` of thin rays with as little Python as can be: among solid boxes alone of those
-        that are few, else None, as where one is not finite. `to_goals`: what is called directions
-        are the goals of the ways.
+    def now(
+        self, rays: tuple[Any, ...], radii: Floats, asked: tuple[bool, bool], threads: int
+    ) -> CastHits | None:
+        """`first` with as little Python as can be, asked = (whether what is called directions are
+        goals, skip_inside): of balls alone, or by one thread of thin rays, among boxes those that
+        are few. Else None, as where one is not finite.
         """
-        held = self._held
-        if held.columns.shaped:
-            some, asked = tuple.__new__(Rays, rays), (to_goals, skip)
-            return wide_rays.first_of_many(held.tree, held.columns, some, asked, 1)
+        held, columns = self._held, self._held.columns
+        if radii is not checks.NOTHING:
+            if not (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
+                return None
+            return sweeping.first_of_many(held.tree, columns, (*rays, radii), asked, threads)
+        if threads != 1:
+            return None
+        if columns.shaped:
+            return wide_rays.first_of_many(held.tree, columns, rays, asked, 1)
         # As Rays(...), which would take one more call of a function of Python's.
-        thin = tuple.__new__(ThinRays, (*rays, skip, CLOSEST, True))
+        thin = tuple.__new__(ThinRays, (*rays, asked[1], CLOSEST, True))
         if len(thin.origins) > FEW and not held.tree.few_rays(thin):
             return None
-        return box_casting.few_first(held.tree, held.columns.node_handle, thin, to_goals)
+        return box_casting.few_first(held.tree, columns.node_handle, thin, asked[0])
 
     def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls that go along rays."""
-        held = self._held
-        balls = tuple.__new__(Balls, (*rays[:2], radii, *rays[2:]))
-        found = sweeping.first_of_many(held.tree, held.columns, balls, (False, skip), threads)
+        held, balls, asked = self._held, (*rays, radii), (False, skip)
+        found = sweeping.first_of_many(held.tree, held.columns, balls, asked, threads)
         if found is None:
             refuse_endless(rays, radii)
         assert found is not None
@@ -85,7 +89,9 @@ class RayBatches:
             if held.planar:
                 refuse_infinite(rays)  # else the tree's kernel looks
             return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
-        found = wide_rays.first_of_many(held.tree, held.columns, rays, (False, skip), threads)
+        found = wide_rays.first_of_many(
+            held.tree, held.columns, tuple(rays), (False, skip), threads
+        )
         if found is None:
             refuse_infinite(rays)
         assert found is not None

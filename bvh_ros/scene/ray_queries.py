@@ -9,7 +9,6 @@ from ..tree import checks
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting
 from .casting.arguments import WHOLE_WAY, Rays, ways_entry
-from .casting.sweeping import Balls, first_of_many
 from .geometry.shapes import Floats
 from .moments import Moments
 from .ray_batches import RayBatches
@@ -151,22 +150,22 @@ class RayQueries:
         directions = checks.rows('directions', directions, 3, count)
         limits = checks.limits_or_one('t_max', t_max, count)
         asked = origins, directions, limits, checks.masks_or_one(mask, count)
-        threads, held = checks.whole('threads', threads, 1), self._held
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        radii, found, held = checks.NOTHING, None, self._held
         timed = at is not None or until is not None
         if timed and (radius is not None or held.planar or held.columns.shaped):
             checks.finite('origins', origins)  # else a kernel looks
             checks.finite('directions', directions)
-        if threads == 1 and radius is None:
-            if at is not None:
-                found = self._moments.few(asked, checks.NOTHING, skip, at, until, False)
-            else:
-                found = None if until is not None else self._batches.few(asked, skip, False)
-            if found is not None:
-                return found
-        # As Rays(...), which would take one more call of a function of Python's.
-        rays = tuple.__new__(Rays, asked)
-        radii = None if radius is None else checks.lengths_or_one('radius', radius, count)
-        return self._batches.first(rays, radii, skip, (at, until), threads)
+        if radius is not None:
+            radii = checks.lengths_or_one('radius', radius, count)
+        if not timed:
+            found = self._batches.now(asked, radii, (False, skip), threads)
+        elif at is not None and threads == 1 and radius is None:
+            found = self._moments.few(asked, radii, skip, at, until, False)
+        if found is not None:
+            return found
+        return self._batches.first(Rays(*asked), radii, skip, (at, until), threads)
 
     def sweep_many(
         self,
@@ -208,18 +207,11 @@ class RayQueries:
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         radii, found = checks.lengths_or_one('radius', radius, count), None
-        if at is not None:
-            if threads == 1:
-                asked = origins, ends, WHOLE_WAY, masks
-                found = self._moments.few(asked, radii, skip, at, until, True)
-        elif radii is checks.NOTHING:
-            if threads == 1 and until is None:
-                found = self._batches.few((origins, ends, WHOLE_WAY, masks), skip, True)
-        elif until is None and (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
-            # As Balls(...), which would take one more call of a function of Python's.
-            balls = tuple.__new__(Balls, (origins, ends, radii, WHOLE_WAY, masks))
-            held = self._held
-            found = first_of_many(held.tree, held.columns, balls, (True, skip), threads)
+        asked = origins, ends, WHOLE_WAY, masks
+        if at is None and until is None:
+            found = self._batches.now(asked, radii, (True, skip), threads)
+        elif at is not None and threads == 1:
+            found = self._moments.few(asked, radii, skip, at, until, True)
         if found is not None:
             return found
         ways = np.empty((count, 3))
@@ -228,7 +220,7 @@ class RayQueries:
             checks.finite('starts', origins)
             checks.finite('goals', ends)
             raise ValueError(f'the segment of row {far} is longer than the largest double')
-        rays = tuple.__new__(Rays, (origins, ways, WHOLE_WAY, masks))
+        rays = Rays(origins, ways, WHOLE_WAY, masks)
         return self._batches.first(rays, radii, skip, (at, until), threads)
 
     def _cast_one(

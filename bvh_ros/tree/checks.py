@@ -124,9 +124,14 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     """As `points`, neither copied nor known to be finite: that is left to who reads them, each
     row once, and to `finite`.
     """
-    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.flags.carray:
-        shape = value.shape
-        if len(shape) == 2 and shape[1] == ndim and (count is None or shape[0] == count):
+    if (
+        type(value) is np.ndarray
+        and value.dtype is FLOAT64
+        and value.ndim == 2
+        and value.flags.carray
+    ):
+        many, axes = value.shape
+        if axes == ndim and (count is None or many == count):
             return value
     if isinstance(value, np.ndarray):
         _rows(name, value, ndim, count)  # before it is copied
@@ -264,8 +269,8 @@ def limits(name: str, value: Any, count: int) -> Floats:
 
 def limits_or_one(name: str, value: Any, count: int) -> Floats:
     """A distance >= 0 a row, or an array of one for all."""
-    if type(value) is float:
-        return FOREVER if value == math.inf else only(limit(name, value))
+    if type(value) is float and value >= 0.0:
+        return FOREVER if value == math.inf else only(value)
     return limits(name, value, 1 if isinstance(value, NUMBER) else count)
 
 

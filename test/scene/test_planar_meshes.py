@@ -179,7 +179,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
 
 def test_a_scene_without_meshes_has_no_polygons():
     scene = scene_of(Shapes.boxes(np.eye(3), (1, 1, 1), np.ones((3, 4))), planar=True)
-    assert scene._held.columns.hulls() is None
+    assert scene._held.columns.hulls is None
     assert Scene(planar=True)._held.columns.meshes.nbytes == 0
 
 

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import DEEPEST, NONE
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, RAY_FLOATS, RAY_ROWS, set_ray
+from ...tree.nodes import NONE
+from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, set_ray
 from ..distance import overlaps
 from ..geometry.rim import ROUND
 from ..geometry.shapes import Floats
@@ -36,7 +36,7 @@ from ..results import require_few
 from ..store.columns import Columns
 from ..store.registry import Slots
 from . import exact_balls
-from .arguments import Asked, Ball, Hits, Scratch, call, world_of
+from .arguments import SCRATCH, Asked, Ball, Hits, call, scratch_in, world_of
 from .casting import AT, EARLY, LATE, cast, course_of, enter_thrice, touch
 from .exact_balls import START, Root
 
@@ -89,14 +89,7 @@ def sweep_ball(world, radius, way, asked, hits, brackets, place):
     """
     mask, skip_inside, every = asked
     times, features = brackets
-    ray = stack_array(RAY_FLOATS, np.float64)[: RAY_ROWS * way[0].shape[0]]
-    scratch = Scratch(
-        ray.reshape(RAY_ROWS, way[0].shape[0]),
-        stack_array(6, np.float64)[: 2 * way[0].shape[0]].reshape(2, way[0].shape[0]),
-        stack_array((5, 3), np.float64),
-        stack_array(DEEPEST, np.int64),
-        stack_array(DEEPEST, np.float64),
-    )
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), way[0].shape[0])
     set_ray(scratch.ray, way[0], way[1])
     met, count, sure = hits, place.shape[1], True
     if times.shape[1] > 0:

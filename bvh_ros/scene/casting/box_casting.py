@@ -26,7 +26,7 @@ from ...tree.rays import ray_batches, ray_hits, raycasting
 from ...tree.rays.ray_hits import NO_HITS, locate
 from ...tree.rays.slab import INSIDE
 from ...tree.results import RayHits
-from ...tree.store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
+from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ...tree.wide.few_rays import cast_few
 from ...tree.wide.snapshot import no_snapshot
 from ..geometry.shapes import Floats, along_axes
@@ -141,7 +141,7 @@ def few_first(
     ready, done = tree.ready_snapshot(), REFUSED
     if ready is not None:
         given = rays, to_goals, node_handles, ids, flat, told
-        done = few_entry(ndim)(ready[0], ANY_VERSION, ready[1], *given)
+        done = few_entry(ndim)(*ready[0], ready[1], *given)
     if done == REFUSED:
         done = _few_slowly(tree, node_handles, rays, to_goals, (ids, flat), told)
     if done == NOT_FINITE:

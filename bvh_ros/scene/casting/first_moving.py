@@ -68,7 +68,7 @@ def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
 @lean_kernel
 def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
     """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
-    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `shapes_in`, tools =
+    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `Columns.shapes`, tools =
     (node_handles, scratch), when = (at, pace) of all if the ways tell no times. With `room`,
     (n, 3), what is called directions are the goals of the ways, which are written there.
     """

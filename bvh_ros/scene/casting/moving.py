@@ -33,7 +33,7 @@ from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
-from .arguments import Hits, Rays, call, code_for, shapes_in, world_of
+from .arguments import Hits, Rays, call, code_for, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
 from .sweeping import kept
@@ -90,14 +90,14 @@ def first_then(
     hits = tuple.__new__(Hits, (np.empty(count, INT64), np.empty(count), np.empty(count, INT64)))
     places = np.empty((count, 3)), np.empty((count, 3))
     told = tuple.__new__(First, (hits, np.empty(count, UINT32), *places))
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.of(ndim)[0])
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[ndim])
     motion = _motion_of(held)
     if sweep is None:
         world, given = world_of(tree, columns), (ways, asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
     else:
-        view, shapes = tree.view(), shapes_in(columns)
+        view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
         every = shapes, view.tree, now, ways, asked, tools, told, AS_ARRAYS, _NO_ROOM
         if accepted(code_for(first_swept, shapes, every)(*every)):
@@ -128,8 +128,8 @@ def few_then(
     hits = tuple.__new__(Hits, (np.empty(count, INT64), ts, np.empty(count, INT64)))
     handles, room = np.empty(count, UINT32), np.empty((count, 3)) if to_goals else _NO_ROOM
     told = tuple.__new__(First, (hits, handles, points, normals))
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.of(3)[0])
-    shapes = shapes_in(columns)
+    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
+    shapes = columns.shapes
     every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
     if code_for(first_swept, shapes, every)(*every) != 0:
         return None

@@ -6,7 +6,7 @@ whose first obstacle only exact arithmetic tells.
 
 import threading
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,56 +14,40 @@ from ...tree.checks import UINT32
 from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE, ROOT
+from ...tree.nodes import CHANGES, NONE, ROOT, View
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
-from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, begin_query, end_query
+from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, end_query
 from ...tree.store.workers import in_threads
-from ...tree.wide.snapshot import no_snapshot
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Ball, CastWorld, Hits, code_for, new_scratch, shapes_in
+from .arguments import SCRATCH, Ball, CastWorld, Hits, code_for, new_scratch, scratch_in
 from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
 from .casting import AT, EARLY, LATE, course_of, plain, touch
-from .wide_sweeps import UNSUITED, find_wide
+from .wide_sweeps import UNSUITED, begin_batch, find_wide, tree_and_snapshot
 
 FEW = 64  # obstacles that a ball may touch before more room is made
+TOUCHED = 9  # numbers of each
 OPEN = -1  # only exact arithmetic tells
 
 
-class Balls(NamedTuple):
-    """n balls, each swept along a segment."""
-
-    origins: Any
-    """(n, 3)"""
-    directions: Any
-    radii: Any
-    """One for all, or (n,)."""
-    t_max: Any
-    """The same: where the way ends, if it is not given by a goal."""
-    masks: Any
-    """The same."""
-
-
 class Kept(threading.local):
-    """Scratch for one ball, and room for what it may touch, of a thread."""
+    """Scratch of a thread."""
 
     def __init__(self) -> None:
-        self._rooms: dict[int, tuple[Any, ...]] = {}
-
-    def of(self, ndim: int) -> tuple[Any, ...]:
-        """In so many dimensions."""
-        return self._rooms.get(ndim) or self.make(ndim, FEW)
-
-    def make(self, ndim: int, count: int) -> tuple[Any, ...]:
-        """Room for so many."""
-        hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
-        times = np.empty((3, count)), np.empty((3, count), np.int64)
-        room = self._rooms[ndim] = new_scratch(ndim), hits, *times
-        return room
+        self.touched = np.empty((TOUCHED, FEW))
+        """What a ball may touch, see `room_in`."""
+        self.scratch = {ndim: new_scratch(ndim) for ndim in (2, 3)}
 
 
 kept = Kept()
+
+
+@inlined
+def room_in(touched):
+    """Room for what a ball may touch in one array, TOUCHED rows: hits, times and features."""
+    hits = Hits(touched[0].view(np.int64), touched[1], touched[2].view(np.int64))
+    return hits, touched[3:6], touched[6:9].view(np.int64)
 
 
 @inlined
@@ -108,32 +92,35 @@ def first_of(world, node_handles, hits, brackets, count, skip_inside):
 
 
 @lean_kernel
-def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room, told):
-    """Fill in what the balls of the rows [start, stop) meet; shapes as of `shapes_in`, asked =
+def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, touched, told):
+    """Fill in what the balls of the rows [start, stop) meet; shapes as of `Columns.shapes`, balls
+    = (origins, directions, t_max, masks, radii), the last three one for all, or (n,), asked =
     (whether what is called directions are goals, skip_inside), place = (start, stop). Returns
-    (rows done, room wanted): fewer than there are where there is no room for what the next one may
-    touch, or only exact arithmetic tells what it meets, which is OPEN instead of the room; REFUSED
-    if the tree is changed, NOT_FINITE if a start or a way is not. What every ball goes through is
-    inlined: to hand all these arrays over takes a third of a ball's time.
+    (rows done, room wanted, version of the tree): fewer than there are where there is no room for
+    what the next one may touch, or only exact arithmetic tells what it meets, which is OPEN
+    instead of the room; REFUSED if the tree is changed, or the snapshot is older, NOT_FINITE if a
+    start or a way is not. What every ball goes through is inlined: to hand all these arrays over
+    takes a third of a ball's time.
     """
-    (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
-    state = tree.state
-    scratch, hits, times, features = room
-    ndim, count, direction = scratch.ray.shape[1], 0, stack_array(3, np.float64)
-    if not begin_query(state, version):
-        return REFUSED, 0
+    tree, (row, stop), (to_goals, skip_inside) = view.tree, place, asked
+    origins, directions, ends, masks, radii = balls
+    state, ndim, count = tree.state, 3 if shapes[1] is None else 2, 0
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), ndim)
+    direction, room = stack_array(3, np.float64), (scratch, *room_in(touched))
+    _, hits, times, features = room
+    if not begin_batch(view, snapshot):
+        return REFUSED, 0, 0
+    version = state[CHANGES]
     world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     while row < stop:
-        origin, t_max = balls.origins[row], of_row(balls.t_max, row)
-        if not fill_way(origin, balls.directions[row], to_goals, t_max, direction):
+        origin, t_max = origins[row], of_row(ends, row)
+        if not fill_way(origin, directions[row], to_goals, t_max, direction):
             row = NOT_FINITE
             break
         way = origin[:ndim], direction[:ndim]
-        ball = Ball(of_row(balls.radii, row), 0.0)
+        ball = Ball(of_row(radii, row), 0.0)
         set_ray(scratch.ray, way[0], way[1])
-        count = may_touch(
-            world, snapshot, way, ball, (of_row(balls.masks, row), skip_inside), room
-        )
+        count = may_touch(world, snapshot, way, ball, (of_row(masks, row), skip_inside), room)
         if count > hits.slots.shape[0]:
             break
         first, sure = first_of(world, node_handles, hits, (times, features), count, skip_inside)
@@ -153,7 +140,7 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, room,
             break
         row += 1
     end_query(state)
-    return row, count
+    return row, count, version
 
 
 @inlined
@@ -189,25 +176,34 @@ def may_touch(world, snapshot, way, ball, asked, room):
 
 
 def first_of_many(
-    tree: DynamicBVH, columns: Columns, balls: Balls, asked: tuple[bool, bool], threads: int
+    tree: DynamicBVH,
+    columns: Columns,
+    balls: tuple[Any, ...],
+    asked: tuple[bool, bool],
+    threads: int,
 ) -> CastHits | None:
-    """First hits of n balls, asked = (whether what is called directions are goals, skip_inside);
-    None if a start or a way is not finite.
+    """First hits of n balls, as `sweep_balls` gets them, asked = (whether what is called
+    directions are goals, skip_inside); None if a start or a way is not finite.
     """
-    view, count, shapes = tree.view(), len(balls.origins), shapes_in(columns)
-    ndim = 3 if shapes[1] is None else 2
-    snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
+    count, shapes, begun = len(balls[0]), columns.shapes, 0
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     told = tuple.__new__(CastHits, parts)
-    given = view, snapshot, shapes, columns.node_handle, balls, asked
+    asked_of = shapes, columns.node_handle, balls, asked
+    ready = tree.ready_snapshot() if threads == 1 else None
+    view, snapshot = ready or tree_and_snapshot(tree, count)
     if threads == 1:  # without what others take: a tenth of a call of a row
-        every = *given, (0, count), kept.of(ndim), told
-        start, _ = code_for(sweep_balls, shapes, every)(*every)
-        if start == count or (start >= 0 and _work(tree, columns, given, told, start, count)):
+        every = view, snapshot, *asked_of, (0, count), kept.touched, told
+        begun, _, version = code_for(sweep_balls, shapes, every)(*every)
+        if begun == count:
             return told
-    work = partial(_work, tree, columns, given, told)
-    return told if all(in_threads(work, count, threads)) else None
+        if begun < 0:
+            begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)
+        else:
+            view = View(view.tree, version)
+    work = partial(_work, tree, columns, (view, snapshot, *asked_of), told)
+    done = [work(begun, count)] if threads == 1 else in_threads(work, count, threads)
+    return told if all(done) else None
 
 
 def _work(
@@ -220,8 +216,8 @@ def _work(
 ) -> bool:
     """Fill in the rows [start, stop); whether all ways are finite."""
     while start < stop:
-        some = *given, (start, stop), kept.of(tree.ndim), told
-        start, wanted = code_for(sweep_balls, given[2], some)(*some)
+        some = *given, (start, stop), kept.touched, told
+        start, wanted, _ = code_for(sweep_balls, given[2], some)(*some)
         if start == NOT_FINITE:
             return False
         accepted(start)
@@ -229,22 +225,22 @@ def _work(
             _tell_open_one(tree, columns, given[4], given[5], told, start)
             start += 1
         elif start < stop:
-            kept.make(tree.ndim, wanted)
+            kept.touched = np.empty((TOUCHED, wanted))
     return True
 
 
 def _tell_open_one(
     tree: DynamicBVH,
     columns: Columns,
-    balls: Balls,
+    balls: tuple[Any, ...],
     asked: tuple[bool, bool],
     told: CastHits,
     row: int,
 ) -> None:
     """Fill in what exact arithmetic tells of a row, which says that nothing is met."""
     to_goals, skip_inside = asked
-    origin, way = balls.origins[row], balls.directions[row]
-    radius, t_max, mask = (column[row if len(column) > 1 else 0] for column in balls[2:])
+    origin, way = balls[0][row], balls[1][row]
+    t_max, mask, radius = (column[row if len(column) > 1 else 0] for column in balls[2:])
     way = way - origin if to_goals else way * t_max
     one = Sweep(origin, way, radius.item(), mask, skip_inside, False)
     for slot, t, point, normal in cast_ball(tree, columns, one):

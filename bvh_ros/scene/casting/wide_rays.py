@@ -6,6 +6,8 @@ As a swept ball, see `wide_sweeps`, a ray goes through nodes that are larger: by
 tell apart from touching. Who is met is decided as in `casting`.
 """
 
+from typing import Any
+
 import numpy as np
 
 from ...tree.checks import UINT32
@@ -15,37 +17,41 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
-from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, begin_query, end_query
+from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, end_query
 from ...tree.store.workers import in_threads
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
-from ...tree.wide.snapshot import no_snapshot
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import Asked, Ball, CastWorld, Hits, Rays, code_for, shapes_in
+from .arguments import SCRATCH, Asked, Ball, CastWorld, Hits, code_for, scratch_in
 from .casting import cast, doubt_of, enter_obstacle, first_of, no_hit, touch, with_one_more, write
-from .sweeping import fill_way, kept
-from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
+from .sweeping import fill_way
+from .wide_sweeps import WIDE_STACK, begin_batch, next_leaf, put_roots, tree_and_snapshot, widen
 
 
 @lean_kernel
-def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, scratch, told):
-    """Fill in what the rays of the rows [start, stop) meet first; shapes as of `shapes_in`, asked
-    = (whether what is called directions are goals, skip_inside), place = (start, stop). Returns 0,
-    REFUSED if the tree is changed, or NOT_FINITE if a start or a way is not.
+def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, told):
+    """Fill in what the rays of the rows [start, stop) meet first; shapes as of `Columns.shapes`,
+    rays = (origins, directions, t_max, masks), the last two one for all, or (n,), asked =
+    (whether what is called directions are goals, skip_inside), place = (start, stop). Returns 0,
+    REFUSED if the tree is changed, or the snapshot is older, or NOT_FINITE if a start or a way is
+    not.
     """
-    (tree, version), (row, stop), (to_goals, skip_inside) = view, place, asked
-    state, ndim, direction = tree.state, scratch.ray.shape[1], stack_array(3, np.float64)
-    if not begin_query(state, version):
+    tree, (row, stop), (to_goals, skip_inside) = view.tree, place, asked
+    origins, directions, ends, masks = rays
+    state, ndim = tree.state, 3 if shapes[1] is None else 2
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), ndim)
+    direction = stack_array(3, np.float64)
+    if not begin_batch(view, snapshot):
         return np.int64(REFUSED)
     world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     features = stack_array(1, np.int64)
     one = Hits(stack_array(1, np.int64), stack_array(1, np.float64), features)
     while row < stop:
-        if not fill_way(rays.origins[row], rays.directions[row], to_goals, 1.0, direction):
+        if not fill_way(origins[row], directions[row], to_goals, 1.0, direction):
             end_query(state)
             return np.int64(NOT_FINITE)
-        way = rays.origins[row, :ndim], direction[:ndim]
-        t_max, mask = of_row(rays.t_max, row), of_row(rays.masks, row)
+        way = origins[row, :ndim], direction[:ndim]
+        t_max, mask = of_row(ends, row), of_row(masks, row)
         question = Asked(t_max, t_max, mask, skip_inside, False)
         set_ray(scratch.ray, way[0], way[1])
         found, suited = 0, False
@@ -60,7 +66,7 @@ def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, scratch,
             touch(world, scratch, 0.0, one, 0, told.points[row], told.normals[row])
             told.handles[row], told.t[row] = node_handles[one.slots[0]], one.ts[0]
             if ndim == 2:
-                told.points[row, 2] = rays.origins[row, 2]
+                told.points[row, 2] = origins[row, 2]
         row += 1
     end_query(state)
     return np.int64(0)
@@ -96,25 +102,33 @@ def find_first(world, snapshot, way, asked, scratch, hits):
 
 
 def first_of_many(
-    tree: DynamicBVH, columns: Columns, rays: Rays, asked: tuple[bool, bool], threads: int
+    tree: DynamicBVH,
+    columns: Columns,
+    rays: tuple[Any, ...],
+    asked: tuple[bool, bool],
+    threads: int,
 ) -> CastHits | None:
-    """First hits of n rays, asked = (whether what is called directions are goals, skip_inside);
-    None if a start or a way is not finite.
+    """First hits of n rays, as `cast_many` gets them, asked = (whether what is called directions
+    are goals, skip_inside); None if a start or a way is not finite.
     """
-    view, count, shapes = tree.view(), len(rays.origins), shapes_in(columns)
-    ndim = 3 if shapes[1] is None else 2
-    snapshot = tree.snapshot_for(count, view) or no_snapshot(ndim)
+    count = len(rays[0])
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     told = tuple.__new__(CastHits, parts)
+    asked_of = columns.shapes, columns.node_handle, rays, asked
+    ready, done = (tree.ready_snapshot() if threads == 1 else None), REFUSED
+    if ready is not None:
+        every = *ready, *asked_of, (0, count), told
+        done = code_for(cast_many, columns.shapes, every)(*every)
+    if done == REFUSED:
+        now = tree_and_snapshot(tree, count)
 
-    def work(start: int, stop: int) -> int:
-        node_handles, scratch = columns.node_handle, kept.of(ndim)[0]
-        given = view, snapshot, shapes, node_handles, rays, asked, (start, stop), scratch, told
-        done: int = code_for(cast_many, shapes, given)(*given)
-        return done
+        def work(start: int, stop: int) -> int:
+            some = *now, *asked_of, (start, stop), told
+            answered: int = code_for(cast_many, columns.shapes, some)(*some)
+            return answered
 
-    done = work(0, count) if threads == 1 else min(in_threads(work, count, threads))
+        done = min(in_threads(work, count, threads))
     if done == NOT_FINITE:
         return None
     accepted(done)

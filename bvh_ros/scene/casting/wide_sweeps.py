@@ -9,16 +9,18 @@ how far it goes.
 
 import numpy as np
 
+from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined
 from ...tree.jit.float32x16 import seen16, stream16
 from ...tree.jit.intrinsics import WIDTH, stack_array
-from ...tree.nodes import NONE
+from ...tree.nodes import NONE, WRITTEN, View
 from ...tree.rays.slab import INSIDE
+from ...tree.store.turns import begin_query, end_query
 from ...tree.wide.collapse_plan import DEEPEST_WIDE
 from ...tree.wide.few_rays import push_children
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ...tree.wide.raycasting import ALL32
-from ...tree.wide.snapshot import LOOSE_NODES
+from ...tree.wide.snapshot import LOOSE_NODES, Snapshot, no_snapshot
 from .ball_casting import SMALL, SWEEP_SLACK
 from .casting import EARLY, LATE, Course, course_of, doubt_of, enter_thrice
 
@@ -26,6 +28,24 @@ UNSUITED = -1
 PAD = 2.0**-20  # far above the rounding of a float32
 WIDE_STACK = DEEPEST_WIDE + LOOSE_NODES
 _CHILD = np.int64(0xFFFFFFFF)
+
+
+@inlined
+def begin_batch(view, snapshot):
+    """`begin_query`, where a snapshot that nothing was added to is of the tree as it is."""
+    state = view.tree.state
+    if not begin_query(state, view.version):
+        return False
+    if snapshot.size > 0 and snapshot.loose == 0 and state[WRITTEN] != snapshot.written:
+        end_query(state)
+        return False
+    return True
+
+
+def tree_and_snapshot(tree: DynamicBVH, count: int) -> tuple[View, Snapshot]:
+    """For batches that cannot do with `ready_snapshot`."""
+    view = tree.view()
+    return view, tree.snapshot_for(count, view) or no_snapshot(tree.ndim)
 
 
 @inlined

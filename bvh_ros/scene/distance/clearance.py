@@ -294,6 +294,6 @@ class Clearances:
         bounds[0, 0, : lo.shape[1]], bounds[0, 1, : lo.shape[1]] = lo, hi
         rows = QueryRows(records, bounds, np.zeros(1), checks.EVERYTHING)
         asked = checks.FOREVER, int(handle), signed
-        found = self.find_rows(rows, self._columns.hulls(), asked, 1)
+        found = self.find_rows(rows, self._columns.hulls, asked, 1)
         assert found is not None
         return found

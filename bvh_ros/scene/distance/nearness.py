@@ -73,7 +73,7 @@ class Nearness:
 
     def _fill(self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed) -> int:
         columns = self._columns
-        bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
+        bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
         shapes: Any = ()
         kernel, variant = nearest_boxes, None
         if bodies is not None:
@@ -97,7 +97,7 @@ class Nearness:
         finite.
         """
         count, columns, view = len(points.points), self._columns, self._tree.view()
-        bodies = bodies_of(columns, columns.hulls()) if columns.shaped else None
+        bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
         parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)

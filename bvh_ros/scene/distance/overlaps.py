@@ -270,7 +270,7 @@ def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
     planar = columns.footprint is not None
     columns.pairs_compared += len(found)
     columns.pairs_in_more_digits += narrow_phase.near_pairs(
-        columns.geometry, columns.hulls(), pairs[narrow], planar, found
+        columns.geometry, columns.hulls, pairs[narrow], planar, found
     )
     touches[narrow] = found
     return pairs[touches]

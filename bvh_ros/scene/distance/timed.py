@@ -235,11 +235,11 @@ class TimedDistances:
             and at <= known.until
             and hulls is None
             and known.geometry is columns.geometry
-            and known.hulls is columns.hulls()
+            and known.hulls is columns.hulls
         ):
             return known
         until = math.inf if math.isinf(held.max_prediction) else movers(held).first_end
-        then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls())
+        then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls)
         known = Known(view.version, *ours, until, then, self._room(then))
         scratch.known = known if hulls is None and at <= until else None
         return known

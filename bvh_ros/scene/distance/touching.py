@@ -42,18 +42,6 @@ class Found(NamedTuple):
     """Rows by distance, then node handle."""
 
 
-class Bodies(NamedTuple):
-    """What the narrow phase reads."""
-
-    shapes: Any
-    """Records by slot."""
-    footprints: Any
-    """The same seen from above; None where the scene is not planar."""
-    hulls: Any
-    """Meshes of the scene; None where neither it nor the query has any."""
-    query_hulls: Any
-
-
 @inlined
 def reached(tree, query, mask, found):
     """Write the slots whose boxes touch the grown query's; return how many, which may be more

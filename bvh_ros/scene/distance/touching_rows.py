@@ -18,14 +18,13 @@ from ...tree.rays.slab import is_finite
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, begin_query, end_query
 from ..geometry.canonical import FINE
 from ..results import NO_NODE
-from ..store.columns import Columns
+from ..store.columns import Bodies, Columns
 from ..store.mesh_store import NO_HULLS, Hulls
 from .query_rows import FAULTY, NARROW, make_row
 from .query_shape import QueryShape
 from .touching import (
     REFUSED,
     ROUNDED,
-    Bodies,
     nearest_boxes,
     nearest_shapes,
     touching_boxes,
@@ -242,11 +241,9 @@ def pad(near, row, kept):
 
 def bodies_of(columns: Columns, hulls: Hulls | None) -> Bodies:
     """What the narrow phase reads of a scene, and of the meshes of queries."""
-    ours = columns.hulls()
-    if ours is not None or hulls is not None:
-        ours, hulls = ours or NO_HULLS, hulls or NO_HULLS
-    # As Bodies(...), which would take one more call of a function of Python's.
-    return tuple.__new__(Bodies, (columns.geometry, columns.footprint, ours, hulls))
+    if hulls is None:
+        return columns.bodies
+    return columns.bodies._replace(hulls=columns.hulls or NO_HULLS, query_hulls=hulls)
 
 
 class RowKernel:

@@ -14,7 +14,7 @@ from ...tree.store.memory import copy_bytes, touch
 from ..geometry.footprint import FOOTPRINT, footprints
 from ..geometry.records import GEOMETRY, UNTURNED
 from ..geometry.shapes import MESH, shapes_of
-from .mesh_store import Hulls, MeshStore
+from .mesh_store import NO_HULLS, Hulls, MeshStore
 from .registry import Slots
 
 if TYPE_CHECKING:
@@ -32,6 +32,18 @@ class Kept(NamedTuple):
     expires: Any
     source: Any
     group: Any
+
+
+class Bodies(NamedTuple):
+    """What the narrow phase reads."""
+
+    shapes: Any
+    """Records by slot."""
+    footprints: Any
+    """The same seen from above; None where the scene is not planar."""
+    hulls: Hulls | None
+    """Meshes of the scene; None where neither it nor the query has any."""
+    query_hulls: Hulls | None
 
 
 @lean_kernel
@@ -67,6 +79,13 @@ def _write_rows() -> Callable[..., Any]:
 class Columns:
     """Growable arrays, one row a slot; a slot is in use where `tree_handle` is not FREE."""
 
+    # What kernels get, at hand for each of them: to gather it takes a tenth of a call of a row.
+    hulls: Hulls | None
+    """The meshes; None without any: what is None is not compiled."""
+    shapes: tuple[Any, Any]
+    """(records, hulls), and (footprints, hulls), one of which is None: see `casting.arguments`."""
+    bodies: Bodies
+
     def __init__(self, planar: bool, meshes: bool = False) -> None:
         self.tree_handle = np.empty(0, np.int64)
         self.node_handle = np.empty(0, np.int64)
@@ -84,6 +103,16 @@ class Columns:
         self._expects_meshes = meshes
         # Pairs of true shapes that overlap queries compared, and those that GJK left open.
         self.pairs_compared = self.pairs_in_more_digits = 0
+        self._gather()
+
+    def _gather(self) -> None:
+        """Have at hand what kernels get, after an array or a mesh was replaced."""
+        solid, flat = self.geometry, self.footprint
+        hulls = self.hulls = (
+            self.meshes.hulls if self._expects_meshes or self.meshes.held else None
+        )
+        self.shapes = ((solid, hulls), None) if flat is None else (None, (flat, hulls))
+        self.bodies = Bodies(solid, flat, hulls, None if hulls is None else NO_HULLS)
 
     def clear(self) -> None:
         """Forget everybody."""
@@ -110,6 +139,7 @@ class Columns:
             if name != 'footprint' or self.shaped:
                 copy_bytes(getattr(self, name), bigger)
             setattr(self, name, bigger)
+        self._gather()
 
     def _larger(self, count: int) -> dict[str, NDArray[Any]]:
         """Arrays for the slots below `count`, at least twice as long; none if these will do."""
@@ -144,10 +174,6 @@ class Columns:
         for slot in self._with_meshes(copies):
             self.meshes.take(self.meshes[int(self.geometry['mesh'][slot])])
 
-    def hulls(self) -> Hulls | None:
-        """The meshes for the kernels; None without any: what is None is not compiled."""
-        return self.meshes.hulls if self._expects_meshes or self.meshes.held else None
-
     def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> tuple[int, int]:
         """Write rows of an update; `owner` is (source, group). Returns how many obstacles were in
         another group before, or in none, and when the first of them expires, ns.
@@ -155,6 +181,7 @@ class Columns:
         numbers = self._take_meshes(rows) if rows.mesh is not None else []
         if len(self.meshes):
             self._release_meshes(slots)  # afterwards: what only moves is never forgotten
+            self._gather()
         # As Kept(...), which would take one more call of a function of Python's.
         columns = self.geometry, self.stamp, self.expires, self.source, self.group
         kept, told = tuple.__new__(Kept, columns), (rows.records, rows.stamp, rows.expires)
@@ -194,7 +221,9 @@ class Columns:
         """Mark slots as free. What scans whole columns must not find them."""
         self.tree_handle[slots] = FREE
         self.node_handle[slots] = 0
-        self._release_meshes(slots)
+        if len(self.meshes):
+            self._release_meshes(slots)
+            self._gather()
         if self.footprint is not None:
             self.footprint['shaped'][slots[self.geometry['shaped'][slots]]] = False
         self.shaped -= int(np.count_nonzero(self.geometry['shaped'][slots]))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .. import checks
 from ..checks import INT64
-from ..nodes import Tree, View
+from ..nodes import View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats
 from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
@@ -108,14 +108,14 @@ class RayAsking(Timed):
         """Whether rays are so few that they go through the snapshot one by one."""
         return ray_batches.are_few(rays, self._storage.tree)
 
-    def ready_snapshot(self) -> tuple[Tree, Snapshot] | None:
-        """The arrays and their snapshot, if there is one and nothing was added to it. Whether the
-        tree was written to since, `cast_few` sees.
+    def ready_snapshot(self) -> tuple[View, Snapshot] | None:
+        """The tree and its snapshot, if there is one and nothing was added to it. Whether the tree
+        was written to since, kernels see.
         """
         storage, (_, _, snapshot, tree) = self._storage, self._wide
         if tree is not storage.tree or storage.heirs or snapshot is None or snapshot.loose:
             return None
-        return tree, snapshot
+        return storage.latest, snapshot
 
     def first_hits(self, rays: Rays, threads: int) -> RayHits:
         """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked

@@ -125,6 +125,11 @@ class Arrays:
         tree = self._settled().tree if storage.heirs else storage.tree
         return tuple.__new__(View, (tree, tree.state.item(CHANGES)))
 
+    def latest(self) -> View:
+        """The tree for the first kernel of a query, whichever version that meets."""
+        storage = self._storage
+        return self._settled().latest if storage.heirs else storage.latest
+
     def check_unchanged(self, view: View) -> None:
         """RuntimeError if what was read since the view was taken may not fit together."""
         state = view.tree.state

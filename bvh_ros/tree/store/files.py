@@ -21,7 +21,7 @@ from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN,
 from ..validation import array_forms
 from . import mapped
 from .drafts import put_in_place
-from .storage import READ_ONLY, Storage, allocate
+from .storage import READ_ONLY, allocate, storage_of
 
 VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too
 VERSIONS = VERSION, WITH_MOTION
@@ -189,7 +189,7 @@ def attach(tree: Any, path: Path) -> None:
     state = np.zeros(ALL_PLACES, np.int64)
     _fill_state(state, header, _counters(header['counters'], tree.COUNTERS))
     state[TURN] = 1  # of a query that never ends
-    tree._storage = Storage(Tree(**arrays, state=state), [], READ_ONLY)
+    tree._storage = storage_of(Tree(**arrays, state=state), READ_ONLY)
 
 
 def _fill_state(state: NDArray[np.int64], kept: dict[str, Any], counters: dict[str, int]) -> None:

@@ -30,6 +30,7 @@ from ..nodes import (
     TURN,
     WRITTEN,
     Tree,
+    View,
     aligned_empty,
     box_dtype,
     empty_tree,
@@ -62,6 +63,13 @@ class Storage(NamedTuple):
     """Where it was made: a turn that is taken in a forked process may never be given back.
     READ_ONLY: the arrays are those of a mapped file, and a query that never ends has a turn.
     """
+    latest: View
+    """The tree, whichever version it is of: for the first kernel of a query."""
+
+
+def storage_of(tree: Tree, process: int) -> Storage:
+    """Storage without an heir."""
+    return Storage(tree, [], process, View(tree, ANY_VERSION))
 
 
 def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
@@ -75,7 +83,7 @@ def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
         np.empty(capacity, np.int64),
         state,
     )
-    return Storage(tree, [], os.getpid())
+    return storage_of(tree, os.getpid())
 
 
 def new_storage(ndim: int, capacity: int, fat: bool) -> Storage:

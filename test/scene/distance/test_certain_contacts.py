@@ -51,7 +51,7 @@ def pairs_of(made, scene):
     return (
         np.array(slots).reshape(-1, 2),
         scene._held.columns.geometry,
-        scene._held.columns.hulls(),
+        scene._held.columns.hulls,
     )
 
 

@@ -202,7 +202,7 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert len(store) == 1
     assert scene.update('test', ['0', '1'], Shapes.boxes(np.eye(3)[:2], (1, 1, 1)), stamp=3) == []
     assert len(store) == 0
-    assert scene._held.columns.hulls() is None
+    assert scene._held.columns.hulls is None
     assert scene.get('0').kind == ShapeKind.BOX
     assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
 
