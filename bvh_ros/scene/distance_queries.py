@@ -251,10 +251,10 @@ class DistanceQueries:
             if at is None:
                 found = self._clearances.find_rows(rows, None, asked, threads)
             else:
-                found = self._find_then(rows, None, asked, threads, at)
+                found = self._find_then(QueryRows(*rows), None, asked, threads, at)
         if found is None:
-            rows, hulls = query_rows(given, 0.0, mask, self._held.planar)
-            found = self._find_then(rows, hulls, asked, threads, at)
+            legal, hulls = query_rows(given, 0.0, mask, self._held.planar)
+            found = self._find_then(legal, hulls, asked, threads, at)
         assert found is not None
         _, distances, points, other_points, handles = found
         return handles, distances, points, other_points
@@ -267,7 +267,7 @@ class DistanceQueries:
         if self._moments.meant(at, None, count):
             times = self._moments.seconds(at, count)
             return self._moments.distances().clearances(rows, hulls, asked, times, threads)
-        return self._clearances.find_rows(rows, hulls, asked, threads)
+        return self._clearances.find_rows(tuple(rows), hulls, asked, threads)
 
 
 def sign_of(signed: bool) -> Signed:

@@ -236,19 +236,19 @@ class OverlapQueries:
             told = (
                 self._touching.answer(rows, None, wanted, threads)
                 if at is None
-                else self._then_many(rows, None, want, threads, at)
+                else self._then_many(QueryRows(*rows), None, want, threads, at)
             )
             if told is not None:
                 return told
         shapes = Shapes(given[0], given[1], given[2], given[3], mesh)
-        rows, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
-        return self._then_many(rows, hulls, want, threads, at)
+        legal, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
+        return self._then_many(legal, hulls, want, threads, at)
 
     def _then_many(self, rows: QueryRows, hulls: Any, want: str, threads: int, at: Any) -> Any:
         """The same at times; None if a row that is `given` is not legal."""
         count = rows.number()
         if not self._moments.meant(at, None, count):
-            return self._touching.answer(rows, hulls, WANTED[want], threads)
+            return self._touching.answer(tuple(rows), hulls, WANTED[want], threads)
         times = self._moments.seconds(at, count)
         asked = rows, hulls, times, threads, want == 'any'
         touched = self._moments.distances().touching(*asked)

@@ -124,14 +124,9 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     """As `points`, neither copied nor known to be finite: that is left to who reads them, each
     row once, and to `finite`.
     """
-    if (
-        type(value) is np.ndarray
-        and value.dtype is FLOAT64
-        and value.ndim == 2
-        and value.flags.carray
-    ):
+    if type(value) is np.ndarray and value.dtype is FLOAT64 and value.ndim == 2:
         many, axes = value.shape
-        if axes == ndim and (count is None or many == count):
+        if axes == ndim and (count is None or many == count) and value.flags.carray:
             return value
     if isinstance(value, np.ndarray):
         _rows(name, value, ndim, count)  # before it is copied

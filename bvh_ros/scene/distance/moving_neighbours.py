@@ -189,7 +189,7 @@ def fetch(tree, moving, then, slots):
 @inlined
 def _is_farther(tree, moving, then, pair, least):
     """Whether two aligned boxes, pair = (shape, slot, at), are farther apart than this: what
-    `place` and `clearance.box_gap` say, without a copy or points. For others False.
+    `place` and `gap.box_gap` say, without a copy or points. For others False.
     """
     one, slot, at = pair
     other, gaps = then.bodies.shapes[slot], stack_array(3, np.float64)

@@ -21,7 +21,7 @@ from ...tree.store.turns import IS_CHANGED, NOT_FINITE
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
-from .touching import REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
+from .touching import FOUND, REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
 from .touching_rows import Near, Points, RowKernel, Signed, bodies_of, nearest_rows
 
 MORE = 4
@@ -102,9 +102,9 @@ class Nearness:
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)
         asked = k, columns.shadows > 0, signed
-        found = self._scratch.found
-        if threads == 1 and k < len(found.slots):  # without what others take
-            every = points, asked, (0, count), columns.node_handle, found, near
+        memory = self._scratch.memory
+        if threads == 1 and k * FOUND < len(memory):  # without what others take
+            every = points, asked, (0, count), columns.node_handle, memory, near
             start = self._rows[signed](view, bodies, every)[0]
             if start == count:
                 return near
@@ -129,7 +129,7 @@ class Nearness:
         while start < stop:
             if wanted > len(scratch.found.slots):
                 scratch.make_room(wanted)
-            given = points, asked, (start, stop), handles, scratch.found, near
+            given = points, asked, (start, stop), handles, scratch.memory, near
             start, wanted = kernel(view, bodies, given)
             if start == NOT_FINITE:
                 return False

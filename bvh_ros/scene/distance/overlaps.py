@@ -21,9 +21,9 @@ from ..store.columns import Columns
 from ..store.mesh_store import Hulls
 from ..store.registry import Slots
 from . import narrow_phase
-from .query_rows import FAULTY, NARROW, QueryRows, with_records
+from .query_rows import FAULTY, NARROW, QueryRows, begin_shaped, with_records
 from .query_shape import QueryShape
-from .touching import REFUSED, Found, Scratch, touching_boxes, touching_shapes
+from .touching import FOUND, REFUSED, Found, Scratch, touching_boxes, touching_shapes
 from .touching_rows import (
     ALL,
     ANY,
@@ -82,47 +82,46 @@ class Overlaps:
         require_few(len(order), most)
         return found, order
 
-    def answer(self, rows: QueryRows, hulls: Hulls | None, wanted: int, threads: int) -> Any:
-        """`find` of n shapes: what is `wanted` (see `touching_rows`) of each, as
-        `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
+    def answer(self, rows: tuple[Any, ...], hulls: Hulls | None, wanted: int, threads: int) -> Any:
+        """`find` of n shapes, plain `QueryRows`: what is `wanted` (see `touching_rows`) of each,
+        as `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
-        columns, view = self._columns, self._tree.view()
-        count = rows.number()
-        narrow = columns.shaped > 0 or (count > 0 and rows.begins_shaped())
-        told, done = room_for(count, wanted), 0
+        columns, count = self._columns, len(rows[0]) or len(rows[4][1])
+        narrow, done = columns.shaped > 0 or begin_shaped(rows), 0
+        told = _, numbers, handles, *place = room_for(count, wanted)
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
-            bodies = bodies_of(columns, hulls) if narrow else None
-            asked = rows, wanted, (0, count, 0), columns.node_handle, self._scratch.found, told
-            done, _, written, compared, more = self._rows(view, bodies, asked)
+            view, bodies = self._tree.latest(), bodies_of(columns, hulls) if narrow else None
+            asked = rows, wanted, (0, count, 0), columns.node_handle, self._scratch.memory, told
+            done, _, written, compared, more, version = self._rows(view, bodies, asked)
             if done >= 0:
                 if compared:
-                    self._count(compared, more)
-                if done == count and wanted == ANY:
-                    return told[0]
+                    columns.pairs_compared += compared
+                    columns.pairs_in_more_digits += more
                 if wanted == ALL:
-                    parts.append(told.handles[:written])
+                    parts.append(handles[:written])
         if done < count or threads > 1:
-            others = self._work_on(
-                view, hulls, rows, (wanted, threads, narrow, max(done, 0)), told
-            )
+            view = View(view.tree, version) if done > 0 else self._tree.view()
+            some = wanted, threads, narrow, max(done, 0)
+            others = self._work_on(view, hulls, rows, some, Answers(*told))
             if others is None:
                 return None
             parts += others
         if wanted == ALL:
-            return self._joined(told.numbers, parts)
+            every = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+            return self._once(numbers, every) if columns.shadows else (numbers, every)
         if columns.shadows and wanted in (COUNT, HITS):
             # Who stands at two places counts once, see slicing.py.
-            told.numbers[:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
+            numbers[:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
         if wanted == HITS:
-            return tuple.__new__(BoxHits, (told.handles, told.numbers, *told[3:]))
+            return tuple.__new__(BoxHits, (handles, numbers, *place))
         return told[wanted]
 
     def _work_on(
         self,
         view: View,
         hulls: Hulls | None,
-        rows: QueryRows,
+        rows: tuple[Any, ...],
         asked: tuple[int, int, bool, int],
         told: Answers,
     ) -> list[NDArray[np.uint32]] | None:
@@ -131,7 +130,8 @@ class Overlaps:
         legal.
         """
         wanted, threads, narrow, first = asked
-        bodies, count = bodies_of(self._columns, hulls) if narrow else None, rows.number()
+        bodies = bodies_of(self._columns, hulls) if narrow else None
+        count = len(rows[0]) or len(rows[4][1])
         parts: list[NDArray[np.uint32]] = []
         work = partial(self._work, view, bodies, rows, wanted, told)
         for done in in_threads(work, count, threads) if first == 0 else [work(first, count)]:
@@ -139,22 +139,18 @@ class Overlaps:
                 return self._work_on(view, hulls, rows, (wanted, threads, True, first), told)
             if done.reason == FAULTY:
                 return None
-            self._count(done.compared, done.more)
+            self._columns.pairs_compared += done.compared
+            self._columns.pairs_in_more_digits += done.more
             if wanted == ALL and done.start > 0:
                 told.numbers[done.start + 1 : done.stop + 1] += told.numbers[done.start]
             parts += done.handles
         return parts
 
-    def _count(self, compared: int, more: int) -> None:
-        """Keep the books of pairs that were compared, some of them in more digits."""
-        self._columns.pairs_compared += compared
-        self._columns.pairs_in_more_digits += more
-
     def _work(
         self,
         view: View,
         bodies: Any,
-        rows: QueryRows,
+        rows: tuple[Any, ...],
         wanted: int,
         told: Answers,
         start: int,
@@ -164,19 +160,19 @@ class Overlaps:
         parts: list[NDArray[np.uint32]] = []
         begin, total, compared, more, room, legal = start, 0, 0, 0, FEW, None
         while start < stop:
-            found, answers = self._scratch.found, told
+            memory, answers = self._scratch.memory, told
             if wanted == ALL:
                 answers = told._replace(handles=np.empty(room, UINT32))
             place = start, stop, total
-            given = rows, wanted, place, self._columns.node_handle, found, answers
-            start, needed, written, pairs, digits = self._rows(view, bodies, given)
+            given = rows, wanted, place, self._columns.node_handle, memory, tuple(answers)
+            start, needed, written, pairs, digits, _ = self._rows(view, bodies, given)
             if start < 0:
                 return Part(start, begin, stop, parts, 0, 0)
             compared, more, total = compared + pairs, more + digits, total + written
             if written:
                 parts.append(answers.handles[:written])
             if start < stop and needed == OPEN:
-                legal = legal or with_records(rows)
+                legal = legal or with_records(QueryRows(*rows))
                 parts.append(self._tell(legal, bodies, wanted, told, start))
                 total += len(parts[-1])
                 start += 1
@@ -184,7 +180,7 @@ class Overlaps:
                     told.numbers[start] = total
                 continue
             room = max(2 * room, needed)
-            if needed > len(found.slots):
+            if needed * FOUND > len(memory):
                 self._scratch.make_room(needed)
         return Part(0, begin, stop, parts, compared, more)
 
@@ -207,16 +203,15 @@ class Overlaps:
             told.points[row] = found.points[first] if met else np.nan
         return handles
 
-    def _joined(self, offsets: Slots, parts: list[NDArray[np.uint32]]) -> Any:
-        """(offsets, node handles) of what is told in parts."""
-        handles = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
-        if self._columns.shadows:
-            count = len(offsets) - 1
-            of = np.repeat(np.arange(count), np.diff(offsets))
-            first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
-            handles = handles[first]
-            np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
-        return offsets, handles
+    def _once(self, offsets: Slots, handles: NDArray[np.uint32]) -> Any:
+        """(offsets, node handles) with each obstacle once: it may stand at two places, see
+        slicing.py.
+        """
+        count = len(offsets) - 1
+        of = np.repeat(np.arange(count), np.diff(offsets))
+        first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
+        np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
+        return offsets, handles[first]
 
     def _fill_shapes(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32

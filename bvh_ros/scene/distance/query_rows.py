@@ -58,18 +58,6 @@ class QueryRows(NamedTuple):
         """How many there are."""
         return len(self.records) or len(self.given[1])
 
-    def begins_shaped(self) -> bool:
-        """Whether a row, or the first that is given, seems to be more than an axis-aligned
-        box.
-        """
-        if len(self.records):
-            return bool(self.records['shaped'].any())
-        kinds, _, turns, _ = self.given
-        if kinds is BOXES and turns is UNTURNED:
-            return False
-        turned = turns.item(0) != 0.0 or turns.item(1) != 0.0 or turns.item(2) != 0.0
-        return turned or kinds.item(0) != BOX
-
     def one(self, row: int) -> QueryShape:
         """The query of a row."""
         record = self.records[row : row + 1]
@@ -83,14 +71,28 @@ class QueryRows(NamedTuple):
         return seen
 
 
+def begin_shaped(rows: tuple[Any, ...]) -> bool:
+    """Whether of plain `QueryRows` one, or the first that is given, seems to be more than an
+    axis-aligned box.
+    """
+    records, _, _, _, (kinds, _, turns, _) = rows
+    if kinds is BOXES and turns is UNTURNED:
+        return False
+    if len(records) or not (len(kinds) and len(turns)):
+        return bool(records['shaped'].any())
+    if kinds.item(0) != BOX:
+        return True
+    return turns.item(0) != 0.0 or turns.item(1) != 0.0 or turns.item(2) != 0.0
+
+
 @inlined
 def make_row(rows, row, own, box):
     """(record (1,), bounds (2, 3), fault) of a row; `own` and `box` are room for them where they
     are still to be made.
     """
-    if rows.records.shape[0] > 0:
-        return rows.records[row : row + 1], rows.bounds[row], FINE
-    kinds, positions, orientations, sizes = rows.given
+    records, bounds, _, _, (kinds, positions, orientations, sizes) = rows
+    if records.shape[0] > 0:
+        return records[row : row + 1], bounds[row], FINE
     kind, position = of_row(kinds, row), positions[row]
     turn = orientations[row if orientations.shape[0] > 1 else 0]
     size = sizes[row if sizes.shape[0] > 1 else 0]
@@ -102,18 +104,16 @@ def make_row(rows, row, own, box):
     return own, box, fault
 
 
-def given_rows(given: tuple[Any, ...], tolerance: Any, mask: ArrayLike) -> QueryRows:
-    """`query_rows` of shapes without meshes, as of `QueryRows.given`, whose records a kernel
-    makes, and whose faults it finds.
+def given_rows(given: tuple[Any, ...], tolerance: Any, mask: ArrayLike) -> tuple[Any, ...]:
+    """A plain `QueryRows` of shapes without meshes, as of `QueryRows.given`, whose records a
+    kernel makes, and whose faults it finds.
     """
     count, tolerances, masks = len(given[1]), checks.NOTHING, checks.EVERYTHING
-    if not (type(tolerance) is float and tolerance == 0.0):
+    if type(tolerance) is not float or tolerance != 0.0:
         tolerances = checks.lengths_or_one('tolerance', tolerance, count)
     if mask is not ALL:
         masks = checks.masks_or_one(mask, count)
-    # As QueryRows(...), which would take one more call of a function of Python's.
-    parts = NO_RECORDS, NO_BOUNDS, tolerances, masks, given
-    return tuple.__new__(QueryRows, parts)
+    return NO_RECORDS, NO_BOUNDS, tolerances, masks, given
 
 
 def with_records(rows: QueryRows) -> QueryRows:

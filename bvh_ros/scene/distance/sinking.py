@@ -74,7 +74,7 @@ def sink_shape(one, other, bodies, distance, points):
 @lean_kernel
 def box_depth(one, other, ndim, points, normal):
     """`penetration` of two axis-aligned boxes; across the way out, `points` are as
-    `clearance.box_gap` left them.
+    `gap.box_gap` left them.
     """
     corners = stack_array((4, 3), np.float64)
     fill_corners(one, corners[:2])

@@ -202,7 +202,7 @@ class TimedDistances:
         count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
         everybody = view.tree.state.item(COUNT)
         alike = itself == NONE and not self._held.columns.shaped and not len(then.rest_slots)
-        told = room_for(count)
+        told = room_for(count, np.empty(count if itself != NONE else 0, np.int64))
 
         def work(start: int, stop: int) -> bool:
             while start < stop:

@@ -11,8 +11,8 @@ import numpy as np
 from ...tree.checks import BOOL, INT64, UINT32
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
+from ...tree.nodes import CHANGES, View
 from ...tree.nodes import COUNT as COUNTED
-from ...tree.nodes import View
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import is_finite
 from ...tree.store.turns import IS_CHANGED, NOT_FINITE, begin_query, end_query
@@ -25,6 +25,7 @@ from .query_shape import QueryShape
 from .touching import (
     REFUSED,
     ROUNDED,
+    found_in,
     nearest_boxes,
     nearest_shapes,
     touching_boxes,
@@ -60,8 +61,8 @@ NOBODY = np.empty(0, np.uint32)
 NOT_WANTED = np.empty(0, np.bool_), np.empty(0, np.int64), NOBODY, np.empty(0), np.empty((0, 3))
 
 
-def room_for(count: int, wanted: int) -> Answers:
-    """Room for what is wanted of so many rows."""
+def room_for(count: int, wanted: int) -> tuple[Any, ...]:
+    """Room for what is wanted of so many rows, plain `Answers`."""
     touched, numbers, handles, distances, points = NOT_WANTED
     if wanted == ANY:
         touched = np.empty(count, BOOL)
@@ -75,8 +76,7 @@ def room_for(count: int, wanted: int) -> Answers:
     else:
         numbers, handles = np.empty(count, INT64), np.empty(count, UINT32)
         distances, points = np.empty(count), np.empty((count, 3))
-    # As Answers(...), which would take one more call of a function of Python's.
-    return tuple.__new__(Answers, (touched, numbers, handles, distances, points))
+    return touched, numbers, handles, distances, points
 
 
 class Points(NamedTuple):
@@ -101,25 +101,28 @@ class Near(NamedTuple):
 
 
 @lean_kernel
-def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers):
-    """Answer the rows [start, stop); place = (start, stop, handles before these rows). Returns
-    (rows done, room wanted in `found`, handles written, pairs compared, those of them that took
-    more digits): fewer rows than there are where there is no room for the next one, or it is OPEN,
-    which is said instead of the room; REFUSED if the tree is changed, FAULTY or NARROW if a row
-    is.
+def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answers):
+    """Answer the rows [start, stop) of `QueryRows` by `Answers`, both as plain tuples; place =
+    (start, stop, handles before these rows). Returns (rows done, room wanted in `memory`, handles
+    written, pairs compared, those of them that took more digits, version of the tree): fewer rows
+    than there are where there is no room for the next one, or it is OPEN, which is said instead of
+    the room; REFUSED if the tree is changed, FAULTY or NARROW if a row is.
     """
     tree, (row, stop, before), enough = view.tree, place, wanted == ANY
+    found, (records, _, tolerances, masks, _) = found_in(memory), rows
+    touched, numbers, handles, _, _ = answers
     written, compared, more, needed = 0, 0, 0, 0
-    own, box = stack_array(1, rows.records), stack_array((2, 3), np.float64)
+    own, box = stack_array(1, records), stack_array((2, 3), np.float64)
     if not begin_query(tree.state, view.version):
-        return REFUSED, 0, 0, 0, 0
+        return REFUSED, 0, 0, 0, 0, 0
+    version = tree.state[CHANGES]
     while row < stop:
         record, bounds, fault = make_row(rows, row, own, box)
         aligned, height = not record[0].shaped, record[0].position[2]
         if fault != FINE or (bodies is None and not aligned):
             row = FAULTY if fault != FINE else NARROW
             break
-        tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
+        tolerance, mask = of_row(tolerances, row), of_row(masks, row)
         query = QueryShape(record, bounds, aligned, tolerance, height)
         if bodies is None:
             count, doubtful = touching_boxes(tree, query, mask, enough, node_handles, found)
@@ -132,45 +135,45 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, found, answers
         needed = count
         if count > found.slots.shape[0]:
             break
-        if wanted == ALL and written + count > answers.handles.shape[0]:
+        if wanted == ALL and written + count > handles.shape[0]:
             break
         if doubtful > 0 and (not enough or count == doubtful):
             needed = OPEN
             break
         if enough:
-            answers.touched[row] = count > 0
+            touched[row] = count > 0
         elif wanted == ALL:
             for i in range(count):
-                answers.handles[written + i] = node_handles[found.slots[found.order[i]]]
+                handles[written + i] = node_handles[found.slots[found.order[i]]]
             written += count
-            answers.numbers[row + 1] = before + written
+            numbers[row + 1] = before + written
         if wanted in (FIRST, HITS):
             tell_first(node_handles, found, count, wanted, answers, row)
         if wanted in (COUNT, HITS):
-            answers.numbers[row] = count
+            numbers[row] = count
         row += 1
     end_query(tree.state)
-    return row, needed, written, compared, more
+    return row, needed, written, compared, more, version
 
 
 @inlined
 def tell_first(node_handles, found, count, wanted, answers, row):
     """Write what is known of the first."""
-    first = found.order[0]
-    answers.handles[row] = node_handles[found.slots[first]] if count > 0 else NO_NODE
+    first, (_, _, handles, distances, points) = found.order[0], answers
+    handles[row] = node_handles[found.slots[first]] if count > 0 else NO_NODE
     if wanted == HITS:
-        answers.distances[row] = found.distances[first] if count > 0 else np.inf
+        distances[row] = found.distances[first] if count > 0 else np.inf
         for axis in range(3):
-            answers.points[row, axis] = found.points[first, axis] if count > 0 else np.nan
+            points[row, axis] = found.points[first, axis] if count > 0 else np.nan
 
 
 @lean_kernel
-def nearest_rows(view, bodies, points, asked, place, node_handles, found, near):
+def nearest_rows(view, bodies, points, asked, place, node_handles, memory, near):
     """Fill in the rows [start, stop) of `near`; asked = (k, whether an obstacle may stand at two
     places, see slicing.py, `Signed`), place = (start, stop). Returns (rows done, room wanted in
-    `found`) as `overlap_rows`; NOT_FINITE rows if a point is not.
+    `memory`) as `overlap_rows`; NOT_FINITE rows if a point is not.
     """
-    k, twice, signed = asked
+    (k, twice, signed), found = asked, found_in(memory)
     tree, (done, stop), everybody = view.tree, place, view.tree.state[COUNTED]
     in_order = bodies is None and signed is None and not twice  # as the tree has them
     if not begin_query(tree.state, view.version):

@@ -27,7 +27,7 @@ from scene.reference import box_of_triangles
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.distance.clearance import gap as distance_of
+from bvh_ros.scene.distance.gap import gap as distance_of
 from bvh_ros.scene.distance.narrow_phase import near_pairs
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'

@@ -17,7 +17,7 @@ from scene import reference
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-from bvh_ros.scene.distance.clearance import gap as distance_of
+from bvh_ros.scene.distance.gap import gap as distance_of
 from bvh_ros.scene.distance.narrow_phase import near, near_pairs
 from bvh_ros.scene.geometry.canonical import canonicalise
 from bvh_ros.scene.geometry.shapes import as_shapes
