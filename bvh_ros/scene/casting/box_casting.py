@@ -112,7 +112,7 @@ def every(
     """
     view = tree.view()
     asked = WHOLE_WAY, np.array([mask]), skip_inside, raycasting.EVERY, True
-    rays = raycasting.Rays(origin[None, : tree.ndim], direction[None, : tree.ndim], *asked)
+    rays = origin[None, : tree.ndim], direction[None, : tree.ndim], *asked
     _, end, found = raycasting.every_hit(view, rays, False)
     tree.check_unchanged(view)
     require_few(end, most)

@@ -12,7 +12,7 @@ from ..store.arrays import Floats, Ids
 from ..timed import NOW
 from . import raycasting
 from .ray_asking import RayAsking
-from .raycasting import EVERY, Rays
+from .raycasting import EVERY
 
 # An array: numpy takes as long to make one of a number as for all else.
 _NO_BOX = np.array(NONE)
@@ -100,11 +100,11 @@ class RayQueries(RayAsking):
             return [RayHit(*row) for row in rows]
         view, skip = self.view(), checks.flag('skip_inside', skip_inside)
         asked = np.array([limit]), np.array([seen]), skip, EVERY, True
-        rays = Rays(origin[None], direction[None], *asked)
-        _, end, found = raycasting.every_hit(view, rays, False)
+        rays = origin[None], direction[None], *asked
+        _, end, met = raycasting.every_hit(view, rays, False)
         hits = [
             self._hit(view, origin, direction, *row)
-            for row in zip(*(column[:end].tolist() for column in found), strict=True)
+            for row in zip(*(column[:end].tolist() for column in met), strict=True)
         ]
         self.check_unchanged(view)
         return hits
@@ -202,7 +202,6 @@ class RayQueries(RayAsking):
             masks = checks.masks_or_one(mask, count)
         if skip is not False:
             skip = checks.flag('skip_inside', skip)
-        # As Rays(...), which would take one more call of a function of Python's.
-        rays = tuple.__new__(Rays, (origins, directions, limits, masks, skip, EVERY, True))
-        offsets, end, found = raycasting.every_hit(self.view(), rays, True)
-        return offsets, found.slots[:end], found.ts[:end]
+        rays = origins, directions, limits, masks, skip, EVERY, True
+        offsets, end, (ids, ts, _) = raycasting.every_hit(self.latest(), rays, True)
+        return offsets, ids[:end], ts[:end]

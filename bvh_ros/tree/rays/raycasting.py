@@ -6,7 +6,7 @@ The nearer child first, the other on a stack with its entry distance, and no vis
 entered after the best hit.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from ..checks import INT64
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
-from ..nodes import DEEPEST, NONE, ROOT, View, is_leaf, leaf_box
+from ..nodes import CHANGES, DEEPEST, NONE, ROOT, View, is_leaf, leaf_box
 from ..store.turns import NOT_FINITE, REFUSED, accepted, begin_query, count_rays, end_query
 from .slab import (
     EXACT,
@@ -216,30 +216,30 @@ def sort_roughly(handles, found, start, end):
 
 
 @lean_kernel
-def raycast_every_row(tree, version, rays, named, offsets, found, before):
+def raycast_every_row(tree, version, asked, named, offsets, room, before):
     """All hits of every ray, nearest first; those of ray i go to [offsets[i], offsets[i + 1]) of
-    `found`, where handles take the place of slots if they are to be `named`. before = (rays done
-    so far, how many of them took exact arithmetic).
+    `room`, where handles take the place of slots if they are to be `named`. asked, room: plain
+    `Rays` and `Found`, before = (rays done so far, how many of them took exact arithmetic).
 
-    Returns (rays done, room wanted, how many took exact arithmetic): fewer than there are where
-    there is no room for the hits of the next one; instead NOT_FINITE if a ray is not, REFUSED if
-    the tree is changed meanwhile.
+    Returns (rays done, room wanted, how many took exact arithmetic, version of the tree): fewer
+    than there are where there is no room for the hits of the next one; instead NOT_FINITE if a ray
+    is not, REFUSED if the tree is changed meanwhile.
     """
-    (done, exact), end = before, np.int64(0)
+    (done, exact), end, rays, found = before, np.int64(0), Rays(*asked), Found(*room)
     if not begin_query(tree.state, version):
-        return np.int64(REFUSED), end, exact
-    ray = stack_array((RAY_ROWS, 3), np.float64)
+        return np.int64(REFUSED), end, exact, np.int64(0)
+    ray, version = stack_array((RAY_ROWS, 3), np.float64), tree.state[CHANGES]
     if done == 0:
         offsets[0] = 0
     while done < rays.origins.shape[0]:
         origin, direction, start = rays.origins[done], rays.directions[done], offsets[done]
         if not is_finite(origin, direction):
             end_query(tree.state)
-            return np.int64(NOT_FINITE), end, exact
+            return np.int64(NOT_FINITE), end, exact, version
         set_ray(ray, origin, direction)
         t_max, mask = of_row(rays.t_max, done), of_row(rays.masks, done)
-        asked = Asked(t_max, mask, rays.skip_inside, EVERY)
-        end = raycast(tree, ray, asked, found, start)
+        question = Asked(t_max, mask, rays.skip_inside, EVERY)
+        end = raycast(tree, ray, question, found, start)
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
@@ -252,7 +252,7 @@ def raycast_every_row(tree, version, rays, named, offsets, found, before):
     if done == rays.origins.shape[0]:
         count_rays(tree.state, done, exact)
     end_query(tree.state)
-    return np.int64(done), end, exact
+    return np.int64(done), end, exact, version
 
 
 def room_for_hits(count: int) -> Found:
@@ -270,30 +270,26 @@ def more_room(found: Found, wanted: int) -> Found:
 
 
 NO_RAYS = Rays(*(np.empty((0, 3)),) * 2, np.empty(0), np.empty(0, np.uint32), False, CLOSEST)
+_NO_HITS = tuple(room_for_hits(0))
 every_entry = entry_points(
-    *(raycast_every_row, 0, NO_RAYS, False, np.empty(0, np.int64), room_for_hits(0), (0, 0))
+    *(raycast_every_row, 0, tuple(NO_RAYS), False, np.empty(0, np.int64), _NO_HITS, (0, 0))
 )
 
 
-def every_hit(view: View, rays: Rays, named: bool) -> tuple[Ids, int, Found]:
+def every_hit(view: View, rays: tuple[Any, ...], named: bool) -> tuple[Ids, int, tuple[Any, ...]]:
     """All hits of all rays in their order, with as much room as it takes: offsets, how many there
     are in all, and what was found, as `raycast_every_row` has it. ValueError if a ray is not
     finite, RuntimeError if the tree is changed before they are found.
     """
     (count, ndim), (tree, version) = rays[0].shape, view
-    # As `room_for_hits`, which would take one more call of a function of Python's.
-    parts = np.empty(FEW, INT64), np.empty(FEW), np.empty(FEW, INT64)
-    offsets, found, kernel = (
-        np.empty(count + 1, INT64),
-        tuple.__new__(Found, parts),
-        every_entry(ndim),
-    )
-    done, end, exact = kernel(tree, version, rays, named, offsets, found, (0, 0))
+    room: tuple[Any, ...] = np.empty(FEW, INT64), np.empty(FEW), np.empty(FEW, INT64)
+    offsets, kernel = np.empty(count + 1, INT64), every_entry(ndim)
+    done, end, exact, version = kernel(tree, version, rays, named, offsets, room, (0, 0))
     while done != count:
         if done == NOT_FINITE:
-            checks.finite('origins', rays.origins)
-            checks.finite('directions', rays.directions)
+            checks.finite('origins', rays[0])
+            checks.finite('directions', rays[1])
         accepted(done)
-        found = more_room(found, end)
-        done, end, exact = kernel(tree, version, rays, named, offsets, found, (done, exact))
-    return offsets, end, found
+        room = tuple(more_room(Found(*room), end))
+        done, end, exact, _ = kernel(tree, version, rays, named, offsets, room, (done, exact))
+    return offsets, end, room
