@@ -176,15 +176,18 @@ def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
 
 def new_scratch(ndim: int) -> Scratch:
     """Room for one ray."""
-    scratch: Scratch = scratch_in.py_func(np.empty(SCRATCH), ndim)
-    return scratch
+    return Scratch(
+        np.empty((RAY_ROWS, ndim)),
+        np.empty((2, ndim)),
+        np.empty((5, 3)),
+        np.empty(DEEPEST, np.int64),
+        np.empty(DEEPEST),
+    )
 
 
 @inlined
 def scratch_in(memory, ndim):
-    """Room for one ray in SCRATCH floats: to hand over one array takes a fifth of the time of
-    five.
-    """
+    """The same in SCRATCH floats, for kernels that have them on their stack."""
     ray, box = memory[: RAY_ROWS * ndim], memory[RAY_FLOATS : RAY_FLOATS + 2 * ndim]
     work, stack, entries = RAY_FLOATS + 6, RAY_FLOATS + 21, RAY_FLOATS + 21 + DEEPEST
     return Scratch(
