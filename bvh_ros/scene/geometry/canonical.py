@@ -19,7 +19,7 @@ from ...tree.rays.raycasting import of_row
 from .meshes import Mesh
 from .records import GEOMETRY, Records
 from .rotation import fill_rotation
-from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, UINT8, Floats, Shapes, rotations
+from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, UINT8, Floats, Shapes, rotations, turned
 
 # A unit quaternion is known to about one ulp a component. One this close to a rotation that maps
 # axes to axes is taken as that rotation: the box would differ by less than the rounding of its own
@@ -260,9 +260,9 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
     centres = np.array([mesh.centre for mesh in meshes]).reshape(-1, 3)[which]
     with np.errstate(over='ignore', invalid='ignore'):
         low, high = _reaches(meshes, which, turns)
-        records['position'] += np.einsum('nij,nj->ni', turns, centres)
+        records['position'] += turned(turns, centres)
         position, half = records['position'], records['half']
-        spread = np.abs(position) + np.einsum('nij,nj->ni', np.abs(turns), half)
+        spread = np.abs(position) + turned(np.abs(turns), half)
         leans = records['orientation'][:, :2].any(axis=1)
         largest = np.maximum(
             spread[:, :ndim].max(axis=1, initial=0.0),

@@ -171,6 +171,15 @@ def rotations(orientation: Floats) -> Floats:
     return np.moveaxis(np.array(rows), 2, 0)
 
 
+def turned(matrices: Floats, vectors: Floats) -> Floats:
+    """Vectors (n, 3) turned by matrices (n, 3, 3). Of one row `einsum` takes the terms in another
+    order than of several.
+    """
+    x, y, z = vectors.T[:, :, None]
+    sums: Floats = matrices[:, :, 0] * x + matrices[:, :, 1] * y + matrices[:, :, 2] * z
+    return sums
+
+
 def shapes_of(records: NDArray[np.void]) -> Shapes:
     """Shapes of canonical records, see `records`; without their meshes."""
     return Shapes(

@@ -9,7 +9,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from scene.distance import contacts
-from scene.reference import geometry_arrays, random_shapes
+from scene.reference import bulging, geometry_arrays, random_shapes
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
@@ -17,6 +17,7 @@ from tree.reference import effort
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.geometry.canonical import canonicalise
 from bvh_ros.scene.geometry.footprint import footprints
+from bvh_ros.scene.geometry.records import GEOMETRY
 from bvh_ros.scene.geometry.shapes import as_shapes, shapes_of
 
 COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
@@ -53,6 +54,21 @@ def test_computed_right_angles_are_right_angles(quarter):
 def is_aligned(turn):
     form = canonicalise(as_shapes(Shapes.boxes([[0, 0, 0]], [1, 2, 3], [turn])))
     return not form.records['shaped'][0]
+
+
+def test_a_row_does_not_depend_on_the_others():
+    """Meshes drawn beside their origin among them: where their middle is has to be added up."""
+    rng = np.random.default_rng(4)
+    held = [Mesh(bulging(rng) + shift) for shift in (0.0, [3.0, 5.0, 7.0], [0.1, -9.0, 0.3])]
+    meshes = Shapes.of_meshes(held * 100, *(rng.normal(size=(300, n)) for n in (3, 4)))
+    for shapes in (as_shapes(meshes), as_shapes(random_shapes(rng, 300))):
+        form = canonicalise(shapes)
+        for row in range(300):
+            alone = canonicalise(shapes.take([row]))
+            for name in GEOMETRY.names:
+                assert np.array_equal(form.records[name][row], alone.records[name][0])
+            assert form.lo[row].tolist() == alone.lo[0].tolist()
+            assert form.hi[row].tolist() == alone.hi[0].tolist()
 
 
 def test_bounds_hold_the_shape_and_little_more():
