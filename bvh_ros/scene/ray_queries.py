@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree import checks
+from ..tree.checks import EVERYTHING
 from ..tree.nodes import ALL
 from .casting import ball_casting, box_casting
 from .casting.arguments import WHOLE_WAY, Rays, ways_entry
@@ -149,7 +150,8 @@ class RayQueries:
         count, skip = len(origins), bool(skip_inside)
         directions = checks.rows('directions', directions, 3, count)
         limits = checks.limits_or_one('t_max', t_max, count)
-        asked = origins, directions, limits, checks.masks_or_one(mask, count)
+        masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
+        asked = origins, directions, limits, masks
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         radii, found, held = checks.NOTHING, None, self._held
@@ -203,7 +205,7 @@ class RayQueries:
         origins = checks.rows('starts', starts, 3)
         count, skip = len(origins), bool(skip_inside)
         ends = checks.rows('goals', goals, 3, count)
-        masks = checks.masks_or_one(mask, count)
+        masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         radii, found = checks.lengths_or_one('radius', radius, count), None

@@ -86,20 +86,18 @@ class Overlaps:
         """`find` of n shapes, plain `QueryRows`: what is `wanted` (see `touching_rows`) of each,
         as `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
-        columns, count = self._columns, len(rows[0]) or len(rows[4][1])
-        narrow, done = columns.shaped > 0 or begin_shaped(rows), 0
-        told = _, numbers, handles, *place = room_for(count, wanted)
+        columns, count, done = self._columns, len(rows[0]) or len(rows[4][1]), 0
+        narrow, told = columns.shaped > 0 or begin_shaped(rows), room_for(count, wanted)
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
             view, bodies = self._tree.latest(), bodies_of(columns, hulls) if narrow else None
             asked = rows, wanted, (0, count, 0), columns.node_handle, self._scratch.memory, told
             done, _, written, compared, more, version = self._rows(view, bodies, asked)
-            if done >= 0:
-                if compared:
-                    columns.pairs_compared += compared
-                    columns.pairs_in_more_digits += more
-                if wanted == ALL:
-                    parts.append(handles[:written])
+            if compared and done >= 0:
+                columns.pairs_compared += compared
+                columns.pairs_in_more_digits += more
+            if wanted == ALL and done >= 0:
+                parts.append(told[2][:written])
         if done < count or threads > 1:
             view = View(view.tree, version) if done > 0 else self._tree.view()
             some = wanted, threads, narrow, max(done, 0)
@@ -109,12 +107,12 @@ class Overlaps:
             parts += others
         if wanted == ALL:
             every = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
-            return self._once(numbers, every) if columns.shadows else (numbers, every)
+            return self._once(told[1], every) if columns.shadows else (told[1], every)
         if columns.shadows and wanted in (COUNT, HITS):
             # Who stands at two places counts once, see slicing.py.
-            numbers[:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
+            told[1][:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
         if wanted == HITS:
-            return tuple.__new__(BoxHits, (handles, numbers, *place))
+            return tuple.__new__(BoxHits, (told[2], told[1], *told[3:]))
         return told[wanted]
 
     def _work_on(
