@@ -17,8 +17,8 @@ from ...tree.nodes import NONE, WRITTEN, View
 from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import begin_query, end_query
 from ...tree.wide.collapse_plan import DEEPEST_WIDE
-from ...tree.wide.few_rays import push_children
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ...tree.wide.ray_stacks import push_children
 from ...tree.wide.raycasting import ALL32
 from ...tree.wide.snapshot import LOOSE_NODES, Snapshot, no_snapshot
 from .ball_casting import SMALL, SWEEP_SLACK

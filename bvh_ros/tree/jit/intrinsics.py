@@ -161,6 +161,18 @@ def trailing_zeros(typingctx, bits):
     return types.uint32(bits), codegen
 
 
+@intrinsic
+def bits_of(typingctx, number):
+    """The bits of a float32, as an int64: of two that are not negative, the larger has the larger
+    ones.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.sext(builder.bitcast(args[0], _INT), _LONG)
+
+    return types.int64(types.float32), codegen
+
+
 def _vector_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
     first = elements_at(context, builder, kind, array, place, index(LANES))
     return builder.bitcast(first, _VECTOR.as_pointer())

@@ -15,9 +15,10 @@ from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import CLOSEST
 from ..rays.slab import EXACT, RAY_ROWS, set_ray
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
-from ..wide.few_rays import ABREAST, STACK, cast_one
+from ..wide.few_rays import cast_one
 from ..wide.filtering import start_ray
 from ..wide.ray_piles import write_miss
+from ..wide.ray_stacks import ABREAST, STACK
 from ..wide.raycasting import MIXED
 from .asked_then import AS_ARRAYS, MovingRays
 from .sweeping import no_sweep

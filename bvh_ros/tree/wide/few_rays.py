@@ -12,25 +12,19 @@ from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
 from ..jit.float64x4 import look_ahead
-from ..jit.intrinsics import WIDTH, stack_array, trailing_zeros
+from ..jit.intrinsics import WIDTH, bits_of, stack_array
 from ..nodes import NONE, WRITTEN
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
-from .collapse_plan import DEEPEST_WIDE
 from .filtering import CORNERS, fill_whole, limit32, start_ray
 from .ray_piles import write_miss
-from .ray_streams import without_lowest
+from .ray_stacks import ABREAST, STACK, child_of, push_children, push_root
 from .raycasting import ALL32, MIXED, is_stale, set_inverse, write_hit
-from .snapshot import LOOSE_NODES, no_snapshot
-
-STACK = DEEPEST_WIDE + LOOSE_NODES
-_CHILD = np.int64(0xFFFFFFFF)
-# So many rays are tested against the root one behind the other: what none of them decides yet the
-# processor need not guess.
-ABREAST = 8
+from .rays_in_turns import cast_in_turns, take_turns
+from .snapshot import no_snapshot
 
 
 @lean_kernel
@@ -60,6 +54,10 @@ def cast_few(tree, version, snapshot, rays, hits):
         for i in range(alive):
             places[i] = i
         stream16(snapshot.planes, 0, MIXED, records, places[:alive], met, nearest)
+        if take_turns(snapshot):
+            group, seen = (rows, places, alive), (records, met, nearest)
+            exact += cast_in_turns(snapshot, tree, rays, group, seen, stack, hits)
+            continue
         for i in range(alive):
             ray[EXACT, 0] = 0.0
             seen = places[i : i + 1], met[i], nearest[i : i + 1]
@@ -110,26 +108,19 @@ def better_of_row(tree, ray, rays, row, slot, best):
 def cast_one(snapshot, tree, rays, row, seen, room, prepare, better):
     """Best hit of a ray, or any: (slot, about t, axis); `seen`: its place, and what it meets of
     the root, see `stream16`; room = (ray, records, stack), and `prepare` is called to write the
-    ray before `better` may read it. An entry of the stack is a node or ~slot of a leaf, and above
-    that the bits of a float32: where the ray enters.
+    ray before `better` may read it.
     """
     (place, lanes, nearest), (ray, records, stack) = seen, room
     record, mask, t_max = records[place[0]], of_row(rays.masks, row), of_row(rays.t_max, row)
     octant, patched = np.uint64(record.octant), snapshot.loose > 0
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
-    limits, met = stack_array(1, np.float32), stack_array(1, np.uint32)
-    limits[0], ready = record.limit, False
-    if mask != ALL32:
-        lanes = np.uint32(lanes & seen16(snapshot.masks, 0, mask))
-    top = push_children(snapshot, np.int64(0), lanes, nearest[0], stack, 0)
-    for loose in range(snapshot.loose):
-        stack[top] = snapshot.size + loose
-        top += 1
+    met, limit, ready = stack_array(1, np.uint32), bits_of(record.limit), False
+    top = push_root(snapshot, mask, lanes, nearest[0], stack)
     while top > 0:
         top -= 1
-        if stack[top] >> 32 > limits.view(np.int32)[0]:
+        if stack[top] >> 32 > limit:
             continue
-        node = np.int64(np.int32(stack[top] & _CHILD))
+        node = child_of(stack[top])
         if node >= 0:
             lanes = stream16(snapshot.planes, node, octant, records, place, met, nearest)
             if mask != ALL32:
@@ -146,28 +137,11 @@ def cast_one(snapshot, tree, rays, row, seen, room, prepare, better):
         first, t, axis = better(tree, ray, rays, row, slot, before)
         if first:
             best, best_t, best_axis = slot, t, np.int64(axis)
-            record.limit = limits[0] = limit32(t, record.unit)
+            record.limit = limit32(t, record.unit)
+            limit = bits_of(record.limit)
             if rays.mode == ANY:
                 break
     return best, best_t, best_axis
-
-
-@inlined
-def push_children(snapshot, node, lanes, nearest, stack, top):
-    """Put the children in `lanes` on the stack, the nearest on top; return the new top."""
-    bottom = top
-    while lanes != np.uint32(0):
-        lane = np.int64(trailing_zeros(lanes))
-        lanes = without_lowest(lanes)
-        child = np.int64(snapshot.children[node * WIDTH + lane])
-        entry = np.int64(nearest[lane]) << 32 | (child & _CHILD)
-        place = top
-        while place > bottom and stack[place - 1] < entry:
-            stack[place] = stack[place - 1]
-            place -= 1
-        stack[place] = entry
-        top += 1
-    return top
 
 
 few_entry = entry_points(cast_few, 0, no_snapshot, NO_RAYS, NO_HITS)

@@ -222,11 +222,17 @@ def fetch_node(snapshot, child):
 @inlined
 def fetch_leaf(tree, rays, slot, listed, scratch, tally):
     """Ask for the memory of a leaf."""
+    fetch_box(tree, slot)
+    return False
+
+
+@inlined
+def fetch_box(tree, slot):
+    """Ask for the memory of the box of a slot."""
     if tree.tight.shape[0] > 0:
         prefetch(tree.tight, slot, 1)
     else:
         prefetch(tree.nodes, 2 * slot, 1)
-    return False
 
 
 @inlined
