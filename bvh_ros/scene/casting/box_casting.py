@@ -140,8 +140,9 @@ def few_first(
     flat = None if ndim == 3 else np.empty((3, count, ndim))
     ready, done = tree.ready_snapshot(), REFUSED
     if ready is not None:
-        given = rays, to_goals, node_handles, ids, flat, told
-        done = few_entry(ndim)(*ready[0], ready[1], *given)
+        (arrays, version), snapshot = ready
+        given = arrays, version, snapshot, rays, to_goals, node_handles, ids, flat, told
+        done = few_entry(ndim)(*given)
     if done == REFUSED:
         done = _few_slowly(tree, node_handles, rays, to_goals, (ids, flat), told)
     if done == NOT_FINITE:

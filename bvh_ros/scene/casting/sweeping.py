@@ -189,11 +189,12 @@ def first_of_many(
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     told = tuple.__new__(CastHits, parts)
-    asked_of = shapes, columns.node_handle, balls, asked
+    handles = columns.node_handle
     ready = tree.ready_snapshot() if threads == 1 else None
     view, snapshot = ready or tree_and_snapshot(tree, count)
     if threads == 1:  # without what others take: a tenth of a call of a row
-        every = view, snapshot, *asked_of, (0, count), kept.touched, told
+        room, place = kept.touched, (0, count)
+        every = view, snapshot, shapes, handles, balls, asked, place, room, told
         begun, _, version = code_for(sweep_balls, shapes, every)(*every)
         if begun == count:
             return told
@@ -201,7 +202,7 @@ def first_of_many(
             begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)
         else:
             view = View(view.tree, version)
-    work = partial(_work, tree, columns, (view, snapshot, *asked_of), told)
+    work = partial(_work, tree, columns, (view, snapshot, shapes, handles, balls, asked), told)
     done = [work(begun, count)] if threads == 1 else in_threads(work, count, threads)
     return told if all(done) else None
 

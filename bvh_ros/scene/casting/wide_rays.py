@@ -115,17 +115,18 @@ def first_of_many(
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     # As CastHits(...), which would take one more call of a function of Python's.
     told = tuple.__new__(CastHits, parts)
-    asked_of = columns.shapes, columns.node_handle, rays, asked
+    shapes, handles = columns.shapes, columns.node_handle
     ready, done = (tree.ready_snapshot() if threads == 1 else None), REFUSED
     if ready is not None:
-        every = *ready, *asked_of, (0, count), told
-        done = code_for(cast_many, columns.shapes, every)(*every)
+        view, snapshot = ready
+        every = view, snapshot, shapes, handles, rays, asked, (0, count), told
+        done = code_for(cast_many, shapes, every)(*every)
     if done == REFUSED:
         now = tree_and_snapshot(tree, count)
 
         def work(start: int, stop: int) -> int:
-            some = *now, *asked_of, (start, stop), told
-            answered: int = code_for(cast_many, columns.shapes, some)(*some)
+            some = *now, shapes, handles, rays, asked, (start, stop), told
+            answered: int = code_for(cast_many, shapes, some)(*some)
             return answered
 
         done = min(in_threads(work, count, threads))

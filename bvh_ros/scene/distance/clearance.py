@@ -196,8 +196,9 @@ class Clearances:
         bodies, told, begun = bodies_of(columns, hulls), room_for(count, slots), 0
         view = self._tree.latest() if threads == 1 else self._tree.view()
         if threads == 1:  # without what others take
-            every = rows, asked, (0, count), columns.node_handle, self._kept.room, told
-            begun, _, version = self._kernels[asked[2]](view, bodies, every)
+            room, handles = self._kept.room, columns.node_handle
+            every = view, bodies, rows, asked, (0, count), handles, room, told
+            begun, _, version = self._kernels[asked[2]](every)
             if begun == count:
                 return told
             if begun == FAULTY:
@@ -221,8 +222,8 @@ class Clearances:
         wanted, kernel, handles = FEW, self._kernels[asked[2]], self._columns.node_handle
         while start < stop:
             room = Room(np.empty(wanted, INT64), np.empty(wanted))
-            given = rows, asked, (start, stop), handles, room, told
-            start, wanted, _ = kernel(view, bodies, given)
+            given = view, bodies, rows, asked, (start, stop), handles, room, told
+            start, wanted, _ = kernel(given)
             if start == FAULTY:
                 return False
         return True

@@ -104,8 +104,8 @@ class Nearness:
         asked = k, columns.shadows > 0, signed
         memory = self._scratch.memory
         if threads == 1 and k * FOUND < len(memory):  # without what others take
-            every = points, asked, (0, count), columns.node_handle, memory, near
-            start = self._rows[signed](view, bodies, every)[0]
+            every = view, bodies, points, asked, (0, count), columns.node_handle, memory, near
+            start = self._rows[signed](every)[0]
             if start == count:
                 return near
         given = view, bodies, points, asked, near
@@ -129,8 +129,8 @@ class Nearness:
         while start < stop:
             if wanted > len(scratch.found.slots):
                 scratch.make_room(wanted)
-            given = points, asked, (start, stop), handles, scratch.memory, near
-            start, wanted = kernel(view, bodies, given)
+            some = points, asked, (start, stop), handles, scratch.memory, near
+            start, wanted = kernel((view, bodies, *some))
             if start == NOT_FINITE:
                 return False
         return True

@@ -91,8 +91,9 @@ class Overlaps:
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
             view, bodies = self._tree.latest(), bodies_of(columns, hulls) if narrow else None
-            asked = rows, wanted, (0, count, 0), columns.node_handle, self._scratch.memory, told
-            done, _, written, compared, more, version = self._rows(view, bodies, asked)
+            memory, handles = self._scratch.memory, columns.node_handle
+            every = view, bodies, rows, wanted, (0, count, 0), handles, memory, told
+            done, _, written, compared, more, version = self._rows(every)
             if compared and done >= 0:
                 columns.pairs_compared += compared
                 columns.pairs_in_more_digits += more
@@ -106,8 +107,8 @@ class Overlaps:
                 return None
             parts += others
         if wanted == ALL:
-            every = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
-            return self._once(told[1], every) if columns.shadows else (told[1], every)
+            met = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+            return self._once(told[1], met) if columns.shadows else (told[1], met)
         if columns.shadows and wanted in (COUNT, HITS):
             # Who stands at two places counts once, see slicing.py.
             told[1][:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
@@ -163,7 +164,7 @@ class Overlaps:
                 answers = told._replace(handles=np.empty(room, UINT32))
             place = start, stop, total
             given = rows, wanted, place, self._columns.node_handle, memory, tuple(answers)
-            start, needed, written, pairs, digits, _ = self._rows(view, bodies, given)
+            start, needed, written, pairs, digits, _ = self._rows((view, bodies, *given))
             if start < 0:
                 return Part(start, begin, stop, parts, 0, 0)
             compared, more, total = compared + pairs, more + digits, total + written

@@ -11,7 +11,7 @@ import numpy as np
 from ...tree.checks import BOOL, INT64, UINT32
 from ...tree.jit.compiling import entry_point, inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import CHANGES, View
+from ...tree.nodes import CHANGES
 from ...tree.nodes import COUNT as COUNTED
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import is_finite
@@ -258,14 +258,16 @@ class RowKernel:
         self._kernel = kernel
         self._codes: dict[bool | None, Any] = {}
 
-    def call(self, view: View, bodies: Bodies | None, given: tuple[Any, ...]) -> Any:
-        """Call it; RuntimeError if the tree is changed meanwhile."""
+    def call(self, given: tuple[Any, ...]) -> Any:
+        """Call it with (view, bodies or None, ...); RuntimeError if the tree is changed
+        meanwhile.
+        """
+        bodies = given[1]
         variant = None if bodies is None else bodies[2] is not None
         code = self._codes.get(variant)
         if code is None:
-            code = entry_point(self._kernel, view, bodies, *given)
-            self._codes[variant] = code
-        counted = code(view, bodies, *given)
+            code = self._codes[variant] = entry_point(self._kernel, *given)
+        counted = code(*given)
         if counted[0] == REFUSED:
             raise RuntimeError(IS_CHANGED)
         return counted
