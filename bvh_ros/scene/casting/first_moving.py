@@ -88,11 +88,10 @@ def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
 def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    why, ndim = np.int64(0), ways.origins.shape[1]
+    why, ndim, suited = np.int64(0), ways.origins.shape[1], True
     ray, (node_handles, scratch) = stack_array((RAY_ROWS, 3), np.float64), tools
     for i in range(ways.origins.shape[0]):
-        times, suited = (of_row(ways.at, i), of_row(ways.pace, i)), True
-        thin = Course(ray, *times, moving.nanoseconds)
+        thin = Course(ray, of_row(ways.at, i), of_row(ways.pace, i), moving.nanoseconds)
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
         if sweep is None:
             if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
