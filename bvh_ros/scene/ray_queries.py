@@ -146,9 +146,8 @@ class RayQueries:
         """
         if self._held.change.unfinished:
             self._held.change.require_none()
-        origins = checks.rows('origins', origins, 3)
+        origins, directions = checks.both(checks.WAYS, origins, directions, 3)
         count, skip = len(origins), bool(skip_inside)
-        directions = checks.rows('directions', directions, 3, count)
         limits = checks.limits_or_one('t_max', t_max, count)
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         asked = origins, directions, limits, masks
@@ -202,9 +201,8 @@ class RayQueries:
         """
         if self._held.change.unfinished:
             self._held.change.require_none()
-        origins = checks.rows('starts', starts, 3)
+        origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
         count, skip = len(origins), bool(skip_inside)
-        ends = checks.rows('goals', goals, 3, count)
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)

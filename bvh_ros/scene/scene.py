@@ -33,8 +33,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
 
     Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
     clock. Positions are in metres, all in one frame. Any number of threads may ask while none
-    changes the scene; what is asked meanwhile, or after a change that was interrupted, is a
-    RuntimeError.
+    changes the scene: who changes it sees to that. What is asked within a change, or after one
+    that was interrupted, is a RuntimeError.
 
     Parameters
     ----------

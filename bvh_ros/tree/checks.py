@@ -22,6 +22,8 @@ BOOL = np.dtype(np.bool_)
 # One for all rows, where nothing else is asked for.
 FOREVER, NOTHING, EVERYTHING = np.array([np.inf]), np.zeros(1), np.array([EVERY])
 
+WAYS = 'origins', 'directions'  # names of what a batch of rays is told by
+
 # What others' objects raise when they are asked for numbers, warnings made errors among them. Not
 # every Exception: a signal handler's, say a TimeoutError, is not about the argument.
 FOREIGN: tuple[type[Exception], ...] = (
@@ -131,6 +133,24 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
     if isinstance(value, np.ndarray):
         _rows(name, value, ndim, count)  # before it is copied
     return _rows(name, floats(name, value), ndim, count)
+
+
+def both(
+    names: tuple[str, str], one: ArrayLike, other: ArrayLike, ndim: int
+) -> tuple[Floats, Floats]:
+    """`rows` of two arrays of as many rows, in half the time."""
+    if (
+        type(one) is type(other) is np.ndarray
+        and one.dtype is other.dtype is FLOAT64
+        and one.ndim == 2
+        and one.shape == other.shape
+        and one.shape[1] == ndim
+        and one.flags.carray
+        and other.flags.carray
+    ):
+        return one, other
+    first = rows(names[0], one, ndim)
+    return first, rows(names[1], other, ndim, len(first))
 
 
 def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:

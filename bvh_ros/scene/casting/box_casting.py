@@ -193,8 +193,7 @@ def first_of_many(
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
     asked = *flat, rays.t_max, rays.masks, skip_inside, raycasting.CLOSEST, threads == 1
-    # As Rays(...), which would take one more call of a function of Python's.
-    hits = tree.first_hits(tuple.__new__(raycasting.Rays, asked), threads)
+    hits = tree.first_hits(asked, threads)
     normals = hits.normals if ndim == 3 else np.empty((count, 3))
     columns = np.empty(count, UINT32), hits.t, np.empty((count, 3)), normals
     told = tuple.__new__(CastHits, columns)
@@ -246,9 +245,7 @@ def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids
         if not flatten(starts, ways, flat):
             return np.int64(NOT_FINITE)
         starts, ways, normals = flat[0], flat[1], flat[2]
-    asked = raycasting.Rays(
-        *(starts, ways, rays.t_max, rays.masks), *(rays.skip_inside, rays.mode, rays.counted)
-    )
+    asked = starts, ways, rays.t_max, rays.masks, rays.skip_inside, rays.mode, rays.counted
     if ids.shape[0] == 0:
         ids = stack_array(AT_ONCE, np.int64)[: rays.origins.shape[0]]
     hits = RayHits(ids, told.t, normals)

@@ -85,9 +85,8 @@ class RayAsking(Timed):
         copied, checked or written apart costs a fifth of a ray among 1,000 boxes.
         """
         ndim = self._ndim
-        origins = checks.rows('origins', origins, ndim)
+        origins, directions = checks.both(checks.WAYS, origins, directions, ndim)
         count = len(origins)
-        directions = checks.rows('directions', directions, ndim, count)
         t_max = checks.limits_or_one('t_max', t_max, count)
         masks = checks.masks_or_one(mask, count)
         if skip_inside is not False:
@@ -100,13 +99,12 @@ class RayAsking(Timed):
         if motion is not None:
             some = origins, directions, t_max, masks
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
-        # As Rays(...), which would take one more call of a function of Python's.
         asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        return self.first_hits(tuple.__new__(Rays, asked), threads)
+        return self.first_hits(asked, threads)
 
     def few_rays(self, rays: Rays) -> bool:
         """Whether rays are so few that they go through the snapshot one by one."""
-        return ray_batches.are_few(rays, self._storage.tree)
+        return ray_batches.are_few(rays.origins, rays.t_max, self._storage.tree)
 
     def ready_snapshot(self) -> tuple[View, Snapshot] | None:
         """The tree and its snapshot, if there is one and nothing was added to it. Whether the tree
@@ -117,13 +115,14 @@ class RayAsking(Timed):
             return None
         return storage.latest, snapshot
 
-    def first_hits(self, rays: Rays, threads: int) -> RayHits:
-        """`raycast_many` of good input, of boxes at rest; rays are counted where they are asked
-        for by one thread.
+    def first_hits(self, asked: tuple[Any, ...], threads: int) -> RayHits:
+        """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
+        where they are asked for by one thread.
         """
-        count, ndim = len(rays.origins), self._ndim
-        if rays.mode != CLOSEST or count >= LARGE:
-            hits = ray_batches.room_for(count, ndim, rays.mode)
+        origins, _, t_max, _, _, mode, _ = asked
+        count, ndim = len(origins), self._ndim
+        if mode != CLOSEST or count >= LARGE:
+            hits = ray_batches.room_for(count, ndim, mode)
         else:
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
             hits = tuple.__new__(RayHits, parts)
@@ -131,13 +130,17 @@ class RayAsking(Timed):
         # As `ready_snapshot`, which would take one more call of a function of Python's.
         if threads == 1 and tree is storage.tree and not (storage.heirs or snapshot is None):
             done = REFUSED
-            if ray_batches.are_few(rays, tree) and not snapshot.loose:
-                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays, hits)
-            elif not snapshot.loose:
-                done = ray_batches.cast(tree, ANY_VERSION, snapshot, rays, hits)
+            if snapshot.loose:
+                pass
+            elif ray_batches.are_few(origins, t_max, tree):
+                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, asked, hits)
+            else:
+                rays = tuple.__new__(Rays, asked)
+                done = ray_batches.cast_in_lists(tree, ANY_VERSION, snapshot, rays, hits)
             if done >= 0:
                 return hits
-        view = self.view()
+        # As Rays(...), which would take one more call of a function of Python's.
+        view, rays = self.view(), tuple.__new__(Rays, asked)
         snapshot = self.snapshot_for(count, view)
         if threads == 1:
             exact = ray_batches.cast(*view, snapshot, rays, hits)

@@ -27,32 +27,40 @@ FEW_TOGETHER = 72
 BOXES_A_RAY, FEW_RAYS = 64, 3000
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
+Floats = NDArray[np.float64]
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 
 def cast(tree: Tree, version: int, snapshot: Snapshot | None, rays: Rays, hits: RayHits) -> int:
     """Answer rays: how many took exact arithmetic, or why not."""
-    count, ndim = rays.origins.shape
+    ndim = rays.origins.shape[1]
     done: int
     if snapshot is None:
         done = rows_entry(ndim)(tree, version, rays, hits)
-    elif are_few(rays, tree):
-        done = few_entry(ndim)(tree, version, snapshot, rays, hits)
+    elif are_few(rays.origins, rays.t_max, tree):
+        done = few_entry(ndim)(tree, version, snapshot, tuple(rays), hits)
     else:
-        scratch = scratch_for(count, ndim, snapshot.depth)
-        done = cast_entry(ndim)(tree, version, snapshot, rays, scratch, hits)
+        done = cast_in_lists(tree, version, snapshot, rays, hits)
     return done
 
 
-def are_few(rays: Rays, tree: Tree) -> bool:
+def cast_in_lists(tree: Tree, version: int, snapshot: Snapshot, rays: Rays, hits: RayHits) -> int:
+    """The same, of rays that are not few."""
+    count, ndim = rays.origins.shape
+    scratch = scratch_for(count, ndim, snapshot.depth)
+    done: int = cast_entry(ndim)(tree, version, snapshot, rays, scratch, hits)
+    return done
+
+
+def are_few(origins: Floats, t_max: Floats, tree: Tree) -> bool:
     """Whether rays go through the snapshot one by one."""
-    count = len(rays.origins)
+    count = len(origins)
     return count < FEW_RAYS and (
         count < FEW_TOGETHER
         or (
             count < tree.state.item(COUNT) // BOXES_A_RAY
-            and rays.t_max.item(0) == np.inf
-            and not is_scan(rays.origins)
+            and t_max.item(0) == np.inf
+            and not is_scan(origins)
         )
     )
 

@@ -181,8 +181,7 @@ class RayQueries(RayAsking):
         1]]``, nearest first.
         """
         ndim = self._ndim
-        origins = checks.rows('origins', origins, ndim)
-        directions = checks.rows('directions', directions, ndim, len(origins))
+        origins, directions = checks.both(checks.WAYS, origins, directions, ndim)
         motion = self._motion
         if motion is not None or not at is pace is NOW:
             motion = self._motion_at(at, pace, len(origins))

@@ -15,7 +15,7 @@ from ..jit.float64x4 import look_ahead
 from ..jit.intrinsics import WIDTH, bits_of, stack_array
 from ..nodes import NONE, WRITTEN
 from ..rays.ray_hits import NO_HITS, raycast_row
-from ..rays.raycasting import ANY, NO_RAYS, Found, of_row
+from ..rays.raycasting import ANY, NO_RAYS, Found, Rays, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_ROWS
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from .best_hit import is_better
@@ -28,9 +28,9 @@ from .snapshot import no_snapshot
 
 
 @lean_kernel
-def cast_few(tree, version, snapshot, rays, hits):
-    """As `raycasting.cast_rows`; REFUSED, too, where a snapshot that nothing was added to is not
-    of the tree as it is.
+def cast_few(tree, version, snapshot, asked, hits):
+    """As `raycasting.cast_rows`, asked = what a `Rays` holds, which Python makes slowly. REFUSED,
+    too, where a snapshot that nothing was added to is not of the tree as it is.
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
@@ -40,6 +40,7 @@ def cast_few(tree, version, snapshot, rays, hits):
     ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
     records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
     places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
+    rays = Rays(*asked)
     nearest, whole = stack_array((ABREAST, WIDTH), np.int32), stack_array(CORNERS, np.float64)
     count, row, exact = rays.origins.shape[0], np.int64(0), np.int64(0)
     fill_whole(tree, whole)
@@ -144,4 +145,4 @@ def cast_one(snapshot, tree, rays, row, seen, room, prepare, better):
     return best, best_t, best_axis
 
 
-few_entry = entry_points(cast_few, 0, no_snapshot, NO_RAYS, NO_HITS)
+few_entry = entry_points(cast_few, 0, no_snapshot, tuple(NO_RAYS), NO_HITS)
