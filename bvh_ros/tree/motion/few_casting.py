@@ -74,6 +74,8 @@ def _cast_all(snapshot, tree, rays, hits):
                 hits.ids[row] = UNSUITED
                 unsuited += 1
             row += 1
+        if alive == 0:
+            continue
         stream16(snapshot.planes, 0, MIXED, records, places[:alive], met, nearest)
         for i in range(alive):
             ray[EXACT, 0] = 0.0
