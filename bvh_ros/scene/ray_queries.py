@@ -153,8 +153,12 @@ class RayQueries:
         asked = origins, directions, limits, masks
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        radii, found, held = checks.NOTHING, None, self._held
+        radii, held = checks.NOTHING, self._held
         timed = at is not None or until is not None
+        if timed and threads == 1 and radius is None and at is not None:
+            found = self._moments.few(asked, radii, skip, at, until, False)
+            if found is not None:
+                return found
         if timed and (radius is not None or held.planar or held.columns.shaped):
             checks.finite('origins', origins)  # else a kernel looks
             checks.finite('directions', directions)
@@ -162,10 +166,8 @@ class RayQueries:
             radii = checks.lengths_or_one('radius', radius, count)
         if not timed:
             found = self._batches.now(asked, radii, (False, skip), threads)
-        elif at is not None and threads == 1 and radius is None:
-            found = self._moments.few(asked, radii, skip, at, until, False)
-        if found is not None:
-            return found
+            if found is not None:
+                return found
         return self._batches.first(Rays(*asked), radii, skip, (at, until), threads)
 
     def sweep_many(
