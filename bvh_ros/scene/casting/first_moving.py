@@ -22,7 +22,7 @@ from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_bo
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ..results import NO_NODE
-from .arguments import CastWorld, fill_ways
+from .arguments import CastWorld, Hits, fill_ways
 from .casting import Best, enter_obstacle, no_hit, plain, touch
 from .frame import COORDINATES, FRAME_SLACK
 from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
@@ -68,11 +68,14 @@ def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
 @lean_kernel
 def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
     """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
-    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `Columns.shapes`, tools =
-    (node_handles, scratch), when = (at, pace) of all if the ways tell no times. With `room`,
-    (n, 3), what is called directions are the goals of the ways, which are written there.
+    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `Columns.shapes`, ways what a
+    `Ways` holds, tools = (node_handles, scratch), told = (slots and features, (2, n) or more, ts,
+    handles, points, normals), when = (at, pace) of all if the ways tell no times. With `room`,
+    (n, 3) or more, what is called directions are the goals of the ways, which are written there.
     """
     origins, directions, t_max, masks, radii, at, pace, grown = ways
+    marks, ts, handles, points, normals = told
+    found = First(Hits(marks[0], ts, marks[1]), handles, points, normals)
     if room.shape[0] > 0 and fill_ways(origins, directions, room) >= 0:
         return np.int64(1)
     directions = room if room.shape[0] > 0 else directions
@@ -81,7 +84,7 @@ def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
         at[0], pace[0] = when
     every = Ways(origins, directions, t_max, masks, radii, at, pace, grown)
     world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
-    return _rows(world, tree, sweep.moving, sweep, every, asked, tools, told)
+    return _rows(world, tree, sweep.moving, sweep, every, asked, tools, found)
 
 
 @lean_kernel

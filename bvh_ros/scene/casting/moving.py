@@ -36,7 +36,7 @@ from . import resting
 from .arguments import Hits, Rays, call, code_for, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
-from .sweeping import kept
+from .sweeping import FEW, kept
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -84,22 +84,22 @@ def first_then(
     if held.uncertainty:
         require_ends(held, rays)
         grown = np.atleast_1d(most_growth(held, times.at, times.ends(rays.t_max)))
-    # As Ways(...) and so on, which would take more calls of functions of Python's.
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    ways = tuple.__new__(Ways, (*flat, rays.t_max, rays.masks, radii, *times, grown))
-    hits = tuple.__new__(Hits, (np.empty(count, INT64), np.empty(count), np.empty(count, INT64)))
-    places = np.empty((count, 3)), np.empty((count, 3))
-    told = tuple.__new__(First, (hits, np.empty(count, UINT32), *places))
+    ways = *flat, rays.t_max, rays.masks, radii, *times, grown
+    marks, places = np.empty((2, count), INT64), (np.empty((count, 3)), np.empty((count, 3)))
+    hits = Hits(marks[0], np.empty(count), marks[1])
+    told = First(hits, np.empty(count, UINT32), *places)
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[ndim])
     motion = _motion_of(held)
     if sweep is None:
-        world, given = world_of(tree, columns), (ways, asked, *tools, told)
+        world, given = world_of(tree, columns), (Ways(*ways), asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
     else:
         view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
-        every = shapes, view.tree, now, ways, asked, tools, told, AS_ARRAYS, _NO_ROOM
+        found = marks, hits.ts, told.handles, *places
+        every = shapes, view.tree, now, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
         if accepted(code_for(first_swept, shapes, every)(*every)):
             _tell_others(held, (rays, radii, skip, times), told)
     if tree.ndim == 2:
@@ -122,12 +122,13 @@ def few_then(
     """
     tree: Any = held.tree
     count, columns = len(rays[0]), held.columns
-    # As Ways(...) and so on, which would take more calls of functions of Python's.
-    ways = tuple.__new__(Ways, (*rays, radii, NO_TIMES, NO_TIMES, NOTHING))
+    ways = *rays, radii, NO_TIMES, NO_TIMES, NOTHING
+    marks, room = kept.marks, kept.ways
+    if count > FEW:
+        marks, room = np.empty((2, count), INT64), np.empty((count, 3))
     ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
-    hits = tuple.__new__(Hits, (np.empty(count, INT64), ts, np.empty(count, INT64)))
-    handles, room = np.empty(count, UINT32), np.empty((count, 3)) if to_goals else _NO_ROOM
-    told = tuple.__new__(First, (hits, handles, points, normals))
+    handles, room = np.empty(count, UINT32), room if to_goals else _NO_ROOM
+    told = marks, ts, handles, points, normals
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
     shapes = columns.shapes
     every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room

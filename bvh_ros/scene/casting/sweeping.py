@@ -38,6 +38,9 @@ class Kept(threading.local):
         self.touched = np.empty((TOUCHED, FEW))
         """What a ball may touch, see `room_in`."""
         self.scratch = {ndim: new_scratch(ndim) for ndim in (2, 3)}
+        self.marks = np.empty((2, FEW), np.int64)
+        """Slots and features of few hits."""
+        self.ways = np.empty((FEW, 3))
 
 
 kept = Kept()
