@@ -155,7 +155,7 @@ class RayQueries:
             threads = checks.whole('threads', threads, 1)
         radii, held = checks.NOTHING, self._held
         timed = at is not None or until is not None
-        if timed and threads == 1 and radius is None and at is not None:
+        if at is not None and threads == 1 and radius is None:
             found = self._moments.few(asked, radii, skip, at, until, False)
             if found is not None:
                 return found

@@ -21,11 +21,12 @@ from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ...tree.wide.ray_stacks import STACK
 from ..results import NO_NODE
 from .arguments import CastWorld, Hits, fill_ways
 from .casting import Best, enter_obstacle, no_hit, plain, touch
 from .frame import COORDINATES, FRAME_SLACK
-from .wide_sweeps import WIDE_STACK, next_leaf, put_roots, widen
+from .wide_sweeps import next_leaf, put_roots, widen
 
 
 class Ways(NamedTuple):
@@ -174,7 +175,7 @@ def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
     """`walk` through what is swept: (whether the way is for it, box, other)."""
     snapshot, leaves, more = sweep.snapshot, sweep.leaves, reach_of(ways, i)
     origin, direction, t_max = ways.origins[i], ways.directions[i], of_row(ways.t_max, i)
-    records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
+    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
     suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max)

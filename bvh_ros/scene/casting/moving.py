@@ -36,7 +36,7 @@ from . import resting
 from .arguments import Hits, Rays, call, code_for, world_of
 from .first_moving import First, Ways, ball_reach, first_rows, first_swept
 from .seen import Met, Times, grow, meet_pairs
-from .sweeping import FEW, kept
+from .sweeping import AT_HAND, kept
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -123,11 +123,11 @@ def few_then(
     tree: Any = held.tree
     count, columns = len(rays[0]), held.columns
     ways = *rays, radii, NO_TIMES, NO_TIMES, NOTHING
-    marks, room = kept.marks, kept.ways
-    if count > FEW:
-        marks, room = np.empty((2, count), INT64), np.empty((count, 3))
+    marks, room = kept.marks, kept.ways if to_goals else _NO_ROOM
+    if count > AT_HAND:
+        marks, room = np.empty((2, count), INT64), np.empty((count if to_goals else 0, 3))
     ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
-    handles, room = np.empty(count, UINT32), room if to_goals else _NO_ROOM
+    handles = np.empty(count, UINT32)
     told = marks, ts, handles, points, normals
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
     shapes = columns.shapes

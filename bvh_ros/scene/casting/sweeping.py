@@ -19,14 +19,16 @@ from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
 from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, end_query
 from ...tree.store.workers import in_threads
+from ...tree.wide.snapshot import begin_batch
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
 from .arguments import SCRATCH, Ball, CastWorld, Hits, code_for, new_scratch, scratch_in
 from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
 from .casting import AT, EARLY, LATE, course_of, plain, touch
-from .wide_sweeps import UNSUITED, begin_batch, find_wide, tree_and_snapshot
+from .wide_sweeps import UNSUITED, find_wide, tree_and_snapshot
 
 FEW = 64  # obstacles that a ball may touch before more room is made
+AT_HAND = 64  # rows of a batch that there is room for
 TOUCHED = 9  # numbers of each
 OPEN = -1  # only exact arithmetic tells
 
@@ -38,9 +40,8 @@ class Kept(threading.local):
         self.touched = np.empty((TOUCHED, FEW))
         """What a ball may touch, see `room_in`."""
         self.scratch = {ndim: new_scratch(ndim) for ndim in (2, 3)}
-        self.marks = np.empty((2, FEW), np.int64)
-        """Slots and features of few hits."""
-        self.ways = np.empty((FEW, 3))
+        self.marks, self.ways = np.empty((2, AT_HAND), np.int64), np.empty((AT_HAND, 3))
+        """Slots and features of hits, and ways, that a kernel alone is to read."""
 
 
 kept = Kept()
@@ -111,7 +112,7 @@ def sweep_balls(view, snapshot, shapes, node_handles, balls, asked, place, touch
     scratch = scratch_in(stack_array(SCRATCH, np.float64), ndim)
     direction, room = stack_array(3, np.float64), (scratch, *room_in(touched))
     _, hits, times, features = room
-    if not begin_batch(view, snapshot):
+    if not begin_batch(tree, view.version, snapshot):
         return REFUSED, 0, 0
     version = state[CHANGES]
     world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)

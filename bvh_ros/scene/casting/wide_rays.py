@@ -20,12 +20,14 @@ from ...tree.rays.slab import INSIDE, set_ray
 from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, end_query
 from ...tree.store.workers import in_threads
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ...tree.wide.ray_stacks import STACK
+from ...tree.wide.snapshot import begin_batch
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
 from .arguments import SCRATCH, Asked, Ball, CastWorld, Hits, code_for, scratch_in
 from .casting import cast, doubt_of, enter_obstacle, first_of, no_hit, touch, with_one_more, write
 from .sweeping import fill_way
-from .wide_sweeps import WIDE_STACK, begin_batch, next_leaf, put_roots, tree_and_snapshot, widen
+from .wide_sweeps import next_leaf, put_roots, tree_and_snapshot, widen
 
 
 @lean_kernel
@@ -41,7 +43,7 @@ def cast_many(view, snapshot, shapes, node_handles, rays, asked, place, told):
     state, ndim = tree.state, 3 if shapes[1] is None else 2
     scratch = scratch_in(stack_array(SCRATCH, np.float64), ndim)
     direction = stack_array(3, np.float64)
-    if not begin_batch(view, snapshot):
+    if not begin_batch(tree, view.version, snapshot):
         return np.int64(REFUSED)
     world = CastWorld(tree.nodes, tree.tight, tree.handles, state[ROOT], *shapes)
     features = stack_array(1, np.int64)
@@ -78,7 +80,7 @@ def find_first(world, snapshot, way, asked, scratch, hits):
     for the snapshot).
     """
     (origin, direction), t_max, mask = way, asked.t_max, asked.mask
-    records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
+    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     box, other = no_hit(), no_hit()
     reach = doubt_of(scratch.ray, 0.0) * snapshot.per_length

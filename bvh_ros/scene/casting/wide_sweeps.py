@@ -13,33 +13,17 @@ from ...tree.dynamic_bvh import DynamicBVH
 from ...tree.jit.compiling import inlined
 from ...tree.jit.float32x16 import seen16, stream16
 from ...tree.jit.intrinsics import WIDTH, stack_array
-from ...tree.nodes import NONE, WRITTEN, View
+from ...tree.nodes import NONE, View
 from ...tree.rays.slab import INSIDE
-from ...tree.store.turns import begin_query, end_query
-from ...tree.wide.collapse_plan import DEEPEST_WIDE
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
-from ...tree.wide.ray_stacks import push_children
+from ...tree.wide.ray_stacks import STACK, child_of, push_children, push_loose
 from ...tree.wide.raycasting import ALL32
-from ...tree.wide.snapshot import LOOSE_NODES, Snapshot, no_snapshot
+from ...tree.wide.snapshot import Snapshot, no_snapshot
 from .ball_casting import SMALL, SWEEP_SLACK
 from .casting import EARLY, LATE, Course, course_of, doubt_of, enter_thrice
 
 UNSUITED = -1
 PAD = 2.0**-20  # far above the rounding of a float32
-WIDE_STACK = DEEPEST_WIDE + LOOSE_NODES
-_CHILD = np.int64(0xFFFFFFFF)
-
-
-@inlined
-def begin_batch(view, snapshot):
-    """`begin_query`, where a snapshot that nothing was added to is of the tree as it is."""
-    state = view.tree.state
-    if not begin_query(state, view.version):
-        return False
-    if snapshot.size > 0 and snapshot.loose == 0 and state[WRITTEN] != snapshot.written:
-        end_query(state)
-        return False
-    return True
 
 
 def tree_and_snapshot(tree: DynamicBVH, count: int) -> tuple[View, Snapshot]:
@@ -56,7 +40,7 @@ def find_wide(world, snapshot, way, ball, asked, room):
     """
     (origin, direction), (mask, skip_inside) = way, asked
     scratch, hits, times, features = room
-    records, stack = stack_array(1, snapshot.record), stack_array(WIDE_STACK, np.int64)
+    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     reach = (ball.radius + ball.slack + doubt_of(scratch.ray, ball.radius)) * snapshot.per_length
     suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, 1.0)
@@ -109,11 +93,8 @@ def widen(record, reach):
 @inlined
 def put_roots(snapshot, stack):
     """Put the nodes that every ray visits on the stack; return its top."""
-    stack[0], top = 0, 1
-    for loose in range(snapshot.loose):
-        stack[top] = snapshot.size + loose
-        top += 1
-    return top
+    stack[0] = 0
+    return push_loose(snapshot, stack, 1)
 
 
 @inlined
@@ -126,7 +107,7 @@ def next_leaf(snapshot, records, octant, mask, limits, stack, top):
         top -= 1
         if stack[top] >> 32 > limits.view(np.int32)[0]:
             continue
-        node = np.int64(np.int32(stack[top] & _CHILD))
+        node = child_of(stack[top])
         if node < 0:
             return ~node, top
         lanes = stream16(snapshot.planes, node, np.uint64(octant), records, first, met, nearest)

@@ -80,7 +80,7 @@ def most_growth(then, at):
 
 @inlined
 def gone(velocity, since, left):
-    """How far an obstacle has gone along an axis, as `places.ways` has it; since = `elapsed`."""
+    """How far an obstacle has gone along an axis; since = `elapsed`."""
     return min(max(velocity * min(since[0], left), -LARGEST), LARGEST)
 
 

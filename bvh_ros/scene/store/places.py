@@ -62,15 +62,6 @@ def motions(held: Obstacles, slots: Slots) -> tuple[Floats, Floats]:
     return held.tree.velocities(held.columns.tree_handle[slots])
 
 
-def ways(held: Obstacles, slots: Slots, at: Floats) -> Floats:
-    """How far obstacles have gone at times (m,) in s since their last updates, (m, ndim)."""
-    velocities, references = motions(held, slots)
-    with np.errstate(over='ignore'):
-        gone = velocities * np.minimum(at - references, held.max_prediction)[:, None]
-    most = np.finfo(np.float64).max
-    return np.clip(gone, -most, most)
-
-
 def at_rest(held: Obstacles, last: float) -> Slots:
     """Slots of obstacles that have moved until some time before `last`, s: the tree knows no such
     end, so who asks it has to look for these elsewhere, see `rest`.

@@ -23,7 +23,7 @@ from ..wide.ray_streams import RAYS_AT_ONCE
 from . import casting, wide_casting
 from .asked_then import AS_ARRAYS, NO_TIMES, RaysThen
 from .casting import Casts, Places
-from .few_casting import FEW, few_entry
+from .few_casting import few_entry
 from .motion import Motion
 from .spans import both_times, span_of, times_of
 from .sweeping import Sweep
@@ -114,8 +114,8 @@ class MotionRays(Motion):
         count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
         if threads == 1 and type(at) is type(pace) is float and not tree._storage.heirs:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            _, _, _, _, _, sweep, enough = self._wanted  # as `few_sweep`
-            if sweep is not None and count < FEW and count < enough:
+            sweep = self.few_sweep(count)
+            if sweep is not None:
                 if mode != CLOSEST:
                     hits = ray_batches.room_for(count, ndim, mode)
                 else:  # as RayHits(...), which would take one more call of a function of Python's

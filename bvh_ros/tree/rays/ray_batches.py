@@ -17,6 +17,8 @@ from ..wide.snapshot import Snapshot
 from .ray_hits import rows_entry
 from .raycasting import CLOSEST, Rays
 
+Floats = NDArray[np.float64]
+
 # Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
 # AVX-512 and AVX2 alike: in lists, segments of 1 and 5 m and rays of a scan take 0.97 to 1.03
 # times as long for 64, 0.85 to 0.96 times for 128, 0.77 to 0.9 times for 256.
@@ -27,7 +29,6 @@ FEW_TOGETHER = 72
 BOXES_A_RAY, FEW_RAYS = 64, 3000
 # From so many rays on the answers of a batch are one piece of memory.
 LARGE = 1024
-Floats = NDArray[np.float64]
 _NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 

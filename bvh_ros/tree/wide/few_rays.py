@@ -13,18 +13,18 @@ from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
 from ..jit.float64x4 import look_ahead
 from ..jit.intrinsics import WIDTH, bits_of, stack_array
-from ..nodes import NONE, WRITTEN
+from ..nodes import NONE
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, Rays, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_ROWS
-from ..store.turns import REFUSED, begin_query, count_rays, end_query
+from ..store.turns import REFUSED, count_rays, end_query
 from .best_hit import is_better
 from .filtering import CORNERS, fill_whole, limit32, start_ray
 from .ray_piles import write_miss
 from .ray_stacks import ABREAST, STACK, child_of, push_children, push_root
 from .raycasting import ALL32, MIXED, is_stale, set_inverse, write_hit
 from .rays_in_turns import cast_in_turns, take_turns
-from .snapshot import no_snapshot
+from .snapshot import begin_batch, no_snapshot
 
 
 @lean_kernel
@@ -32,10 +32,7 @@ def cast_few(tree, version, snapshot, asked, hits):
     """As `raycasting.cast_rows`, asked = what a `Rays` holds, which Python makes slowly. REFUSED,
     too, where a snapshot that nothing was added to is not of the tree as it is.
     """
-    if not begin_query(tree.state, version):
-        return np.int64(REFUSED)
-    if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
-        end_query(tree.state)
+    if not begin_batch(tree, version, snapshot):
         return np.int64(REFUSED)
     ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
     records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)

@@ -30,6 +30,12 @@ def push_root(snapshot, mask, lanes, nearest, stack):
     if mask != ALL32:
         lanes = np.uint32(lanes & seen16(snapshot.masks, 0, mask))
     top = push_children(snapshot, np.int64(0), lanes, nearest, stack, 0)
+    return push_loose(snapshot, stack, top)
+
+
+@inlined
+def push_loose(snapshot, stack, top):
+    """Put the nodes that every ray visits on the stack; return the new top."""
     for loose in range(snapshot.loose):
         stack[top] = snapshot.size + loose
         top += 1

@@ -11,7 +11,7 @@ from ..jit.compiling import inlined, lean_kernel
 from ..jit.float32x16 import seen16, stream16
 from ..jit.int32x8 import AT_ONCE, list_met8
 from ..jit.intrinsics import WIDTH, prefetch, stack_array
-from ..nodes import ALL, NONE, WRITTEN, leaf_box
+from ..nodes import ALL, NONE, leaf_box
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import ANY, NO_RAYS, of_row
 from ..rays.slab import (
@@ -24,7 +24,7 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
-from ..store.turns import REFUSED, begin_query, count_rays, end_query
+from ..store.turns import REFUSED, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32, start_ray
 from .ray_piles import pile_size, start_rays
@@ -40,7 +40,7 @@ from .ray_streams import (
     farthest_first,
     make_scratch,
 )
-from .snapshot import no_snapshot
+from .snapshot import begin_batch, no_snapshot
 
 ALL32 = np.uint32(ALL)
 MIXED = -1  # for an octant: that of each ray
@@ -52,10 +52,7 @@ def cast_rows(tree, version, snapshot, rays, scratch, hits):
     """First hits of `rays`, or of any hit no more than an id. Returns how many took exact
     arithmetic; NOT_FINITE if a ray is not, REFUSED if the tree is changed meanwhile.
     """
-    if not begin_query(tree.state, version):
-        return np.int64(REFUSED)
-    if snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
-        end_query(tree.state)
+    if not begin_batch(tree, version, snapshot):
         return np.int64(REFUSED)
     tally, piled = stack_array(TALLY, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY], tally[BAD], piled[:] = 0, 0, 0

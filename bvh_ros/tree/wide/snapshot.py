@@ -87,6 +87,19 @@ class Snapshot(NamedTuple):
         return self.planes.nbytes + self.children.nbytes + self.masks.nbytes
 
 
+@inlined
+def begin_batch(tree, version, snapshot):
+    """`begin_query`, where a snapshot that nothing was added to is of the tree as it is; of no
+    snapshot, anyhow.
+    """
+    if not begin_query(tree.state, version):
+        return False
+    if snapshot.size > 0 and snapshot.loose == 0 and tree.state[WRITTEN] != snapshot.written:
+        end_query(tree.state)
+        return False
+    return True
+
+
 def take_snapshot(view: View) -> Snapshot | None:
     """Collapse a tree of two boxes or more; None where float32 would see too little of the scene,
     RuntimeError if the tree is changed meanwhile.
