@@ -181,7 +181,7 @@ class Moments:
         shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
         sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))
         if sweep is None:
-            sweep = tree._motion.ready_sweep(len(rays[0]), start, stop)
+            sweep = tree._motion.ready_sweep(tree._storage.tree, len(rays[0]), start, stop)
             if sweep is None:
                 return None
         courses = self._courses or self._courses_then()

@@ -52,8 +52,9 @@ STATE_PLACES = 6  # so far a file holds them
     REINSERTED,
     REFITTED,
     REBUILDS,
-) = range(6, 20)
-RECENT = 20  # here begins a ring of the slots that were written last
+    ASKS,  # until bounds of moving nodes are looked at again, see `motion.bounds`
+) = range(6, 21)
+RECENT = 21  # here begins a ring of the slots that were written last
 RECENT_PLACES = 128
 ALL_PLACES = RECENT + RECENT_PLACES
 COUNTERS = {

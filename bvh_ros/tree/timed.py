@@ -88,15 +88,11 @@ class Timed(Arrays):
         """
         view = self.view()
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
-        rows, times = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
+        told = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
-            kept = self._motion.kept
-            known = np.flatnonzero(slots < len(kept) - 1)
-            known = known[kept['owner'][slots[known]] == view.tree.handles[slots[known]]]
-            told = kept[slots[known]]
-            rows[known], times[known] = told['velocity'], told['reference']
+            told = self._motion.told_to(view.tree.handles, slots)
         self.check_unchanged(view)
-        return rows, times
+        return told
 
     @property
     def motion(self) -> Optional['MotionQueries']:

@@ -11,15 +11,15 @@ import numpy as np
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.jit.moving_sides import FRONTS
-from ...tree.motion.bounds import covers, set_fronts
-from ...tree.motion.casting import OUTSIDE, descend, locate
+from ...tree.motion.bounds import OUTSIDE, begin_asking, covers, moments_of, set_fronts
+from ...tree.motion.casting import descend, locate
 from ...tree.motion.meeting import Course, box_of, is_before, meet
 from ...tree.motion.wide_casting import UNSUITED, may_meet
 from ...tree.moving import LARGEST
 from ...tree.nodes import DEEPEST, NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
-from ...tree.store.turns import REFUSED, begin_query, end_query
+from ...tree.store.turns import REFUSED, begin_query, count_rays, end_query
 from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
 from ...tree.wide.ray_stacks import STACK
 from ..results import NO_NODE
@@ -90,9 +90,13 @@ def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
 
 @lean_kernel
 def _rows(world, tree, moving, sweep, ways, asked, tools, told):
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
     why, ndim, suited = np.int64(0), ways.origins.shape[1], True
+    if sweep is None:
+        why = begin_asking(tree, moving, moments_of(ways.pace, ways.origins.shape[0]))
+    elif not begin_query(tree.state, moving.version):
+        why = np.int64(REFUSED)
+    if why != 0:
+        return why
     ray, (node_handles, scratch) = stack_array((RAY_ROWS, 3), np.float64), tools
     for i in range(ways.origins.shape[0]):
         thin = Course(ray, of_row(ways.at, i), of_row(ways.pace, i), moving.nanoseconds)
@@ -118,6 +122,8 @@ def _rows(world, tree, moving, sweep, ways, asked, tools, told):
             place = write_first(box, i, node_handles, told)
             there = box_of(tree, moving, box.slot)
             locate(there, thin, box.t, box.feature, place[0][:ndim], place[1][:ndim])
+    if sweep is not None:
+        count_rays(tree.state, ways.origins.shape[0], 0)
     end_query(tree.state)
     return why
 

@@ -94,7 +94,8 @@ def first_then(
     if sweep is None:
         world, given = world_of(tree, columns), (Ways(*ways), asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
-        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
+        moments = not times.pace.any()
+        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given), moments)
     else:
         view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))

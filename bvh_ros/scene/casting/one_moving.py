@@ -80,12 +80,14 @@ class OneWay:
         """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
         tree, place = self._tree, np.empty((2, 3))
         asked = start, goal, when, mask, skip, place
-        slot, t = self._first(tree._settled().tree, tree._motion.moving, *asked)
+        motion, moment = tree._motion, when[1] == 0.0
+        moving = motion.bounds if moment else motion.moving
+        slot, t = self._first(tree._settled().tree, moving, *asked)
         while slot < NONE:
             if slot == NOT_FINITE:
                 raise too_long(start, goal)
-            tree._motion.fit(tree, *span_of(*when, 1.0))
-            slot, t = self._first(tree._settled().tree, tree._motion.moving, *asked)
+            moving = motion.others(tree, moving, slot, span_of(*when, 1.0), moment)
+            slot, t = self._first(tree._settled().tree, moving, *asked)
         return None if slot == NONE else (slot, t, place[0], place[1])
 
     def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
@@ -102,7 +104,9 @@ class OneWay:
         given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
         world, motion = world_of(tree, held.columns), tree.motion
         spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
-        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given))
+        motion.ask(
+            tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given), pace == 0.0
+        )
         if ndim == 2:
             told.points[0, 2] = origin[2]
         slot, point, normal = hits.slots.item(0), told.points[0], told.normals[0]

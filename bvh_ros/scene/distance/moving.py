@@ -14,14 +14,13 @@ import numpy as np
 from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.bounds import covers
-from ...tree.motion.casting import OUTSIDE
+from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
 from ...tree.motion.meeting import box_of
 from ...tree.motion.overlapping import overlap_then, touches_then
 from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
-from ...tree.store.turns import REFUSED, begin_query, end_query
+from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
 from ..store.places import WIDER
 from .narrow_phase import near
@@ -148,8 +147,9 @@ def touch_rows(tree, moving, then, queries, asked, offsets, room, found):
     that is not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead.
     """
     begin, stop, enough = asked
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED), 0, 0
+    why = begin_asking(tree, moving, stop - begin)
+    if why != 0:
+        return why, 0, 0
     grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
     own = stack_array(1, queries.records)
     row, filled, wanted, compared = np.int64(begin), 0, 0, 0

@@ -10,14 +10,13 @@ import numpy as np
 from ...tree.boxes.nearest import nearest
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import prefetch, stack_array
-from ...tree.motion.bounds import covers
-from ...tree.motion.casting import OUTSIDE
+from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
 from ...tree.motion.meeting import box_of, fetch_box
 from ...tree.motion.nearest import at_least, nearest_bounds
 from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
-from ...tree.store.turns import REFUSED, begin_query, end_query
+from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
 from . import clearance
 from .closest import length
@@ -82,8 +81,9 @@ def near_rows(tree, moving, then, points, known, asked, room, found, told):
     (rows done, room wanted) as `touch_rows`, and how many were found at last.
     """
     done, stop, k, some_more, everybody, twice, signed = asked
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED), 0, np.int64(0)
+    why = begin_asking(tree, moving, stop - done)
+    if why != 0:
+        return why, 0, np.int64(0)
     wanted, total = 0, np.int64(0)
     while done < stop:
         row = points.order[done] if points.order.shape[0] > 0 else done
@@ -134,8 +134,9 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
     Returns (rows done, room wanted) as `touch_rows`.
     """
     row, stop, reaches, everybody, itself, signed, alike = asked
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED), 0
+    why = begin_asking(tree, moving, stop - row)
+    if why != 0:
+        return why, 0
     wanted, handles, own = 0, then.node_handles, stack_array(1, queries.records)
     box = stack_array((2, 3), np.float64)
     grown, besides = 0.0, np.int64(NONE)

@@ -273,7 +273,7 @@ class TimedDistances:
         if entry is None:
             entry = entry_point(kernel, view.tree, motion.moving, then, *given)
             self._entries[variant] = entry
-        done = entry(view.tree, motion.moving, then, *given)
+        done = entry(view.tree, motion.bounds, then, *given)
         if done[0] >= 0:
             return done
         span = (then.at.min(), then.at.max()), True

@@ -7,6 +7,9 @@ is concave: between two times it is never below the line through what it is at b
 side is never above (Grünschloß et al. 2011, "MSBVH"). At both ends the bounds are tight, and in
 between loose by no more than a quarter of how far the boxes of a node part in that time.
 
+Nodes are those of the tree, whose boxes lie close together where they were told to be. Where they
+have gone far apart by the times that are asked for, and often, another `Layout` takes its place.
+
 The bounds only prune: `meeting` decides. They are widened by 2**-48 of what they are at either
 end, many times all that a query loses by rounding within the span, by how far they go in 2**-50 of
 its times, as those of a query are rounded, too, and by `LEAST`, as products may underflow. A bound
@@ -15,14 +18,16 @@ that is not finite is none.
 
 import functools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ..area import half_area, node_area
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import CACHE_LINE, prefetch, stack_array
 from ..jit.moving_sides import HALF, enter_sides
-from ..nodes import DEEPEST, NONE, ROOT, is_leaf, next_node
+from ..nodes import ASKS, DEEPEST, NONE, ROOT, is_leaf, next_node
 from ..rays.slab import PAD, TINY
 from ..store.turns import REFUSED, begin_query, end_query
 from .meeting import box_of
@@ -31,6 +36,22 @@ WIDER = 2.0**-48
 LEAST = 1e-280
 # Beyond these a query visits all boxes: t or a time times LEAST would not be negligible.
 LONGEST = 1e40
+OUTSIDE = -4  # why a query did nothing: bounds are to be fitted, or looked at, first
+ROWS = 8  # of a batch take as long as one question
+# What state[ASKS] is where nobody counts; so many less than LOOKED are left where bounds were just
+# looked at: however many come next, they are asked.
+EVER_SO_MANY, LOOKED = -1, -2
+AT_REST, AT_START, AT_STOP = range(3)  # sums of half areas of inner nodes
+
+
+class Layout(NamedTuple):
+    """Which boxes lie in which node, if not as in the tree."""
+
+    nodes: NDArray[Any]
+    """Of another tree of these boxes."""
+    root: int
+    slots: NDArray[np.int64]
+    """Their slots in the tree, by slot there; empty for the layout of the tree."""
 
 
 @functools.cache
@@ -114,29 +135,63 @@ def _fit_inner(node, one, other, moving):
         _set_side(node.upper, node.upper_rates, axis, *upper, 1.0 / length, extent)
 
 
+@inlined
+def _named(layout, root, node):
+    """The node of the tree that a node of a layout becomes; the root that of the tree."""
+    if layout.slots.shape[0] == 0:
+        return node
+    if is_leaf(node):
+        return 2 * layout.slots[node >> 1]
+    if node == layout.root:
+        return root
+    return np.int64(layout.root) if node == root else node
+
+
+@inlined
+def _area_then(node, ahead):
+    """Half area of bounds, so long after the start of the span."""
+    low, high = stack_array(3, np.float64), stack_array(3, np.float64)
+    ndim = node.lower.shape[0]
+    for axis in range(ndim):
+        low[axis] = node.lower[axis] + node.lower_rates[axis] * ahead
+        high[axis] = -(node.upper[axis] + node.upper_rates[axis] * ahead)
+    return half_area(low[:ndim], high[:ndim], 1.0)
+
+
 @lean_kernel
-def fit_nodes(tree, moving, order):
-    """Fill moving.nodes, (2 capacity,) of `moving_dtype`, over the span; `order`, (2 capacity,)
-    int64, is scratch. Returns 0, or REFUSED if the tree is of another version.
+def fit_nodes(tree, moving, layout, order, areas):
+    """Fill moving.nodes, (2 capacity,) of `moving_dtype`, over the span, and `areas`, (3,): those
+    of the tree, of the bounds at the start and at the stop. `order`, (2 capacity,) int64, is
+    scratch. Returns 0, or REFUSED if the tree is of another version.
     """
-    nodes, fitted, root = tree.nodes, moving.nodes, tree.state[ROOT]
+    fitted, root, own = moving.nodes, np.int64(tree.state[ROOT]), layout.slots.shape[0] == 0
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
+    nodes = tree.nodes if own else layout.nodes
+    stack, top, count = stack_array(DEEPEST, np.int64), 0, 0
+    node = root if own else np.int64(layout.root)
     while node != NONE:
         order[count] = node
         count += 1
         node, top = next_node(nodes, node, not is_leaf(node), stack, top)
+    areas[:], length = 0.0, moving.stop - moving.start
     for i in range(count - 1, -1, -1):
-        node = order[i]
-        here, there = fitted[node], nodes[node]
-        here.mask = there.mask
+        node = _named(layout, root, order[i])
+        here, there = fitted[node], nodes[order[i]]
         if is_leaf(node):
             here.left = here.right = node
+            here.mask = tree.nodes[node].mask
             _fit_leaf(here, box_of(tree, moving, node >> 1), moving)
         else:
-            here.left, here.right = there.left, there.right
-            _fit_inner(here, fitted[there.left], fitted[there.right], moving)
+            left = _named(layout, root, np.int64(there.left))
+            right = _named(layout, root, np.int64(there.right))
+            here.left, here.right = left, right
+            here.mask = fitted[left].mask | fitted[right].mask
+            _fit_inner(here, fitted[left], fitted[right], moving)
+            areas[AT_START] += _area_then(here, 0.0)
+            areas[AT_STOP] += _area_then(here, length)
+            if own:
+                areas[AT_REST] += node_area(nodes, node, 1.0)
     end_query(tree.state)
     return np.int64(0)
 
@@ -158,6 +213,39 @@ def covers(moving, at, pace, t_max):
         return -1
     within = moving.start <= min(at, last) and max(at, last) <= moving.stop
     return 1 if within else 0
+
+
+@inlined
+def begin_asking(tree, moving, count):
+    """`begin_query` of so many questions about moments: 0; REFUSED; or OUTSIDE, where so many have
+    been asked that the bounds are to be looked at first. Of courses 0 are counted.
+    """
+    left = tree.state[ASKS]
+    if count > 0 and left != EVER_SO_MANY:
+        count = (count + ROWS - 1) // ROWS
+        looked = left < EVER_SO_MANY
+        left = LOOKED - left if looked else left
+        tree.state[ASKS] = max(left - count, 0)
+        if left <= count and not looked:
+            return np.int64(OUTSIDE)
+    return np.int64(0 if begin_query(tree.state, moving.version) else REFUSED)
+
+
+@inlined
+def moments_of(pace, count):
+    """How many of so many courses are counted, by one pace for all or a row."""
+    return count if pace.shape[0] == 1 and pace[0] == 0.0 else 0
+
+
+@lean_kernel
+def may_ask(tree, moving, count, first, last):
+    """`begin_asking` between two times, and `end_query`."""
+    if not (moving.start <= first and last <= moving.stop):
+        return np.int64(OUTSIDE)
+    why = begin_asking(tree, moving, count)
+    if why == 0:
+        end_query(tree.state)
+    return why
 
 
 @inlined

@@ -16,13 +16,11 @@ from ..jit.moving_sides import FRONTS
 from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf
 from ..rays.raycasting import ANY, CLOSEST, Asked, Found, of_row
 from ..rays.slab import DIRECTION, EXACT, INSIDE, ORIGIN, PAD, RAY_ROWS, TINY, UPPER, set_swept_box
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, count_rays, end_query
+from ..store.turns import NOT_FINITE, count_rays, end_query
 from . import velocities
-from .bounds import covers, enter_node, moving_dtype, set_fronts
+from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, moving_dtype, set_fronts
 from .meeting import Course, Moving, box_of, is_before, meet
 from .sums import elapsed
-
-OUTSIDE = -4  # why a query did nothing: its times are not in the span of the bounds
 
 Floats = NDArray[np.float64]
 
@@ -167,8 +165,9 @@ def cast_one(tree, moving, swept, asked, times, place):
         return NOT_FINITE, np.inf
     if covers(moving, at, pace, asked.t_max) == 0:
         return OUTSIDE, np.inf
-    if not begin_query(state, moving.version):
-        return REFUSED, np.inf
+    why = begin_asking(tree, moving, 1 if pace == 0.0 else 0)
+    if why != 0:
+        return why, np.inf
     course = Course(stack_array((RAY_ROWS, 3), np.float64), at, pace, moving.nanoseconds)
     set_swept_box(course.ray, lo, hi, direction)
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
@@ -192,8 +191,9 @@ def cast_rows(tree, moving, casts, offsets, found, first):
     Returns (rows done, room wanted): fewer than there are where there is no room for the hits of
     the next one; negative if it is NOT_FINITE, OUTSIDE or REFUSED.
     """
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED), np.int64(0)
+    why = begin_asking(tree, moving, moments_of(casts.pace, casts.lo.shape[0] - first))
+    if why != 0:
+        return why, np.int64(0)
     ray = stack_array((RAY_ROWS, 3), np.float64)
     done, exact, end, refused = np.int64(first), np.int64(0), np.int64(0), np.int64(0)
     while done < casts.lo.shape[0]:

@@ -12,12 +12,24 @@ from numpy.typing import NDArray
 
 from ..entries import entry_points
 from ..jit.intrinsics import CACHE_LINE
-from ..nodes import CHANGES, COUNT, TURN, View, aligned_empty
+from ..nodes import ASKS, COUNT, NONE, RAYS, TURN, Tree, View, aligned_empty
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from . import velocities
-from .bounds import fit_nodes, moving_dtype
+from .bounds import (
+    AT_REST,
+    AT_START,
+    AT_STOP,
+    EVER_SO_MANY,
+    LOOKED,
+    OUTSIDE,
+    Layout,
+    fit_nodes,
+    may_ask,
+    moving_dtype,
+)
 from .casting import no_motion
 from .few_casting import FEW
+from .layouts import lay_out, layout_of_tree, snapshot_then
 from .meeting import Moving
 from .sweeping import Sweep, swept
 
@@ -28,9 +40,16 @@ NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
 HORIZON = 1.0  # s: from one time on bounds are fitted to so many more
 # Batches for which sweeping a snapshot pays: so many rays a box.
 RAYS_PER_BOX = 0.05
+LAYOUT_RAYS_PER_BOX = 2.0  # rays that grow as much for which sweeping another snapshot pays
 # How many times as long as what is asked for its span may be for a large batch.
 LONGER = 1.5
-fit_entry = entry_points(fit_nodes, no_motion, np.empty(0, np.int64))
+# Where nodes are so many times as large as at rest, their boxes have parted, and others lie close
+# together. To lay out nodes of these takes as long as questions that grow as much, so many a box;
+# of batches ROWS take as long as one, see `bounds`. They hold until they have grown by so much.
+PARTED, ASKS_PER_BOX, LEAST_ASKS, SOON = 1.15, 0.135, 256, 0.5
+LEAST_SPAN = 2.0**-40  # of a time
+may_ask_entry = entry_points(may_ask, no_motion, 0, 0.0, 0.0)
+fit_entry = entry_points(fit_nodes, no_motion, layout_of_tree, np.empty(0, np.int64), np.empty(3))
 
 
 class Wanted(NamedTuple):
@@ -45,6 +64,15 @@ class Wanted(NamedTuple):
     sweep: Sweep | None = None
     enough: float = 0.0
     """Rays for which boxes were to be swept at once."""
+    worn: float = np.inf
+    """What the tree says of rays when nodes are to be laid out for this time."""
+
+
+def asks_for(boxes: int, grown: float) -> int:
+    """How often bounds are asked for before they are looked at."""
+    if not grown > PARTED:
+        return EVER_SO_MANY
+    return max(LEAST_ASKS, int(ASKS_PER_BOX * boxes / (grown - 1.0)))
 
 
 class Motion:
@@ -55,6 +83,10 @@ class Motion:
         self.moving = no_motion(ndim)._replace(version=NOT_FITTED, nanoseconds=nanoseconds)
         self._no_nodes = self.moving.nodes
         self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
+        # Bounds of nodes that are laid out for some moments; how many times as large as at rest
+        # those of the tree are at the start of `moving`, and by how much more each second.
+        self.laid_out: Moving | None = None
+        self._parted, self._asks = (0.0, 0.0), EVER_SO_MANY
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
         """Call `velocities.write`, with room for all slots."""
@@ -69,55 +101,115 @@ class Motion:
         """`velocities.packed`."""
         return velocities.packed(self.kept, handles)
 
+    def told_to(self, handles: Ids, slots: Ids) -> tuple[Floats, Floats]:
+        """`velocities.told_to`."""
+        return velocities.told_to(self.kept, handles, slots)
+
     # ---- bounds
 
     def ask(
-        self, tree: Any, spans: Callable[[], tuple[tuple[float, float], bool]], call: Any
+        self,
+        tree: Any,
+        spans: Callable[[], tuple[tuple[float, float], bool]],
+        call: Any,
+        moments: bool = True,
     ) -> Any:
         """What call(arrays, moving) returns, it or its first value not negative, with bounds that
-        hold for what is asked. `spans` tells the times: ((first, last), ...).
+        hold for what is asked. `spans` tells the times: ((first, last), ...); `moments`: of
+        questions about moments.
         """
+        moving = self.bounds if moments else self.moving
         while True:
-            done = call(tree.view().tree, self.moving)
+            done = call(tree.view().tree, moving)
             why = done[0] if isinstance(done, tuple) else done
             if why >= 0:
                 return done
             if why == NOT_FINITE:
                 raise ValueError('a row was changed while it was read')
-            self.fit(tree, *spans()[0])
+            moving = self.others(tree, moving, why, spans()[0], moments)
 
-    def fitted(self, tree: Any, version: int, first: float, last: float) -> Moving:
-        """Bounds of a version of the tree that hold for this time."""
-        moving = self.moving
-        if moving.version != version or not moving.start <= first <= last <= moving.stop:
-            return self.fit(tree, first, last)
-        return moving
+    @property
+    def bounds(self) -> Moving:
+        """Those that a moment is asked of first: `moving` may hold where these do not."""
+        return self.moving if self.laid_out is None else self.laid_out
 
-    def fit(self, tree: Any, first: float, last: float) -> Moving:
+    def others(
+        self, tree: Any, moving: Moving, why: int, span: tuple[float, float], moments: bool = True
+    ) -> Moving:
+        """The bounds to ask next, where those did not hold, and why."""
+        if moving is self.laid_out and why == OUTSIDE:
+            return self.moving
+        return self.fit(tree, *span, moments)
+
+    def fitted(self, tree: Any, count: int, span: tuple[float, float]) -> Moving:
+        """Bounds of the tree as it is that hold for so many moments between two."""
+        kernel, found = may_ask_entry(tree.ndim), [self.moving]
+
+        def call(arrays: Any, moving: Moving) -> int:
+            found[:] = [moving]
+            done: int = kernel(arrays, moving, count, *span)
+            return done
+
+        self.ask(tree, lambda: (span, True), call)
+        return found[0]
+
+    def fit(self, tree: Any, first: float, last: float, moments: bool = True) -> Moving:
         """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
         been asked for others since it changed, they are fitted to a longer time that holds both.
-        RuntimeError if it is being changed.
+        Where they hold, it has been asked often for moments: for these, nodes may be laid out.
+        Returns bounds that hold; RuntimeError if the tree is being changed.
         """
-        arrays, ndim, before = tree.view().tree, tree.ndim, self.moving
-        version = arrays.state.item(CHANGES)
-        if before.version == version:
-            if arrays.state.item(TURN) < 0:
-                raise RuntimeError(IS_CHANGED)
-            # Further than that the way that the times go, as they may go on.
-            earlier, later = first < before.start, last > before.stop
-            first, last = min(first, before.start), max(last, before.stop)
-            more = 0.5 * (last - first)
-            first, last = first - more * earlier, last + more * later
-        elif first == last:
-            last = first + max(HORIZON, 2.0**-40 * abs(first))
+        view, before = tree.view(), self.moving
+        if before.version != view.version:
+            self.laid_out, stop = None, last
+            if first == last:
+                stop = first + max(HORIZON, LEAST_SPAN * abs(first))
+            self.moving = self._fit(view, layout_of_tree(tree.ndim), first, stop)
+            return self.moving
+        if view.tree.state.item(TURN) < 0:
+            raise RuntimeError(IS_CHANGED)
+        if before.start <= first <= last <= before.stop:
+            return self._look_at(view, first, last) if moments else before
+        # Further than that the way that the times go, as they may go on.
+        earlier, later = first < before.start, last > before.stop
+        first, last = min(first, before.start), max(last, before.stop)
+        more = 0.5 * (last - first)
+        first, last = first - more * earlier, last + more * later
+        self.moving = self._fit(view, layout_of_tree(tree.ndim), first, last)
+        return self.moving
+
+    def _fit(self, view: View, layout: Layout, first: float, last: float) -> Moving:
+        """Fit bounds of the nodes of a layout."""
+        arrays, ndim, own = view.tree, view.tree.nodes['lo'].shape[1], layout.root == NONE
         # Processors fetch two cache lines together, if the first of them is an even one.
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim), 2 * CACHE_LINE)
-        order = np.empty(len(arrays.nodes), np.int64)
+        order, areas = np.empty(len(arrays.nodes), np.int64), np.empty(3)
         span = float(first), float(last)
-        moving = Moving(self.kept, nodes, *span, version, before.nanoseconds)
-        if fit_entry(ndim)(arrays, moving, order) == REFUSED:
+        moving = Moving(self.kept, nodes, *span, view.version, self.moving.nanoseconds)
+        if fit_entry(ndim)(arrays, moving, layout, order, areas) == REFUSED:
             raise RuntimeError(IS_CHANGED)
-        self.moving = moving
+        if own:
+            with np.errstate(all='ignore'):
+                start, stop = areas[AT_START] / areas[AT_REST], areas[AT_STOP] / areas[AT_REST]
+                self._parted = start.item(), ((stop - start) / (last - first)).item()
+            self._asks = asks_for(arrays.state.item(COUNT), max(start.item(), stop.item()))
+            arrays.state[ASKS] = self._asks
+        return moving
+
+    def _look_at(self, view: View, first: float, last: float) -> Moving:
+        """Lay out nodes for these moments, which have been asked for often, if boxes have parted
+        by then; bounds that hold.
+        """
+        moving, laid, (parted, per_second) = self.moving, self.laid_out, self._parted
+        middle = 0.5 * first + 0.5 * last
+        if laid is not None and laid.start <= first <= last <= laid.stop:
+            moving = laid
+        elif parted + per_second * (middle - moving.start) > PARTED:
+            layout = lay_out(view, self.kept, middle)
+            soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
+            stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
+            self.laid_out = moving = self._fit(view, layout, first, stop)
+        view.tree.state[ASKS] = LOOKED - self._asks
         return moving
 
     def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
@@ -125,14 +217,17 @@ class Motion:
         or would not help. The rays of small batches wait until they are enough for one together.
         """
         (first, last), wanted = span, self._wanted
-        sweep = self.ready_sweep(count, first, last) if wanted.version == view.version else None
+        known, sweep = wanted.version == view.version, None
+        if known:
+            if view.tree.state.item(RAYS) >= wanted.worn:
+                self._wanted = wanted = self._laid_out(view, wanted)
+            sweep = self.ready_sweep(view.tree, count, first, last)
         if sweep is not None:
             return sweep
         rest = tree.snapshot_for(count, view)
         if rest is None:
             return None
         enough = RAYS_PER_BOX * view.tree.state.item(COUNT)
-        known = wanted.version == view.version
         covered = known and wanted.start <= first and last <= wanted.stop
         if covered and wanted.made:
             if count < enough or wanted.stop - wanted.start <= LONGER * (last - first):
@@ -140,31 +235,51 @@ class Motion:
             known = False
         if not known or (wanted.made and not covered):
             wanted = Wanted(view.version, first, last, 0)
-        rays, start, stop = wanted.rays + count, first, last
+        rays, start, stop, worn = wanted.rays + count, first, last, np.inf
         if count < enough:
             start, stop = min(first, wanted.start), max(last, wanted.stop)
         made = rays >= enough
         if made:
-            sweep = swept(view.tree, self.known(view, start, stop), rest)
-        self._wanted = Wanted(view.version, start, stop, rays, made, sweep, enough)
+            sweep, grown = swept(view.tree, self.known(view, start, stop), rest)
+            worn = self._worn(view, start, stop, grown)
+        self._wanted = Wanted(view.version, start, stop, rays, made, sweep, enough, worn)
         return sweep
 
-    def ready_sweep(self, count: int, one: float, other: float) -> Sweep | None:
+    def _worn(self, view: View, start: float, stop: float, grown: float) -> float:
+        """What the tree says of rays when others than its nodes, which have grown so much, are to
+        be swept: where boxes have parted before the span, not only within it.
+        """
+        told = self.kept['reference'][self.kept['owner'] >= 0]
+        if not grown > PARTED or abs(0.5 * (start + stop) - np.median(told)) <= stop - start:
+            return np.inf
+        state = view.tree.state
+        rays: float = LAYOUT_RAYS_PER_BOX * state.item(COUNT) / (grown - 1.0)
+        return state.item(RAYS) + rays
+
+    def _laid_out(self, view: View, wanted: Wanted) -> Wanted:
+        """The sweep of nodes that are built for its time."""
+        start, stop, sweep = wanted.start, wanted.stop, wanted.sweep
+        snapshot = snapshot_then(view, self.kept, 0.5 * start + 0.5 * stop)
+        if snapshot is not None:
+            sweep, _ = swept(view.tree, self.known(view, start, stop), snapshot)
+        return wanted._replace(sweep=sweep, worn=np.inf)
+
+    def ready_sweep(self, tree: Tree, count: int, one: float, other: float) -> Sweep | None:
         """The sweep that is made, of whatever version of the tree, if it serves so many rays from
         one time to the other.
         """
-        _, start, stop, _, _, sweep, enough = self._wanted
+        _, start, stop, _, _, sweep, enough, worn = self._wanted
         if sweep is None or not (start <= one <= stop and start <= other <= stop):
             return None
         if count < enough or stop - start <= LONGER * abs(other - one):
-            return sweep
+            return sweep if tree.state.item(RAYS) < worn else None
         return None
 
     def few_sweep(self, count: int) -> Sweep | None:
         """The sweep that is made, of whatever version of the tree and span, if it serves so many
         rays, and they are few.
         """
-        _, _, _, _, _, sweep, enough = self._wanted
+        _, _, _, _, _, sweep, enough, _ = self._wanted
         return sweep if count < FEW and count < enough else None
 
     def known(self, view: View, start: float, stop: float) -> Moving:
@@ -177,4 +292,5 @@ class Motion:
         """Memory of all."""
         sweep = self._wanted.sweep
         more = 0 if sweep is None else sweep.nbytes
+        more += 0 if self.laid_out is None else self.laid_out.nodes.nbytes
         return self.kept.nbytes + self.moving.nodes.nbytes + more

@@ -19,9 +19,9 @@ from ..jit.intrinsics import stack_array
 from ..jit.moving_sides import FRONTS, square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..rays.raycasting import of_row
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers, fetch_children, set_fronts
-from .casting import OUTSIDE, is_sound, no_motion
+from ..store.turns import NOT_FINITE, end_query
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
+from .casting import is_sound, no_motion
 from .meeting import box_of, fetch_box
 from .sums import elapsed, gap, quick_gap, surely_below
 
@@ -259,8 +259,9 @@ def at_least(square):
 @lean_kernel
 def nearest_one(tree, moving, near, found, distances):
     """`nearest_then`; REFUSED if the tree is of another version."""
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
+    why = begin_asking(tree, moving, 1)
+    if why != 0:
+        return why
     count = nearest_then(tree, moving, near, found, distances)
     end_query(tree.state)
     return np.int64(count)
@@ -269,9 +270,9 @@ def nearest_one(tree, moving, near, found, distances):
 @lean_kernel
 def nearest_rows(tree, moving, rows, found, distances):
     """Row by row, to `found` and `distances`, (n, k), padded with NONE and inf: 0, or why not."""
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
-    why = np.int64(0)
+    why = begin_asking(tree, moving, rows.points.shape[0])
+    if why != 0:
+        return why
     for row in range(rows.points.shape[0]):
         i = rows.order[row] if rows.order.shape[0] > 0 else row
         point, reach, mask = rows.points[i], of_row(rows.reaches, i), of_row(rows.masks, i)

@@ -14,9 +14,9 @@ from ..jit.float64x8 import EIGHT, WHEN, moving_squares8
 from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import ROOT
 from ..rays.raycasting import of_row
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers, fetch_children
-from .casting import OUTSIDE, no_motion
+from ..store.turns import NOT_FINITE, end_query
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children
+from .casting import no_motion
 from .meeting import fetch_box
 from .nearest import NO_POINTS, decide, keep_bound
 
@@ -100,9 +100,10 @@ def nearest_packets(tree, moving, asked, found, distances):
     """`nearest.nearest_rows` of finite points at times that bounds can hold for, eight rows of
     `order` at a time: 0, or why not.
     """
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
-    packet, left_out, why = no_packet(), stack_array(EIGHT, np.float64), np.int64(0)
+    why = begin_asking(tree, moving, asked.order.shape[0])
+    if why != 0:
+        return why
+    packet, left_out = no_packet(), stack_array(EIGHT, np.float64)
     for first in range(0, asked.order.shape[0], EIGHT):
         why, rows = _bound(tree, moving, asked, first, packet, left_out, found, distances)
         if why < 0:
@@ -122,9 +123,10 @@ def bound_packets(tree, moving, asked, bounded, squares):
     """Write `nearest.nearest_bounds` of such rows to `bounded` and `squares`, (n, k): 0, or why
     not.
     """
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
-    packet, left_out, why = no_packet(), stack_array(EIGHT, np.float64), np.int64(0)
+    why = begin_asking(tree, moving, asked.order.shape[0])
+    if why != 0:
+        return why
+    packet, left_out = no_packet(), stack_array(EIGHT, np.float64)
     for first in range(0, asked.order.shape[0], EIGHT):
         why, rows = _bound(tree, moving, asked, first, packet, left_out, bounded.slots, squares)
         if why < 0:

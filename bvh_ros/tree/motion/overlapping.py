@@ -15,9 +15,9 @@ from ..jit.moving_sides import FRONTS, is_behind, is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..rays.slab import RAY_ROWS, set_swept_box
-from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .bounds import covers, fetch_children, set_fronts
-from .casting import OUTSIDE, is_sound, no_motion
+from ..store.turns import NOT_FINITE, end_query
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
+from .casting import is_sound, no_motion
 from .meeting import Course, box_of, meet
 from .sums import elapsed, surely_below
 
@@ -94,11 +94,11 @@ def overlap_one(tree, moving, box, mask, at, slots):
     lo, hi = box
     if not is_sound(lo, hi, lo, (at, 0.0)):
         return np.int64(NOT_FINITE)
-    if not begin_query(tree.state, moving.version):
-        return np.int64(REFUSED)
     if covers(moving, at, 0.0, 0.0) == 0:
-        end_query(tree.state)
         return np.int64(OUTSIDE)
+    why = begin_asking(tree, moving, 1)
+    if why != 0:
+        return why
     count = overlap_then(tree, moving, (lo, hi, at), mask, slots, 0)
     for i in range(min(count, slots.shape[0])):
         slots[i] = tree.handles[slots[i]]

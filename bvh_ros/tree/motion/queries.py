@@ -40,8 +40,9 @@ class MotionQueries(MotionRays):
             at = time_checks.moment('at', at)
         ndim, slots = tree._ndim, np.empty(FEW, np.int64)
         kernel = overlapping.one_entry(ndim)
+        moving = self.bounds
         while True:
-            count = kernel(tree._settled().tree, self.moving, box, mask, at, slots)
+            count = kernel(tree._settled().tree, moving, box, mask, at, slots)
             if count == NOT_FINITE:
                 time_checks.moment('at', at)
                 box_checks.box(*box, ndim)
@@ -53,7 +54,7 @@ class MotionQueries(MotionRays):
             if count > 0:
                 slots = np.empty(count, np.int64)
             else:
-                self.fit(tree, *span_of(at, 0.0, 0.0))
+                moving = self.others(tree, moving, count, span_of(at, 0.0, 0.0))
 
     def nearest(
         self, tree: Any, near: tuple[Floats, Floats, Any, int, float, np.uint32]
@@ -64,9 +65,9 @@ class MotionQueries(MotionRays):
             at = time_checks.moment('at', at)
             near = *near[:2], at, *near[3:]
         kernel = nearest.one_entry(tree._ndim)
-        found, distances = np.empty(k, np.int64), np.empty(k)
+        found, distances, moving = np.empty(k, np.int64), np.empty(k), self.bounds
         while True:
-            count = kernel(tree._settled().tree, self.moving, near, found, distances)
+            count = kernel(tree._settled().tree, moving, near, found, distances)
             if count == k:
                 return found, distances
             if count == NOT_FINITE:
@@ -74,7 +75,7 @@ class MotionQueries(MotionRays):
                 checks.finite('point', np.array(near[:2]))
             if count >= 0:
                 return found[:count], distances[:count]
-            self.fit(tree, *span_of(at, 0.0, 0.0))
+            moving = self.others(tree, moving, count, span_of(at, 0.0, 0.0))
 
     def overlap_many(
         self,
@@ -85,8 +86,9 @@ class MotionQueries(MotionRays):
         threads: int,
     ) -> tuple[Ids, Ids] | None:
         """What boxes touch at times: (offsets, handles); None if one is no box."""
-        times, view = time_checks.moments('at', at, len(boxes[0])), tree.view()
-        moving = self.fitted(tree, view.version, *times_of(times, STILL, STILL)[0])
+        count, view = len(boxes[0]), tree.view()
+        times = time_checks.moments('at', at, count)
+        moving = self.fitted(tree, count, times_of(times, STILL, STILL)[0])
         queries = overlapping.QueriesThen(*boxes, masks, times)
         arrays, entry = (view.tree, moving), overlapping.rows_entry
         return overlap_many(arrays, queries, threads, entry)

@@ -48,11 +48,12 @@ class MotionRays(Motion):
         at, pace = times
         if not (type(at) is type(pace) is float):
             times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
-        kernel = casting.one_entry(tree._ndim)
-        handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
+        kernel, moving = casting.one_entry(tree._ndim), self.moving if pace else self.bounds
+        handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
         while handle < NONE and handle != NOT_FINITE:
-            self.fit(tree, *span_of(at, pace, asked[0]))
-            handle, t = kernel(tree._settled().tree, self.moving, swept, asked, times, place)
+            span = span_of(at, pace, asked[0])
+            moving = self.others(tree, moving, handle, span, pace == 0.0)
+            handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)
             time_checks.moments('pace', pace, None)
@@ -82,7 +83,7 @@ class MotionRays(Motion):
             def call(arrays: Any, moving: Any, first: int = done, room: Any = found) -> Any:
                 return kernel(arrays, moving, casts, offsets, room, first)
 
-            done, wanted = self.ask(tree, spans, call)
+            done, wanted = self.ask(tree, spans, call, not casts.pace.any())
             if done < count:
                 found = more_room(found, wanted)
         total = offsets[-1]
@@ -146,7 +147,7 @@ class MotionRays(Motion):
         count, (at, pace), t_max = len(rays[0]), when, rays[2]
         if len(t_max) == 1:
             last = at if pace == 0.0 else at + t_max.item() * pace
-            sweep = self.ready_sweep(count, at, last)
+            sweep = self.ready_sweep(tree._storage.tree, count, at, last)
             if sweep is not None:
                 hits = ray_batches.room_for(count, tree._ndim, mode)
                 asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)

@@ -200,6 +200,16 @@ def _sweep_leaf(box, lane, moving, frame, mean, planes, leaf, sides):
 
 
 @inlined
+def _lane_area(planes, lane, ndim, per_length):
+    """Half area of what a lane holds."""
+    place, sides = lane // WIDTH * (2 * ndim * WIDTH) + lane % WIDTH, stack_array(3, np.float64)
+    for axis in range(ndim):
+        upper, lower = planes[place + (axis + ndim) * WIDTH], planes[place + axis * WIDTH]
+        sides[axis] = (np.float64(upper) - np.float64(lower)) / per_length
+    return _half_area(sides[:ndim])
+
+
+@inlined
 def _unite_child(planes, lane, child, ndim):
     """Write the planes of a lane that holds a wide node."""
     for axis in range(ndim):
@@ -212,15 +222,16 @@ def _unite_child(planes, lane, child, ndim):
 
 
 @lean_kernel
-def sweep(tree, moving, snapshot, planes, leaves, frame):
+def sweep(tree, moving, snapshot, planes, leaves, frame, areas):
     """Fill `planes`, as those of a snapshot of the tree at rest, and `leaves` for the span of
-    `moving`, and `frame`, (ndim + 1,): its centre, and its units per length. Returns 0; USELESS
-    if it would be; REFUSED if the tree is of another version than `moving`.
+    `moving`, and `frame`, (ndim + 1,): its centre, and its units per length; `areas`, (2,): the
+    half area of all wide nodes in the snapshot, and now. Returns 0; USELESS if it would be;
+    REFUSED if the tree is of another version than `moving`.
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     ndim, sides = frame.shape[0] - 1, stack_array(3, np.float64)
-    mean = stack_array(3, np.float64)
+    mean, areas[:] = stack_array(3, np.float64), 0.0
     apart, swept, whole = 0.0, 0.0, _set_frame(tree, moving, snapshot, frame, mean)
     if whole >= 0.0:
         # From the last to the first: children have greater numbers than their parents.
@@ -228,10 +239,12 @@ def sweep(tree, moving, snapshot, planes, leaves, frame):
             slot, child = _leaf_of(tree, snapshot, lane), np.int64(snapshot.children[lane])
             if slot >= 0:
                 box = box_of(tree, moving, slot)
-                areas = _sweep_leaf(box, lane, moving, frame, mean, planes, leaves[slot], sides)
-                apart, swept = apart + areas[0], swept + areas[1]
+                parts = _sweep_leaf(box, lane, moving, frame, mean, planes, leaves[slot], sides)
+                apart, swept = apart + parts[0], swept + parts[1]
             elif child >= 0:
                 _unite_child(planes, lane, child, ndim)
+                areas[0] += _lane_area(snapshot.planes, lane, ndim, snapshot.per_length)
+                areas[1] += _lane_area(planes, lane, ndim, frame[ndim])
             else:
                 for axis in range(ndim):
                     empty = np.float32(np.inf), np.float32(-np.inf)
@@ -241,26 +254,28 @@ def sweep(tree, moving, snapshot, planes, leaves, frame):
     return np.int64(0 if few else USELESS)
 
 
-_PLANES, _FRAME = np.empty(0, np.float32), np.empty(0)
+_PLANES, _NUMBERS = np.empty(0, np.float32), np.empty(0)
 _entry = entry_points(
     *(sweep, no_motion, no_snapshot, _PLANES),
-    *(lambda ndim: np.empty(0, leaf_dtype(ndim)), _FRAME),
+    *(lambda ndim: np.empty(0, leaf_dtype(ndim)), _NUMBERS, _NUMBERS),
 )
 
 
-def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> Sweep | None:
-    """A snapshot for the span of `moving`, made of that of the tree at rest; None where it would
-    prune too little; RuntimeError if the tree is of another version than `moving`.
+def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> tuple[Sweep | None, float]:
+    """A snapshot for the span of `moving`, made of that of the tree at rest, and how many times as
+    large its nodes are; None where it would prune too little; RuntimeError if the tree is of
+    another version than `moving`.
     """
     ndim = len(snapshot.center)
-    planes, frame = on_cache_lines(len(snapshot.planes)), np.empty(ndim + 1)
+    planes, frame, areas = on_cache_lines(len(snapshot.planes)), np.empty(ndim + 1), np.empty(2)
     leaves = aligned_empty(len(tree.handles), leaf_dtype(ndim))
-    done = _entry(ndim)(tree, moving, snapshot, planes, leaves, frame)
+    done = _entry(ndim)(tree, moving, snapshot, planes, leaves, frame, areas)
     if done == USELESS:
-        return None
+        return None, 1.0
     accepted(done)
     center, per_length = frame[:ndim], float(frame[ndim])
     if accepted(blurred_entry(ndim)(tree, moving.version, BLURRED / per_length)):
-        return None
+        return None, 1.0
     snapshot = snapshot._replace(planes=planes, center=center, per_length=per_length)
-    return Sweep(snapshot, moving, Leaves(leaves, moving.start))
+    grown = areas.item(1) / areas.item(0) if areas.item(0) > 0.0 else 1.0
+    return Sweep(snapshot, moving, Leaves(leaves, moving.start)), grown

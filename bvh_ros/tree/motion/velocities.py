@@ -56,6 +56,15 @@ def write(tree, version, kept, handles, velocities, references):
     return np.int64(0)
 
 
+def told_to(
+    kept: NDArray[Any], handles: NDArray[np.int64], slots: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(velocities, references) of the boxes of slots; zeros where a box has none."""
+    rows = kept[np.minimum(slots, len(kept) - 1)]
+    told = rows['owner'] == handles[slots]
+    return np.where(told[:, None], rows['velocity'], 0.0), np.where(told, rows['reference'], 0.0)
+
+
 def packed(kept: NDArray[Any], handles: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     """What a file holds: those of living boxes."""
     count = min(len(kept) - 1, len(handles))
