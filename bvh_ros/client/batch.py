@@ -33,12 +33,10 @@ class Channel:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     topics : tuple of two str
         Of questions and of answers.
     read : callable
         Makes answers of a cloud; ValueError if it cannot be read.
-    group : rclpy.callback_groups.CallbackGroup
     kind : type
         Of the questions' messages.
     """

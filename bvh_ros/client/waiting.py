@@ -120,8 +120,6 @@ class Pending:
 
     Parameters
     ----------
-    waiting : Waiting
-    answer : rclpy.task.Future
     whom : str
         Who was asked, for people.
     forget : callable

@@ -93,10 +93,10 @@ def add_faces(axes: Any, faces: Any, colours: ArrayLike) -> None:
 
 def add_levels(axes: Any, lo: Floats, hi: Floats, depths: NDArray[np.int64]) -> None:
     """Draw the tree's boxes by their edges, each depth in a colour of its own."""
-    corners = corners_of(lo, hi)
-    edges = EDGES if lo.shape[1] == 3 else EDGES[(EDGES < 4).all(axis=1)]
-    colours = np.repeat(PALETTE[depths % len(PALETTE)], len(edges), axis=0)
-    _add_lines(axes, corners[:, edges].reshape(-1, 2, lo.shape[1]), colours, 0.9)
+    segments = edges(lo, hi)
+    each = len(segments) // max(len(lo), 1)
+    colours = np.repeat(PALETTE[depths % len(PALETTE)], each, axis=0)
+    _add_lines(axes, segments, colours, 0.9)
 
 
 def first_and_last(levels: Levels) -> tuple[int, int]:
@@ -110,6 +110,13 @@ def corners_of(lo: Floats, hi: Floats) -> Floats:
     ndim = lo.shape[1]
     corners: Floats = lo[:, None] + CORNERS[: 2**ndim, :ndim] * (hi - lo)[:, None]
     return corners
+
+
+def edges(lo: Floats, hi: Floats) -> Floats:
+    """Edges (n * 12, 2, 3) of boxes (n, 3), or (n * 4, 2, 2) of flat ones (n, 2)."""
+    ndim = lo.shape[1]
+    around = EDGES[(2**ndim > EDGES).all(axis=1)]
+    return corners_of(lo, hi)[:, around].reshape(-1, 2, ndim)
 
 
 def _points(name: str, given: Any, shape: tuple[int, ...]) -> Floats:

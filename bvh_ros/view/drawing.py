@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.geometry.shapes import rotations
-from bvh_ros.tree.plotting import CORNERS, EDGES, PALETTE, corners_of
+from bvh_ros.tree.plotting import CORNERS, EDGES, PALETTE
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import Floats, Overlay
 
@@ -242,14 +242,6 @@ class Overlays:
         self._lines.draw(overlay.lines, overlay.colours)
         self._hits.draw(overlay.spots, 0.006 * size)
         self._scan.draw(overlay.scan, 0.004 * size)
-
-
-def edges(lo: Floats, hi: Floats) -> Floats:
-    """Return the edges (n * 12, 2, 3) of boxes (n, 3), or (n * 4, 2, 3) of flat ones (n, 2)."""
-    flat = lo.shape[1] == 2
-    around = EDGES[(EDGES < 4).all(axis=1)] if flat else EDGES
-    ends = corners_of(lo, hi)[:, around].reshape(-1, 2, lo.shape[1])
-    return np.pad(ends, ((0, 0), (0, 0), (0, 1))) if flat else ends
 
 
 def edges_of(position: Floats, turn: Floats, size: Floats) -> Floats:

@@ -23,10 +23,6 @@ class Following:
     So what counts is where each camera was told to look: whoever reports one of these places
     has yet to go on from there to the last one, however late the report is. Only who looks
     elsewhere was moved aside by a hand; who turns or zooms looks at the same place.
-
-    Parameters
-    ----------
-    server : LocalServer
     """
 
     def __init__(self, server: LocalServer) -> None:

@@ -13,9 +13,10 @@ from queue import SimpleQueue
 import numpy as np
 import viser
 
+from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene import Shapes
 from bvh_ros.tree.plotting import PALETTE
-from bvh_ros.view.drawing import Lines, Obstacles, Overlays, edges
+from bvh_ros.view.drawing import Lines, Obstacles, Overlays
 from bvh_ros.view.grouping import Namespaces
 from bvh_ros.view.panel import BY_NAMESPACE, Panel
 from bvh_ros.view.picking import Picking
@@ -31,13 +32,7 @@ TREE_EVERY = 0.5
 
 
 class Page:
-    """Shows a world until told to end.
-
-    Parameters
-    ----------
-    server : LocalServer
-    world : ShownWorld
-    """
+    """Shows a world until told to end."""
 
     def __init__(self, server: LocalServer, world: ShownWorld) -> None:
         self.server, self.world = server, world

@@ -22,16 +22,7 @@ REACH = 10.0  # of a click, in sizes of the world
 
 
 class Picking:
-    """Lets the world answer a click, and stays with whom it named.
-
-    Parameters
-    ----------
-    server : LocalServer
-    panel : Panel
-    world : ShownWorld
-    stage : Stage
-    placing : Placing
-    """
+    """Lets the world answer a click, and stays with whom it named."""
 
     def __init__(
         self, server: LocalServer, panel: Panel, world: ShownWorld, stage: Stage, placing: Placing

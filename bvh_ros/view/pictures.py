@@ -10,7 +10,7 @@ from visualization_msgs.msg import Marker
 from bvh_ros.ros.cdr import marker_array
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.marker_table import MarkerTable
-from bvh_ros.ros.conversions.outlines import CORNERS, TRIANGLES
+from bvh_ros.ros.conversions.outlines import TRIANGLES
 from bvh_ros.scene import ShapeKind, Shapes
 from bvh_ros.view.worlds import NO_POINTS, Floats, Integers
 
@@ -19,7 +19,7 @@ LISTS = {Marker.CUBE_LIST: ShapeKind.BOX, Marker.SPHERE_LIST: ShapeKind.SPHERE}
 SINGLES = {Marker.SPHERE: ShapeKind.SPHERE, Marker.CYLINDER: ShapeKind.CYLINDER}
 CORNERS_A_BOX = len(TRIANGLES)
 # Where, among the corners of a box's triangles, each of its eight corners comes first.
-FIRST = np.array([int(np.flatnonzero(corner == TRIANGLES)[0]) for corner in range(len(CORNERS))])
+FIRST = np.array([int(np.flatnonzero(corner == TRIANGLES)[0]) for corner in range(8)])
 
 
 def obstacles(message: bytes) -> dict[str, Shapes]:

@@ -10,8 +10,9 @@ from html import escape
 import numpy as np
 import viser
 
+from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.tree.plotting import BLOCKED_WAY, FREE_WAY
-from bvh_ros.view.drawing import Dots, Lines, edges
+from bvh_ros.view.drawing import Dots, Lines
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, ShownWorld
 

@@ -24,7 +24,6 @@ class Tracks(Recording):
 
     Parameters
     ----------
-    title : str
     frames : sequence of scenarios.Frame
         Each tells all there is.
     """
@@ -51,12 +50,7 @@ class Tracks(Recording):
 
 
 class Bag(Recording):
-    """The obstacles of a ROS 2 bag, read by the node's own sources; nothing is published.
-
-    Parameters
-    ----------
-    recording : bags.Recording
-    """
+    """The obstacles of a ROS 2 bag, read by the node's own sources; nothing is published."""
 
     frame_id = ''
 

@@ -23,9 +23,6 @@ class Stage:
 
     Parameters
     ----------
-    server : LocalServer
-    panel : Panel
-    world : ShownWorld
     placing : Placing
         Is chosen when there is something to be seen for the first time.
     """

@@ -88,7 +88,6 @@ class ShownWorld:
     ----------
     title : str
         What is shown, in words.
-    scene : Scene
     """
 
     frame_id = 'world'

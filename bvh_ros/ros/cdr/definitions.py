@@ -13,12 +13,7 @@ Definition = Mapping[str, Mapping[str, str]]  # type name -> field -> type
 
 
 def of(message_type: Any) -> Definition:
-    """Return the fields of a message class and of all that are nested in it.
-
-    Parameters
-    ----------
-    message_type : ROS message class
-    """
+    """Return the fields of a message class and of all that are nested in it."""
     found: dict[str, dict[str, str]] = {}
     name = f'{message_type.__module__.partition(".")[0]}/{message_type.__name__}'
     waiting = [(name, message_type)]

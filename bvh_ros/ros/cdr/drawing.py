@@ -51,7 +51,6 @@ def marker_array(drawings: Sequence[Drawing], frame_id: str, stamp: int) -> byte
 
     Parameters
     ----------
-    drawings : sequence of Drawing
     frame_id : str
         Frame of all of them.
     stamp : int

@@ -157,7 +157,6 @@ def read_settings(
 
     Parameters
     ----------
-    node : rclpy.node.Node
     types : mapping of str to sequence of Option
         The source types there are, with the options of each.
     groups : mapping of str to sequence of Option

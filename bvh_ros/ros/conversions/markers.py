@@ -70,7 +70,6 @@ def change(
 
     Parameters
     ----------
-    table : MarkerTable
     now : int
         Time of reception on the node's clock, ns: lifetimes begin here, as in RViz.
     into_node : callable

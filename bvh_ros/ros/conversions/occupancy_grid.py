@@ -26,7 +26,6 @@ def boxes(
 
     Parameters
     ----------
-    grid : nav_msgs/OccupancyGrid
     occupied_at : int
         Cells at or above this value are occupied.
     unknown_occupied : bool

@@ -38,7 +38,6 @@ def query(
 
     Parameters
     ----------
-    request : nav_msgs.srv.GetPlan.Request
     into_node : callable
         From a frame and a stamp to the transform into the node's frame, or None.
     oriented : bool
@@ -92,7 +91,6 @@ class Replies:
 
         Parameters
         ----------
-        plan : nav_msgs.msg.Path
         hits : sequence of SceneHit
             One pose each, in this order.
         frame_id : str

@@ -55,7 +55,6 @@ class Batch(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
     world : World
         Asked before each answer whether it is complete.
     view : View
@@ -266,8 +265,11 @@ def moved(transform: Transform, rays: Rays) -> Rays:
         )
 
 
-def moved_back(transform: Transform, hits: Hits) -> Hits:
-    """Return hits in the frame that the rays came from."""
+def moved_back(transform: Transform, told: Any) -> Any:
+    """Return answers in the frame that the questions came from."""
     back = transform.inverse()
     with np.errstate(over='ignore', invalid='ignore'):
-        return hits._replace(points=back.points(hits.points), normals=back.vectors(hits.normals))
+        told = told._replace(points=back.points(told.points))
+        if 'normals' in told._fields:
+            told = told._replace(normals=back.vectors(told.normals))
+    return told

@@ -45,8 +45,6 @@ class Diagnostics(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    world : World
     queries : sequence of QueryServices
         One a view.
     answerers : sequence of Answerer
@@ -166,7 +164,7 @@ class Diagnostics(NodePart):
             values['topic'] = subscription.topic
             values['publishers'] = publishers
             values |= subscription.figures()
-            if subscription.losses.count and source.completeness.missing():
+            if subscription.lost and source.completeness.missing():
                 level, text = WARN, f'obstacles may be unknown: {source.completeness.missing()}'
             if source.has_spoken and not publishers:
                 level, text = WARN, 'its publishers are gone; what they said is kept'

@@ -43,12 +43,6 @@ class SceneDrawing(OnDemandPublisher):
     """`~/scene`: every obstacle, up to a limit, in the namespace and colour of its source.
 
     What is neither box, sphere nor cylinder is drawn as the box around it.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    world : World
-    settings : DrawSettings
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
@@ -71,14 +65,7 @@ class SceneDrawing(OnDemandPublisher):
 
 
 class TreeDrawing(OnDemandPublisher):
-    """`~/tree`: the boxes of the tree's nodes at some depths as one LINE_LIST.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    world : World
-    settings : DrawSettings
-    """
+    """`~/tree`: the boxes of the tree's nodes at some depths as one LINE_LIST."""
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
         super().__init__(node, MarkerArray, '~/tree')
@@ -93,7 +80,7 @@ class TreeDrawing(OnDemandPublisher):
         )
         whole = len(lo) <= settings.limit
         lo, hi, depths = lo[: settings.limit], hi[: settings.limit], depths[: settings.limit]
-        ends = outlines.edges(lo, hi)
+        ends = outlines.edges(lo, hi).reshape(-1, 3)
         each = len(ends) // max(len(lo), 1)
         colours = np.repeat(COLOURS[depths % len(COLOURS)], each, axis=0)
         drawings = []

@@ -31,11 +31,6 @@ class NamesPublisher(OnDemandPublisher):
 
     The message is put together from bytes that are kept for each obstacle: thousands of KeyValue
     objects a second would stop the queries for tens of milliseconds.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    scene : Scene
     """
 
     def __init__(self, node: Node, scene: Scene) -> None:

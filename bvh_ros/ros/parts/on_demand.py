@@ -23,7 +23,6 @@ class OnDemand(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
     jobs : sequence of Job
         What may be asked for.
     """

@@ -45,14 +45,6 @@ class NodePart:
         self._close.append(partial(self.node.destroy_publisher, publisher))
         return publisher
 
-    def subscription(
-        self, kind: type, topic: str, callback: Callable[..., Any], qos: Any, **given: Any
-    ) -> Any:
-        """Create a subscription that lives as long as this part."""
-        subscription = self.node.create_subscription(kind, topic, callback, qos, **given)
-        self._close.append(partial(self.node.destroy_subscription, subscription))
-        return subscription
-
     def every(self, period: float, callback: Callable[[], Any]) -> None:
         """Call back every `period` seconds of real time, as long as this part lives.
 

@@ -38,12 +38,6 @@ class QueryDrawing(OnDemandPublisher):
 
     A ray ends where it hits, and one without end some way behind the world. A box that was asked
     about is drawn by its edges.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    world : World
-    settings : DrawSettings
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
@@ -78,7 +72,7 @@ class QueryDrawing(OnDemandPublisher):
             half = rotations.rotate(turn * (-1.0, -1.0, -1.0, 1.0), (goal - start) * 0.5)
             half = np.abs(half)[None] + query.tolerance
             ends = outlines.edges(-half, half)
-            lines = ((start + goal) * 0.5 + rotations.rotate(turn, ends)).reshape(-1, 2, 3)
+            lines = (start + goal) * 0.5 + rotations.rotate(turn, ends)
         self._remember(lines, np.full(len(lines), bool(hits)), spots)
 
     def message(self) -> bytes | None:

@@ -24,10 +24,8 @@ class Readiness(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
     world : World
         Told while not every question can be answered.
-    compilation : Compilation
     done : callable
         Called once the world is ready, if that is later than the first answers.
     """

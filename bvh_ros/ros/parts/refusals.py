@@ -38,7 +38,6 @@ class Refused:
 
     Parameters
     ----------
-    logger : Logger
     what : str
         Who was refused, as the log says it: `query`, `source 'markers'`.
     """

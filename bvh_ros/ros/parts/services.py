@@ -44,7 +44,6 @@ class QueryServices(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
     world : World
         Asked before each answer whether it is complete.
     view : View

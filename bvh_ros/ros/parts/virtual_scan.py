@@ -45,9 +45,6 @@ class VirtualScan(NodePart):
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    world : World
-    settings : ScanSettings
     view : View
         What the scanner sees; one that skips inside does not see the robot that carries it.
     """

@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
 from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
-from bvh_ros.ros.parts.batch import PIECE, UNKNOWN_TIME, Batch
+from bvh_ros.ros.parts.batch import PIECE, UNKNOWN_TIME, Batch, moved_back
 from bvh_ros.scene import NO_NODE
 
 if TYPE_CHECKING:
@@ -236,13 +236,3 @@ def near(
     apart = (handles != NO_NODE) & (distances != 0.0)
     normals[apart] = (places[apart] - points[apart]) / distances[apart, None]
     return Near(points, distances, normals, handles)
-
-
-def moved_back(transform: Transform, told: Any) -> Any:
-    """Return answers in the frame that the questions came from."""
-    back = transform.inverse()
-    with np.errstate(over='ignore', invalid='ignore'):
-        told = told._replace(points=back.points(told.points))
-        if isinstance(told, Near):
-            told = told._replace(normals=back.vectors(told.normals))
-    return told

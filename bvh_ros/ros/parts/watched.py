@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
@@ -26,12 +27,6 @@ class OnDemandPublisher(NodePart):
 
     What is latched reaches only who asks for it. Others would wait until something changes: when
     somebody new subscribes, the last message is published again.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    kind : ROS message class
-    topic : str
     """
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:
@@ -42,7 +37,7 @@ class OnDemandPublisher(NodePart):
         self._to_tell = 0  # times that the last message is still to be said again
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._publish, clock=steady, autostart=False)
-        self._close.append(self._destroy_timer)
+        self._close.append(partial(node.destroy_timer, self._timer))
         self._publisher = self.publisher(
             kind,
             topic,
@@ -80,6 +75,3 @@ class OnDemandPublisher(NodePart):
         self._last = message
         self._published_at = time.monotonic()
         self._publisher.publish(message)
-
-    def _destroy_timer(self) -> None:
-        self.node.destroy_timer(self._timer)

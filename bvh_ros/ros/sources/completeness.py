@@ -30,7 +30,6 @@ class Completeness:
 
         Parameters
         ----------
-        heard : Heard
         kept : bool
             Whether its publisher keeps messages for late joiners.
         """

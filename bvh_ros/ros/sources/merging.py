@@ -52,7 +52,6 @@ class Merger:
 
         Parameters
         ----------
-        told : Told
         sent : int
             When its publisher sent it, ns: together with the number, whose it is.
         others_hear : bool
@@ -72,11 +71,11 @@ class Merger:
         self._held.pop(key, None)
         self._pass_on(key, told)
 
-    def release(self, *, everything: bool = False) -> None:
+    def release(self) -> None:
         """Pass on what was held for long enough: nobody else hears it."""
         now = time.monotonic()
         for key, (due, told) in [*self._held.items()]:
-            if not everything and due > now:
+            if due > now:
                 return
             del self._held[key]
             self._pass_on(key, told)

@@ -10,7 +10,6 @@ from typing import Any
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.cdr import point_cloud2 as decoder
-from bvh_ros.ros.cdr.cloud_head import field_names
 from bvh_ros.ros.conversions import point_cloud2
 from bvh_ros.ros.conversions.markers import TOO_FAR_AHEAD, moved
 from bvh_ros.ros.sources.source import Applying, Source
@@ -19,7 +18,10 @@ from bvh_ros.scene import Numbered, Part
 
 def says_everything(serialised: bytes) -> bool:
     """Whether a cloud replaces all boxes: it has no ids."""
-    names = field_names(serialised)
+    try:
+        names = [field.name for field in decoder.read(serialised).fields]
+    except ValueError:
+        return False
     return bool(names) and 'id' not in names
 
 

@@ -25,7 +25,6 @@ class Resting:
 
     Parameters
     ----------
-    node : rclpy.node.Node
     subscriptions : collection of rclpy.subscription.Subscription
         As they are at any time.
     take : callable

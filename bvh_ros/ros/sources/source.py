@@ -41,15 +41,7 @@ DONE = object()
 
 
 class Source(ABC):
-    """Brings the messages of one topic into the scene, and owns the obstacles it brought.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    settings : SourceSettings
-    scene : Scene
-    frames : Frames
-    """
+    """Brings the messages of one topic into the scene, and owns the obstacles it brought."""
 
     message_type: ClassVar[type]
     depth: ClassVar[int] = DEPTH

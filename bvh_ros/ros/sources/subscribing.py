@@ -16,13 +16,21 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_n
 
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH, Delivery
+from bvh_ros.ros.seldom import Seldom
 from bvh_ros.ros.sources.backlog import Backlog
-from bvh_ros.ros.sources.kinds import BEST_EFFORT, KINDS, LATCHED, RELIABLE, Kind, asked, is_kept
-from bvh_ros.ros.sources.losses import Losses
+from bvh_ros.ros.sources.kinds import (
+    BEST_EFFORT,
+    KINDS,
+    LATCHED,
+    RELIABLE,
+    Kind,
+    asked,
+    is_kept,
+    unheard,
+)
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
 from bvh_ros.ros.sources.resting import Resting
-from bvh_ros.ros.sources.unheard import unheard
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -45,12 +53,8 @@ class FollowingSubscription:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    message_type : ROS message class
-    topic : str
     callback : callable
         Takes a message, or its bytes, in a list; with it those that may be handed over together.
-    delivery : Delivery
     on_irregular : callable, optional
         Takes what a message's number says about those before, where it does not just follow, and
         whether its publisher keeps messages for late joiners; called before `callback`.
@@ -86,7 +90,8 @@ class FollowingSubscription:
         self._raw, self._together = delivery.raw, delivery.together
         self.topic = node.resolve_topic_name(topic)
         self.incompatible = ''  # why a publisher is not heard, and the remedy
-        self.losses = Losses(node.get_logger(), self.topic)
+        self.lost = 0  # messages
+        self._losses = Seldom(lambda text: node.get_logger().warning(text))
         self._numbering = Numbering()
         self._merger = Merger(self._deliver, HOLD if delivery.ordered else 0.0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -112,7 +117,7 @@ class FollowingSubscription:
 
         To be called about once a second.
         """
-        self.losses.log()
+        self._losses.log()
         offered = {
             info.qos_profile.reliability
             for info in self._node.get_publishers_info_by_topic(self.topic)
@@ -163,14 +168,17 @@ class FollowingSubscription:
         figures: dict[str, object] = {
             'reliability': kinds[0].reliability.name.lower(),
             'durability': kinds[0].durability.name.lower(),
-            'messages lost': self.losses.count,
+            'messages lost': self.lost,
         }
         if self._supersedes:
             figures['messages that newer ones replaced'] = self._backlog.superseded
         return figures
 
     def _create(self, kind: Kind, overriding: QoSOverridingOptions | None = None) -> None:
-        qos = self._profile(kind)
+        history, depth = self._wanted.history, self._wanted.depth
+        qos = QoSProfile(
+            history=history, depth=depth, reliability=kind.reliability, durability=kind.durability
+        )
         if overriding is not None:
             self._wanted = qos
         self._subscriptions[kind] = self._node.create_subscription(
@@ -183,12 +191,6 @@ class FollowingSubscription:
                 incompatible_qos=partial(self._on_incompatible, kind)
             ),
             qos_overriding_options=overriding,
-        )
-
-    def _profile(self, kind: Kind) -> QoSProfile:
-        history, depth = self._wanted.history, self._wanted.depth
-        return QoSProfile(
-            history=history, depth=depth, reliability=kind.reliability, durability=kind.durability
         )
 
     def _receive(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
@@ -228,7 +230,13 @@ class FollowingSubscription:
     def _deliver(self, told: Told) -> None:
         publishers = max(self._counts().values(), default=0)
         heard = self._numbering.note(told.number, publishers)
-        self.losses.add(heard.lost)
+        if heard.lost:
+            self.lost += heard.lost
+            self._losses.add(
+                f'{self.topic}: {self.lost} messages were lost in all; they came faster than they '
+                'were taken, or on a connection that loses some',
+                heard.lost,
+            )
         self._backlog.add(told.message, (told, heard))
 
     def _hand_over_some(self) -> None:
@@ -277,5 +285,5 @@ class FollowingSubscription:
         if self._follows and policy == 'RELIABILITY':
             self._change.trigger()
             return
-        self.incompatible = unheard(self.topic, policy, self._profile(kind))
+        self.incompatible = unheard(self.topic, policy, kind)
         self._node.get_logger().warning(f'{self.topic}: {self.incompatible}')

@@ -42,7 +42,6 @@ class KnownTimes:
 
     Parameters
     ----------
-    scene : Scene
     max_prediction : float
         So long (s) after the newest data.
     history : float
@@ -129,7 +128,6 @@ def span_of(request: Any, *, moves: bool) -> Span:
 
     Parameters
     ----------
-    request : nav_msgs.srv.GetPlan.Request
     moves : bool
         Whether it asks about a way, and not about a place.
 

@@ -18,7 +18,6 @@ class Past:
 
     Parameters
     ----------
-    scene : Scene
     history : float
         So much of the past (s) is kept; 0: nothing, and nothing is copied.
     """

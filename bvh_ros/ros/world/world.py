@@ -51,7 +51,6 @@ class World:
 
         Parameters
         ----------
-        now : int
         thin_ray : bool
             Whether one thin ray is asked for. Among axis-aligned boxes that can be answered first.
 

@@ -21,7 +21,7 @@ from ...tree.store.turns import IS_CHANGED, NOT_FINITE
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
-from .touching import FOUND, REFUSED, ROUNDED, Found, Scratch, nearest_boxes, nearest_shapes
+from .touching import FOUND, REFUSED, ROUNDED, Found, Scratch, nearest_to
 from .touching_rows import Near, Points, RowKernel, Signed, bodies_of, nearest_rows
 
 MORE = 4
@@ -74,15 +74,12 @@ class Nearness:
     def _fill(self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed) -> int:
         columns = self._columns
         bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
-        shapes: Any = ()
-        kernel, variant = nearest_boxes, None
-        if bodies is not None:
-            kernel, variant, shapes = nearest_shapes, bodies.hulls is not None, (bodies,)
+        variant = None if bodies is None else bodies.hulls is not None
         found = self._scratch.found
-        given = self._tree.view().tree, *shapes, point, asked, signed, columns.node_handle, found
+        given = self._tree.view().tree, bodies, point, asked, signed, columns.node_handle, found
         entry = self._entries.get((variant, signed))
         if entry is None:
-            entry = self._entries[variant, signed] = entry_point(kernel, *given)
+            entry = self._entries[variant, signed] = entry_point(nearest_to, *given)
         count: int = entry(*given)
         if count == REFUSED:
             raise RuntimeError(IS_CHANGED)

@@ -17,13 +17,13 @@ from ...tree.store.turns import IS_CHANGED
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats
 from ..results import NO_NODE, BoxHits, require_few
-from ..store.columns import Columns
+from ..store.columns import Bodies, Columns
 from ..store.mesh_store import Hulls
 from ..store.registry import Slots
 from . import narrow_phase
 from .query_rows import FAULTY, NARROW, QueryRows, begin_shaped, with_records
 from .query_shape import QueryShape
-from .touching import FOUND, REFUSED, Found, Scratch, touching_boxes, touching_shapes
+from .touching import FOUND, REFUSED, Found, Scratch, touching
 from .touching_rows import (
     ALL,
     ANY,
@@ -71,10 +71,9 @@ class Overlaps:
         known of them until the next query of this thread, and their rows in order of their
         distances from its centre, ties by handle. TooManyHitsError if they are more than `most`.
         """
-        if self._columns.shaped or not query.aligned:
-            count, doubtful = self._fill_shapes(query, hulls, mask)
-        else:
-            count, doubtful = self._fill(None, touching_boxes, (), query, mask)
+        narrow = self._columns.shaped > 0 or not query.aligned
+        bodies = bodies_of(self._columns, hulls) if narrow else None
+        count, doubtful = self._fill(bodies, query, mask)
         found = self._scratch.found
         order = found.order[:count].tolist()
         if doubtful:
@@ -212,36 +211,27 @@ class Overlaps:
         np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
         return offsets, handles[first]
 
-    def _fill_shapes(
-        self, query: QueryShape, hulls: Hulls | None, mask: np.uint32
-    ) -> tuple[int, int]:
-        columns, bodies = self._columns, bodies_of(self._columns, hulls)
-        count, doubtful, compared, more = self._fill(
-            bodies.hulls is not None, touching_shapes, (bodies,), query, mask
-        )
-        columns.pairs_compared += compared
-        columns.pairs_in_more_digits += more
-        return count, doubtful
-
-    def _fill(
-        self, variant: bool | None, kernel: Any, bodies: Any, query: QueryShape, mask: np.uint32
-    ) -> Any:
-        """Call a kernel of `touching` until there is room for what it finds. `variant` stands for
-        the types of what it is given.
+    def _fill(self, bodies: Bodies | None, query: QueryShape, mask: np.uint32) -> tuple[int, int]:
+        """Call the kernel until there is room for what it finds; how many there are, and how many
+        of them are doubtful.
         """
+        columns, variant = self._columns, None if bodies is None else bodies.hulls is not None
         while True:
             found = self._scratch.found
-            asked = *bodies, query, mask, False
-            given = self._tree.view().tree, *asked, self._columns.node_handle, found
+            asked = bodies, query, mask, False
+            given = self._tree.view().tree, *asked, columns.node_handle, found
             entry = self._entries.get(variant)
             if entry is None:
-                entry = self._entries[variant] = entry_point(kernel, *given)
-            counted = entry(*given)
-            if counted[0] == REFUSED:
+                entry = self._entries[variant] = entry_point(touching, *given)
+            count, doubtful, compared, more = entry(*given)
+            if count == REFUSED:
                 raise RuntimeError(IS_CHANGED)
-            if counted[0] <= len(found.slots):
-                return counted
-            self._scratch.make_room(counted[0])
+            if compared:
+                columns.pairs_compared += compared
+                columns.pairs_in_more_digits += more
+            if count <= len(found.slots):
+                return count, doubtful
+            self._scratch.make_room(count)
 
     def _holds(self, query: QueryShape, row: int) -> bool:
         """Whether an axis-aligned box in doubt is within the tolerance, as real arithmetic

@@ -3,7 +3,7 @@
 """Which obstacles touch a query shape, and how they lie to its centre: one kernel a query.
 
 Broad phase, exact decision between axis-aligned boxes, narrow phase for the others. Where all are
-boxes, `touching_boxes` reads the tree alone.
+boxes, the kernels read the tree alone.
 """
 
 import threading
@@ -85,66 +85,30 @@ def within(lo, hi, query):
 
 
 @lean_kernel
-def touching_boxes(tree, query, mask, enough, node_handles, found):
-    """Fill in the boxes that touch an aligned query; return (how many, how many are doubtful).
-    More than fit: none is filled in. Where one is `enough`, the first that surely touches is
-    the last, and nothing is filled in.
+def touching(tree, bodies, query, mask, enough, node_handles, found):
+    """Fill in what touches a query; return (how many, how many are doubtful, how many pairs were
+    compared, how many of them took more digits). `bodies` is None where all are axis-aligned
+    boxes, the query's, too. More than fit: none is filled in. Where one is `enough`, the first
+    that surely touches is the last, and nothing is filled in.
     """
-    nodes, tight, state = tree.nodes, tree.tight, tree.state
-    if not begin_query(state, ANY_VERSION):
-        return np.int64(REFUSED), 0
-    total, count, doubtful = reached(tree, query, mask, found), 0, 0
-    if total <= found.slots.shape[0]:
-        centre = query.record[0].position
-        for i in range(total):
-            slot = found.slots[i]
-            lo, hi = leaf_box(nodes, tight, 2 * slot)
-            near_by, sure = True, True
-            if query.tolerance > 0.0:
-                near_by, sure = within(lo, hi, query)
-            if not (near_by or not sure):
-                continue
-            doubtful += not sure
-            if enough:
-                count += 1
-                if sure:
-                    break
-                continue
-            found.slots[count], found.doubtful[count] = slot, not sure
-            found.points[count, 2] = query.height
-            closest_in_box(lo, hi, centre, found.points[count])
-            found.distances[count] = look_back(
-                found.points[count], centre, lo.shape[0], found.normals[count]
-            )
-            count += 1
-        if not enough:
-            order_found(found, count, node_handles)
-    end_query(state)
-    return (np.int64(total) if total > found.slots.shape[0] else np.int64(count)), doubtful
-
-
-@lean_kernel
-def touching_shapes(tree, bodies, query, mask, enough, node_handles, found):
-    """`touching_boxes` of any shapes: (how many, how many are doubtful, how many pairs were
-    compared, how many of them took more digits).
-    """
-    nodes, tight, state = tree.nodes, tree.tight, tree.state
-    if not begin_query(state, ANY_VERSION):
+    if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED), 0, 0, 0
-    solid, planar = query.record[0], bodies.footprints is not None
     total, count, doubtful, compared, more = reached(tree, query, mask, found), 0, 0, 0, 0
     if total <= found.slots.shape[0]:
+        solid = query.record[0]
         for i in range(total):
-            slot = found.slots[i]
-            shape, near_by, sure = bodies.shapes[slot], True, True
-            if shape.shaped or not query.aligned:
-                near_by, digits = near(
-                    shape, bodies.hulls, solid, bodies.query_hulls, query.tolerance, planar
-                )
-                compared += 1
-                more += digits
-            elif query.tolerance > 0.0:
-                lo, hi = leaf_box(nodes, tight, 2 * slot)
+            slot, near_by, sure, narrow = found.slots[i], True, True, False
+            if bodies is not None:
+                shape, planar = bodies.shapes[slot], bodies.footprints is not None
+                narrow = shape.shaped or not query.aligned
+                if narrow:
+                    near_by, digits = near(
+                        shape, bodies.hulls, solid, bodies.query_hulls, query.tolerance, planar
+                    )
+                    compared += 1
+                    more += digits
+            if not narrow and query.tolerance > 0.0:
+                lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
                 near_by, sure = within(lo, hi, query)
             if not (near_by or not sure):
                 continue
@@ -156,53 +120,51 @@ def touching_shapes(tree, bodies, query, mask, enough, node_handles, found):
                 continue
             found.slots[count], found.doubtful[count] = slot, not sure
             found.points[count, 2] = query.height
-            look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, count)
+            if bodies is None:
+                lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+                look_at_box(lo, hi, solid.position, found, count)
+            else:
+                look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, count)
             count += 1
         if not enough:
             order_found(found, count, node_handles)
-    end_query(state)
+    end_query(tree.state)
     count = total if total > found.slots.shape[0] else count
     return np.int64(count), doubtful, compared, more
 
 
 @lean_kernel
-def nearest_boxes(tree, point, asked, signed, node_handles, found):
-    """Fill in the boxes nearest to a point; asked = (count, max_distance, mask). Return how many
-    there are. Where it is `signed`, not None, those that hold the point lie as deep as it is in
-    them: see `sinking`.
+def nearest_to(tree, bodies, point, asked, signed, node_handles, found):
+    """Fill in what is in the boxes nearest to a point, `bodies` as of `touching`; asked = (count,
+    max_distance, mask). Return how many there are. Where it is `signed`, not None, those that hold
+    the point lie as deep as it is in them: see `sinking`.
     """
     count, max_distance, mask = asked
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
     count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)
     for i in range(count):
-        lo, hi = leaf_box(tree.nodes, tree.tight, 2 * found.slots[i])
-        found.points[i, 2] = point[2]
-        closest_in_box(lo, hi, point, found.points[i])
-        found.distances[i] = look_back(found.points[i], point, lo.shape[0], found.normals[i])
-        if signed is not None:
-            sink_in_box(lo, hi, point, found, i)
+        slot, found.points[i, 2] = found.slots[i], point[2]
+        if bodies is None:
+            lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+            look_at_box(lo, hi, point, found, i)
+            if signed is not None:
+                sink_in_box(lo, hi, point, found, i)
+        else:
+            shape = bodies.shapes[slot]
+            look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
+            if signed is not None:
+                sink_in_obstacle(shape, bodies, point, found, i)
     order_found(found, count, node_handles)
     end_query(tree.state)
     return np.int64(count)
 
 
-@lean_kernel
-def nearest_shapes(tree, bodies, point, asked, signed, node_handles, found):
-    """`nearest_boxes`, with the distances of the shapes in the boxes."""
-    count, max_distance, mask = asked
-    if not begin_query(tree.state, ANY_VERSION):
-        return np.int64(REFUSED)
-    count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)
-    for i in range(count):
-        shape = bodies.shapes[found.slots[i]]
-        found.points[i, 2] = point[2]
-        look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
-        if signed is not None:
-            sink_in_obstacle(shape, bodies, point, found, i)
-    order_found(found, count, node_handles)
-    end_query(tree.state)
-    return np.int64(count)
+@inlined
+def look_at_box(lo, hi, centre, found, row):
+    """Fill in how the axis-aligned box of a row lies to a centre."""
+    closest_in_box(lo, hi, centre, found.points[row])
+    found.distances[row] = look_back(found.points[row], centre, lo.shape[0], found.normals[row])
 
 
 @lean_kernel

@@ -22,15 +22,7 @@ from ..store.columns import Bodies, Columns
 from ..store.mesh_store import NO_HULLS, Hulls
 from .query_rows import FAULTY, NARROW, make_row
 from .query_shape import QueryShape
-from .touching import (
-    REFUSED,
-    ROUNDED,
-    found_in,
-    nearest_boxes,
-    nearest_shapes,
-    touching_boxes,
-    touching_shapes,
-)
+from .touching import REFUSED, ROUNDED, found_in, nearest_to, touching
 
 # Whether distances have a sign: None, not False, so that kernels without it do not have its code.
 Signed: TypeAlias = Literal[True] | None
@@ -124,15 +116,10 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answer
             break
         tolerance, mask = of_row(tolerances, row), of_row(masks, row)
         query = QueryShape(record, bounds, aligned, tolerance, height)
-        if bodies is None:
-            count, doubtful = touching_boxes(tree, query, mask, enough, node_handles, found)
-        else:
-            count, doubtful, pairs, digits = touching_shapes(
-                tree, bodies, query, mask, enough, node_handles, found
-            )
-            compared += pairs
-            more += digits
-        needed = count
+        count, doubtful, pairs, digits = touching(
+            tree, bodies, query, mask, enough, node_handles, found
+        )
+        compared, more, needed = compared + pairs, more + digits, count
         if count > found.slots.shape[0]:
             break
         if wanted == ALL and written + count > handles.shape[0]:
@@ -189,10 +176,7 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, memory, near)
         wanted, kept = min(k if in_order else k + 1, everybody + 1), 0
         while wanted <= found.slots.shape[0]:
             question = (wanted, limit, mask)
-            if bodies is None:
-                count = nearest_boxes(tree, point, question, signed, node_handles, found)
-            else:
-                count = nearest_shapes(tree, bodies, point, question, signed, node_handles, found)
+            count = nearest_to(tree, bodies, point, question, signed, node_handles, found)
             kept = keep(found, count, (k, reach, twice), node_handles, near, row)
             if (
                 in_order

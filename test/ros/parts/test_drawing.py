@@ -140,11 +140,11 @@ def edges_of(ends):
 def test_edges_are_those_of_the_box():
     lo = RNG.uniform(0, 5, (4, 3))
     hi = lo + np.array((1, 2, 3))
-    ends = outlines.edges(lo, hi)
+    ends = outlines.edges(lo, hi).reshape(-1, 3)
     assert np.allclose(np.vstack(edges_of(ends)), np.vstack((lo, hi)))
     lengths = np.linalg.norm(ends[::2] - ends[1::2], axis=1).reshape(4, 12)
     assert np.allclose(np.sort(lengths, axis=1), [1] * 4 + [2] * 4 + [3] * 4)
-    flat = outlines.edges(lo[:, :2], hi[:, :2])
+    flat = outlines.edges(lo[:, :2], hi[:, :2]).reshape(-1, 3)
     assert np.allclose(np.linalg.norm(flat[::2] - flat[1::2], axis=1), [1, 1, 2, 2] * 4)
 
 

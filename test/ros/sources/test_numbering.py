@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the numbers of messages tell, what is then missing, and what waits, without ROS."""
 
-import logging
 import random
 
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from bvh_ros.ros.sources import completeness, merging
 from bvh_ros.ros.sources.backlog import KEPT, TOGETHER, Backlog
 from bvh_ros.ros.sources.completeness import SETTLED, Completeness
-from bvh_ros.ros.sources.losses import Losses
 from bvh_ros.ros.sources.merging import HOLD, Merger, Told
 from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
 
@@ -125,21 +123,3 @@ def test_small_messages_are_taken_out_together():
         backlog.add('f', 'next')
     assert [len(backlog.next()[0]) for _ in range(3)] == [TOGETHER] * 3
     assert not len(backlog)
-
-
-def test_losses_are_logged_every_two_seconds_and_none_is_left_out(monkeypatch, caplog):
-    now = [10.0]
-    monkeypatch.setattr('time.monotonic', lambda: now[0])
-    losses = Losses(logging.getLogger('test'), '/topic')
-    losses.log()
-    for _ in range(3):
-        losses.add(2)
-    assert [record.message.partition(';')[0] for record in caplog.records] == [
-        '/topic: 2 messages were lost, 2 in all'
-    ]
-    now[0] += 2.0
-    for _ in range(2):
-        losses.log()
-    assert [record.message.partition(';')[0] for record in caplog.records[1:]] == [
-        '/topic: 4 messages were lost, 6 in all'
-    ]

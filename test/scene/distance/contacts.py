@@ -286,6 +286,16 @@ def scene_of(made, planar=False):
     return scene
 
 
+def pairs_of(made, scene):
+    """Slots (n, 2), and what the kernels read."""
+    slots = [scene._held.registry.slot(str(i)) for i in range(2 * len(made))]
+    return (
+        np.array(slots).reshape(-1, 2),
+        scene._held.columns.geometry,
+        scene._held.columns.hulls,
+    )
+
+
 def outside(body, position, turn, point, planar=False):
     """How far a point is outside a solid, at most; seen from above if `planar`."""
     local = Rotation.from_quat(turn).inv().apply(point - position)

@@ -21,6 +21,7 @@ from scene.distance.contacts import (
     decimals,
     matrix,
     outside,
+    pairs_of,
     scene_of,
 )
 from scene.reference import box_of_triangles
@@ -43,16 +44,6 @@ KINDS = [
     pytest.param(('nearly', 'free'), NEAR, False, id='turned'),
     pytest.param(('upright', 'parallel', 'free'), FAR, False, id='far away'),
 ]
-
-
-def pairs_of(made, scene):
-    """Slots (n, 2), and what the kernels read."""
-    slots = [scene._held.registry.slot(str(i)) for i in range(2 * len(made))]
-    return (
-        np.array(slots).reshape(-1, 2),
-        scene._held.columns.geometry,
-        scene._held.columns.hulls,
-    )
 
 
 def faults(made, planar):
