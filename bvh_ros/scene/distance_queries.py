@@ -12,7 +12,7 @@ from ..tree.nodes import ALL, NONE
 from ..tree.store.turns import IS_CHANGED
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours
-from .distance.query_rows import QueryRows, given_rows, query_rows
+from .distance.query_rows import NO_GIVEN, given_rows, number_of, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
 from .geometry.shapes import Floats, Shapes, as_shapes
@@ -126,7 +126,7 @@ class DistanceQueries:
         """What is nearest to the obstacle of a slot at a time."""
         times, asked = self._moments.seconds(at, 1), (checks.FOREVER, slot, signed)
         hulls, room = self._held.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
-        rows = QueryRows(*room, np.zeros(1), checks.EVERYTHING)  # a kernel fills them in
+        rows = *room, np.zeros(1), checks.EVERYTHING, NO_GIVEN  # a kernel fills them in
         found = self._moments.distances().clearances(rows, hulls, asked, times, 1)
         assert found is not None
         return found
@@ -176,7 +176,7 @@ class DistanceQueries:
         if type(k) is not int or k != 1:
             many = checks.capacity('k', k)
         count = len(where)
-        if at is not None or count >= nearness.MANY:
+        if count >= nearness.MANY:
             checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
@@ -186,14 +186,16 @@ class DistanceQueries:
         sign: Signed = sign_of(signed)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        if at is not None and self._moments.meant(at, None, count):
-            times, k = self._moments.seconds(at, count), min(many, max(len(self._held.tree), 1))
-            return _padded(self._moments.distances().nearest(asked, k, sign, times, threads), many)
-        near = self._nearness.find_rows(asked, many, sign, threads)
+        times = None if at is None else self._moments.seconds(at, count)
+        if times is None:
+            near = self._nearness.find_rows(asked, many, sign, threads)
+        else:
+            most = 1 if many == 1 else min(many, max(len(self._held.tree), 1))
+            near = self._moments.distances().nearest(asked, most, sign, times, threads)
         if near is None:
             checks.finite('points', where)
             raise RuntimeError(IS_CHANGED)
-        return tuple(near)
+        return tuple(near) if near[0].shape[1] == many else _padded(near, many)
 
     def clearance_many(
         self,
@@ -251,23 +253,22 @@ class DistanceQueries:
             if at is None:
                 found = self._clearances.find_rows(rows, None, asked, threads)
             else:
-                found = self._find_then(QueryRows(*rows), None, asked, threads, at)
+                found = self._find_then(rows, None, asked, threads, at)
         if found is None:
             legal, hulls = query_rows(given, 0.0, mask, self._held.planar)
-            found = self._find_then(legal, hulls, asked, threads, at)
+            found = self._find_then(tuple(legal), hulls, asked, threads, at)
         assert found is not None
         _, distances, points, other_points, handles = found
         return handles, distances, points, other_points
 
     def _find_then(
-        self, rows: QueryRows, hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
+        self, rows: tuple[Any, ...], hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
     ) -> Neighbours | None:
         """What is nearest to shapes at times; None if a row that is `given` is not legal."""
-        count = rows.number()
-        if self._moments.meant(at, None, count):
-            times = self._moments.seconds(at, count)
-            return self._moments.distances().clearances(rows, hulls, asked, times, threads)
-        return self._clearances.find_rows(tuple(rows), hulls, asked, threads)
+        times = None if at is None else self._moments.seconds(at, number_of(rows))
+        if times is None:
+            return self._clearances.find_rows(rows, hulls, asked, threads)
+        return self._moments.distances().clearances(rows, hulls, asked, times, threads)
 
 
 def sign_of(signed: bool) -> Signed:
@@ -277,8 +278,6 @@ def sign_of(signed: bool) -> Signed:
 
 def _padded(near: Near, k: int) -> tuple[NDArray[np.uint32], Floats, Floats]:
     """The columns with k places a row."""
-    if near.handles.shape[1] == k:
-        return near[:3]
     more = ((0, 0), (0, k - near.handles.shape[1]))
     return (
         np.pad(near.handles, more, constant_values=NO_NODE),

@@ -86,11 +86,17 @@ class Moments:
             return self._held.second(at)
         return float(self._held.seconds(column('at', at, 1, LAST_TIME, FIRST_TIME))[0])
 
-    def seconds(self, at: Any, count: int) -> Floats:
-        """`at` as the tree has it, (count,)."""
-        if type(at) is int:
-            return np.full(count, self._held.second(at))
-        return self._held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
+    def seconds(self, at: Any, count: int) -> Any:
+        """`at` as the tree has it, one in seconds for all or (count,); None if it does not matter.
+        ValueError if these are no times in ns.
+        """
+        held = self._held
+        if type(at) is int and FIRST_TIME <= at <= LAST_TIME and held.moves:  # the most common
+            since = at - held.epoch
+            return since / 1e9 if -EXACT < since < EXACT else held.second(at)
+        if not self.meant(at, None, count):
+            return None
+        return held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
 
     def _times(self, at: Any, until: Any, count: int) -> 'Times':
         """Times in seconds, one for all or (count,)."""

@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.nodes import ALL
 from .distance import overlaps
-from .distance.query_rows import BOXES, UNTURNED, QueryRows, given_rows, query_rows, shape_query
+from .distance.query_rows import BOXES, UNTURNED, given_rows, number_of, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
 from .geometry.shapes import Shapes, as_shapes
 from .moments import Moments
-from .results import NO_NODE, BoxHits, SceneHit, require_few
+from .results import SceneHit, require_few
 from .store.obstacles import Obstacles
 
 
@@ -236,41 +236,23 @@ class OverlapQueries:
             told = (
                 self._touching.answer(rows, None, wanted, threads)
                 if at is None
-                else self._then_many(QueryRows(*rows), None, want, threads, at)
+                else self._then_many(rows, None, wanted, threads, at)
             )
             if told is not None:
                 return told
         shapes = Shapes(given[0], given[1], given[2], given[3], mesh)
         legal, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
-        return self._then_many(legal, hulls, want, threads, at)
+        return self._then_many(tuple(legal), hulls, wanted, threads, at)
 
-    def _then_many(self, rows: QueryRows, hulls: Any, want: str, threads: int, at: Any) -> Any:
-        """The same at times; None if a row that is `given` is not legal."""
-        count = rows.number()
-        if not self._moments.meant(at, None, count):
-            return self._touching.answer(tuple(rows), hulls, WANTED[want], threads)
-        times = self._moments.seconds(at, count)
-        asked = rows, hulls, times, threads, want == 'any'
-        touched = self._moments.distances().touching(*asked)
-        return None if touched is None else self._told(touched, count, want)
-
-    def _told(self, touched: Any, count: int, want: str) -> Any:
-        """What is wanted of the obstacles that touch each row."""
-        rows, handles = touched.rows, self._held.columns.node_handle[touched.slots]
-        handles = handles.astype(np.uint32)
-        counts = np.bincount(rows, minlength=count).astype(np.int64)
-        offsets = np.concatenate(([0], np.cumsum(counts)))
-        if want in ('any', 'count', 'all'):
-            return {'any': counts > 0, 'count': counts, 'all': (offsets, handles)}[want]
-        met = np.flatnonzero(counts)
-        first = np.full(count, NO_NODE, np.uint32)
-        first[met] = handles[offsets[met]]
-        if want == 'first':
-            return first
-        distances, points = np.full(count, np.inf), np.full((count, 3), np.nan)
-        distances[met] = touched.distances[offsets[met]]
-        points[met] = touched.points[offsets[met]]
-        return BoxHits(first, counts, distances, points)
+    def _then_many(
+        self, rows: tuple[Any, ...], hulls: Any, wanted: int, threads: int, at: Any
+    ) -> Any:
+        """The same at times, of plain `QueryRows`; None if a row that is `given` is not legal."""
+        moments = self._moments
+        times = None if at is None else moments.seconds(at, number_of(rows))
+        if times is None:
+            return self._touching.answer(rows, hulls, wanted, threads)
+        return moments.distances().touching(rows, hulls, times, threads, wanted)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
         """Return the names of all obstacles that touch each other.

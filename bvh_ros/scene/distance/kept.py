@@ -12,7 +12,8 @@ from ..geometry.records import GEOMETRY
 from .moving import Room, Then
 from .nearness import NO_ORDER
 from .touching import Found
-from .touching_rows import Near, Points
+from .touching_rows import COUNT, Near, Points
+from .touching_rows import room_for as answers_for
 
 FEW = 64  # obstacles that there is room for at first
 
@@ -38,7 +39,7 @@ class Scratch:
         self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
         self.point = np.empty((1, 3))
         self.points = Points(self.point, self.limits, self.masks, NO_ORDER)
-        self.offsets, self.told = np.zeros(2, np.int64), no_rows(1, 1)
+        self.answers, self.told = answers_for(1, COUNT), no_rows(1, 1)
         self.make_room(FEW)
 
     def make_room(self, count: int) -> None:

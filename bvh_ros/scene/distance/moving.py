@@ -26,7 +26,8 @@ from ..store.places import WIDER
 from .narrow_phase import near
 from .query_rows import FAULTY, make_row
 from .query_shape import LARGEST, QueryShape, grow
-from .touching import Found, look_at, order_found
+from .touching import look_at, order_found
+from .touching_rows import ALL, ANY, tell_row
 
 
 class Then(NamedTuple):
@@ -36,7 +37,7 @@ class Then(NamedTuple):
     """`Bodies`, as obstacles were told."""
     node_handles: Any
     at: Any
-    """(n,) s"""
+    """s, one for all or (n,)"""
     left: float
     """Obstacles go on for so long, s, and then rest."""
     growth: float
@@ -139,52 +140,42 @@ def reach_then(tree, moving, then, asked, slots):
 
 
 @lean_kernel
-def touch_rows(tree, moving, then, queries, asked, offsets, room, found):
-    """Fill in what touches the rows [begin, stop), asked = (begin, stop, enough): those of row i
-    are at [offsets[i], offsets[i + 1]) of `found`, and at its `order` there, from 0 on, which
-    comes first. `enough`: any one of them, and not where it is. Returns (rows done, room wanted,
-    pairs compared): fewer rows than there are where there is no room for the next one, or where
-    that is not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead.
+def touch_rows(tree, moving, then, queries, asked, room, found, answers):
+    """Answer the rows [start, stop) by plain `touching_rows.Answers`, asked = (start, stop, what
+    is wanted, handles before these rows). Returns (rows done, room wanted, handles written, pairs
+    compared): fewer rows than there are where there is no room for the next one, or where that is
+    not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead. `found`: what touches the
+    last row, if not ANY is wanted.
     """
-    begin, stop, enough = asked
-    why = begin_asking(tree, moving, stop - begin)
+    (row, stop, wanted, before), (records, _, tolerances, masks, _) = asked, queries
+    why = begin_asking(tree, moving, stop - row)
     if why != 0:
-        return why, 0, 0
+        return why, 0, 0, 0
     grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
-    own = stack_array(1, queries.records)
-    row, filled, wanted, compared = np.int64(begin), 0, 0, 0
+    own, fit = stack_array(1, records), min(room.slots.shape[0], found.slots.shape[0])
+    needed, written, compared = np.int64(0), np.int64(0), np.int64(0)
     while row < stop:
-        at = then.at[row]
+        at, tolerance = of_row(then.at, row), of_row(tolerances, row)
+        record, bounds, fault = make_row(queries, row, own, box)
         if covers(moving, at, 0.0, 0.0) == 0:
             row = np.int64(OUTSIDE)
             break
-        tolerance, mask = of_row(queries.tolerances, row), of_row(queries.masks, row)
-        reach = tolerance + most_growth(then, at)
-        record, bounds, fault = make_row(queries, row, own, box)
         if fault != FINE:
-            wanted = FAULTY
+            needed = np.int64(FAULTY)
             break
-        grow(QueryShape(record, bounds, False, reach, 0.0), grown)
-        count = reach_then(tree, moving, then, (grown, mask, at), room.slots)
-        wanted = filled + count
-        if wanted > found.slots.shape[0] or count > room.slots.shape[0]:
+        grow(QueryShape(record, bounds, False, tolerance + most_growth(then, at), 0.0), grown)
+        corners = grown, of_row(masks, row), at
+        needed = reach_then(tree, moving, then, corners, room.slots)
+        if needed > fit or (wanted == ALL and written + needed > answers[2].shape[0]):
             break
-        some, asked = from_row(found, filled), (record[0], tolerance, at, enough)
-        met = _touch(tree, moving, then, asked, room.slots[:count], room.spare, some)
-        order_found(some, met, then.node_handles)
-        row, filled, compared = row + 1, filled + met, compared + count
-        offsets[row] = filled
+        some = record[0], tolerance, at, wanted == ANY
+        met = _touch(tree, moving, then, some, room.slots[:needed], room.spare, found)
+        if wanted != ANY:
+            order_found(found, met, then.node_handles)
+        written = tell_row(then.node_handles, found, met, wanted, answers, row, before, written)
+        row, compared = row + 1, compared + needed
     end_query(tree.state)
-    return row, wanted, compared
-
-
-@inlined
-def from_row(found, row):
-    """The rows from one on."""
-    return Found(
-        *(found.slots[row:], found.distances[row:], found.points[row:], found.normals[row:]),
-        *(found.doubtful, found.bounds, found.order[row:]),
-    )
+    return np.int64(row), needed, written, compared
 
 
 @lean_kernel

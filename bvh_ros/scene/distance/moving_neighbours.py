@@ -16,6 +16,7 @@ from ...tree.motion.nearest import at_least, nearest_bounds
 from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
+from ...tree.rays.slab import is_finite
 from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
 from . import clearance
@@ -87,10 +88,13 @@ def near_rows(tree, moving, then, points, known, asked, room, found, told):
     wanted, total = 0, np.int64(0)
     while done < stop:
         row = points.order[done] if points.order.shape[0] > 0 else done
-        at, point, reach = then.at[row], points.points[row], of_row(points.reaches, row)
+        at, point, reach = of_row(then.at, row), points.points[row], of_row(points.reaches, row)
         if covers(moving, at, 0.0, 0.0) == 0:
             done = np.int64(OUTSIDE)
             break
+        if not is_finite(point, point):
+            end_query(tree.state)
+            return np.int64(done), FAULTY, np.int64(0)
         more, mask = most_growth(then, at), of_row(points.masks, row)
         limit, kept = max(reach * ROUNDED, reach) + more, 0
         wanted = min(k + 1 if some_more else k, everybody + 1)
@@ -137,23 +141,24 @@ def clear_rows(tree, moving, then, queries, asked, room, told):
     why = begin_asking(tree, moving, stop - row)
     if why != 0:
         return why, 0
-    wanted, handles, own = 0, then.node_handles, stack_array(1, queries.records)
+    (records, bounds, _, masks, _), wanted, handles = queries, 0, then.node_handles
+    own = stack_array(1, records)
     box = stack_array((2, 3), np.float64)
     grown, besides = 0.0, np.int64(NONE)
     if itself != NONE:
-        grown = put_itself(tree, moving, then, queries, itself, room.spare)
+        grown = put_itself(tree, moving, then, (records, bounds[0]), itself, room.spare)
         besides = handles[itself]
     while row < stop:
-        at, reach, mask = then.at[row], of_row(reaches, row), of_row(queries.masks, row)
+        at, reach, mask = of_row(then.at, row), of_row(reaches, row), of_row(masks, row)
         if covers(moving, at, 0.0, 0.0) == 0:
             row = np.int64(OUTSIDE)
             break
         more = most_growth(then, at) + grown
-        record, bounds, fault = make_row(queries, row, own, box)
+        record, corners, fault = make_row(queries, row, own, box)
         if fault != FINE:
             end_query(tree.state)
             return np.int64(row), FAULTY
-        low, high = bounds[0], bounds[1]
+        low, high = corners[0], corners[1]
         exact = more == 0.0 and not record[0].shaped
         limit, wanted = max(reach * clearance.ROUNDED, reach) + more, 1 if exact and alike else 2
         while 2 * wanted <= room.gaps.shape[0]:
@@ -208,18 +213,19 @@ def _is_farther(tree, moving, then, pair, least):
 
 
 @inlined
-def put_itself(tree, moving, then, queries, slot, spare):
-    """Write an obstacle to row 0 where it stands at the time of that; return by how much it has
-    grown.
+def put_itself(tree, moving, then, query, slot, spare):
+    """Write an obstacle to query = (record, bounds) where it stands at the first time; return by
+    how much it has grown.
     """
+    record, bounds = query
     lo, hi, velocity, reference = box_of(tree, moving, slot)
-    at, bounds = then.at[0], queries.bounds[0]
+    at = then.at[0]
     since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(lo.shape[0]):
         way = gone(velocity[axis], since, then.left)
         bounds[0, axis], bounds[1, axis] = lo[axis] + way, hi[axis] + way
     grown = place(tree, moving, then, spare, slot, at)
-    queries.records[0] = spare.shapes[0]
+    record[0] = spare.shapes[0]
     return grown
 
 

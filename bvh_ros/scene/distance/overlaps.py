@@ -105,15 +105,10 @@ class Overlaps:
             if others is None:
                 return None
             parts += others
-        if wanted == ALL:
-            met = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
-            return self._once(told[1], met) if columns.shadows else (told[1], met)
         if columns.shadows and wanted in (COUNT, HITS):
-            # Who stands at two places counts once, see slicing.py.
-            told[1][:] = np.diff(self.answer(rows, hulls, ALL, threads)[0])
-        if wanted == HITS:
-            return tuple.__new__(BoxHits, (told[2], told[1], *told[3:]))
-        return told[wanted]
+            every = self.answer(rows, hulls, ALL, threads)
+            return as_wanted(told, parts, wanted, True, every)
+        return as_wanted(told, parts, wanted, columns.shadows > 0)
 
     def _work_on(
         self,
@@ -201,16 +196,6 @@ class Overlaps:
             told.points[row] = found.points[first] if met else np.nan
         return handles
 
-    def _once(self, offsets: Slots, handles: NDArray[np.uint32]) -> Any:
-        """(offsets, node handles) with each obstacle once: it may stand at two places, see
-        slicing.py.
-        """
-        count = len(offsets) - 1
-        of = np.repeat(np.arange(count), np.diff(offsets))
-        first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
-        np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
-        return offsets, handles[first]
-
     def _fill(self, bodies: Bodies | None, query: QueryShape, mask: np.uint32) -> tuple[int, int]:
         """Call the kernel until there is room for what it finds; how many there are, and how many
         of them are doubtful.
@@ -241,6 +226,36 @@ class Overlaps:
         lo, hi = corners(self._columns.geometry[slot : slot + 1])
         lower, upper = query.bounds[:, :ndim]
         return bool(boxes_within(lo[:, :ndim], hi[:, :ndim], lower, upper, query.tolerance)[0])
+
+
+def as_wanted(
+    told: tuple[Any, ...],
+    parts: list[NDArray[np.uint32]],
+    wanted: int,
+    shadows: bool,
+    every: Any = None,
+) -> Any:
+    """What a batch returns of plain `Answers`, the handles of ALL in parts. With `shadows` an
+    obstacle may stand at two places, see slicing.py: it counts once, as in `every`, what a batch
+    returns of which ALL are wanted.
+    """
+    if wanted == ALL:
+        met = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+        return _once(told[1], met) if shadows else (told[1], met)
+    if every is not None:
+        told[1][:] = np.diff(every[0])
+    if wanted == HITS:
+        return tuple.__new__(BoxHits, (told[2], told[1], *told[3:]))
+    return told[wanted]
+
+
+def _once(offsets: Slots, handles: NDArray[np.uint32]) -> Any:
+    """(offsets, node handles) with each obstacle once a row."""
+    count = len(offsets) - 1
+    of = np.repeat(np.arange(count), np.diff(offsets))
+    first = np.sort(np.unique(np.stack((of, handles)), axis=1, return_index=True)[1])
+    np.cumsum(np.bincount(of[first], minlength=count), out=offsets[1:])
+    return offsets, handles[first]
 
 
 def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:

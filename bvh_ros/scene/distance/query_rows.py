@@ -54,10 +54,6 @@ class QueryRows(NamedTuple):
     given: tuple[Any, ...] = NO_GIVEN
     """Kinds, positions, orientations and sizes: all but positions one for all, or (n,)."""
 
-    def number(self) -> int:
-        """How many there are."""
-        return len(self.records) or len(self.given[1])
-
     def one(self, row: int) -> QueryShape:
         """The query of a row."""
         record = self.records[row : row + 1]
@@ -69,6 +65,11 @@ class QueryRows(NamedTuple):
         """The mask of a row."""
         seen: np.uint32 = self.masks[row if len(self.masks) > 1 else 0]
         return seen
+
+
+def number_of(rows: tuple[Any, ...]) -> int:
+    """How many there are of plain `QueryRows`."""
+    return len(rows[0]) or len(rows[4][1])
 
 
 def begin_shaped(rows: tuple[Any, ...]) -> bool:
@@ -120,7 +121,7 @@ def with_records(rows: QueryRows) -> QueryRows:
     """Legal rows with records, as Python reads them."""
     if len(rows.records):
         return rows
-    form = canonicalise(_row_by_row(Shapes(*rows.given), rows.number()))
+    form = canonicalise(_row_by_row(Shapes(*rows.given), number_of(rows)))
     bounds = np.stack((form.lo, form.hi), axis=1)
     return rows._replace(records=form.records, bounds=bounds, given=NO_GIVEN)
 

@@ -5,10 +5,10 @@ Scenes without velocities need none of this.
 """
 
 import math
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...tree.boxes.nearest_packets import are_dense
 from ...tree.boxes.ordering import order_of
@@ -21,31 +21,21 @@ from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
-from ..store.registry import Slots
-from .clearance import Neighbours, room_for
+from .clearance import NOT_ASKED, Neighbours, room_for
 from .kept import FEW, Known, Own, Scratch, no_rows
 from .moving import Room, Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
-from .query_rows import FAULTY, NO_GIVEN, QueryRows
+from .nearness import MANY
+from .overlaps import as_wanted
+from .query_rows import FAULTY, NO_GIVEN, number_of
 from .query_shape import QueryShape
 from .touching import ROUNDED, Found
+from .touching_rows import ALL, HITS, Points, Signed, bodies_of
+from .touching_rows import COUNT as COUNTED
 from .touching_rows import Near as Nearest
-from .touching_rows import Points, Signed, bodies_of
+from .touching_rows import room_for as answers_for
 
 MOST = 16  # boxes that packets look for
-
-
-class Touched(NamedTuple):
-    """What n queries touch, by row and in the order in which it is told."""
-
-    rows: NDArray[np.int64]
-    slots: Slots
-    distances: Floats
-    points: Floats
-
-
-_NONE = np.empty(0, np.int64)
-NOTHING = Touched(_NONE, _NONE, np.empty(0), np.empty((0, 3)))
 
 
 class TimedDistances:
@@ -64,18 +54,17 @@ class TimedDistances:
         """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
         scratch, tree, done = self._own.scratch, self._held.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
-        rows = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
-        asked, offsets = tuple.__new__(QueryRows, rows), scratch.offsets
+        asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
             view, found = tree.view(), scratch.found
             known = self._known(scratch, view, at, hulls)
-            given = asked, (0, 1, False), offsets, known.room, found
-            done, wanted, compared = self._call(view, touch_rows, known.then, given, None)
+            given = asked, (0, 1, COUNTED, 0), known.room, found, scratch.answers
+            done, wanted, _, compared = self._call(view, touch_rows, known.then, given, None)
             if not done:
                 scratch.have_room(wanted)
         if compared:
             self._held.columns.pairs_compared += compared
-        count = offsets.item(1)
+        count = scratch.answers[1].item(0)
         return found, found.order[:count].tolist() if count else []
 
     def find_near(
@@ -109,112 +98,186 @@ class TimedDistances:
     # ---- batches
 
     def touching(
-        self, queries: QueryRows, hulls: Hulls | None, at: Floats, threads: int, enough: bool
-    ) -> Touched | None:
-        """What n queries touch at times (n,), each obstacle once a row. `enough`: one a row will
-        do, and where it is nobody is told. None if a row that is `given` is not legal.
+        self, rows: tuple[Any, ...], hulls: Hulls | None, at: Any, threads: int, wanted: int
+    ) -> Any:
+        """What is `wanted` of what n queries touch at times, as `overlaps.Overlaps.answer` has
+        it; `at` (s) is one for all or (n,).
         """
-        then, columns = self._then(at, hulls), self._held.columns
-        view = self._held.tree.view()
+        columns, count, view = self._held.columns, number_of(rows), self._held.tree.view()
+        told = answers_for(count, wanted)
+        if threads == 1 and not columns.shadows:  # without what others take
+            scratch = self._own.scratch
+            known = self._known(scratch, view, at, hulls)
+            given = rows, (0, count, wanted, 0), known.room, scratch.found, told
+            done = self._call(view, touch_rows, known.then, given, None)
+            if done[0] == count:
+                columns.pairs_compared += done[3]
+                return as_wanted(told, [told[2][: done[2]]], wanted, False)
+        return self._touching(view, rows, hulls, at, threads, wanted, told)
 
-        def work(start: int, stop: int) -> tuple[list[Touched], int, bool]:
-            compared, parts = 0, [NOTHING]
+    def _touching(
+        self,
+        view: View,
+        rows: tuple[Any, ...],
+        hulls: Hulls | None,
+        at: Any,
+        threads: int,
+        wanted: int,
+        told: tuple[Any, ...],
+    ) -> Any:
+        """The same, in parts."""
+        columns, count = self._held.columns, number_of(rows)
+        shadows, parts = columns.shadows > 0, []
+
+        def work(start: int, stop: int) -> Any:
+            begin, total, room, answers, some = start, 0, FEW, told, []
             while start < stop:
-                offsets, found = np.zeros(stop + 1, np.int64), self._own.scratch.found
-                given = queries, (start, stop, enough), offsets, self._room(then), found
-                done, wanted, pairs = self._call(view, touch_rows, then, given, None)
-                if wanted == FAULTY:
-                    return [], 0, False
-                parts.append(_taken(found, offsets, start, done, enough))
-                start, compared = done, compared + pairs
-                self._own.scratch.have_room(wanted)
-            return parts, compared, True
+                scratch = self._own.scratch
+                known = self._known(scratch, view, at, hulls)
+                if wanted == ALL:
+                    answers = *told[:2], np.empty(room, np.uint32), *told[3:]
+                given = rows, (start, stop, wanted, total), known.room, scratch.found, answers
+                done = self._call(view, touch_rows, known.then, given, None)
+                start, needed, written, compared = done
+                if needed == FAULTY:
+                    return None
+                if written:
+                    some.append(answers[2][:written])
+                columns.pairs_compared += compared
+                total, room = total + written, max(2 * room, needed)
+                scratch.have_room(needed)
+            return begin, stop, some
 
-        each = in_threads(work, len(at), threads)
-        if not all(legal for *_, legal in each):
-            return None
-        columns.pairs_compared += sum(compared for _, compared, _ in each)
-        parts = [NOTHING, *(part for some, *_ in each for part in some)]
-        every: Any = zip(*parts, strict=True)
-        touched = Touched(*(np.concatenate(column) for column in every))
-        if columns.shadows and not enough:
-            keys = np.stack((touched.rows, columns.node_handle[touched.slots]))
-            once = np.sort(np.unique(keys, axis=1, return_index=True)[1])
-            every = (column[once] for column in touched)
-            touched = Touched(*every)
-        return touched
+        for done in in_threads(work, count, threads):
+            if done is None:
+                return None
+            begin, stop, some = done
+            if wanted == ALL and begin > 0:
+                told[1][begin + 1 : stop + 1] += told[1][begin]
+            parts += some
+        every = None
+        if shadows and wanted in (COUNTED, HITS):
+            every = self.touching(rows, hulls, at, threads, ALL)
+        return as_wanted(told, parts, wanted, shadows, every)
 
-    def nearest(self, points: Points, k: int, signed: Signed, at: Floats, threads: int) -> Nearest:
-        """The k obstacles nearest to n points at times (n,)."""
-        then, told, tree = self._then(at, None), no_rows(len(at), k), self._held.tree
-        view = tree.view()
+    def nearest(
+        self, points: Points, k: int, signed: Signed, at: Any, threads: int
+    ) -> Nearest | None:
+        """The k obstacles nearest to n points at times, one in seconds for all or (n,); None if a
+        point is not finite.
+        """
+        count, tree = len(points.points), self._held.tree
+        told, view = no_rows(count, k), tree.view()
         among = self._among(view, signed)
-        near, known = self._in_packets(points, k, among, at)
+        if threads == 1 and count < MANY:  # without what others take
+            scratch = self._own.scratch
+            now = self._known(scratch, view, at, None)
+            given = points, None, (0, count, k, *among), now.room, scratch.found, told
+            done, wanted, _ = self._call(view, near_rows, now.then, given, signed)
+            if done == count:
+                return told
+            if wanted == FAULTY:
+                return None
+        return told if self._nearest(view, points, (k, *among), at, threads, told) else None
+
+    def _nearest(
+        self,
+        view: View,
+        points: Points,
+        asked: tuple[int, bool, int, bool, Signed],
+        at: Any,
+        threads: int,
+        told: Nearest,
+    ) -> bool:
+        """The same, in parts; whether all points are finite."""
+        signed, count, tree = asked[-1], len(points.points), self._held.tree
+        near, known = self._in_packets(points, asked, at)
         variant: Any = signed if known is None else (signed, Bounded)
         if near is not None:
             points = points._replace(order=near.order)
 
-        def work(start: int, stop: int) -> None:
+        def work(start: int, stop: int) -> bool:
             if near is not None and known is not None and tree.motion is not None:
                 tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
             while start < stop:
-                given = points, known, (start, stop, k, *among), self._room(then)
-                more = self._own.scratch.found, told
-                start, wanted, _ = self._call(view, near_rows, then, (*given, *more), variant)
-                self._own.scratch.have_room(wanted)
+                scratch = self._own.scratch
+                now = self._known(scratch, view, at, None)
+                given = points, known, (start, stop, *asked), now.room, scratch.found, told
+                start, wanted, _ = self._call(view, near_rows, now.then, given, variant)
+                if wanted == FAULTY:
+                    return False
+                scratch.have_room(wanted)
+            return True
 
-        in_threads(work, len(at), threads)
+        finite = all(in_threads(work, count, threads))
         if known is not None:
             tree.check_unchanged(view)
-        return told
+        return finite
 
     def _in_packets(
-        self, points: Points, k: int, among: tuple[bool, int, bool, Signed], at: Floats
+        self, points: Points, asked: tuple[int, bool, int, bool, Signed], at: Any
     ) -> tuple[Near, Bounded] | tuple[None, None]:
         """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
         asks for the rest itself, as where obstacles grow.
         """
-        (some_more, everybody, *_), count = among, len(at)
+        (k, some_more, everybody, *_), count = asked, len(points.points)
         wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
-        if not are_dense(count, everybody) or wanted > MOST or self._held.uncertainty:
+        dense = count >= MANY and are_dense(count, everybody)
+        if not dense or wanted > MOST or self._held.uncertainty:
             return None, None
         where, order = along_axes(points.points, ndim), points.order
         if not len(order):
             order = order_of(self._held.tree, where)
         limits = np.maximum(points.reaches * ROUNDED, points.reaches)
-        near = Near(where, limits, points.masks, at, wanted, order)
+        times = np.array([at]) if type(at) is float else at
+        near = Near(where, limits, points.masks, times, wanted, order)
         slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
         return near, Bounded(slots, counts, np.empty(count))
 
     def clearances(
         self,
-        queries: QueryRows,
+        rows: tuple[Any, ...],
         hulls: Hulls | None,
         asked: tuple[Floats, int, Signed],
-        at: Floats,
+        at: Any,
         threads: int,
     ) -> Neighbours | None:
-        """The obstacles nearest to n shapes at times (n,); asked = (reaches, the slot of the
-        obstacle that is the only row, or NONE, whether distances have a sign). None if a row that
-        is `given` is not legal.
+        """The obstacles nearest to n shapes at times, one in seconds for all or (n,); asked =
+        (reaches, the slot of the obstacle that is the only row, or NONE, whether distances have a
+        sign). None if a row that is `given` is not legal.
         """
         reaches, itself, signed = asked
-        count, then, view = len(at), self._then(at, hulls), self._held.tree.view()
+        count, view = number_of(rows), self._held.tree.view()
         everybody = view.tree.state.item(COUNT)
-        alike = itself == NONE and not self._held.columns.shaped and not len(then.rest_slots)
-        told = room_for(count, np.empty(count if itself != NONE else 0, np.int64))
+        told = room_for(count, NOT_ASKED if itself == NONE else np.empty(count, np.int64))
+        given = view, rows, hulls, (reaches, everybody, itself, signed), at, told
+        if threads == 1:
+            return told if self._clear(*given, 0, count) else None
+        return told if all(in_threads(partial(self._clear, *given), count, threads)) else None
 
-        def work(start: int, stop: int) -> bool:
-            while start < stop:
-                question = start, stop, reaches, everybody, itself, signed, alike
-                given = queries, question, self._room(then), told
-                start, wanted = self._call(view, clear_rows, then, given, signed)
-                if wanted == FAULTY:
-                    return False
-                self._own.scratch.have_room(wanted)
-            return True
-
-        return told if all(in_threads(work, count, threads)) else None
+    def _clear(
+        self,
+        view: View,
+        rows: tuple[Any, ...],
+        hulls: Hulls | None,
+        asked: tuple[Floats, int, int, Signed],
+        at: Any,
+        told: Neighbours,
+        start: int,
+        stop: int,
+    ) -> bool:
+        """Fill in the rows [start, stop); whether all are legal."""
+        alike = asked[2] == NONE and not self._held.columns.shaped
+        while start < stop:
+            scratch = self._own.scratch
+            now = self._known(scratch, view, at, hulls)
+            question = start, stop, *asked, alike and not len(now.then.rest_slots)
+            given = rows, question, now.room, told
+            start, wanted = self._call(view, clear_rows, now.then, given, asked[3])
+            if wanted == FAULTY:
+                return False
+            scratch.have_room(wanted)
+        return True
 
     # ---- kernels
 
@@ -225,9 +288,12 @@ class TimedDistances:
         some_more = shaped or twice or self._held.uncertainty > 0.0 or signed is not None
         return some_more, view.tree.state.item(COUNT), twice, signed
 
-    def _known(self, scratch: Scratch, view: View, at: float, hulls: Hulls | None) -> Known:
-        """What a kernel is told of one time, until the next one."""
+    def _known(self, scratch: Scratch, view: View, at: Any, hulls: Hulls | None) -> Known:
+        """What a kernel is told of times, and of one until the next one."""
         held, known, columns = self._held, scratch.known, self._held.columns
+        if type(at) is not float:
+            then = self._then(at, hulls)
+            return Known(view.version, None, None, 0.0, then, self._room(then))
         scratch.at[0] = at
         if (
             known is not None
@@ -265,8 +331,8 @@ class TimedDistances:
 
     def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
-        tree, variant = self._held.tree, (kernel, kind, then.bodies.hulls is not None)
-        motion = tree.motion
+        tree: Any = self._held.tree
+        variant, motion = (kernel, kind, then.bodies.hulls is not None), tree._motion
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)
@@ -278,16 +344,3 @@ class TimedDistances:
             return done
         span = (then.at.min(), then.at.max()), True
         return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
-
-
-def _taken(found: Found, offsets: Slots, begin: int, done: int, enough: bool) -> Touched:
-    """What a kernel found of the rows from `begin` on, in order; if any one is `enough`, not
-    where.
-    """
-    counts, filled = np.diff(offsets[begin : done + 1]), offsets.item(done)
-    if enough:
-        rows = np.flatnonzero(counts) + begin
-        return NOTHING._replace(rows=rows, slots=found.slots[:filled].copy())
-    which = found.order[:filled] + np.repeat(offsets[begin:done], counts)
-    rows = np.repeat(np.arange(begin, done), counts)
-    return Touched(rows, found.slots[which], found.distances[which], found.points[which])

@@ -102,7 +102,7 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answer
     """
     tree, (row, stop, before), enough = view.tree, place, wanted == ANY
     found, (records, _, tolerances, masks, _) = found_in(memory), rows
-    touched, numbers, handles, _, _ = answers
+    handles = answers[2]
     written, compared, more, needed = 0, 0, 0, 0
     own, box = stack_array(1, records), stack_array((2, 3), np.float64)
     if not begin_query(tree.state, view.version):
@@ -127,20 +127,30 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answer
         if doubtful > 0 and (not enough or count == doubtful):
             needed = OPEN
             break
-        if enough:
-            touched[row] = count > 0
-        elif wanted == ALL:
-            for i in range(count):
-                handles[written + i] = node_handles[found.slots[found.order[i]]]
-            written += count
-            numbers[row + 1] = before + written
-        if wanted in (FIRST, HITS):
-            tell_first(node_handles, found, count, wanted, answers, row)
-        if wanted in (COUNT, HITS):
-            numbers[row] = count
+        written = tell_row(node_handles, found, count, wanted, answers, row, before, written)
         row += 1
     end_query(tree.state)
     return row, needed, written, compared, more, version
+
+
+@inlined
+def tell_row(node_handles, found, count, wanted, answers, row, before, written):
+    """Write what is wanted of a row; return how many handles are written, with those of rows
+    before it, behind `before` others.
+    """
+    touched, numbers, handles, _, _ = answers
+    if wanted == ANY:
+        touched[row] = count > 0
+    elif wanted == ALL:
+        for i in range(count):
+            handles[written + i] = node_handles[found.slots[found.order[i]]]
+        written += count
+        numbers[row + 1] = before + written
+    if wanted in (FIRST, HITS):
+        tell_first(node_handles, found, count, wanted, answers, row)
+    if wanted in (COUNT, HITS):
+        numbers[row] = count
+    return written
 
 
 @inlined

@@ -83,9 +83,11 @@ class Motion:
         self.moving = no_motion(ndim)._replace(version=NOT_FITTED, nanoseconds=nanoseconds)
         self._no_nodes = self.moving.nodes
         self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
-        # Bounds of nodes that are laid out for some moments; how many times as large as at rest
-        # those of the tree are at the start of `moving`, and by how much more each second.
-        self.laid_out: Moving | None = None
+        # Those that a moment is asked of first: of nodes that are laid out for some, if there are
+        # any. Where these do not hold, `moving` may.
+        self.bounds = self.moving
+        # How many times as large as at rest the nodes of the tree are at the start of `moving`,
+        # and by how much more each second.
         self._parted, self._asks = (0.0, 0.0), EVER_SO_MANY
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
@@ -128,16 +130,11 @@ class Motion:
                 raise ValueError('a row was changed while it was read')
             moving = self.others(tree, moving, why, spans()[0], moments)
 
-    @property
-    def bounds(self) -> Moving:
-        """Those that a moment is asked of first: `moving` may hold where these do not."""
-        return self.moving if self.laid_out is None else self.laid_out
-
     def others(
         self, tree: Any, moving: Moving, why: int, span: tuple[float, float], moments: bool = True
     ) -> Moving:
         """The bounds to ask next, where those did not hold, and why."""
-        if moving is self.laid_out and why == OUTSIDE:
+        if moving is self.bounds is not self.moving and why == OUTSIDE:
             return self.moving
         return self.fit(tree, *span, moments)
 
@@ -161,10 +158,10 @@ class Motion:
         """
         view, before = tree.view(), self.moving
         if before.version != view.version:
-            self.laid_out, stop = None, last
+            stop = last
             if first == last:
                 stop = first + max(HORIZON, LEAST_SPAN * abs(first))
-            self.moving = self._fit(view, layout_of_tree(tree.ndim), first, stop)
+            self.moving = self.bounds = self._fit(view, layout_of_tree(tree.ndim), first, stop)
             return self.moving
         if view.tree.state.item(TURN) < 0:
             raise RuntimeError(IS_CHANGED)
@@ -175,8 +172,11 @@ class Motion:
         first, last = min(first, before.start), max(last, before.stop)
         more = 0.5 * (last - first)
         first, last = first - more * earlier, last + more * later
-        self.moving = self._fit(view, layout_of_tree(tree.ndim), first, last)
-        return self.moving
+        moving = self._fit(view, layout_of_tree(tree.ndim), first, last)
+        if self.bounds is before:
+            self.bounds = moving
+        self.moving = moving
+        return moving
 
     def _fit(self, view: View, layout: Layout, first: float, last: float) -> Moving:
         """Fit bounds of the nodes of a layout."""
@@ -200,15 +200,15 @@ class Motion:
         """Lay out nodes for these moments, which have been asked for often, if boxes have parted
         by then; bounds that hold.
         """
-        moving, laid, (parted, per_second) = self.moving, self.laid_out, self._parted
+        moving, laid, (parted, per_second) = self.moving, self.bounds, self._parted
         middle = 0.5 * first + 0.5 * last
-        if laid is not None and laid.start <= first <= last <= laid.stop:
+        if laid is not moving and laid.start <= first <= last <= laid.stop:
             moving = laid
         elif parted + per_second * (middle - moving.start) > PARTED:
             layout = lay_out(view, self.kept, middle)
             soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
             stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
-            self.laid_out = moving = self._fit(view, layout, first, stop)
+            self.bounds = moving = self._fit(view, layout, first, stop)
         view.tree.state[ASKS] = LOOKED - self._asks
         return moving
 
@@ -292,5 +292,5 @@ class Motion:
         """Memory of all."""
         sweep = self._wanted.sweep
         more = 0 if sweep is None else sweep.nbytes
-        more += 0 if self.laid_out is None else self.laid_out.nodes.nbytes
+        more += 0 if self.bounds is self.moving else self.bounds.nodes.nbytes
         return self.kept.nbytes + self.moving.nodes.nbytes + more

@@ -60,7 +60,7 @@ def test_what_is_near_is_what_it_was(laid_out_at_once, monkeypatch):
             touched = tree.overlap_many(points, points + 1.0, at=at)
             one = tree.nearest(points[0], 3, at=course.at)
             answers.append([*near, *touched, *one, tree.overlap(*course[:2], at=course.at)])
-            laid += tree.motion.laid_out is not None
+            laid += tree.motion.bounds is not tree.motion.moving
         for mine, its in zip(*answers, strict=True):
             assert np.array_equal(mine, its)
     assert laid > effort(50, 1500)
@@ -96,7 +96,7 @@ def test_many_questions_about_fast_boxes(ndim):
         found, distances = tree.nearest_many(points, mask=1, at=at)
         assert (apart.min(axis=1) == distances[:, 0]).all()
         assert (ids[apart.argmin(axis=1)] == found[:, 0]).all()
-        assert (tree.motion.laid_out is not None) == (at != 0.0)
+        assert (tree.motion.bounds is not tree.motion.moving) == (at != 0.0)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
