@@ -262,14 +262,16 @@ def test_nearest_as_a_service(client, scene, world):
 def test_an_incomplete_world(start_node, node):
     world = start_node({'markers.required': True, 'footprint': [0.3]})
     client = BvhClient(node, world.name, timeout=120.0)
+    world.until(client.services.nearest.service_is_ready)  # else the request goes to nobody
+    with pytest.raises(BvhError, match='has not spoken yet'):
+        client.nearest([0, 0, 0])
     for ask in (
-        lambda: client.nearest([0, 0, 0]),
         lambda: client.nearest_many([[0, 0, 0]]),
         lambda: client.overlap_many([[0, 0, 0]], [1, 1, 1]),
         lambda: client.check_path([[0, 0, 0]]),
         lambda: client.raycast_many([[0, 0, 0]], [[1, 0, 0]], 1.0, radius=0.1),
     ):
-        with pytest.raises(BvhError):
+        with pytest.raises(BvhError, match='cannot answer'):
             ask()
 
 
