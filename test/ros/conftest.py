@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from ros import forking
 
-START_TIMEOUT = 240.0  # seconds: the very first start compiles
+START_TIMEOUT = 400.0  # seconds: the very first start compiles
 TIMEOUT = 60.0  # an answer takes milliseconds, where the machine has time
 END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
@@ -111,12 +111,20 @@ class World:
 
         self.publish('bvh/obstacles', MarkerArray(markers=list(array)))
 
-    def until(self, condition: Callable[[], Any], timeout: float = TIMEOUT) -> None:
+    def until(
+        self, condition: Callable[[], Any], timeout: float = TIMEOUT, pause: float = 0.005
+    ) -> None:
         """Spin until something is true."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, f'still not true; the node says:\n{self.said()}'
-            self.executor.spin_once(0.005)
+            self.executor.spin_once(pause)
+
+    def until_compiled(self, condition: Callable[[], Any]) -> None:
+        """Spin until something is true that takes kernels. Not too often: others compile, and a
+        look is a question to a node.
+        """
+        self.until(condition, START_TIMEOUT, pause=0.2)
 
     def status(self, what: str) -> Any:
         """The next status on /diagnostics of this part of the node: its level, text and values."""

@@ -32,7 +32,7 @@ SOURCES = {
 def moving(start_node):
     world = start_node(SOURCES)
     # The rest of the kernels, and what is nearest, which is compiled when somebody asks.
-    world.until(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)), 400.0)
+    world.until_compiled(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)))
     return world
 
 
@@ -111,7 +111,7 @@ def test_given_velocities_at_a_time_and_while_it_passes(clean):
     assert (there.header.frame_id, when(there)) == ('tracks#1', now)
     (there,) = ask(clean, 'overlap', *box, at=now + SECOND, until=now + SECOND)
     point = (0, 0, 0), (0, 0, 0)
-    clean.until(lambda: not errors(clean, 'nearest', *point, at=now + 1), 400.0)
+    clean.until_compiled(lambda: not errors(clean, 'nearest', *point, at=now + 1))
     near = ask(clean, 'nearest', *point, at=now + SECOND)
     assert [pose.header.frame_id for pose in near] == ['tracks#1', 'tracks#2']
     assert near[0].pose.position.x == pytest.approx(4.5)
@@ -302,7 +302,7 @@ def test_points_boxes_and_paths_are_about_their_times(clean):
             except BvhError:
                 return None
 
-        clean.until(lambda: answers() is not None, 400.0)
+        clean.until_compiled(lambda: answers() is not None)
         return ask()
 
     near = ready(lambda: client.nearest_many(points, at=at))
@@ -347,7 +347,7 @@ def test_the_client_asks_about_times(clean):
     assert client.raycast_all(*ends, at=now, until=now + 2 * SECOND) == [hit]
     assert client.overlap((4, -1, -1), (6, 1, 1), at=now + SECOND)[0].name == 'tracks#1'
     point = (0, 0, 0), (0, 0, 0)
-    clean.until(lambda: not errors(clean, 'nearest', *point, at=now + SECOND), 400.0)
+    clean.until_compiled(lambda: not errors(clean, 'nearest', *point, at=now + SECOND))
     assert client.nearest((0, 0, 0), at=now + SECOND)[0].point[0] == pytest.approx(4.5)
     with pytest.raises(BvhError, match='max_prediction'):
         client.raycast(*ends, at=now + 3 * SECOND)
@@ -407,7 +407,7 @@ def test_a_clock_that_is_set_back(start_node):
     from rosgraph_msgs.msg import Clock
 
     world = start_node({**SOURCES, 'use_sim_time': True, 'history': 2.0}, remap='/clock:=clock')
-    world.until(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)), 400.0)
+    world.until_compiled(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)))
     clock = world.node.create_publisher(Clock, f'{world.namespace}/clock', 1)
     way = (-99, 0, 0), (99, 0, 0)
 
