@@ -37,6 +37,7 @@ Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
 NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
+HANDFUL = 17  # so few rays go through what is swept for however long, of however few boxes
 HORIZON = 1.0  # s: from one time on bounds are fitted to so many more
 # Batches for which sweeping a snapshot pays: so many rays a box.
 RAYS_PER_BOX = 0.05
@@ -140,15 +141,12 @@ class Motion:
 
     def fitted(self, tree: Any, count: int, span: tuple[float, float]) -> Moving:
         """Bounds of the tree as it is that hold for so many moments between two."""
-        kernel, found = may_ask_entry(tree.ndim), [self.moving]
-
-        def call(arrays: Any, moving: Moving) -> int:
-            found[:] = [moving]
-            done: int = kernel(arrays, moving, count, *span)
-            return done
-
-        self.ask(tree, lambda: (span, True), call)
-        return found[0]
+        kernel, moving = may_ask_entry(tree.ndim), self.bounds
+        why = kernel(tree.view().tree, moving, count, *span)
+        while why != 0:
+            moving = self.others(tree, moving, why, span)
+            why = kernel(tree.view().tree, moving, count, *span)
+        return moving
 
     def fit(self, tree: Any, first: float, last: float, moments: bool = True) -> Moving:
         """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
@@ -280,7 +278,7 @@ class Motion:
         rays, and they are few.
         """
         _, _, _, _, _, sweep, enough, _ = self._wanted
-        return sweep if count < FEW and count < enough else None
+        return sweep if count < FEW and count < max(enough, HANDFUL) else None
 
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""

@@ -29,6 +29,8 @@ from .spans import both_times, span_of, times_of
 from .sweeping import Sweep
 from .wide_casting import UNSUITED
 
+FEW_HITS = 64  # are sorted as they are described, one by one
+
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
@@ -86,9 +88,9 @@ class MotionRays(Motion):
             done, wanted = self.ask(tree, spans, call, not casts.pace.any())
             if done < count:
                 found = more_room(found, wanted)
-        total = offsets[-1]
+        total = offsets.item(-1)
         found = Found(found.slots[:total], found.ts[:total], found.axes[:total])
-        if casts.mode == EVERY:  # else there is one a row
+        if casts.mode == EVERY and total > FEW_HITS:  # else there is one a row, or they are sorted
             rows = np.repeat(np.arange(count), np.diff(offsets))
             order = np.lexsort((begun.tree.handles[found.slots], found.ts, rows))
             found = Found(found.slots[order], found.ts[order], found.axes[order])
