@@ -78,9 +78,11 @@ class DistanceQueries:
         many = checks.whole('k', k, 1)
         if self._moments.meant(at, None, 1):
             asked = where, many, limits, sign_of(signed), self._moments.second(at)
-            return self._held.hits(*self._moments.distances().find_near(*asked))
-        found, rows = self._nearness.find(where, many, limits, sign_of(signed))
-        return self._held.hits(found, rows)
+            return self._moments.distances().find_near(*asked)
+        room, rows = self._nearness.find(where, many, limits, sign_of(signed))
+        hits = self._held.hits(room.found, rows)
+        self._nearness.spare.give(room)
+        return hits
 
     def clearance(
         self, name: str, signed: bool = False, at: int | None = None

@@ -74,8 +74,15 @@ class OverlapQueries:
         query = box_query(start, goal, orientation, tolerance, self._held.planar)
         if self._moments.meant(at, None, 1):
             return self._then(query, None, mask, most, at)
-        found, rows = self._touching.find(query, None, checks.mask(mask), most)
-        return self._held.each_once(self._held.hits(found, rows))
+        return self._now(query, None, mask, most)
+
+    def _now(self, query: QueryShape, hulls: Any, mask: int, most: int | None) -> list[SceneHit]:
+        """What a query touches."""
+        held, touching = self._held, self._touching
+        room, rows = touching.find(query, hulls, checks.mask(mask), most)
+        hits = held.hits(room.found, rows)
+        touching.spare.give(room)
+        return held.each_once(hits)
 
     def _then(
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
@@ -83,10 +90,11 @@ class OverlapQueries:
         """What a query touches at a time."""
         held, seen, moments = self._held, checks.mask(mask), self._moments
         second = held.second(at) if type(at) is int else moments.second(at)
-        found, order = moments.distances().find(query, hulls, seen, second)
+        hits = moments.distances().find(query, hulls, seen, second)
         if held.planar:
-            found.points[: len(order), 2] = query.height
-        hits = held.each_once(held.hits(found, order))
+            for hit in hits:
+                hit.point[2] = query.height
+        hits = held.each_once(hits)
         if most is not None:
             require_few(len(hits), most)
         return hits
@@ -108,8 +116,7 @@ class OverlapQueries:
         query, hulls = shape_query(shape, tolerance, self._held.planar)
         if self._moments.meant(at, None, 1):
             return self._then(query, hulls, mask, None, at)
-        found, rows = self._touching.find(query, hulls, checks.mask(mask), None)
-        return self._held.each_once(self._held.hits(found, rows))
+        return self._now(query, hulls, mask, None)
 
     def overlap_many(
         self,

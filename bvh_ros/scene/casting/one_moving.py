@@ -6,7 +6,6 @@ The answers are those of `moving.first_then`. Here arrays of one row are kept, a
 take longer than the question.
 """
 
-import threading
 from functools import partial
 from typing import Any
 
@@ -23,6 +22,7 @@ from ...tree.store.turns import NOT_FINITE
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
 from ..store.places import most_growth
+from ..store.spare import Spare
 from .arguments import Hits, call, new_scratch, world_of
 from .box_casting import BoxHit, too_long, way_between
 from .first_moving import First, Ways, first_rows
@@ -52,8 +52,8 @@ _first_entry = entry_points(
 )
 
 
-class _Room(threading.local):
-    """Room for one way a thread."""
+class _Room:
+    """Room for one way, see `spare`."""
 
     def __init__(self, ndim: int) -> None:
         self.ways = Ways(
@@ -71,7 +71,7 @@ class OneWay:
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._tree: Any = held.tree
-        self._room = _Room(held.tree.ndim)
+        self._spare = Spare(partial(_Room, held.tree.ndim))
         self._first = _first_entry(held.tree.ndim)
 
     def first_box(
@@ -92,7 +92,7 @@ class OneWay:
 
     def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
         """The first obstacle of any shape."""
-        held, tree, room = self._held, self._tree, self._room
+        held, tree, room = self._held, self._tree, self._spare.take()
         (origin, direction, radius), (at, pace) = way, when
         ways, hits, ndim = room.ways, room.hits, tree.ndim
         ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
@@ -109,5 +109,11 @@ class OneWay:
         )
         if ndim == 2:
             told.points[0, 2] = origin[2]
-        slot, point, normal = hits.slots.item(0), told.points[0], told.normals[0]
-        return None if slot == NONE else (slot, hits.ts.item(0), point, normal)
+        slot, t, point, normal = (
+            hits.slots.item(0),
+            hits.ts.item(0),
+            told.points[0],
+            told.normals[0],
+        )
+        self._spare.give(room)
+        return None if slot == NONE else (slot, t, point, normal)

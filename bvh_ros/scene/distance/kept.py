@@ -1,8 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a thread keeps from one question at a time to the next, see `timed`."""
+"""What is kept from one question at a time to the next, see `timed`."""
 
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,8 +30,8 @@ class Known(NamedTuple):
 
 
 class Scratch:
-    """What a thread's kernels write to; the room for it is kept. And what they read of one query,
-    as making arrays of one row would take longer than most queries.
+    """Room that kernels write to, see `spare`. And what they read of one query, as making arrays
+    of one row would take longer than most queries.
     """
 
     def __init__(self) -> None:
@@ -54,17 +53,16 @@ class Scratch:
         )
         self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
 
+    def room(self, then: Then) -> Room:
+        """What of it kernels write to as they look at what stands there then."""
+        footprint = None if then.bodies.footprints is None else self.footprint
+        spare = then.bodies._replace(shapes=self.shape, footprints=footprint)
+        return Room(self.slots, self.handles, self.gaps, spare)
+
     def have_room(self, count: int) -> None:
         """`make_room` if there is less."""
         if count > len(self.gaps):
             self.make_room(count)
-
-
-class Own(threading.local):
-    """A thread's own. To look up a name here takes five times as long as in a plain object."""
-
-    def __init__(self) -> None:
-        self.scratch = Scratch()
 
 
 def no_rows(count: int, k: int) -> Near:

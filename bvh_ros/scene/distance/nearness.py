@@ -21,6 +21,7 @@ from ...tree.store.turns import IS_CHANGED, NOT_FINITE
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
+from ..store.spare import Spare
 from .touching import FOUND, REFUSED, ROUNDED, Found, Scratch, nearest_to
 from .touching_rows import Near, Points, RowKernel, Signed, bodies_of, nearest_rows
 
@@ -35,17 +36,17 @@ class Nearness:
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self._scratch = Scratch()
+        self.spare = Spare(Scratch)
         self._entries: dict[tuple[bool | None, Signed], Any] = {}
         self._rows = {None: RowKernel(nearest_rows).call, True: RowKernel(nearest_rows).call}
 
     def find(
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed
-    ) -> tuple[Found, list[int]]:
+    ) -> tuple[Scratch, list[int]]:
         """Up to k obstacles nearest to a point, limits = (max_distance, mask): what is known of
-        them until the next query of this thread, and their rows, nearest first, ties by handle.
+        them until that is given to `spare`, and their rows, nearest first, ties by handle.
         """
-        max_distance, mask = limits
+        scratch, (max_distance, mask) = self.spare.take(), limits
         everybody = len(self._tree)
         reach = max(max_distance * ROUNDED, max_distance)
         in_order = signed is None and not (self._columns.shaped or self._columns.shadows)
@@ -53,10 +54,10 @@ class Nearness:
         asked = k if in_order else k + MORE
         while True:
             asked = min(asked, everybody + 1)
-            if asked > len(self._scratch.found.slots):
-                self._scratch.make_room(asked)
-            count = self._fill(point, (asked, reach, mask), signed)
-            found = self._scratch.found
+            if asked > len(scratch.found.slots):
+                scratch.make_room(asked)
+            found = scratch.found
+            count = self._fill(point, (asked, reach, mask), signed, found)
             distances = found.distances[:count].tolist()
             order = [row for row in found.order[:count].tolist() if distances[row] <= max_distance]
             order = self._different(found, order)[:k]
@@ -68,14 +69,15 @@ class Nearness:
                     and found.bounds.item(count - 1) > max(distances[order[-1]], 0.0) * ROUNDED
                 )
             ):
-                return found, order
+                return scratch, order
             asked *= MORE
 
-    def _fill(self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed) -> int:
+    def _fill(
+        self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed, found: Found
+    ) -> int:
         columns = self._columns
         bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
         variant = None if bodies is None else bodies.hulls is not None
-        found = self._scratch.found
         given = self._tree.view().tree, bodies, point, asked, signed, columns.node_handle, found
         entry = self._entries.get((variant, signed))
         if entry is None:
@@ -99,10 +101,13 @@ class Nearness:
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)
         asked = k, columns.shadows > 0, signed
-        memory = self._scratch.memory
-        if threads == 1 and k * FOUND < len(memory):  # without what others take
-            every = view, bodies, points, asked, (0, count), columns.node_handle, memory, near
-            start = self._rows[signed](every)[0]
+        if threads == 1:  # without what others take
+            scratch, start = self.spare.take(), 0
+            memory = scratch.memory
+            if k * FOUND < len(memory):
+                every = view, bodies, points, asked, (0, count), columns.node_handle, memory, near
+                start = self._rows[signed](every)[0]
+            self.spare.give(scratch)
             if start == count:
                 return near
         given = view, bodies, points, asked, near
@@ -121,7 +126,7 @@ class Nearness:
     ) -> bool:
         """Answer the rows [start, stop); whether all points are finite."""
         (k, _, signed), everybody = asked, view.tree.state.item(COUNT)
-        wanted, kernel, scratch = min(k, everybody) + 1, self._rows[signed], self._scratch
+        wanted, kernel, scratch = min(k, everybody) + 1, self._rows[signed], self.spare.take()
         handles = self._columns.node_handle
         while start < stop:
             if wanted > len(scratch.found.slots):
@@ -130,6 +135,7 @@ class Nearness:
             start, wanted = kernel((view, bodies, *some))
             if start == NOT_FINITE:
                 return False
+        self.spare.give(scratch)
         return True
 
     def _different(self, found: Found, rows: list[int]) -> list[int]:

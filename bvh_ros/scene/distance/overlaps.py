@@ -20,10 +20,11 @@ from ..results import NO_NODE, BoxHits, require_few
 from ..store.columns import Bodies, Columns
 from ..store.mesh_store import Hulls
 from ..store.registry import Slots
+from ..store.spare import Spare
 from . import narrow_phase
 from .query_rows import FAULTY, NARROW, QueryRows, begin_shaped, with_records
 from .query_shape import QueryShape
-from .touching import FOUND, REFUSED, Found, Scratch, touching
+from .touching import FOUND, REFUSED, Scratch, touching
 from .touching_rows import (
     ALL,
     ANY,
@@ -60,26 +61,28 @@ class Overlaps:
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self._scratch = Scratch()
+        self.spare = Spare(Scratch)
         self._entries: dict[bool | None, Any] = {}
         self._rows = RowKernel(overlap_rows).call
 
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, most: int | None
-    ) -> tuple[Found, list[int]]:
+    ) -> tuple[Scratch, list[int]]:
         """The obstacles whose distance from the query's shape is at most its tolerance: what is
-        known of them until the next query of this thread, and their rows in order of their
-        distances from its centre, ties by handle. TooManyHitsError if they are more than `most`.
+        known of them until that is given to `spare`, and their rows in order of their distances
+        from its centre, ties by handle. TooManyHitsError if they are more than `most`.
         """
         narrow = self._columns.shaped > 0 or not query.aligned
         bodies = bodies_of(self._columns, hulls) if narrow else None
-        count, doubtful = self._fill(bodies, query, mask)
-        found = self._scratch.found
+        scratch = self.spare.take()
+        count, doubtful = self._fill(scratch, bodies, query, mask)
+        found = scratch.found
         order = found.order[:count].tolist()
         if doubtful:
-            order = [row for row in order if not found.doubtful[row] or self._holds(query, row)]
+            sure = ~found.doubtful
+            order = [i for i in order if sure[i] or self._holds(query, found.slots[i])]
         require_few(len(order), most)
-        return found, order
+        return scratch, order
 
     def answer(self, rows: tuple[Any, ...], hulls: Hulls | None, wanted: int, threads: int) -> Any:
         """`find` of n shapes, plain `QueryRows`: what is `wanted` (see `touching_rows`) of each,
@@ -90,9 +93,10 @@ class Overlaps:
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
             view, bodies = self._tree.latest(), bodies_of(columns, hulls) if narrow else None
-            memory, handles = self._scratch.memory, columns.node_handle
-            every = view, bodies, rows, wanted, (0, count, 0), handles, memory, told
+            scratch, handles = self.spare.take(), columns.node_handle
+            every = view, bodies, rows, wanted, (0, count, 0), handles, scratch.memory, told
             done, _, written, compared, more, version = self._rows(every)
+            self.spare.give(scratch)
             if compared and done >= 0:
                 columns.pairs_compared += compared
                 columns.pairs_in_more_digits += more
@@ -152,8 +156,9 @@ class Overlaps:
         """Answer the rows [start, stop), if no reason is in the way."""
         parts: list[NDArray[np.uint32]] = []
         begin, total, compared, more, room, legal = start, 0, 0, 0, FEW, None
+        scratch = self.spare.take()
         while start < stop:
-            memory, answers = self._scratch.memory, told
+            memory, answers = scratch.memory, told
             if wanted == ALL:
                 answers = told._replace(handles=np.empty(room, UINT32))
             place = start, stop, total
@@ -174,7 +179,8 @@ class Overlaps:
                 continue
             room = max(2 * room, needed)
             if needed * FOUND > len(memory):
-                self._scratch.make_room(needed)
+                scratch.make_room(needed)
+        self.spare.give(scratch)
         return Part(0, begin, stop, parts, compared, more)
 
     def _tell(
@@ -182,7 +188,8 @@ class Overlaps:
     ) -> NDArray[np.uint32]:
         """Answer a row that is open, by `find`; return the handles."""
         hulls = None if bodies is None else bodies.query_hulls
-        found, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+        scratch, order = self.find(rows.one(row), hulls, rows.mask(row), None)
+        found = scratch.found
         handles = self._columns.node_handle[found.slots[order]].astype(np.uint32)
         met, first = len(order), order[0] if order else 0
         if wanted == ANY:
@@ -194,15 +201,18 @@ class Overlaps:
         if wanted == HITS:
             told.distances[row] = found.distances[first] if met else np.inf
             told.points[row] = found.points[first] if met else np.nan
+        self.spare.give(scratch)
         return handles
 
-    def _fill(self, bodies: Bodies | None, query: QueryShape, mask: np.uint32) -> tuple[int, int]:
+    def _fill(
+        self, scratch: Scratch, bodies: Bodies | None, query: QueryShape, mask: np.uint32
+    ) -> tuple[int, int]:
         """Call the kernel until there is room for what it finds; how many there are, and how many
         of them are doubtful.
         """
         columns, variant = self._columns, None if bodies is None else bodies.hulls is not None
         while True:
-            found = self._scratch.found
+            found = scratch.found
             asked = bodies, query, mask, False
             given = self._tree.view().tree, *asked, columns.node_handle, found
             entry = self._entries.get(variant)
@@ -216,13 +226,13 @@ class Overlaps:
                 columns.pairs_in_more_digits += more
             if count <= len(found.slots):
                 return count, doubtful
-            self._scratch.make_room(count)
+            scratch.make_room(count)
 
-    def _holds(self, query: QueryShape, row: int) -> bool:
+    def _holds(self, query: QueryShape, slot: np.int64) -> bool:
         """Whether an axis-aligned box in doubt is within the tolerance, as real arithmetic
         decides.
         """
-        slot, ndim = self._scratch.found.slots[row], self._tree.ndim
+        ndim = self._tree.ndim
         lo, hi = corners(self._columns.geometry[slot : slot + 1])
         lower, upper = query.bounds[:, :ndim]
         return bool(boxes_within(lo[:, :ndim], hi[:, :ndim], lower, upper, query.tolerance)[0])

@@ -18,18 +18,20 @@ from ...tree.motion.nearest_packets import Bounded
 from ...tree.nodes import COUNT, NONE, View
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
+from ..results import SceneHit
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
+from ..store.spare import Spare
 from .clearance import NOT_ASKED, Neighbours, room_for
-from .kept import FEW, Known, Own, Scratch, no_rows
-from .moving import Room, Then, touch_rows
+from .kept import FEW, Known, Scratch, no_rows
+from .moving import Then, touch_rows
 from .moving_neighbours import clear_rows, near_rows
 from .nearness import MANY
 from .overlaps import as_wanted
 from .query_rows import FAULTY, NO_GIVEN, number_of
 from .query_shape import QueryShape
-from .touching import ROUNDED, Found
+from .touching import ROUNDED
 from .touching_rows import ALL, HITS, Points, Signed, bodies_of
 from .touching_rows import COUNT as COUNTED
 from .touching_rows import Near as Nearest
@@ -43,16 +45,16 @@ class TimedDistances:
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
-        self._own = Own()
+        self._spare = Spare(Scratch)
         self._entries: dict[tuple[Any, ...], Any] = {}
 
-    # ---- one query: what is known until the next one of this thread, and its rows, in order
+    # ---- one query
 
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
-    ) -> tuple[Found, list[int]]:
-        """What a query touches at a time, as `overlaps.Overlaps.find` has it."""
-        scratch, tree, done = self._own.scratch, self._held.tree, 0
+    ) -> list[SceneHit]:
+        """What a query touches at a time, in the order of `overlaps.Overlaps.find`."""
+        scratch, tree, done = self._spare.take(), self._held.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
         asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
@@ -65,13 +67,15 @@ class TimedDistances:
         if compared:
             self._held.columns.pairs_compared += compared
         count = scratch.answers[1].item(0)
-        return found, found.order[:count].tolist() if count else []
+        hits = self._held.hits(found, found.order[:count].tolist()) if count else []
+        self._spare.give(scratch)
+        return hits
 
     def find_near(
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed, at: float
-    ) -> tuple[Found, list[int]]:
-        """What is nearest to a point at a time, as `nearness.Nearness.find` has it."""
-        scratch, held, done = self._own.scratch, self._held, 0
+    ) -> list[SceneHit]:
+        """What is nearest to a point at a time, in the order of `nearness.Nearness.find`."""
+        scratch, held, done = self._spare.take(), self._held, 0
         scratch.point[0] = point
         reach, scratch.masks[0] = limits
         scratch.limits[0] = reach
@@ -93,7 +97,9 @@ class TimedDistances:
             handles = held.columns.node_handle[found.slots[order]]
             first = np.sort(np.unique(handles, return_index=True)[1])
             order = [order[place] for place in first]
-        return found, order[:k]
+        hits = held.hits(found, order[:k])
+        self._spare.give(scratch)
+        return hits
 
     # ---- batches
 
@@ -106,10 +112,11 @@ class TimedDistances:
         columns, count, view = self._held.columns, number_of(rows), self._held.tree.view()
         told = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
-            scratch = self._own.scratch
+            scratch = self._spare.take()
             known = self._known(scratch, view, at, hulls)
             given = rows, (0, count, wanted, 0), known.room, scratch.found, told
             done = self._call(view, touch_rows, known.then, given, None)
+            self._spare.give(scratch)
             if done[0] == count:
                 columns.pairs_compared += done[3]
                 return as_wanted(told, [told[2][: done[2]]], wanted, False)
@@ -131,8 +138,8 @@ class TimedDistances:
 
         def work(start: int, stop: int) -> Any:
             begin, total, room, answers, some = start, 0, FEW, told, []
+            scratch = self._spare.take()
             while start < stop:
-                scratch = self._own.scratch
                 known = self._known(scratch, view, at, hulls)
                 if wanted == ALL:
                     answers = *told[:2], np.empty(room, np.uint32), *told[3:]
@@ -146,6 +153,7 @@ class TimedDistances:
                 columns.pairs_compared += compared
                 total, room = total + written, max(2 * room, needed)
                 scratch.have_room(needed)
+            self._spare.give(scratch)
             return begin, stop, some
 
         for done in in_threads(work, count, threads):
@@ -170,10 +178,11 @@ class TimedDistances:
         told, view = no_rows(count, k), tree.view()
         among = self._among(view, signed)
         if threads == 1 and count < MANY:  # without what others take
-            scratch = self._own.scratch
+            scratch = self._spare.take()
             now = self._known(scratch, view, at, None)
             given = points, None, (0, count, k, *among), now.room, scratch.found, told
             done, wanted, _ = self._call(view, near_rows, now.then, given, signed)
+            self._spare.give(scratch)
             if done == count:
                 return told
             if wanted == FAULTY:
@@ -199,14 +208,15 @@ class TimedDistances:
         def work(start: int, stop: int) -> bool:
             if near is not None and known is not None and tree.motion is not None:
                 tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
+            scratch = self._spare.take()
             while start < stop:
-                scratch = self._own.scratch
                 now = self._known(scratch, view, at, None)
                 given = points, known, (start, stop, *asked), now.room, scratch.found, told
                 start, wanted, _ = self._call(view, near_rows, now.then, given, variant)
                 if wanted == FAULTY:
                     return False
                 scratch.have_room(wanted)
+            self._spare.give(scratch)
             return True
 
         finite = all(in_threads(work, count, threads))
@@ -268,8 +278,8 @@ class TimedDistances:
     ) -> bool:
         """Fill in the rows [start, stop); whether all are legal."""
         alike = asked[2] == NONE and not self._held.columns.shaped
+        scratch = self._spare.take()
         while start < stop:
-            scratch = self._own.scratch
             now = self._known(scratch, view, at, hulls)
             question = start, stop, *asked, alike and not len(now.then.rest_slots)
             given = rows, question, now.room, told
@@ -277,6 +287,7 @@ class TimedDistances:
             if wanted == FAULTY:
                 return False
             scratch.have_room(wanted)
+        self._spare.give(scratch)
         return True
 
     # ---- kernels
@@ -293,7 +304,7 @@ class TimedDistances:
         held, known, columns = self._held, scratch.known, self._held.columns
         if type(at) is not float:
             then = self._then(at, hulls)
-            return Known(view.version, None, None, 0.0, then, self._room(then))
+            return Known(view.version, None, None, 0.0, then, scratch.room(then))
         scratch.at[0] = at
         if (
             known is not None
@@ -306,7 +317,7 @@ class TimedDistances:
             return known
         until = math.inf if math.isinf(held.max_prediction) else movers(held).first_end
         then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls)
-        known = Known(view.version, *ours, until, then, self._room(then))
+        known = Known(view.version, *ours, until, then, scratch.room(then))
         scratch.known = known if hulls is None and at <= until else None
         return known
 
@@ -322,12 +333,6 @@ class TimedDistances:
         places = bodies_of(held.columns, hulls), held.columns.node_handle
         still = resting.tree.view().tree, resting.slots
         return Then(*places, at, held.max_prediction, held.uncertainty, *ends, *still)
-
-    def _room(self, then: Then) -> Room:
-        scratch, planar = self._own.scratch, then.bodies.footprints is not None
-        footprint = scratch.footprint if planar else None
-        spare = then.bodies._replace(shapes=scratch.shape, footprints=footprint)
-        return Room(scratch.slots, scratch.handles, scratch.gaps, spare)
 
     def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""

@@ -6,7 +6,6 @@ Broad phase, exact decision between axis-aligned boxes, narrow phase for the oth
 boxes, the kernels read the tree alone.
 """
 
-import threading
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -213,8 +212,8 @@ def sift_down(found, node_handles, root, count):
         root = child
 
 
-class Scratch(threading.local):
-    """What a thread's queries find; the room for it is kept."""
+class Scratch:
+    """Room for what queries find, see `spare`."""
 
     def __init__(self) -> None:
         self.make_room(32)
