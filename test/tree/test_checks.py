@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tree.arguments import ARGUMENTS, HI, LO
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
@@ -22,8 +23,17 @@ def some_tree() -> DynamicBVH:
     return DynamicBVH.from_boxes(lo, lo + 1, margin=0.1)
 
 
-LO, HI = np.zeros((5, 3)), np.ones((5, 3))
 ONE = [0.0, 0.0, 0.0]
+
+
+def taking(names: set[str], *, rows: bool) -> dict[str, tuple[str, Any]]:
+    """Calls with these arguments, and the name that a refusal tells."""
+    found = {}
+    for what, call in ARGUMENTS.items():
+        method, name = what.split(' ', 1)
+        if name in names and (method.endswith('_many') or method == 'from_boxes') == rows:
+            found[what] = '(lo|hi)' if what == 'from_boxes lo' else name, call
+    return found
 
 
 def with_row(array: Any, row: int, value: Any) -> Any:
@@ -51,25 +61,7 @@ BAD_ROWS = {
     'complex': (LO + 1j, 'numbers'),
 }
 
-TAKES_ROWS: dict[str, tuple[str, Callable[[DynamicBVH, Any], Any]]] = {
-    # the argument's name, and a call with it
-    'insert_many lo': ('lo', lambda t, x: t.insert_many(x, HI)),
-    'insert_many hi': ('hi', lambda t, x: t.insert_many(LO - 1e9, x)),
-    'from_boxes lo': ('(lo|hi)', lambda t, x: DynamicBVH.from_boxes(x, HI)),
-    'from_boxes hi': ('hi', lambda t, x: DynamicBVH.from_boxes(LO - 1e9, x)),
-    'move_many lo': ('lo', lambda t, x: t.move_many(t.ids()[:5], x, HI)),
-    'move_many hi': ('hi', lambda t, x: t.move_many(t.ids()[:5], LO - 1e9, x)),
-    'move_many displacement': ('displacement', lambda t, x: t.move_many(t.ids()[:5], LO, HI, x)),
-    'raycast_many origins': ('origins', lambda t, x: t.raycast_many(x, HI)),
-    'raycast_many directions': ('directions', lambda t, x: t.raycast_many(HI, x)),
-    'occluded_many origins': ('origins', lambda t, x: t.occluded_many(x, HI)),
-    'occluded_many directions': ('directions', lambda t, x: t.occluded_many(HI, x)),
-    'raycast_all_many origins': ('origins', lambda t, x: t.raycast_all_many(x, HI)),
-    'raycast_all_many directions': ('directions', lambda t, x: t.raycast_all_many(HI, x)),
-    'overlap_many lo': ('lo', lambda t, x: t.overlap_many(x, HI)),
-    'overlap_many hi': ('hi', lambda t, x: t.overlap_many(LO - 1e9, x)),
-    'nearest_many points': ('points', lambda t, x: t.nearest_many(x)),
-}
+TAKES_ROWS = taking({'lo', 'hi', 'displacement', 'origins', 'directions', 'points'}, rows=True)
 
 
 @pytest.mark.parametrize(('name', 'call'), TAKES_ROWS.values(), ids=TAKES_ROWS.keys())
@@ -91,25 +83,9 @@ BAD_POINTS = {
     'None': None,
 }
 
-TAKES_A_POINT: dict[str, tuple[str, Callable[[DynamicBVH, Any], Any]]] = {
-    'insert lo': ('lo', lambda t, x: t.insert(x, ONE)),
-    'insert hi': ('hi', lambda t, x: t.insert([-9, -9, -9], x)),
-    'move lo': ('lo', lambda t, x: t.move(t.ids()[3], x, ONE)),
-    'move hi': ('hi', lambda t, x: t.move(t.ids()[3], [-9, -9, -9], x)),
-    'move displacement': ('displacement', lambda t, x: t.move(t.ids()[3], ONE, ONE, x)),
-    'raycast origin': ('origin', lambda t, x: t.raycast(x, ONE)),
-    'raycast direction': ('direction', lambda t, x: t.raycast(ONE, x)),
-    'raycast_all origin': ('origin', lambda t, x: t.raycast_all(x, ONE)),
-    'raycast_all direction': ('direction', lambda t, x: t.raycast_all(ONE, x)),
-    'occluded origin': ('origin', lambda t, x: t.occluded(x, ONE)),
-    'occluded direction': ('direction', lambda t, x: t.occluded(ONE, x)),
-    'overlap lo': ('lo', lambda t, x: t.overlap(x, ONE)),
-    'overlap hi': ('hi', lambda t, x: t.overlap([-9, -9, -9], x)),
-    'boxcast lo': ('lo', lambda t, x: t.boxcast(x, ONE, ONE)),
-    'boxcast hi': ('hi', lambda t, x: t.boxcast([-9, -9, -9], x, ONE)),
-    'boxcast translation': ('translation', lambda t, x: t.boxcast(ONE, ONE, x)),
-    'nearest point': ('point', lambda t, x: t.nearest(x)),
-}
+TAKES_A_POINT = taking(
+    {'lo', 'hi', 'displacement', 'origin', 'direction', 'translation', 'point'}, rows=False
+)
 
 
 @pytest.mark.parametrize(('name', 'call'), TAKES_A_POINT.values(), ids=TAKES_A_POINT.keys())

@@ -26,8 +26,6 @@ FEATURES = {
     CAPSULE: ('corner', 'side'),
     MESH: ('corner', 'edge', 'face'),
 }
-EDGES = 'edge', 'side'
-FLAT = 'face', 'end'
 DIGITS = 50
 PARALLEL = Decimal(10) ** -12  # ways closer together than this are one
 SLIDING = 1e-3  # of the size: that far apart the ends of edges may be what is closest
