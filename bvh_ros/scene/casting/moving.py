@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from ...tree.checks import INT64, NOTHING, UINT32
 from ...tree.motion.asked_then import AS_ARRAYS, NO_TIMES
 from ...tree.motion.casting import Casts
-from ...tree.motion.ray_queries import rows_of
 from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.moving import LARGEST
+from ...tree.rays.ray_batches import rows_of
 from ...tree.rays.raycasting import EVERY
 from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import accepted

@@ -15,6 +15,7 @@ from .. import checks, time_checks
 from ..checks import INT64
 from ..nodes import NONE, Tree, View
 from ..rays import ray_batches
+from ..rays.ray_batches import rows_of
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Found, more_room, room_for_hits
 from ..results import RayHits
 from ..store.turns import NOT_FINITE, REFUSED, accepted
@@ -238,13 +239,3 @@ class MotionRays(Motion):
 def _check_finite(rays: RaysThen) -> None:
     checks.finite('origins', rays.origins)
     checks.finite('directions', rays.directions)
-
-
-def rows_of(table: Any, count: int, rows: Any) -> Any:
-    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
-    return type(table)(
-        *(
-            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
-            for column in table
-        )
-    )

@@ -19,7 +19,7 @@ from ..wide.few_rays import few_entry
 from ..wide.ray_streams import RAYS_AT_ONCE
 from ..wide.snapshot import Snapshot
 from . import ray_batches, ray_hits
-from .ray_batches import LARGE
+from .ray_batches import LARGE, rows_of
 from .raycasting import CLOSEST, Rays
 
 
@@ -159,7 +159,7 @@ class RayAsking(Timed):
         count = len(rays.origins)
 
         def work(start: int, stop: int) -> int:
-            part = ray_batches.part_of(rays, hits, start, stop)
+            part = (rows_of(table, count, slice(start, stop)) for table in (rays, hits))
             return ray_batches.cast(*view, snapshot, *part)
 
         done = in_threads(work, count, threads, 2 * RAYS_AT_ONCE if snapshot else 1)

@@ -72,17 +72,14 @@ def is_scan(origins: NDArray[np.float64]) -> bool:
     return origins[-1].tolist() == first == origins[len(origins) // 2].tolist()
 
 
-def part_of(rays: Rays, hits: RayHits, start: int, stop: int) -> tuple[Rays, RayHits]:
-    """The rows [start, stop); what stands for all rows, or for none, stays as it is."""
-
-    def cut(rows: NDArray[Any]) -> NDArray[Any]:
-        return rows[start:stop] if len(rows) == len(rays.origins) else rows
-
-    t_max, masks = cut(rays.t_max), cut(rays.masks)
-    part = rays._replace(
-        origins=cut(rays.origins), directions=cut(rays.directions), t_max=t_max, masks=masks
+def rows_of(table: Any, count: int, rows: Any) -> Any:
+    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
+    return type(table)(
+        *(
+            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
+            for column in table
+        )
     )
-    return part, RayHits(*map(cut, hits))
 
 
 def room_for(count: int, ndim: int, mode: int) -> RayHits:
