@@ -3,11 +3,9 @@
 """`bvh_warm_up` leaves a folder that starts can use."""
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from tree.jit.alone import run_alone
 
 from bvh_ros.tree.jit import shipped
 
@@ -36,14 +34,8 @@ def elsewhere(tmp_path, monkeypatch):
 
 
 def warm_up(*arguments, code=ONE):
-    return subprocess.run(
-        [sys.executable, '-c', code, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, 'BVH_ROS_KERNELS': 'nowhere', 'NUMBA_CACHE_DIR': 'nowhere'},
-        check=False,
-    )
+    nowhere = {'BVH_ROS_KERNELS': 'nowhere', 'NUMBA_CACHE_DIR': 'nowhere'}
+    return run_alone(code, *map(str, arguments), **nowhere)
 
 
 @pytest.mark.parametrize('cpu', [pytest.param('native', marks=pytest.mark.slow), 'x86-64-v2'])

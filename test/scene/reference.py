@@ -47,11 +47,11 @@ class Solid(NamedTuple):
 
         The distance from a convex set is the largest n . p - support(n) over unit normals n.
         """
-        return widest_gap(points[:, :2] - self.position[:2], self.support_from_above)
+        return widest_gap(points[:, :2] - self.position[:2], self.reach)
 
-    def support_from_above(self, normals: Floats) -> Floats:
-        """How far the shadow reaches from its centre along unit vectors (..., 2)."""
-        local = normals @ self.matrix[:2]
+    def reach(self, normals: Floats) -> Floats:
+        """How far it, or its shadow, reaches from its centre along unit vectors (..., 3 or 2)."""
+        local = normals @ self.matrix[: normals.shape[-1]]
         if self.kind == ShapeKind.BOX:
             return np.abs(local) @ self.half
         if self.kind == ShapeKind.SPHERE:

@@ -181,8 +181,7 @@ def test_rectangles_seen_from_above_equal_a_search_for_a_separating_line(toleran
 
 def gap_from_above(solid, centre, matrix, half):
     def both(normals):
-        reach = np.abs(normals @ matrix[:2, :2]) @ half[:2]
-        return solid.support_from_above(normals) + reach
+        return solid.reach(normals) + np.abs(normals @ matrix[:2, :2]) @ half[:2]
 
     return widest_gap((centre - solid.position)[None, :2], both)[0]
 

@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from tree.jit.alone import run_alone
 
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer
@@ -95,6 +96,16 @@ def test_these_are_refused(complaint):
         assert f"'{name}'" in complaint({**EVERYTHING, name: value}), (name, value)
 
 
+def started(executable, *arguments):
+    return subprocess.run(
+        [sys.executable, '-m', f'bvh_ros.ros.{executable}', *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
 @pytest.mark.parametrize(
     ('executable', 'arguments', 'reason'),
     [
@@ -107,13 +118,7 @@ def test_these_are_refused(complaint):
     ],
 )
 def test_a_wrong_command_line_ends_with_one_plain_line(executable, arguments, reason):
-    ended = subprocess.run(
-        [sys.executable, '-m', f'bvh_ros.ros.{executable}', *arguments.split(' ')],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = started(executable, *arguments.split(' '))
     assert ended.returncode == 2
     assert 'Traceback' not in ended.stderr
     *_, line = ended.stderr.splitlines()
@@ -122,13 +127,7 @@ def test_a_wrong_command_line_ends_with_one_plain_line(executable, arguments, re
 
 
 def test_help_is_given():
-    ended = subprocess.run(
-        [sys.executable, '-m', 'bvh_ros.ros.node', '--help'],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = started('node', '--help')
     assert (ended.returncode, ended.stderr) == (0, '')
     assert 'come after --ros-args' in ended.stdout
 
@@ -144,13 +143,7 @@ def test_help_is_given():
 def test_wrong_arguments_of_the_others(arguments):
     module, *rest = arguments
     main = f'import sys; from {module} import main; sys.exit(main(sys.argv[1:]))'
-    ended = subprocess.run(
-        [sys.executable, '-c', main, *rest],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    ended = run_alone(main, *rest)
     assert ended.returncode == 2, ended.stderr
     assert 'Traceback' not in ended.stderr
     assert rest[-2] in ended.stderr.splitlines()[-1]

@@ -113,7 +113,7 @@ class Body:
 
     def reach(self, normals):
         if self.kind != MESH:
-            return self.solid.support_from_above(normals)
+            return self.solid.reach(normals)
         return (normals @ self.corners[:, :2].T).max(axis=-1)
 
 

@@ -35,15 +35,10 @@ class Body:
         self.triangles = triangles
 
     def reach(self, normals):
-        local, (a, b, c) = normals @ self.solid.matrix, self.solid.half
-        x, y, z = np.abs(local).T
-        along = {
-            BOX: a * x + b * y + c * z,
-            SPHERE: a + 0 * x,
-            CYLINDER: a * np.hypot(x, y) + c * z,
-            CAPSULE: a + (c - a) * z,
-        }.get(self.solid.kind)
-        if along is None:
+        if self.triangles is None:
+            along = self.solid.reach(normals)
+        else:
+            local = normals @ self.solid.matrix
             along = (local @ self.triangles.reshape(-1, 3).T).max(axis=1)
         return normals @ self.solid.position + along
 
@@ -170,7 +165,7 @@ def test_seen_from_above_as_brute_force():
         for _ in range(4):  # ever closer
             angles = middle + np.linspace(-reach, reach, 2001)
             ways = np.stack((np.cos(angles), np.sin(angles)), 1)
-            widths = one.support_from_above(-ways) + other.support_from_above(ways)
+            widths = one.reach(-ways) + other.reach(ways)
             widths += ways @ (other.position - one.position)[:2]
             middle, reach = angles[np.argmin(widths)], reach * 0.01
         assert widths.min() == pytest.approx(-distance, abs=1e-8)

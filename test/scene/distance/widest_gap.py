@@ -5,9 +5,7 @@ closed form of a distance.
 """
 
 import numpy as np
-
-from bvh_ros.scene import ShapeKind
-from bvh_ros.scene.geometry.shapes import rotations, unit_quaternions
+from scene.reference import geometry_arrays
 
 SAMPLES = 20_000
 WINDOW = 0.25  # of the search about the best sample, on the plane that touches the sphere there
@@ -21,6 +19,7 @@ def widest_gap(pair, rng):
     are drawn: the best sample is bettered by a search in a search. Where they overlap it is minus
     the depth, roughly. Never more than the truth, apart from rounding.
     """
+    pair = geometry_arrays(pair)
     ways = rng.normal(size=(SAMPLES, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     best = ways[_gaps(pair, ways).argmax()]
@@ -48,19 +47,5 @@ def _widest_across(pair, starts, tangent):
 
 def _gaps(pair, ways):
     """How far planes with these unit normals keep the two apart."""
-    gaps = ways @ (pair.position[1] - pair.position[0])
-    matrices = rotations(unit_quaternions(pair.orientation))
-    for kind, matrix, size in zip(pair.kind, matrices, pair.size, strict=True):
-        gaps -= _reach(kind, size / 2, np.abs(ways @ matrix))
-    return gaps
-
-
-def _reach(kind, half, local):
-    """How far a shape reaches from its centre along unit vectors of its frame, made positive."""
-    if kind == ShapeKind.BOX:
-        reach = local @ half
-    elif kind == ShapeKind.CYLINDER:
-        reach = np.hypot(local[:, 0], local[:, 1]) * half[0] + local[:, 2] * half[2]
-    else:
-        reach = half[0] + local[:, 2] * (half[2] - half[0])
-    return reach
+    one, other = pair
+    return ways @ (other.position - one.position) - one.reach(ways) - other.reach(ways)

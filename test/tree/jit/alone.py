@@ -5,6 +5,7 @@
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 Ended = subprocess.CompletedProcess[str]
@@ -12,7 +13,7 @@ Ended = subprocess.CompletedProcess[str]
 
 def run_alone(code: str, *arguments: str, cwd: Path | None = None, **environment: str) -> Ended:
     return subprocess.run(
-        [sys.executable, '-c', code, *arguments],
+        [sys.executable, '-c', textwrap.dedent(code), *arguments],
         capture_output=True,
         text=True,
         timeout=800,  # seconds: it may compile, on a loaded machine

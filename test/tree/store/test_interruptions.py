@@ -8,13 +8,9 @@ is not to be interrupted.
 """
 
 import copy
-import os
 import pickle
 import random
 import signal
-import subprocess
-import sys
-import textwrap
 import time
 from collections.abc import Callable
 from functools import partial
@@ -23,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tree.interrupting import InterruptError, interrupted
+from tree.jit.alone import run_alone
 from tree.reference import effort, snapshot
 
 from bvh_ros import DynamicBVH
@@ -284,13 +281,7 @@ def test_short_of_memory() -> None:
     """Limits of every size on every growth, in a process of its own, which gives all memory back
     to the system: what it had in store would not count.
     """
-    ended = subprocess.run(
-        [sys.executable, '-c', textwrap.dedent(SHORT_OF_MEMORY)],
-        env=os.environ | {'MALLOC_MMAP_THRESHOLD_': '8192', 'MALLOC_TRIM_THRESHOLD_': '0'},
-        capture_output=True,
-        text=True,
-        timeout=800,
-        check=False,
-    )
+    limits = {'MALLOC_MMAP_THRESHOLD_': '8192', 'MALLOC_TRIM_THRESHOLD_': '0'}
+    ended = run_alone(SHORT_OF_MEMORY, **limits)
     assert ended.returncode == 0, ended.stderr
     assert int(ended.stdout.split()[-1]) > 20

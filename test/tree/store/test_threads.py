@@ -6,9 +6,6 @@ something lazily.
 
 import multiprocessing
 import os
-import subprocess
-import sys
-import textwrap
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
@@ -16,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tree.jit.alone import run_alone
 
 from bvh_ros import DynamicBVH
 
@@ -121,13 +119,7 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 
 def test_a_handler_that_interrupts_the_asking_for_help() -> None:
     """It asks itself, with threads: the pool's locks are held by whom it interrupts."""
-    ended = subprocess.run(
-        [sys.executable, '-c', textwrap.dedent(HANDLER)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    ended = run_alone(HANDLER)
     assert ended.returncode == 0, ended.stderr
 
 

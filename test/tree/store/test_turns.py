@@ -5,13 +5,11 @@ RuntimeError says why there is none.
 """
 
 import os
-import subprocess
-import sys
-import textwrap
 import threading
 
 import numpy as np
 import pytest
+from tree.jit.alone import run_alone
 from tree.reference import effort
 
 from bvh_ros import DynamicBVH
@@ -133,14 +131,7 @@ QUERIES = (
 @pytest.mark.parametrize('queries', QUERIES)
 @pytest.mark.parametrize('margin', [0.0, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_queries_while_others_change(queries: str, margin: float) -> None:
-    seconds = str(effort(2, 60))
-    ended = subprocess.run(
-        [sys.executable, '-c', textwrap.dedent(RUN), queries, str(margin), seconds],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    ended = run_alone(RUN, queries, str(margin), str(effort(2, 60)))
     assert ended.returncode == 0, ended.stderr
 
 
@@ -245,19 +236,5 @@ def test_forks_in_the_middle(meanwhile: str) -> None:
     """A child has a tree of its own, and whose turn it was in the parent does not matter. Only a
     tree that was being changed is half changed: the child is told.
     """
-    ended = subprocess.run(
-        [
-            sys.executable,
-            '-W',
-            'ignore',
-            '-c',
-            textwrap.dedent(FORK),
-            meanwhile,
-            str(effort(20, 500)),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    ended = run_alone(FORK, meanwhile, str(effort(20, 500)), PYTHONWARNINGS='ignore')
     assert ended.returncode == 0, ended.stderr
