@@ -159,8 +159,11 @@ def decimals(numbers):
 
 
 def matrix(turn):
-    """The exact rotation of a quaternion of any length."""
-    x, y, z, w = decimals(turn)
+    return rotation(*decimals(turn))
+
+
+def rotation(x, y, z, w):
+    """The exact rotation of a quaternion of any length, in whatever numbers it is given."""
     square = x * x + y * y + z * z + w * w
     rows = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - z * w), 2 * (x * z + y * w)],

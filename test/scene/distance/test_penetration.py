@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scene.distance.contacts import rotation
 from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
@@ -176,41 +177,22 @@ def test_seen_from_above_as_brute_force():
     assert touching > 60
 
 
-def fractions_of(turn):
-    """The rotation of a quaternion of whole numbers: columns, exactly."""
-    x, y, z, w = map(Fraction, turn)
-    size = x * x + y * y + z * z + w * w
-    rows = [
-        [1 - 2 * (y * y + z * z) / size, 2 * (x * y - z * w) / size, 2 * (x * z + y * w) / size],
-        [2 * (x * y + z * w) / size, 1 - 2 * (x * x + z * z) / size, 2 * (y * z - x * w) / size],
-        [2 * (x * z - y * w) / size, 2 * (y * z + x * w) / size, 1 - 2 * (x * x + y * y) / size],
-    ]
-    return list(zip(*rows, strict=True))
-
-
-def dot(one, other):
-    return sum(a * b for a, b in zip(one, other, strict=True))
-
-
-def cross(one, other):
-    (a, b, c), (x, y, z) = one, other
-    return b * z - c * y, c * x - a * z, a * y - b * x
+def fractions(numbers):
+    return np.array([Fraction(number) for number in numbers])
 
 
 def exact_square(boxes):
     """The square of the depth of two turned boxes: over the faces of all their differences."""
     (half, place, turn), (other_half, other_place, other_turn) = boxes
-    axes, other_axes = fractions_of(turn), fractions_of(other_turn)
-    lines = [*axes, *other_axes, *itertools.starmap(cross, itertools.product(axes, other_axes))]
-    offset = [Fraction(a) - Fraction(b) for a, b in zip(place, other_place, strict=True)]
+    axes, other_axes = (rotation(*fractions(each)).T for each in (turn, other_turn))
+    lines = [*axes, *other_axes, *np.cross(axes[:, None], other_axes).reshape(-1, 3)]
+    offset = fractions(place) - fractions(other_place)
     squares = []
     for line in filter(any, lines):
-        reach = sum(Fraction(h) * abs(dot(line, a)) for h, a in zip(half, axes, strict=True))
-        reach += sum(
-            Fraction(h) * abs(dot(line, a)) for h, a in zip(other_half, other_axes, strict=True)
-        )
-        over = reach - abs(dot(line, offset))
-        squares.append((over * over / dot(line, line)) * (1 if over >= 0 else -1))
+        reach = fractions(half) @ np.abs(axes @ line)
+        reach += fractions(other_half) @ np.abs(other_axes @ line)
+        over = reach - abs(line @ offset)
+        squares.append((over * over / (line @ line)) * (1 if over >= 0 else -1))
     return min(squares)
 
 
