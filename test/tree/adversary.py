@@ -7,6 +7,7 @@ one ulp off, extreme scales.
 import math
 
 import numpy as np
+import pytest
 from tree.reference import LARGEST, SMALLEST, ExactHit, Floats
 
 MIXED = 0.0  # the scale that means all of them at once
@@ -14,6 +15,11 @@ SCALES = (1e-300, 1e-160, 1e-3, 1.0, 1e8, 1e15, 1e150, MIXED)
 
 # What directions are multiplied with, exactly or not.
 LENGTHS = (1.0, 1.0, 1.0, 0.5, 1 / 3, 3.0, 1e-3, 1e-100, 1e100, 1e-190, 1e190, 1e300)
+
+each_scale = pytest.mark.parametrize(
+    'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
+)
+each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 Rng = np.random.Generator
 

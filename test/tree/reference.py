@@ -9,12 +9,12 @@ is a `Fraction` of two of them.
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from bvh_ros import DynamicBVH, RayHit
 
@@ -47,11 +47,7 @@ def exact_hits(
     lo: Floats, hi: Floats, origins: Floats, directions: Floats
 ) -> list[list[ExactHit]]:
     """For every ray all boxes that it meets, by exact t, then row."""
-    values = np.concatenate([np.ravel(array) for array in (lo, hi, origins, directions)]).tolist()
-    bits = max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
-    boxes = list(zip(_integers(lo, bits), _integers(hi, bits), strict=True))
-    rays = zip(_integers(origins, bits), _integers(directions, bits), strict=True)
-    return [_hits_of_ray(boxes, origin, direction) for origin, direction in rays]
+    return _exact_hits(lo, hi, origins, origins, directions)
 
 
 def exact_sweeps(
@@ -60,47 +56,39 @@ def exact_sweeps(
     """For every swept box all boxes that it touches on its way, t at most 1, by exact t, then
     row.
     """
-    values = np.concatenate([np.ravel(array) for array in (lo, hi, low, high, translations)])
-    bits = max(x.as_integer_ratio()[1].bit_length() - 1 for x in values.tolist())
-    boxes = list(zip(_integers(lo, bits), _integers(hi, bits), strict=True))
-    sweeps = []
-    for bottom, top, way in zip(
-        *(_integers(x, bits) for x in (low, high, translations)), strict=True
-    ):
-        grown = [(_minus(box[0], top), _minus(box[1], bottom)) for box in boxes]
-        hits = _hits_of_ray(grown, [0] * len(way), way)
-        sweeps.append([hit for hit in hits if hit.t <= 1])
-    return sweeps
+    sweeps = _exact_hits(lo, hi, low, high, translations)
+    return [[hit for hit in hits if hit.t <= 1] for hits in sweeps]
 
 
-def _minus(one: list[int], other: list[int]) -> list[int]:
-    return [a - b for a, b in zip(one, other, strict=True)]
+def _exact_hits(*corners: Floats) -> list[list[ExactHit]]:
+    bits = finest(corners)
+    lo, hi, *asked = ([whole(row, bits) for row in rows] for rows in corners)
+    boxes = list(zip(lo, hi, strict=True))
+    return [_hits_of_box(boxes, *one) for one in zip(*asked, strict=True)]
 
 
-def _integers(rows: Floats, bits: int) -> list[list[int]]:
-    """The coordinates in units of 2**-bits."""
-    ratios = [[x.as_integer_ratio() for x in row] for row in rows.tolist()]
-    return [[n << (bits + 1 - d.bit_length()) for n, d in row] for row in ratios]
+def finest(arrays: Iterable[ArrayLike]) -> int:
+    """All these doubles are whole numbers in units of 2**-bits."""
+    values = np.concatenate([np.ravel(array) for array in arrays]).tolist()
+    return max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
 
 
-def _hits_of_ray(
-    boxes: list[tuple[list[int], list[int]]], origin: list[int], direction: list[int]
+def whole(values: ArrayLike, bits: int) -> list[int]:
+    """Doubles in units of 2**-bits."""
+    ratios = [x.as_integer_ratio() for x in np.ravel(values).tolist()]
+    return [n << (bits + 1 - d.bit_length()) for n, d in ratios]
+
+
+def _hits_of_box(
+    boxes: list[tuple[list[int], list[int]]], low: list[int], high: list[int], ways: list[int]
 ) -> list[ExactHit]:
     hits = []
     for row, (lo, hi) in enumerate(boxes):
-        entry = _entry(lo, hi, origin, direction)
+        sides = zip(lo, hi, low, high, ways, strict=True)
+        entry = latest_entry([(a - top, b - bottom, way) for a, b, bottom, top, way in sides])
         if entry is not None:
             hits.append(ExactHit(entry[0], row, entry[1]))
     return sorted(hits)
-
-
-def _entry(
-    lo: list[int], hi: list[int], origin: list[int], direction: list[int]
-) -> tuple[Fraction, int] | None:
-    """Where the ray enters the closed box, as (t, axis entered last)."""
-    return latest_entry(
-        [(a - at, b - at, way) for a, b, at, way in zip(lo, hi, origin, direction, strict=True)]
-    )
 
 
 def latest_entry(gaps: list[tuple[int, int, int]]) -> tuple[Fraction, int] | None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tree.adversary import MIXED, SCALES, coordinates, rays_at, reaches, some_boxes
+from tree.adversary import SCALES, coordinates, each_ndim, each_scale, rays_at, reaches, some_boxes
 from tree.reference import (
     INSIDE,
     LARGEST,
@@ -35,11 +35,6 @@ RAYS = 500  # a scene: enough for the batch path
 SCENES = effort(1, 130)  # a scale and number of dimensions
 
 pytestmark = pytest.mark.timeout(effort(300, 3600))
-
-each_scale = pytest.mark.parametrize(
-    'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
-)
-each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
 class World(NamedTuple):

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from tree.adversary import MIXED, SCALES, coordinates, some_boxes
+from tree.adversary import SCALES, coordinates, each_scale, some_boxes
 from tree.reference import LARGEST, SMALLEST, overlapping_pairs, overlapping_rows
 
 from bvh_ros import ALL, DynamicBVH
@@ -53,7 +53,7 @@ def test_two_boxes(
         assert tree.overlap_pairs().tolist() == ([[a, b]] if touch else [])
 
 
-@pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+@each_scale
 @pytest.mark.parametrize('ndim', [2, 3])
 @pytest.mark.parametrize('margin', [0.0, 0.3])
 def test_as_brute_force(ndim: int, scale: float, margin: float) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tree.adversary import MIXED, SCALES, coordinates, some_boxes
+from tree.adversary import SCALES, coordinates, each_scale, some_boxes
 from tree.reference import LARGEST
 
 from bvh_ros import ALL, DynamicBVH
@@ -69,7 +69,7 @@ def test_as_brute_force(ndim: int, margin: float, k: int) -> None:
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
-@pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+@each_scale
 @pytest.mark.parametrize('k', [1, 3, 90])
 def test_a_dense_batch_is_answered_as_point_by_point(ndim: int, scale: float, k: int) -> None:
     """Batches go down the tree eight points at a time, single points do not; 77 is no multiple of

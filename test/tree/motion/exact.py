@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from tree.reference import INSIDE, ExactHit, latest_entry
+from tree.reference import INSIDE, ExactHit, finest, latest_entry, whole
 
 Floats = NDArray[np.float64]
 
@@ -24,11 +24,6 @@ class World(NamedTuple):
     velocities: Floats
     references: Floats
 
-    def bits(self, *others: Floats) -> int:
-        """All numbers of the world and these are whole in units of 2**-bits."""
-        values = np.concatenate([np.ravel(array) for array in (*self, *others)]).tolist()
-        return max(x.as_integer_ratio()[1].bit_length() - 1 for x in values)
-
 
 class Course(NamedTuple):
     """What is swept, and when."""
@@ -40,15 +35,9 @@ class Course(NamedTuple):
     pace: float
 
 
-def whole(values: Floats | float, bits: int) -> list[int]:
-    """Doubles in units of 2**-bits."""
-    ratios = [x.as_integer_ratio() for x in np.ravel(values).tolist()]
-    return [n << (bits + 1 - d.bit_length()) for n, d in ratios]
-
-
 def meetings(world: World, course: Course) -> list[ExactHit]:
     """All boxes that a course meets, by exact t, then row."""
-    bits = world.bits(*map(np.asarray, course))
+    bits = finest((*world, *course))
     low, high, way = (whole(x, bits) for x in course[:3])
     (at,), (pace,) = whole(course.at, bits), whole(course.pace, bits)
     hits = []

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from tree.adversary import MIXED, SCALES, Rng, coordinates, nudge, rays_at, some_boxes
+from tree.adversary import SCALES, Rng, coordinates, each_scale, nudge, rays_at, some_boxes
 from tree.reference import (
     INSIDE,
     LARGEST,
@@ -124,7 +124,7 @@ def check_hit(hit: RayHit, exact: ExactHit, boxes: tuple[Floats, ...], way: Floa
         assert abs(Fraction(got) - place) <= slack
 
 
-@pytest.mark.parametrize('scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}')
+@each_scale
 @pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 def test_sweeps_are_decided_exactly(ndim: int, scale: float) -> None:
     """Whatever the tree: built at once, with a margin, inserted backwards; and with masks."""

@@ -7,7 +7,16 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from tree.adversary import MIXED, SCALES, coordinates, nudge, rays_at, reaches, some_boxes
+from tree.adversary import (
+    SCALES,
+    coordinates,
+    each_ndim,
+    each_scale,
+    nudge,
+    rays_at,
+    reaches,
+    some_boxes,
+)
 from tree.reference import (
     INSIDE,
     LARGEST,
@@ -30,11 +39,6 @@ from bvh_ros.tree.rays.slab import (
     set_ray,
     traversal_distance,
 )
-
-each_scale = pytest.mark.parametrize(
-    'scale', SCALES, ids=lambda s: 'mixed' if s == MIXED else f'{s:g}'
-)
-each_ndim = pytest.mark.parametrize('ndim', [2, 3], ids=['2D', '3D'])
 
 
 def ray_rows(origin: Floats, direction: Floats) -> Floats:
