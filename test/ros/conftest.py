@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from ros import forking
+from ros.clouds import cloud
 
 START_TIMEOUT = 400.0  # seconds: the very first start compiles
 TIMEOUT = 60.0  # an answer takes milliseconds, where the machine has time
@@ -355,27 +355,6 @@ def get_plan(start: Sequence[float], goal: Sequence[float], **given: Any) -> Any
     turn = request.start.pose.orientation
     turn.x, turn.y, turn.z, turn.w = map(float, given.get('turn', (0, 0, 0, 0)))
     return request
-
-
-def cloud(columns: dict[str, Any], *, kind: str = '<f8') -> Any:
-    """A sensor_msgs/PointCloud2 with these fields."""
-    from array import array
-
-    from sensor_msgs.msg import PointCloud2, PointField
-
-    table = np.column_stack([np.asarray(column, dtype=np.float64) for column in columns.values()])
-    code = {'<f8': PointField.FLOAT64, '<f4': PointField.FLOAT32}[kind]
-    size = np.dtype(kind).itemsize
-    message = PointCloud2(height=1, width=len(table), point_step=size * len(columns))
-    message.fields = [
-        PointField(name=name, offset=size * i, datatype=code, count=1)
-        for i, name in enumerate(columns)
-    ]
-    message.row_step = message.point_step * len(table)
-    data = array('B')
-    data.frombytes(table.astype(kind).tobytes())
-    message.data = data
-    return message
 
 
 @pytest.fixture(scope='session')

@@ -117,7 +117,7 @@ def test_too_little_memory_is_a_reason_not_an_end(start_node, messages):
     room = memory(world, 'VmSize') + 500_000_000
     resource.prlimit(world.process.pid, resource.RLIMIT_AS, (room, room))
     points = np.random.default_rng(0).uniform(0, 100, (2_000_000, 3)).T
-    cloud = messages.cloud(dict(zip('xyz', points, strict=True)), kind='<f4')
+    cloud = messages.cloud(dict(zip('xyz', points, strict=True)), kind='f4')
     for _ in range(10):  # the middleware may have no memory for it, either, and then loses it
         world.publish('c', cloud)
         with contextlib.suppress(AssertionError):
@@ -199,9 +199,9 @@ def test_a_busy_node_heeds_sigterm(start_node, messages, seconds_to_end):
         'b', (np.indices((2500, 2500)).sum(0) % 2 * 100).astype('b').tobytes()
     )
     points = np.random.default_rng(0).uniform(0, 100, (3, 500_000))
-    cloud = messages.cloud(dict(zip(('x', 'y', 'z'), points, strict=True)), kind='<f4')
+    cloud = messages.cloud(dict(zip(('x', 'y', 'z'), points, strict=True)), kind='f4')
     rays = messages.cloud(
-        dict(zip(('x', 'y', 'z', 'dx', 'dy', 'dz'), (*points, *points), strict=True)), kind='<f4'
+        dict(zip(('x', 'y', 'z', 'dx', 'dy', 'dz'), (*points, *points), strict=True)), kind='f4'
     )
     # Each of them keeps it busy for a second or more.
     for topic, message in (('g', checkerboard), ('c', cloud), ('bvh/rays', rays)):

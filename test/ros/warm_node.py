@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from conftest import World, cloud, marker
+from conftest import World, marker
 from nav_msgs.msg import OccupancyGrid
 from numba.core.dispatcher import Dispatcher
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros.clouds import cloud
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.server import BvhServer
@@ -63,7 +64,7 @@ def ask_everything(world, views):
 def cast_batches(world, replies):
     """Clouds of rays of each size that the tree answers in a way of its own."""
     for count in (1, 3, 100, 5000):
-        for kind in ('<f4', '<f8'):
+        for kind in ('f4', 'f8'):
             line = np.linspace(0.0, 60.0, count)
             columns = dict.fromkeys(('x', 'y', 'z'), line - 30.0)
             columns |= dict.fromkeys(('dx', 'dy', 'dz'), np.ones(count))

@@ -3,6 +3,7 @@
 """Each row of a batch of questions is what the single question says, bit for bit."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -95,8 +96,9 @@ def test_sweeps(world, skip_inside):
         same(hits.handles, np.array(expected, np.uint32))
 
 
-def assert_wants(scene, ask, lists):
+def assert_wants(lists, ask, *asked):
     """All forms of an answer say what these lists of hits say."""
+    ask = partial(ask, *asked)
     handles = [[hit.handle for hit in hits] for hits in lists]
     for threads in (1, 3):
         same(ask(want='any', threads=threads), np.array([bool(row) for row in handles], bool))
@@ -124,17 +126,9 @@ def test_overlaps_of_boxes(world):
         scene.overlap_shape(Shapes.boxes([c], s, [q]), float(t), int(m))
         for c, s, q, t, m in zip(centers, sizes, turns, tolerances, masks, strict=True)
     ]
-    assert_wants(
-        scene,
-        lambda **more: scene.overlap_many(centers, sizes, turns, tolerances, masks, **more),
-        lists,
-    )
+    assert_wants(lists, scene.overlap_many, centers, sizes, turns, tolerances, masks)
     one = [scene.overlap_shape(Shapes.boxes([c], [0.5, 1, 0.5]), 0.5) for c in centers[:80]]
-    assert_wants(
-        scene,
-        lambda **more: scene.overlap_many(centers[:80], [0.5, 1, 0.5], tolerance=0.5, **more),
-        one,
-    )
+    assert_wants(one, scene.overlap_many, centers[:80], [0.5, 1, 0.5], None, 0.5)
 
 
 def test_overlaps_of_one_shape(world):
@@ -150,13 +144,7 @@ def test_overlaps_of_one_shape(world):
                 scene.overlap_shape(shape._replace(position=p[None], orientation=q[None]), 0.1, 3)
                 for p, q in zip(places, rows, strict=True)
             ]
-            assert_wants(
-                scene,
-                lambda *, s=shape, p=places, q=orientations, **more: scene.overlap_shape_many(
-                    s, p, q, 0.1, 3, **more
-                ),
-                lists,
-            )
+            assert_wants(lists, scene.overlap_shape_many, shape, places, orientations, 0.1, 3)
 
 
 def test_many_points_are_answered_in_their_places(world):
@@ -260,9 +248,7 @@ def test_an_obstacle_at_two_places_is_one(monkeypatch):
     assert len(scene._held.tree) > len(scene) == 60
     points = rng.uniform(-6, 6, (60, 3))
     lists = [scene.overlap_shape(Shapes.boxes([p], [1, 1, 1]), 0.3) for p in points]
-    assert_wants(
-        scene, lambda **more: scene.overlap_many(points, [1, 1, 1], None, 0.3, **more), lists
-    )
+    assert_wants(lists, scene.overlap_many, points, [1, 1, 1], None, 0.3)
     handles = scene.nearest_many(points, 5)[0]
     same(handles, np.array([[h.handle for h in scene.nearest(p, 5)] for p in points], np.uint32))
     ways = points[::-1]

@@ -66,7 +66,7 @@ class Moving:
         return scene
 
 
-def same_hits(hits, wanted, planar):
+def same_hits(hits, wanted):
     assert [hit.name for hit in hits] == [hit.name for hit in wanted]
     for hit, other in zip(hits, wanted, strict=True):
         assert hit[1:3] == (other.handle, pytest.approx(other.t, abs=1e-9))
@@ -89,11 +89,11 @@ def test_everything_is_as_where_all_stand_there(planar, most):
         turn = [0, 0, 0.6, 0.8] if number % 2 else [0, 0, 0, 1]
         reach = float(number % 3) * 0.7
         box = start, goal, turn, reach, mask
-        same_hits(scene.overlap(*box, at=time), there.overlap(*box), planar)
+        same_hits(scene.overlap(*box, at=time), there.overlap(*box))
         for shape in (moving.mesh, moving.shapes.take([number]), moving.shapes.take([2])):
             placed = shape._replace(position=rng.uniform(-9, 9, (1, 3)))
             hits = scene.overlap_shape(placed, reach, mask, at=time)
-            same_hits(hits, there.overlap_shape(placed, reach, mask), planar)
+            same_hits(hits, there.overlap_shape(placed, reach, mask))
         centers, sizes = rng.uniform(-9, 9, (9, 3)), rng.uniform(0, 5, (9, 3))
         tolerances, masks = rng.uniform(0, 1, 9), np.full(9, mask)
         asked = centers, sizes, None, tolerances, masks
@@ -112,7 +112,7 @@ def test_everything_is_as_where_all_stand_there(planar, most):
         for signed in (False, True):
             for k, limit in ((1, np.inf), (4, 3.0), (40, np.inf)):
                 hits = scene.nearest(centers[0], k, limit, mask, signed, at=time)
-                same_hits(hits, there.nearest(centers[0], k, limit, mask, signed), planar)
+                same_hits(hits, there.nearest(centers[0], k, limit, mask, signed))
                 found = scene.nearest_many(centers, k, limit, masks, signed, at=time)
                 wanted = there.nearest_many(centers, k, limit, masks, signed)
                 for one, other in zip(found, wanted, strict=True):
@@ -134,7 +134,7 @@ def test_everything_is_as_where_all_stand_there(planar, most):
             way = start, goal, radius, mask
             for skip in (False, True):
                 hits = scene.raycast_all(*way, skip, at=time)
-                same_hits(hits, there.raycast_all(*way, skip), planar)
+                same_hits(hits, there.raycast_all(*way, skip))
                 first = scene.raycast(*way, skip, at=time)
                 assert [first.name if first else None] == [*(hit.name for hit in hits), None][:1]
 

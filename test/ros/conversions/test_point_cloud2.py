@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros.clouds import field, plain_cloud
 
 from bvh_ros.ros.conversions import point_cloud2
 
@@ -27,38 +28,6 @@ def boxes_of(message, *, voxel):
     return SimpleNamespace(**whole._asdict(), by_id=cloud.by_id, refusals=cloud.refusals)
 
 
-CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
-
-
-def field(name, offset, datatype, count=1):
-    return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
-
-
-def cloud(columns, *, kind='f4', kinds=None, big=False, padding=0, row_padding=0, height=1):
-    """A cloud of these columns, each of its own type, with gaps between points and rows."""
-    kinds = {name: (kinds or {}).get(name, kind) for name in columns}
-    total = len(next(iter(columns.values())))
-    width = total // height
-    endian = '>' if big else '<'
-    row = np.dtype([(name, endian + kinds[name]) for name in columns])
-    step = row.itemsize + padding
-    data = bytearray(b'\xaa' * ((step * width + row_padding) * height))
-    for i in range(total):
-        record = np.array([tuple(columns[name][i] for name in columns)], dtype=row).tobytes()
-        at = (i // width) * (step * width + row_padding) + (i % width) * step
-        data[at : at + row.itemsize] = record
-    fields = [field(name, row.fields[name][1], CODES[kinds[name]]) for name in columns]
-    return SimpleNamespace(
-        height=height,
-        width=width,
-        fields=fields,
-        is_bigendian=big,
-        point_step=step,
-        row_step=step * width + row_padding,
-        data=bytes(data),
-    )
-
-
 XYZ = {'x': [1, 2, 3, 4, 5, 6], 'y': [-1, -2, -3, -4, -5, -6], 'z': [7, 8, 9, 10, 11, 12]}
 
 
@@ -66,7 +35,7 @@ XYZ = {'x': [1, 2, 3, 4, 5, 6], 'y': [-1, -2, -3, -4, -5, -6], 'z': [7, 8, 9, 10
 @pytest.mark.parametrize('big', [False, True])
 @pytest.mark.parametrize(('padding', 'row_padding', 'height'), [(0, 0, 1), (3, 0, 2), (5, 11, 3)])
 def test_every_layout(kind, big, padding, row_padding, height):
-    message = cloud(
+    message = plain_cloud(
         XYZ, kind=kind, big=big, padding=padding, row_padding=row_padding, height=height
     )
     boxes = boxes_of(message, voxel=0.25)
@@ -80,7 +49,7 @@ def test_every_layout(kind, big, padding, row_padding, height):
 def test_sizes_and_orientations_of_mixed_types():
     sizes = {'sx': [1, 2], 'sy': [3, 4], 'sz': [5, 6]}
     turns = {'qx': [0, 1], 'qy': [0, 0], 'qz': [1, 0], 'qw': [0, 0]}
-    message = cloud(
+    message = plain_cloud(
         {'x': [0, 1], 'y': [0, 1], 'z': [0, 1], **sizes, **turns},
         kinds={'x': 'f8', 'sx': 'u1', 'sy': 'i2', 'qz': 'i1'},
     )
@@ -90,7 +59,7 @@ def test_sizes_and_orientations_of_mixed_types():
 
 
 def test_nan_points_are_skipped_and_counted():
-    message = cloud({'x': [1, math.nan, 3], 'y': [1, 1, 1], 'z': [1, 1, math.nan]})
+    message = plain_cloud({'x': [1, math.nan, 3], 'y': [1, 1, 1], 'z': [1, 1, math.nan]})
     boxes = boxes_of(message, voxel=0.1)
     assert boxes.skipped == 2
     assert boxes.numbers.tolist() == [0]  # rows keep their numbers
@@ -99,7 +68,7 @@ def test_nan_points_are_skipped_and_counted():
 def test_ids_update_and_delete():
     sizes = {'sx': [1, math.nan, 1], 'sy': [1, 1, 1], 'sz': [1, 1, 1]}
     columns = {'x': [0, math.nan, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], **sizes, 'id': [7, 8, 9]}
-    boxes = boxes_of(cloud(columns, kinds={'id': 'u4'}), voxel=0.1)
+    boxes = boxes_of(plain_cloud(columns, kinds={'id': 'u4'}), voxel=0.1)
     assert boxes.by_id
     assert boxes.numbers.tolist() == [7, 9]
     assert boxes.deleted.tolist() == [8]
@@ -109,7 +78,7 @@ def test_ids_update_and_delete():
 @pytest.mark.parametrize('kind', ['u1', 'i4', 'u4', 'f4', 'f8'])
 def test_the_last_of_equal_ids_counts(kind):
     columns = {'x': [0, 1, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], 'id': [5, 6, 5]}
-    boxes = boxes_of(cloud(columns, kinds={'id': kind}), voxel=0.1)
+    boxes = boxes_of(plain_cloud(columns, kinds={'id': kind}), voxel=0.1)
     assert boxes.numbers.tolist() == [6, 5]
     assert boxes.shapes.position[:, 0].tolist() == [1, 2]
     assert [refusal.row for refusal in boxes.refusals] == [0]
@@ -118,13 +87,13 @@ def test_the_last_of_equal_ids_counts(kind):
 def test_ids_that_are_no_whole_numbers_are_refused():
     ids = [0.5, math.nan, math.inf, -3.0, 1e300]
     columns = {'x': range(5), 'y': range(5), 'z': range(5), 'id': ids}
-    boxes = boxes_of(cloud(columns, kind='f8'), voxel=0.1)
+    boxes = boxes_of(plain_cloud(columns, kind='f8'), voxel=0.1)
     assert boxes.numbers.tolist() == [-3]
     assert [refusal.row for refusal in boxes.refusals] == [0, 1, 2, 4]
 
 
 def changed(**values):
-    message = cloud(XYZ, height=2)
+    message = plain_cloud(XYZ, height=2)
     vars(message).update(values)
     return message
 
@@ -187,10 +156,11 @@ def test_the_fields_of_questions():
         columns = {name: [1.0] for name in (*names, optional)} | {'mask': [1]}
         for kinds, real in (({}, 'f4'), ({optional: 'f8'}, 'f8'), ({'x': 'f8'}, 'f8')):
             for mask in ('u1', 'u2', 'u4'):
-                assert read(cloud(columns, kinds={'mask': mask, **kinds})).real == np.dtype(real)
+                asked = plain_cloud(columns, kinds={'mask': mask, **kinds})
+                assert read(asked).real == np.dtype(real)
         for wrong, kind, needed in (
             ('mask', 'i4', "'mask' is int32; it has to be an unsigned integer"),
             (optional, 'i2', f"'{optional}' is int16; it has to be float32 or float64"),
         ):
             with pytest.raises(ValueError, match=needed):
-                read(cloud(columns, kinds={'mask': 'u4', wrong: kind}))
+                read(plain_cloud(columns, kinds={'mask': 'u4', wrong: kind}))

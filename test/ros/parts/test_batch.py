@@ -9,6 +9,7 @@ from array import array
 
 import numpy as np
 import pytest
+from ros.clouds import cloud, table
 from scipy.spatial.transform import Rotation
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
@@ -22,7 +23,6 @@ CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
 SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
 LOW, HIGH = CENTRE - SIZE / 2, CENTRE + SIZE / 2
 XYZ, WAY, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
-CODES = {'u1': 2, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 
 
 class Asker:
@@ -53,57 +53,9 @@ class Asker:
         return reply
 
 
-def rays_cloud(columns, *, kinds=None, kind='f8', big=False, padding=0, row_padding=0, height=1):
-    """A cloud with these fields, each of its own type, with gaps between points and rows."""
-    from sensor_msgs.msg import PointCloud2, PointField
-
-    kinds = {name: (kinds or {}).get(name, kind) for name in columns}
-    row = np.dtype(
-        [
-            *((name, ('>' if big else '<') + kinds[name]) for name in columns),
-            ('gap', f'V{padding}'),
-        ]
-    )
-    count = len(next(iter(columns.values())))
-    width = count // height
-    table = np.zeros((height, width), row)
-    for name, column in columns.items():
-        table[name] = np.reshape(column, (height, width))
-    lines = [line.tobytes() + b'\xaa' * row_padding for line in table]
-    return PointCloud2(
-        height=height,
-        width=width,
-        fields=[
-            PointField(name=name, offset=row.fields[name][1], datatype=CODES[kinds[name]], count=1)
-            for name in columns
-        ],
-        is_bigendian=big,
-        point_step=row.itemsize,
-        row_step=row.itemsize * width + row_padding,
-        data=array('B', b''.join(lines)),
-    )
-
-
 def rays(origins, directions, **more):
     columns = (*np.transpose(origins), *np.transpose(directions))
     return {**dict(zip((*XYZ, *WAY), columns, strict=True)), **more}
-
-
-def table(reply):
-    """The rows of a reply, read by numpy from its own description of itself."""
-    kinds = {code: kind for kind, code in CODES.items()}
-    dtype = np.dtype(
-        {
-            'names': [field.name for field in reply.fields],
-            'formats': ['<' + kinds[field.datatype] for field in reply.fields],
-            'offsets': [field.offset for field in reply.fields],
-            'itemsize': reply.point_step,
-        }
-    )
-    assert dtype.names == (*XYZ, 't', *NORMAL, 'obstacle')
-    assert len(reply.data) == reply.row_step * reply.height
-    assert reply.row_step == reply.width * reply.point_step
-    return np.frombuffer(reply.data, dtype)
 
 
 def stacked(rows, names):
@@ -146,6 +98,7 @@ def random_rays(count=RAYS):
 def check(reply, origins, directions, t_max=math.inf, tolerance=1e-9):
     """Compare a reply with brute force; node handles are 1 + the number of the box."""
     rows = table(reply)
+    assert rows.dtype.names == (*XYZ, 't', *NORMAL, 'obstacle')
     box, t = first_hits(origins, directions, t_max)
     assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
     hit = box >= 0
@@ -168,14 +121,14 @@ def check(reply, origins, directions, t_max=math.inf, tolerance=1e-9):
 
 def test_every_row_equals_brute_force(asker):
     origins, directions = random_rays()
-    reply = asker.ask(rays_cloud(rays(origins, directions)))
+    reply = asker.ask(cloud(rays(origins, directions)))
     assert {field.datatype for field in reply.fields[:-1]} == {8}
     check(reply, origins, directions)
 
 
 def test_float32_rays_get_float32_hits(asker):
     origins, directions = (column.astype(np.float32) for column in random_rays())
-    reply = asker.ask(rays_cloud(rays(origins, directions), kind='f4'))
+    reply = asker.ask(cloud(rays(origins, directions), kind='f4'))
     assert {field.datatype for field in reply.fields[:-1]} == {7}
     check(reply, origins.astype(np.float64), directions.astype(np.float64), tolerance=2.0**-23)
 
@@ -187,14 +140,14 @@ def test_every_layout(asker, big, padding, row_padding, height):
     t_max = RNG.uniform(0, 30, RAYS).astype(np.float32)
     columns = {'intensity': np.zeros(RAYS), **rays(origins, directions, t_max=t_max)}
     layout = {'big': big, 'padding': padding, 'row_padding': row_padding, 'height': height}
-    reply = asker.ask(rays_cloud(columns, kinds={'t_max': 'f4', 'intensity': 'i4'}, **layout))
+    reply = asker.ask(cloud(columns, kinds={'t_max': 'f4', 'intensity': 'i4'}, **layout))
     assert (reply.height, reply.width) == (height, RAYS // height)
     check(reply, origins, directions, t_max)
 
 
 def test_a_zero_direction_asks_for_a_point(asker):
     origins = np.vstack((CENTRE[:50], np.full((1, 3), 99.0)))
-    rows = table(asker.ask(rays_cloud(rays(origins, np.zeros((51, 3))))))
+    rows = table(asker.ask(cloud(rays(origins, np.zeros((51, 3))))))
     inside = (origins[:, None] >= LOW) & (origins[:, None] <= HIGH)
     holds = inside.all(axis=2)
     expected = np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, FREE)
@@ -206,7 +159,7 @@ def test_a_mask_of_no_bits_sees_nothing(asker):
     origins, directions = random_rays(100)
     seen = np.arange(100) % 2 * 0xFFFFFFFF
     columns = rays(origins, directions, mask=seen)
-    rows = table(asker.ask(rays_cloud(columns, kinds={'mask': 'u4'})))
+    rows = table(asker.ask(cloud(columns, kinds={'mask': 'u4'})))
     box, _ = first_hits(origins, directions)
     assert np.array_equal(rows['obstacle'], np.where((seen > 0) & (box >= 0), box + 1, FREE))
 
@@ -214,11 +167,11 @@ def test_a_mask_of_no_bits_sees_nothing(asker):
 def test_bad_rows_say_so_and_the_others_are_answered(asker):
     origins, directions = random_rays()
     t_max = np.full(RAYS, np.inf)
-    clean = table(asker.ask(rays_cloud(rays(origins, directions))))
+    clean = table(asker.ask(cloud(rays(origins, directions))))
     bad = [3, 700, 701, 1500, RAYS - 1]
     origins[bad[0], 2], origins[bad[1], 0] = np.nan, np.inf
     directions[bad[2], 1], t_max[bad[3]], t_max[bad[4]] = -np.inf, np.nan, -1e-300
-    rows = table(asker.ask(rays_cloud(rays(origins, directions, t_max=t_max))))
+    rows = table(asker.ask(cloud(rays(origins, directions, t_max=t_max))))
     assert np.flatnonzero(rows['obstacle'] == UNANSWERED).tolist() == bad
     assert np.isnan(rows['t'][bad]).all()
     good = np.delete(np.arange(RAYS), bad)
@@ -228,7 +181,7 @@ def test_bad_rows_say_so_and_the_others_are_answered(asker):
 
 
 def three():
-    return rays_cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), t_max=np.ones(3)))
+    return cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), t_max=np.ones(3)))
 
 
 def lacking(name):
@@ -259,7 +212,7 @@ BAD_CLOUDS = {
     'integer direction': (lambda: of_kind('dx', 5), 3),
     'unknown datatype': (lambda: of_kind('dx', 99), 3),
     'mask as a float': (
-        lambda: rays_cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), mask=np.ones(3))),
+        lambda: cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), mask=np.ones(3))),
         3,
     ),
     'a byte too few': (lambda: lying(data=array('B', bytes(167))), 3),
@@ -291,9 +244,8 @@ def test_many_rays_are_answered_in_pieces_and_others_meanwhile(asker):
     columns = rays(origins[pieces], directions[pieces])
     bad = 30_000
     columns['dx'][bad] = np.nan
-    cloud = rays_cloud(columns, kind='f4')
-    few = rays_cloud(rays(origins[:5], directions[:5]))
-    asker.publisher.publish(cloud)
+    few = cloud(rays(origins[:5], directions[:5]))
+    asker.publisher.publish(cloud(columns, kind='f4'))
     few.header.stamp.sec = 77
     asker.publisher.publish(few)
     time.sleep(0.1)
@@ -323,7 +275,7 @@ def test_an_unknown_frame(asker):
 
 
 def test_no_rays_no_hits(asker):
-    assert len(table(asker.ask(rays_cloud(rays(np.empty((0, 3)), np.empty((0, 3))))))) == 0
+    assert len(table(asker.ask(cloud(rays(np.empty((0, 3)), np.empty((0, 3))))))) == 0
 
 
 @pytest.mark.slow
@@ -332,7 +284,7 @@ def test_an_incomplete_world(start_node, messages):
     asker = Asker(start_node(parameters))
     assert table(asker.ask(three()))['obstacle'].tolist() == [UNANSWERED] * 3
     asker.world.markers(messages.marker(7, (2, 0, 5)))
-    down = rays_cloud(rays([[0, 0, 1.5]] * 2, [[1, 0, 9], [0, 1, 0]]))
+    down = cloud(rays([[0, 0, 1.5]] * 2, [[1, 0, 9], [0, 1, 0]]))
     asker.world.until(lambda: asker.world.names('raycast', (0, 0, 0), (9, 0, 0)) == ['a/7'])
     rows = table(asker.ask(down))  # from above, z says nothing
     assert rows['obstacle'].tolist() == [1, FREE]
@@ -346,7 +298,7 @@ def test_rays_and_hits_in_a_frame_of_their_own(start_node, messages):
     fill(world, messages)
     origins, directions = random_rays()
     local = turn.inv().apply(origins - place), turn.inv().apply(directions)
-    reply = Asker(world).ask(rays_cloud(rays(*local)), frame='lidar')
+    reply = Asker(world).ask(cloud(rays(*local)), frame='lidar')
     rows, (box, t) = table(reply), first_hits(origins, directions)
     assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
     hit = box >= 0

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from geometry_msgs.msg import PoseStamped
+from ros.clouds import table
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
@@ -113,9 +114,7 @@ def test_a_cloud_of_rings_sees_what_its_view_shows(start_node, messages):
     world.until(lambda: len(scanner.scans) > 3)  # of one pose, at the rate
     cloud = scanner.scans[-1]
     assert (cloud.height, cloud.width, cloud.header.frame_id) == (4, 101, 'laser')
-    kinds = {7: '<f4', 6: '<u4'}
-    dtype = [(field.name, kinds[field.datatype]) for field in cloud.fields]
-    rows = np.frombuffer(cloud.data, dtype)
+    rows = table(cloud)
     angles, rises = -1.0 + 0.02 * np.arange(101), np.linspace(-0.4, 0.5, 4)
     local = np.array(
         [

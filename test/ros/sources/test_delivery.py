@@ -258,7 +258,7 @@ def test_large_clouds_that_come_too_fast_make_the_node_neither_late_nor_large(
     rows = np.arange(20_000)
     columns = {'x': rows % 100, 'y': rows // 100, 'z': rows * 0}
     for _ in range(60):
-        publisher.publish(messages.cloud(columns, kind='<f4'))
+        publisher.publish(messages.cloud(columns, kind='f4'))
     publisher.publish(messages.cloud({'x': [0], 'y': [0], 'z': [0]}))
     world.until(lambda: world.everything() == {'c#0'}, PATIENCE)
     values = world.status('source c').values

@@ -62,7 +62,7 @@ def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, m
     for height in (0, 10, 20):
         z = np.where(at == 7, np.nan, height)
         cloud = {'x': at % 500, 'y': at // 500, 'z': z}
-        world.publish('c', messages.cloud(cloud, kind='<f4'))
+        world.publish('c', messages.cloud(cloud, kind='f4'))
     row = count
     where = row % 500, row // 500
     world.until(lambda: world.names('raycast', (*where, 21), (*where, 19)) == [f'c#{row}'], 60)

@@ -45,7 +45,7 @@ def holds(world, *names):
 
 def test_a_cloud_replaces_the_one_before(clean, messages):
     columns = {'x': [0, 10, math.nan], 'y': [0, 0, 0], 'z': [0, 0, 0]}
-    clean.publish('points', messages.cloud(columns, kind='<f4'))
+    clean.publish('points', messages.cloud(columns, kind='f4'))
     holds(clean, 'points#0', 'points#1')
     assert clean.names('raycast', (-9, 0.25, 0), (9, 0.25, 0)) == ['points#0']  # voxel 0.5
     assert clean.names('raycast', (-9, 0.26, 0), (9, 0.26, 0)) == []

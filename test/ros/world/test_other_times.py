@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from ros.clouds import table
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -243,21 +244,8 @@ def test_rays_with_times_meet_as_brute_force_says(clean):
 
     clean.until(answered)
     clean.node.destroy_subscription(subscription)
-    names = [field.name for field in got[0].fields]
     assert got[0].header == cloud.header
-    kinds = {7: 'f4', 8: 'f8', 6: 'u4'}
-    rows = np.ndarray(
-        count,
-        np.dtype(
-            {
-                'names': names,
-                'formats': [kinds[field.datatype] for field in got[0].fields],
-                'offsets': [field.offset for field in got[0].fields],
-                'itemsize': got[0].point_step,
-            }
-        ),
-        buffer=bytes(got[0].data),
-    )
+    rows = table(got[0])
     assert np.flatnonzero(rows['obstacle'] == UNANSWERED).tolist() == bad
     assert np.isnan(rows['t'][bad]).all()
     for row in range(count):

@@ -15,7 +15,6 @@ from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 from bvh_ros.scene.store.mesh_store import MeshStore
 
 CUBE = box_of_triangles((1, 1, 1))
-DENTED = np.concatenate([CUBE[1:], [[*CUBE[0, :2], (0, 0, 0)]]])
 
 
 @pytest.mark.parametrize(
