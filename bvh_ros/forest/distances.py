@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
 from ..tree.nodes import NONE
+from ..tree.store.arrays import Floats, Ids
 from .asking import Asking, parts_of, pieces
-
-Ids = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 # Parts that are looked up at first; then four times as many, for the points that are not done.
 FEW_PARTS = 4

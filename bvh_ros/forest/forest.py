@@ -17,11 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import ALL, DynamicBVH, RayHits, box_checks, checks
 from ..tree.store import mapped
+from ..tree.store.arrays import Floats, Ids
 from . import building, chunked, distances, overlaps, rays
 from .asking import Asking
-
-Ids = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 
 class Forest:

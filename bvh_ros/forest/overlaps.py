@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
+from ..tree.store.arrays import Floats, Ids
 from .asking import Asking, parts_of, pieces
-
-Ids = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 
 def overlaps(

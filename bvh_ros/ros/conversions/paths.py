@@ -12,12 +12,10 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.ray_clouds import first_fault
+from bvh_ros.ros.conversions.ray_clouds import Floats, first_fault
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import ShapeKind, Shapes
-
-Floats = NDArray[np.float64]
 
 
 class Poses(NamedTuple):

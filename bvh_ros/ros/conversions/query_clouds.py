@@ -18,6 +18,7 @@ from bvh_ros.ros.conversions.ray_clouds import (
     NORMAL,
     ORIGIN,
     UNANSWERED,
+    Floats,
     first_fault,
     put_columns,
     table_cloud,
@@ -25,8 +26,6 @@ from bvh_ros.ros.conversions.ray_clouds import (
 from bvh_ros.ros.world.frames import Transform
 
 SIZE, TURN = ('sx', 'sy', 'sz'), ('qx', 'qy', 'qz', 'qw')
-
-Floats = NDArray[np.float64]
 
 
 class Points(NamedTuple):

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.watched import OnDemandPublisher
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ LINE, SPOT = 0.01, 0.08  # m: width of a line, diameter of a hit
 FREE_WAY = (0.0, 0.62, 0.45, 1.0)
 BLOCKED_WAY = (0.84, 0.37, 0.0, 1.0)
 EMPTY_WORLD = 10.0  # m that a ray without end is drawn long where there is nothing
-
-Floats = NDArray[np.float64]
 
 
 class QueryDrawing(OnDemandPublisher):

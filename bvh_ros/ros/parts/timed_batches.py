@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+from bvh_ros.ros.conversions.ray_clouds import Floats, Hits, Rays
 
 if TYPE_CHECKING:
     from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.scene import Scene
 
-Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
 
