@@ -178,8 +178,8 @@ def test_signals() -> None:
     """Handlers that raise at any time, in long changes, too."""
     rng = np.random.default_rng(6)
     count = 5000
-    lo, other = rng.uniform(0, 100, (2, count, 3))
-    half = count // 2
+    lo, other = rng.uniform(0, 100, (2, 4 * count, 3))
+    half = count // 2  # a tree grows if only removing is interrupted
 
     def ring(*_: Any) -> None:
         raise InterruptError
@@ -194,7 +194,7 @@ def test_signals() -> None:
             lambda: tree.set_masks(ids, 3),
         ]
 
-    tree = DynamicBVH.from_boxes(lo, lo + 1)
+    tree = DynamicBVH.from_boxes(lo[:count], lo[:count] + 1)
     for turn in range(6):  # kernels are loaded: numba does not bear being interrupted in that
         changes(tree, tree.ids())[turn]()
     before = signal.signal(signal.SIGALRM, ring)
