@@ -32,7 +32,9 @@ MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
 
 def empty(needs: Needs) -> Scene:
-    return Scene(planar=needs.planar, margin=needs.margin, meshes=ShapeKind.MESH in needs.kinds)
+    """One in which who moves comes to rest."""
+    meshes = ShapeKind.MESH in needs.kinds
+    return Scene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
 
 
 def replace(scene: Scene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:

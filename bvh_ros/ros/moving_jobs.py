@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from bvh_ros.ros.compile_jobs import Needs
 
 
+LATER = 10**10  # ns: by then who moves has come to rest
+
+
 def _moving_scenes(needs: Needs) -> Iterator[Scene]:
     """Some that hold obstacles, one of which has a velocity."""
     for scene in scenes(needs):
@@ -29,6 +32,7 @@ def other_times(needs: Needs) -> None:
     for scene in _moving_scenes(needs):
         for radius in (0.0, RADIUS):
             scene.raycast(START, GOAL, radius, at=2, until=3)
+            scene.raycast(START, GOAL, radius, at=2, until=LATER)
             scene.raycast_all(START, GOAL, radius, at=2)
         scene.overlap(START, GOAL, ABOUT_Z, RADIUS, at=2)
         if needs.batch:
@@ -44,7 +48,8 @@ def _rays_among_boxes(needs: Needs) -> None:
     speeds = np.ones((MANY, 3))
     scene.replace('cloud', '', names, Shapes.boxes(line, EDGE), stamp=1, velocities=speeds)
     for radius in (0.0, RADIUS):
-        scene.raycast_many(line, line, 1.0, radius=radius, at=2, until=3)
+        for until in (3, LATER):
+            scene.raycast_many(line, line, 1.0, radius=radius, at=2, until=until)
 
 
 def nearest_then(needs: Needs) -> None:

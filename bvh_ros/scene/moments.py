@@ -3,7 +3,6 @@
 """Questions about a scene whose obstacles have velocities, at a time or while it passes."""
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..tree.store.workers import in_threads
 from .casting.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
 from .casting.box_casting import segment
 from .geometry.shapes import Floats
-from .results import NO_NODE, CastHits, SceneHit, require_few
+from .results import CastHits, SceneHit, require_few
 from .store.obstacles import EXACT, Obstacles, all_in_seconds, in_seconds
 from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
@@ -130,16 +129,16 @@ class Moments:
     ) -> SceneHit | None:
         """What a ray, or ball, meets first; asked = (start, goal, radius)."""
         (start, goal, radius), held, skip = asked, self._held, bool(skip)
-        when = self._way_of_time(at, until)
-        if held.max_prediction < math.inf and len(at_rest(held, when[0] + when[1])):
-            hits = self.every(segment(*asked), mask, skip, at, until)
-            return hits[0] if hits else None
+        when, still = self._way_of_time(at, until), None
+        if held.max_prediction < math.inf:
+            still = self._courses_then().moving.still_by(held, when[0] + when[1])
         if self._one_way is None:
             from .casting.one_moving import OneWay  # no scene without velocities needs it
 
             self._one_way = OneWay(held)
-        if held.columns.shaped or held.uncertainty or checks.limit('radius', radius) > 0.0:
-            hit = self._one_way.first_shape(segment(*asked), checks.mask(mask), skip, when)
+        thick = checks.limit('radius', radius) > 0.0
+        if still or held.columns.shaped or held.uncertainty or thick:
+            hit = self._one_way.first_shape(segment(*asked), checks.mask(mask), skip, when, still)
         else:
             ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
             hit = self._one_way.first_box(*ends, checks.mask(mask), skip, when)
@@ -203,58 +202,34 @@ class Moments:
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
-        still = False
+        still, moving = None, self._courses_then().moving
         if held.max_prediction < math.inf:
-            still = len(at_rest(held, times.last(rays.t_max))) > 0
+            still = moving.still_by(held, times.last(rays.t_max))
         if not (still or held.columns.shaped or held.uncertainty or thick):
             return self._courses_then().moving_boxes.first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
             refuse_infinite(rays)
-        first = self._firsts(still, rays, times)
-        if threads == 1 and not still:
-            return first(rays, radii, bool(skip), times)
-        if still:
-            rays, radii = row_by_row(rays), every_row(radii, count)
-            at, pace = (every_row(one, count) for one in times)
-            times = times._replace(at=at, pace=pace)
+        sweep = moving.sweep_for(held, rays, times)
+
+        def first(some: Rays, balls: Floats, when: 'Times') -> CastHits:
+            asked = held, sweep, some, balls, bool(skip), when, still
+            hits, handles, points, normals = moving.first_then(*asked)
+            return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
+
+        if threads == 1:
+            return first(rays, radii, times)
         columns = *rays, radii, *times
 
         def work(start: int, stop: int) -> CastHits:
             *some, balls, begin, pace = (
                 one[start:stop] if len(one) == count else one for one in columns
             )
-            return first(Rays(*some), balls, bool(skip), times._replace(at=begin, pace=pace))
+            return first(Rays(*some), balls, times._replace(at=begin, pace=pace))
 
         parts = in_threads(work, count, threads)
         if len(parts) == 1:
             return parts[0]
         return CastHits(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-    def _firsts(self, still: bool, rays: Rays, times: 'Times') -> Callable[..., CastHits]:
-        """What tells the first hits of some of these rays."""
-        moving, node_handles = self._courses_then().moving, self._held.columns.node_handle
-
-        def among_some_at_rest(some: Rays, *asked: Any) -> CastHits:
-            met, count = moving.cast_then(self._held, some, *asked), len(some.origins)
-            rows, first = np.unique(met.rows, return_index=True)
-            hits = CastHits(
-                *(np.full(count, NO_NODE, np.uint32), np.full(count, np.inf)),
-                *(np.full((count, 3), np.nan), np.zeros((count, 3))),
-            )
-            hits.handles[rows] = node_handles[met.slots[first]]
-            for into, found in zip(hits[1:], (met.ts, met.points, met.normals), strict=True):
-                into[rows] = found[first]
-            return hits
-
-        if still:
-            return among_some_at_rest
-        sweep = moving.sweep_for(self._held, rays, times)
-
-        def among_moving(*asked: Any) -> CastHits:
-            hits, handles, points, normals = moving.first_then(self._held, sweep, *asked)
-            return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
-
-        return among_moving
 
 
 def rows_needed(at: Any, until: Any, count: int) -> int:

@@ -79,6 +79,28 @@ class Crowd:
                 found[f'box{i}'] = enter
         return found
 
+    def first(self, start, goal, at, until, skip):
+        """(t, name) of the first box that is met on the way, which stands from its end on; None
+        without any.
+        """
+        found = []
+        for i in range(len(self)):
+            end = int(self.stamps[i]) + int(self.most * SECOND)
+            stop = Fraction(min(max(end - at, 0), until - at), max(until - at, 1))
+            gaps = [x - Fraction(y) for x, y in zip(self.place(i, at), start, strict=True)]
+            if skip and all(abs(gap) <= HALF for gap in gaps):
+                continue
+            way = [Fraction(y) - Fraction(x) for x, y in zip(start, goal, strict=True)]
+            gone = [x - y for x, y in zip(self.place(i, until), self.place(i, at), strict=True)]
+            speeds = [x / stop if stop else x for x in gone]
+            met = reach(gaps, [x - y for x, y in zip(way, speeds, strict=True)], 0, stop)
+            if met is None:
+                then = [x + y for x, y in zip(gaps, gone, strict=True)]
+                met = reach(then, way, stop, 1)
+            if met is not None:
+                found.append((met, i))
+        return min(found, default=None)
+
     def corners(self, rng, times):
         """Points that corners of boxes reach at these times, as nearly as doubles are."""
         points = [
@@ -90,6 +112,38 @@ class Crowd:
             )
         ]
         return np.array(points)
+
+
+def reach(gaps, ways, first, last):
+    """The least t from first to last at which no |gap - t * way| exceeds HALF, if there is one."""
+    for gap, way in zip(gaps, ways, strict=True):
+        if way == 0 and abs(gap) > HALF:
+            return None
+        if way != 0:
+            ends = sorted(((gap - HALF) / way, (gap + HALF) / way))
+            first, last = max(first, ends[0]), min(last, ends[1])
+    return first if first <= last else None
+
+
+@pytest.mark.parametrize('seed', range(40))
+def test_who_is_met_first_before_and_after_it_has_come_to_rest(seed):
+    rng = np.random.default_rng(seed)
+    crowd, skip, many = Crowd(rng, most=Fraction(int(rng.integers(9)), 4)), seed % 3 == 0, 30
+    at = int(crowd.instants(rng, 1, 40)[0])
+    until = at + int(rng.choice([0, 1, crowd.step, SECOND, 3 * SECOND, crowd.most * SECOND]))
+    starts = rng.integers(-20, 20, (many, 3)).astype(float)
+    goals = starts + rng.integers(-20, 20, starts.shape)
+    when = {'skip_inside': skip, 'at': at, 'until': until}
+    found = crowd.scene.raycast_many(starts, goals - starts, 1.0, **when)
+    for row in range(many):
+        wanted = crowd.first(starts[row].tolist(), goals[row].tolist(), at, until, skip)
+        hit = crowd.scene.raycast(starts[row], goals[row], **when)
+        assert (hit is None) == (wanted is None)
+        assert found.t[row] == (np.inf if hit is None else hit.t)
+        if hit is not None:
+            assert hit.name == f'box{wanted[1]}'
+            assert hit.t == pytest.approx(float(wanted[0]), rel=1e-15, abs=0.0)
+            assert found.handles[row] == hit.handle
 
 
 @pytest.mark.parametrize('seed', range(40))

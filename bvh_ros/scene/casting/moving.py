@@ -11,6 +11,7 @@ of its way: too early rather than too late.
 """
 
 import functools
+import math
 from functools import partial
 from typing import Any
 
@@ -24,6 +25,7 @@ from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.moving import LARGEST
+from ...tree.nodes import ROOT
 from ...tree.rays.ray_batches import rows_of
 from ...tree.rays.raycasting import EVERY
 from ...tree.rays.slab import INSIDE
@@ -31,12 +33,14 @@ from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, growths, most_growth, motions
+from ..store.places import at_rest, growths, most_growth, motions, rest
 from . import resting
 from .arguments import Hits, Rays, call, code_for, world_of
-from .first_moving import First, Ways, ball_reach, first_rows, first_swept
+from .first_moving import First, first_rows, first_swept
+from .legs import Still
 from .seen import Met, Times, grow, meet_pairs
 from .sweeping import AT_HAND, kept
+from .walks import Ways, ball_reach
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -73,11 +77,26 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
 _NO_ROOM = np.empty((0, 3))
 
 
+def still_by(held: Obstacles, last: float) -> Still | None:
+    """Who comes to rest before a time, s, if anybody does."""
+    if math.isinf(held.max_prediction) or not len(at_rest(held, last)):
+        return None
+    there = rest(held)
+    root = there.tree.state.item(ROOT)
+    return Still(held.max_prediction, there.nodes, root, there.slots)
+
+
 def first_then(
-    held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
+    held: Obstacles,
+    sweep: Sweep | None,
+    rays: Rays,
+    radii: Floats,
+    skip: bool,
+    times: Times,
+    still: Still | None,
 ) -> First:
-    """First hits of rays, or balls, while nobody comes to rest, their columns one for all or (n,);
-    as of `cast_then`. `sweep`: what `sweep_for` says, of these and more rays.
+    """First hits of rays, or balls, their columns one for all or (n,); as of `cast_then`. `sweep`:
+    what `sweep_for` says, of these and more rays; `still`: as of `still_by`.
     """
     tree, columns, count = held.tree, held.columns, len(rays.origins)
     ndim, grown = tree.ndim, NOTHING
@@ -92,17 +111,22 @@ def first_then(
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[ndim])
     motion = _motion_of(held)
     if sweep is None:
-        world, given = world_of(tree, columns), (Ways(*ways), asked, *tools, told)
+        world, given = world_of(tree, columns), (still, Ways(*ways), asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         moments = not times.pace.any()
-        motion.ask(tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given), moments)
+        kind = still is not None
+
+        def ask(*arrays: Any) -> Any:
+            return call(first_rows, world, *arrays, *given, kind=kind)
+
+        motion.ask(tree, spans, ask, moments)
     else:
         view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
         found = marks, hits.ts, told.handles, *places
-        every = shapes, view.tree, now, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
-        if accepted(code_for(first_swept, shapes, every)(*every)):
-            _tell_others(held, (rays, radii, skip, times), told)
+        every = shapes, view.tree, now, still, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
+        if accepted(code_for(first_swept, shapes, every, still is not None)(*every)):
+            _tell_others(held, (rays, radii, skip, times, still), told)
     if tree.ndim == 2:
         met = told.handles != NO_NODE
         told.points[met, 2] = rays.origins[met, 2]
@@ -132,7 +156,7 @@ def few_then(
     told = marks, ts, handles, points, normals
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
     shapes = columns.shapes
-    every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
+    every = shapes, tree._storage.tree, sweep, None, ways, asked, tools, told, when, room
     if code_for(first_swept, shapes, every)(*every) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
@@ -150,11 +174,11 @@ def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
 
 def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
     """Fill in the rows of ways that are not for a sweep; asked = what `first_then` is told."""
-    (rays, radii, skip, times), count = asked, len(told.handles)
+    (rays, radii, skip, times, still), count = asked, len(told.handles)
     others = np.flatnonzero(told.hits.slots == UNSUITED)
     some, when = rows_of(rays, count, others), rows_of(times, count, others)
     balls = radii[others] if len(radii) == count else radii
-    found = first_then(held, None, some, balls, skip, when)
+    found = first_then(held, None, some, balls, skip, when, still)
     for column, part in zip((*told.hits, *told[1:]), (*found.hits, *found[1:]), strict=True):
         column[others] = part
 

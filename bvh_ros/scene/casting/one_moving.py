@@ -25,7 +25,9 @@ from ..store.places import most_growth
 from ..store.spare import Spare
 from .arguments import Hits, call, new_scratch, world_of
 from .box_casting import BoxHit, too_long, way_between
-from .first_moving import First, Ways, first_rows
+from .first_moving import First, first_rows
+from .legs import Still
+from .walks import Ways
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 When = tuple[float, float]  # at, pace
@@ -90,8 +92,10 @@ class OneWay:
             slot, t = self._first(tree._settled().tree, moving, *asked)
         return None if slot == NONE else (slot, t, place[0], place[1])
 
-    def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
-        """The first obstacle of any shape."""
+    def first_shape(
+        self, way: Way, mask: np.uint32, skip: bool, when: When, still: Still | None
+    ) -> BoxHit | None:
+        """The first obstacle of any shape; `still`: as of `moving.still_by`."""
         held, tree, room = self._held, self._tree, self._spare.take()
         (origin, direction, radius), (at, pace) = way, when
         ways, hits, ndim = room.ways, room.hits, tree.ndim
@@ -101,12 +105,15 @@ class OneWay:
         if held.uncertainty:
             ways.grown[0] = np.max(most_growth(held, ways.at, ways.at + pace))
         told = First(hits, room.handles, np.empty((1, 3)), np.empty((1, 3)))
-        given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
+        given = still, ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
         world, motion = world_of(tree, held.columns), tree.motion
         spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
-        motion.ask(
-            tree, spans, lambda *arrays: call(first_rows, world, *arrays, *given), pace == 0.0
-        )
+        kind = still is not None
+
+        def ask(*arrays: Any) -> Any:
+            return call(first_rows, world, *arrays, *given, kind=kind)
+
+        motion.ask(tree, spans, ask, pace == 0.0)
         if ndim == 2:
             told.points[0, 2] = origin[2]
         slot, t, point, normal = (

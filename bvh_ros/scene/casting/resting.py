@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.motion.casting import Casts
-from ...tree.rays.slab import INSIDE
+from ...tree.nodes import NONE, ROOT
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
-from ..store.places import growths, motions, rest, seen
+from ..store.places import motions, rest, seen
 from ..store.registry import Slots
-from .arguments import Rays
-from .seen import Met, Times, grow, meet_pairs
+from .arguments import Hits, Rays, call, new_scratch, world_of
+from .first_moving import First, each_then
+from .legs import Still
+from .seen import Met, Times
+from .walks import Ways
 
 PAIRS = 1 << 17  # that are looked at in one go
 
@@ -72,36 +75,16 @@ def _of_pairs(
     pairs: tuple[Slots, Slots],
 ) -> Met:
     rows, slots = (column[seen(held, pairs[1], rays.masks[pairs[0]])] for column in pairs)
-    velocities, references = motions(held, slots)
-    some = Rays(*(column[rows] for column in rays))
-    at, pace, left = times.at[rows], times.pace[rows], held.max_prediction
-    grown = growths(held, slots, at, Times(at, pace).ends(some.t_max))
-    balls = radii[rows] + grown
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        stop = (references + left - at) / pace
-    stop = np.where(pace > 0.0, stop, np.where(references + left >= at, np.inf, 0.0))
-    stop = np.clip(stop, 0.0, some.t_max)  # the t from which the obstacle stands
-    since = np.minimum(at - references, left)
-    going = Rays(
-        some.origins - velocities * since[:, None],
-        some.directions - velocities * np.where(stop > 0.0, pace, 0.0)[:, None],
-        *(stop, some.masks),
-    )
-    first = meet_pairs(held, going, slots, balls)
-    then = np.where(np.isfinite(stop), stop, 0.0)
-    start = some.origins + some.directions * then[:, None]
-    standing = Rays(start - velocities * left, some.directions, some.t_max - then, some.masks)
-    second = meet_pairs(held, standing, slots, balls)
-    early = first.hits.ts < np.inf
-    late = ~early & (second.hits.ts < np.inf) & (stop < some.t_max)
-    ts = np.where(early, first.hits.ts, then + second.hits.ts)
-    gone = np.where(early, since + np.where(early, first.hits.ts, 0.0) * pace, left)
-    points = np.where(early[:, None], first.points, second.points)
-    points[:, : held.tree.ndim] += velocities * gone[:, None]
-    normals = np.where(early[:, None], first.normals, second.normals)
-    inside = early & (first.hits.features == INSIDE)
-    inside |= late & (stop == 0.0) & (second.hits.features == INSIDE)
-    kept = np.flatnonzero((early | late) & ~(skip & inside))
-    all_met = Met(rows, slots, ts, points, normals)
-    grow(all_met, grown, some.origins)
-    return all_met.take(kept)
+    count, columns, tree = len(rows), held.columns, held.tree
+    some, there = Rays(*(column[rows] for column in rays)), rest(held)
+    still = Still(held.max_prediction, there.nodes, there.tree.state.item(ROOT), there.slots)
+    ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
+    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+    told = First(hits, np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))
+    tools, view = (columns.node_handle, new_scratch(tree.ndim)), tree.view()
+    assert tree.motion is not None
+    world, moving = world_of(tree, columns), tree.motion.known(view, 0.0, 0.0)
+    given = view.tree, moving, still, ways, slots, (skip, held.uncertainty), tools, told
+    call(each_then, world, *given)
+    kept = np.flatnonzero(hits.slots != NONE)
+    return Met(rows, slots, hits.ts, told.points, told.normals).take(kept)

@@ -82,6 +82,8 @@ class Rest(NamedTuple):
     """Their boxes there, larger by more than rounding."""
     slots: Slots
     """Of the obstacles, by slot of that tree."""
+    nodes: NDArray[np.void]
+    """Its bounds, see `tree.motion.bounds`, at any time."""
 
 
 def rest(held: Obstacles) -> Rest:
@@ -100,14 +102,15 @@ def rest(held: Obstacles) -> Rest:
     tree.set_velocities(tree.ids(), np.zeros(low.shape))  # so it can be asked as the other one
     of = np.empty(len(slots), np.int64)
     of[tree.slots(tree.ids())] = slots
-    known = held.rest = Rest(version, tree, of)
+    assert tree.motion is not None
+    known = held.rest = Rest(version, tree, of, tree.motion.fit(tree, 0.0, 1.0).nodes)
     return known
 
 
 @functools.cache
 def nobody_rests(ndim: int) -> Rest:
     """`rest` where nobody does."""
-    return Rest(0, DynamicBVH(ndim), NOBODY)
+    return Rest(0, DynamicBVH(ndim), NOBODY, np.empty(0, np.void))
 
 
 def seen(held: Obstacles, slots: Slots, mask: np.uint32 | NDArray[np.uint32]) -> NDArray[np.bool_]:

@@ -95,19 +95,18 @@ def _rate(course, side):
 
 
 @lean_kernel
-def _compare_exactly(times, side, other):
+def _compare_exactly(side, times, other, other_times, whole):
     """Sign of gap / rate - the same of another side; both quotients not negative; times = (at,
-    pace, nanoseconds).
+    pace) of each, whole nanoseconds or not.
     """
-    at, pace, whole = times
     gaps, rates = stack_array(LIMBS, np.int64), stack_array(LIMBS, np.int64)
     other_gaps, other_rates = stack_array(LIMBS, np.int64), stack_array(LIMBS, np.int64)
     plane, front, velocity, reference, direction = side
-    add_gap(gaps, plane, front, velocity, at, reference, whole)
-    add_gap(rates, direction, 0.0, -velocity, pace, 0.0, whole)
+    add_gap(gaps, plane, front, velocity, times[0], reference, whole)
+    add_gap(rates, direction, 0.0, -velocity, times[1], 0.0, whole)
     plane, front, velocity, reference, direction = other
-    add_gap(other_gaps, plane, front, velocity, at, reference, whole)
-    add_gap(other_rates, direction, 0.0, -velocity, pace, 0.0, whole)
+    add_gap(other_gaps, plane, front, velocity, other_times[0], reference, whole)
+    add_gap(other_rates, direction, 0.0, -velocity, other_times[1], 0.0, whole)
     magnitude(gaps)
     magnitude(rates)
     magnitude(other_gaps)
@@ -115,15 +114,22 @@ def _compare_exactly(times, side, other):
     return compare_products(gaps, other_rates, other_gaps, rates)
 
 
-@lean_kernel
-def _compare(course, t, side, other_t, other):
+@inlined
+def compare(course, t, side, times, other_t, other, other_times):
     """The same, of which t and other_t are computed values."""
     if t * CLEAR + TINY < other_t:
         return np.int64(-1)
     if other_t * CLEAR + TINY < t:
         return np.int64(1)
     course.ray[EXACT, 0] = 1.0
-    return _compare_exactly((course.at, course.pace, course.nanoseconds), side, other)
+    return _compare_exactly(side, times, other, other_times, course.nanoseconds)
+
+
+@lean_kernel
+def _compare(course, t, side, other_t, other):
+    """The same of one course."""
+    times = course.at, course.pace
+    return compare(course, t, side, times, other_t, other, times)
 
 
 @inlined
@@ -166,6 +172,18 @@ def meet(box, course, t_max):
     if not math.isinf(t_max) and _compare(course, t, near, t_max, (t_max, 0.0, 0.0, 0.0, 1.0)) > 0:
         return False, np.inf, np.int64(INSIDE)
     return True, t, entered
+
+
+@inlined
+def side_of(box, course, face):
+    """What `_side` says of a face."""
+    return _side(box, course, face >> 1, _is_lower(face))
+
+
+@inlined
+def quotient_of(course, side):
+    """The t at which a side is met."""
+    return quotient(_gap(course, side), _rate(course, side))
 
 
 @inlined

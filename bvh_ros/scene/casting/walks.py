@@ -1,0 +1,166 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Ways through the trees of obstacles that move, nearest first: past who goes, through the tree's
+nodes or what is swept, and past who has come to rest.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.jit.compiling import inlined
+from ...tree.jit.intrinsics import prefetch, stack_array
+from ...tree.jit.moving_sides import FRONTS
+from ...tree.motion.bounds import covers, set_fronts
+from ...tree.motion.casting import descend
+from ...tree.motion.wide_casting import may_meet
+from ...tree.nodes import DEEPEST, NONE
+from ...tree.rays.raycasting import of_row
+from ...tree.rays.slab import PAD, TINY
+from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ...tree.wide.ray_stacks import STACK
+from .casting import no_hit
+from .frame import COORDINATES, FRAME_SLACK
+from .legs import look_at, look_at_standing
+from .wide_sweeps import next_leaf, put_roots, widen
+
+
+class Ways(NamedTuple):
+    """n rays, or balls that go along them."""
+
+    origins: Any
+    directions: Any
+    t_max: Any
+    """One for all, or (n,), as all that follows."""
+    masks: Any
+    radii: Any
+    at: Any
+    """s; empty, as `pace`, if `first_swept` is told when."""
+    pace: Any
+    """How many seconds a unit of t takes."""
+    grown: Any
+    """What no obstacle has grown by more, m."""
+
+
+def ball_reach(radius: Any, largest: Any) -> Any:
+    """By how much a ray may pass the box of an obstacle that its ball touches; `largest` of the
+    coordinates of its origin.
+    """
+    return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
+
+
+_ball_reach = inlined(ball_reach)
+
+
+@inlined
+def reach_of(ways, i):
+    """The same of a row, and of what has grown."""
+    largest = 0.0
+    for axis in range(ways.origins.shape[1]):
+        largest = max(largest, abs(ways.origins[i, axis]))
+    return _ball_reach(of_row(ways.radii, i), largest) + of_row(ways.grown, i)
+
+
+@inlined
+def walk(world, tree, moving, still, ways, i, asked, tools, thin):
+    """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
+    at, pace, t_max, mask = thin.at, thin.pace, of_row(ways.t_max, i), of_row(ways.masks, i)
+    nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
+    _set_way(fronts, moving, ways, i, reach_of(ways, i))
+    box, other = no_hit(), no_hit()
+    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
+    bounded, limit = covers(moving, at, pace, t_max) > 0, t_max
+    while top > 0:
+        top -= 1
+        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
+            continue
+        waiting = stack, entries, top
+        node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
+        if node == NONE or nodes[node].mask & mask == 0:
+            continue
+        slot, found = np.int64(node >> 1), (box, other)
+        box, other = look_at(
+            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
+        )
+        limit = min(limit, box.t, other.t)
+    return box, other
+
+
+@inlined
+def walk_standing(world, tree, moving, still, ways, i, asked, tools, thin, found):
+    """The same, found = (box, other, whether that stood), among who has come to rest."""
+    box, other, stood = found
+    nodes, mask, more = still.nodes, of_row(ways.masks, i), reach_of(ways, i)
+    fronts = stack_array(FRONTS, np.float64)
+    _set_way(fronts, moving, ways, i, more)
+    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
+    stack[0], entries[0], top = still.root, 0.0, (0 if still.root == NONE else 1)
+    limit = min(of_row(ways.t_max, i), box.t, other.t)
+    while top > 0:
+        top -= 1
+        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
+            continue
+        node, top = descend(nodes, fronts, True, (0.0, 0.0, limit), (stack, entries, top))
+        if node == NONE or nodes[node].mask & mask == 0:
+            continue
+        slot, found = still.slots[node >> 1], (box, other, stood)
+        box, other, stood = look_at_standing(
+            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
+        )
+        limit = min(limit, box.t, other.t)
+    return box, other, stood
+
+
+@inlined
+def _set_way(fronts, moving, ways, i, more):
+    """`set_fronts` of what goes along a way, by so much larger."""
+    corners, ndim = stack_array((2, 3), np.float64), ways.origins.shape[1]
+    for axis in range(ndim):
+        corners[0, axis] = ways.origins[i, axis] - more
+        corners[1, axis] = ways.origins[i, axis] + more
+    set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
+
+
+@inlined
+def walk_wide(world, tree, moving, still, sweep, ways, i, asked, tools, thin):
+    """`walk` through what is swept: (whether the way is for it, box, other)."""
+    snapshot, leaves, more = sweep.snapshot, sweep.leaves, reach_of(ways, i)
+    origin, direction, t_max = ways.origins[i], ways.directions[i], of_row(ways.t_max, i)
+    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
+    record, limits = records[0], stack_array(1, np.float32)
+    box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
+    suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max)
+    if not (suited and reach < FARTHEST_ORIGIN):
+        return False, box, other
+    widen(record, reach)
+    limits[0], octant = record.limit, octant_of(direction)
+    limit, mask = t_max, of_row(ways.masks, i)
+    top = put_roots(snapshot, stack)
+    while top > 0:
+        slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
+        if slot == NONE or (snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0):
+            continue
+        fetch(tree, moving, world.geometry, world.footprints, slot)
+        since = thin.at - leaves.start
+        if not may_meet(*(leaves.records, slot, origin, direction, since, thin.pace, limit, more)):
+            continue
+        found = box, other
+        box, other = look_at(
+            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
+        )
+        if min(box.t, other.t) < limit:
+            limit = min(box.t, other.t)
+            record.limit = limits[0] = limit32(limit, record.unit)
+    return True, box, other
+
+
+@inlined
+def fetch(tree, moving, geometry, footprints, slot):
+    """Ask for the memory of what `look_at` reads of most obstacles."""
+    prefetch(moving.kept, slot, 1)
+    prefetch(tree.handles, slot, 1)
+    if geometry is not None:
+        prefetch(geometry[0], slot, 2)
+    if footprints is not None:
+        prefetch(footprints[0], slot, 2)
