@@ -19,7 +19,8 @@ from ..tables import Cell, Table
 from ..timing import Job, interleaved
 
 BOXES, ROWS, CALLS, REPEATS = 10_000, 10_000, 300, 9
-SPEED, WAY, RADIUS = 1.5, 5.0, 0.2  # m/s, standard deviation an axis; m
+SPEED, FAST, WAY, RADIUS = 1.5, 10.0, 5.0, 0.2  # m/s, standard deviation an axis; m
+SHORT = 0.9  # s: who goes on no longer has come to rest by the end of a way
 STEP = 0.1  # m
 SECOND = 10**9
 TOLD = 'all told anew'
@@ -40,13 +41,16 @@ def _jobs(questions: Questions, timed: bool) -> dict[str, Job]:
 
 
 def _small(ask: Callable[..., object], *given: Any, times: dict[str, Any]) -> Questions:
-    """Of small batches; arrays of `given` have a row a question, numbers are for all."""
+    """Of small batches; arrays of `given` have a row a question, others are for all."""
     found = {}
     for rows in FEW:
-        size = len(given[0]) // rows * rows
-        calls = [part[:size].reshape(-1, rows, 3)[:CALLS] for part in given[:2]]
-        rest = [[number] * len(calls[0]) for number in given[2:]]
-        found[f'{ask.__name__}, {rows} a call'] = ask, (*calls, *rest), 0, times
+        size, calls = len(given[0]) // rows * rows, []
+        for part in given:
+            if isinstance(part, np.ndarray):
+                calls.append(part[:size].reshape(-1, rows, 3)[:CALLS])
+            else:
+                calls.append([part] * min(size // rows, CALLS))
+        found[f'{ask.__name__}, {rows} a call'] = ask, tuple(calls), 0, times
     return found
 
 
@@ -72,13 +76,20 @@ def _of_tree(boxes: Boxes, velocities: Floats | None, asked: tuple[Floats, ...])
         'raycast_many': (tree.raycast_many, (*rays, 1.0), count, PACED),
         **_small(tree.raycast_many, starts, ways, 1.0, times=PACED),
         'overlap_many': (tree.overlap_many, (lo, hi), count, THEN),
+        **_small(tree.overlap_many, lo, hi, times=THEN),
         'nearest_many': (tree.nearest_many, (starts,), count, THEN),
+        **_small(tree.nearest_many, starts, times=THEN),
         TOLD: (refresh, (), len(ids), {}),
     }
 
 
-def _of_scene(shapes: Shapes, velocities: Floats | None, asked: tuple[Floats, ...]) -> Questions:
-    scene, (starts, ways, lo, hi) = Scene(), asked
+def _of_scene(
+    shapes: Shapes,
+    velocities: Floats | None,
+    asked: tuple[Floats, ...],
+    max_prediction: float = np.inf,
+) -> Questions:
+    scene, (starts, ways, lo, hi) = Scene(max_prediction=max_prediction), asked
     names = [f'box{row}' for row in range(len(shapes.kind))]
     scene.update('report', names, shapes, stamp=0, velocities=velocities)
     few, count, goals = slice(CALLS), len(starts), starts + ways
@@ -104,7 +115,9 @@ def _of_scene(shapes: Shapes, velocities: Floats | None, asked: tuple[Floats, ..
         'sweep_many': (scene.sweep_many, (starts, goals, RADIUS), count, TOGETHER),
         **_small(scene.sweep_many, starts, goals, RADIUS, times=TOGETHER),
         'overlap_many': (scene.overlap_many, (starts, size), count, LATER),
+        **_small(scene.overlap_many, starts, size, times=LATER),
         'nearest_many': (scene.nearest_many, (starts,), count, LATER),
+        **_small(scene.nearest_many, starts, times=LATER),
         'clearance_many': (scene.clearance_many, (many,), len(many.kind), LATER),
         TOLD: (update, (), len(names), {}),
     }
@@ -120,10 +133,20 @@ def times(page: Page, brief: bool) -> None:
     asked = starts, ways, starts - reach, starts + reach
     middle, size = (boxes.lo + boxes.hi) / 2, boxes.hi - boxes.lo
     turned = Shapes.boxes(middle, size, rng.normal(size=(len(size), 4)))
+    still, faster = Shapes.boxes(middle, size), FAST / SPEED
+
+    def fast(speeds: Floats | None) -> Floats | None:
+        return None if speeds is None else faster * speeds
+
     worlds: dict[str, Callable[[Floats | None], Questions]] = {
         'tree': lambda speeds: _of_tree(boxes, speeds, asked),
-        'scene': lambda speeds: _of_scene(Shapes.boxes(middle, size), speeds, asked),
+        'scene': lambda speeds: _of_scene(still, speeds, asked),
         'scene, turned boxes': lambda speeds: _of_scene(turned, speeds, asked),
+        f'tree, {FAST:g} m/s': lambda speeds: _of_tree(boxes, fast(speeds), asked),
+        f'scene, turned boxes, {FAST:g} m/s': lambda speeds: _of_scene(
+            turned, fast(speeds), asked
+        ),
+        'scene, at rest by then': lambda speeds: _of_scene(still, speeds, asked, SHORT),
     }
     rows: list[list[Cell]] = []
     for world, make in worlds.items():
@@ -137,8 +160,9 @@ def times(page: Page, brief: bool) -> None:
     page.add('### Asking about another time')
     page.add(
         f'{len(size):,} boxes that fill 2 % of a cube of 100 m, and as many that move at {SPEED} '
-        f'm/s on each axis. Ways of {WAY} m, which take a second; boxes, points and shapes a '
-        'second later. us a call, row or box, without velocities and with them.'
+        f'm/s on each axis, or at {FAST}, or for {SHORT} s and then no more. Ways of {WAY} m, '
+        'which take a second; boxes, points and shapes a second later. us a call, row or box, '
+        'without velocities and with them.'
     )
     header = ['world', 'question', 'us, at rest', 'us, at a time', 'ratio']
     page.table(Table('features_times', header, rows))
