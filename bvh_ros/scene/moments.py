@@ -20,7 +20,7 @@ from .store.updating import FIRST_TIME, LAST_TIME, column
 if TYPE_CHECKING:
     from .casting.one_moving import OneWay
     from .casting.seen import Times
-    from .distance.timed import TimedDistances
+    from .distance.timed_batches import TimedDistances
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 
@@ -45,7 +45,9 @@ class Moments:
     def distances(self) -> 'TimedDistances':
         """Overlaps and distances at other times."""
         if self._distances is None:
-            from .distance.timed import TimedDistances  # no scene without velocities needs it
+            from .distance.timed_batches import (
+                TimedDistances,  # no scene without velocities needs it
+            )
 
             self._distances = TimedDistances(self._held)
         return self._distances

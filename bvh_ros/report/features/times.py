@@ -44,7 +44,8 @@ def _small(ask: Callable[..., object], *given: Any, times: dict[str, Any]) -> Qu
     """Of small batches; arrays of `given` have a row a question, others are for all."""
     found = {}
     for rows in FEW:
-        size, calls = len(given[0]) // rows * rows, []
+        calls: list[Any] = []
+        size = len(given[0]) // rows * rows
         for part in given:
             if isinstance(part, np.ndarray):
                 calls.append(part[:size].reshape(-1, rows, 3)[:CALLS])

@@ -1,54 +1,38 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlaps and distances at a time, among obstacles that have velocities: how `moving` is called.
-Scenes without velocities need none of this.
+"""Overlaps and distances at a time, among obstacles that have velocities: how `moving` is called,
+and one query. Scenes without velocities need none of this.
 """
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...tree.boxes.nearest_packets import are_dense
-from ...tree.boxes.ordering import order_of
 from ...tree.jit.compiling import entry_point
-from ...tree.motion.nearest import Near
-from ...tree.motion.nearest_packets import Bounded
-from ...tree.nodes import COUNT, NONE, View
-from ...tree.store.workers import in_threads
-from ..geometry.shapes import Floats, along_axes
+from ...tree.nodes import COUNT, View
+from ..geometry.shapes import Floats
 from ..results import SceneHit
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import at_rest, movers, nobody_rests, rest
 from ..store.spare import Spare
-from .clearance import NOT_ASKED, Neighbours, room_for
 from .kept import FEW, Known, Scratch, no_rows
 from .moving import Then, touch_rows
-from .moving_neighbours import clear_rows, near_rows
-from .nearness import MANY
-from .overlaps import as_wanted
-from .query_rows import FAULTY, NO_GIVEN, number_of
+from .moving_neighbours import near_rows
+from .query_rows import NO_GIVEN
 from .query_shape import QueryShape
-from .touching import ROUNDED
-from .touching_rows import ALL, HITS, Points, Signed, bodies_of
 from .touching_rows import COUNT as COUNTED
-from .touching_rows import Near as Nearest
-from .touching_rows import room_for as answers_for
-
-MOST = 16  # boxes that packets look for
+from .touching_rows import Signed, bodies_of
 
 
-class TimedDistances:
-    """Overlaps and distances of one scene at other times."""
+class OneTimed:
+    """One query at a time, and how kernels are called."""
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
         self._spare = Spare(Scratch)
         self._entries: dict[tuple[Any, ...], Any] = {}
-
-    # ---- one query
 
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
@@ -100,195 +84,6 @@ class TimedDistances:
         hits = held.hits(found, order[:k])
         self._spare.give(scratch)
         return hits
-
-    # ---- batches
-
-    def touching(
-        self, rows: tuple[Any, ...], hulls: Hulls | None, at: Any, threads: int, wanted: int
-    ) -> Any:
-        """What is `wanted` of what n queries touch at times, as `overlaps.Overlaps.answer` has
-        it; `at` (s) is one for all or (n,).
-        """
-        columns, count, view = self._held.columns, number_of(rows), self._held.tree.view()
-        told = answers_for(count, wanted)
-        if threads == 1 and not columns.shadows:  # without what others take
-            scratch = self._spare.take()
-            known = self._known(scratch, view, at, hulls)
-            given = rows, (0, count, wanted, 0), known.room, scratch.found, told
-            done = self._call(view, touch_rows, known.then, given, None)
-            self._spare.give(scratch)
-            if done[0] == count:
-                columns.pairs_compared += done[3]
-                return as_wanted(told, [told[2][: done[2]]], wanted, False)
-        return self._touching(view, rows, hulls, at, threads, wanted, told)
-
-    def _touching(
-        self,
-        view: View,
-        rows: tuple[Any, ...],
-        hulls: Hulls | None,
-        at: Any,
-        threads: int,
-        wanted: int,
-        told: tuple[Any, ...],
-    ) -> Any:
-        """The same, in parts."""
-        columns, count = self._held.columns, number_of(rows)
-        shadows, parts = columns.shadows > 0, []
-
-        def work(start: int, stop: int) -> Any:
-            begin, total, room, answers, some = start, 0, FEW, told, []
-            scratch = self._spare.take()
-            while start < stop:
-                known = self._known(scratch, view, at, hulls)
-                if wanted == ALL:
-                    answers = *told[:2], np.empty(room, np.uint32), *told[3:]
-                given = rows, (start, stop, wanted, total), known.room, scratch.found, answers
-                done = self._call(view, touch_rows, known.then, given, None)
-                start, needed, written, compared = done
-                if needed == FAULTY:
-                    return None
-                if written:
-                    some.append(answers[2][:written])
-                columns.pairs_compared += compared
-                total, room = total + written, max(2 * room, needed)
-                scratch.have_room(needed)
-            self._spare.give(scratch)
-            return begin, stop, some
-
-        for done in in_threads(work, count, threads):
-            if done is None:
-                return None
-            begin, stop, some = done
-            if wanted == ALL and begin > 0:
-                told[1][begin + 1 : stop + 1] += told[1][begin]
-            parts += some
-        every = None
-        if shadows and wanted in (COUNTED, HITS):
-            every = self.touching(rows, hulls, at, threads, ALL)
-        return as_wanted(told, parts, wanted, shadows, every)
-
-    def nearest(
-        self, points: Points, k: int, signed: Signed, at: Any, threads: int
-    ) -> Nearest | None:
-        """The k obstacles nearest to n points at times, one in seconds for all or (n,); None if a
-        point is not finite.
-        """
-        count, tree = len(points.points), self._held.tree
-        told, view = no_rows(count, k), tree.view()
-        among = self._among(view, signed)
-        if threads == 1 and count < MANY:  # without what others take
-            scratch = self._spare.take()
-            now = self._known(scratch, view, at, None)
-            given = points, None, (0, count, k, *among), now.room, scratch.found, told
-            done, wanted, _ = self._call(view, near_rows, now.then, given, signed)
-            self._spare.give(scratch)
-            if done == count:
-                return told
-            if wanted == FAULTY:
-                return None
-        return told if self._nearest(view, points, (k, *among), at, threads, told) else None
-
-    def _nearest(
-        self,
-        view: View,
-        points: Points,
-        asked: tuple[int, bool, int, bool, Signed],
-        at: Any,
-        threads: int,
-        told: Nearest,
-    ) -> bool:
-        """The same, in parts; whether all points are finite."""
-        signed, count, tree = asked[-1], len(points.points), self._held.tree
-        near, known = self._in_packets(points, asked, at)
-        variant: Any = signed if known is None else (signed, Bounded)
-        if near is not None:
-            points = points._replace(order=near.order)
-
-        def work(start: int, stop: int) -> bool:
-            if near is not None and known is not None and tree.motion is not None:
-                tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
-            scratch = self._spare.take()
-            while start < stop:
-                now = self._known(scratch, view, at, None)
-                given = points, known, (start, stop, *asked), now.room, scratch.found, told
-                start, wanted, _ = self._call(view, near_rows, now.then, given, variant)
-                if wanted == FAULTY:
-                    return False
-                scratch.have_room(wanted)
-            self._spare.give(scratch)
-            return True
-
-        finite = all(in_threads(work, count, threads))
-        if known is not None:
-            tree.check_unchanged(view)
-        return finite
-
-    def _in_packets(
-        self, points: Points, asked: tuple[int, bool, int, bool, Signed], at: Any
-    ) -> tuple[Near, Bounded] | tuple[None, None]:
-        """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
-        asks for the rest itself, as where obstacles grow.
-        """
-        (k, some_more, everybody, *_), count = asked, len(points.points)
-        wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
-        dense = count >= MANY and are_dense(count, everybody)
-        if not dense or wanted > MOST or self._held.uncertainty:
-            return None, None
-        where, order = along_axes(points.points, ndim), points.order
-        if not len(order):
-            order = order_of(self._held.tree, where)
-        limits = np.maximum(points.reaches * ROUNDED, points.reaches)
-        times = np.array([at]) if type(at) is float else at
-        near = Near(where, limits, points.masks, times, wanted, order)
-        slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
-        return near, Bounded(slots, counts, np.empty(count))
-
-    def clearances(
-        self,
-        rows: tuple[Any, ...],
-        hulls: Hulls | None,
-        asked: tuple[Floats, int, Signed],
-        at: Any,
-        threads: int,
-    ) -> Neighbours | None:
-        """The obstacles nearest to n shapes at times, one in seconds for all or (n,); asked =
-        (reaches, the slot of the obstacle that is the only row, or NONE, whether distances have a
-        sign). None if a row that is `given` is not legal.
-        """
-        reaches, itself, signed = asked
-        count, view = number_of(rows), self._held.tree.view()
-        everybody = view.tree.state.item(COUNT)
-        told = room_for(count, NOT_ASKED if itself == NONE else np.empty(count, np.int64))
-        given = view, rows, hulls, (reaches, everybody, itself, signed), at, told
-        if threads == 1:
-            return told if self._clear(*given, 0, count) else None
-        return told if all(in_threads(partial(self._clear, *given), count, threads)) else None
-
-    def _clear(
-        self,
-        view: View,
-        rows: tuple[Any, ...],
-        hulls: Hulls | None,
-        asked: tuple[Floats, int, int, Signed],
-        at: Any,
-        told: Neighbours,
-        start: int,
-        stop: int,
-    ) -> bool:
-        """Fill in the rows [start, stop); whether all are legal."""
-        alike = asked[2] == NONE and not self._held.columns.shaped
-        scratch = self._spare.take()
-        while start < stop:
-            now = self._known(scratch, view, at, hulls)
-            question = start, stop, *asked, alike and not len(now.then.rest_slots)
-            given = rows, question, now.room, told
-            start, wanted = self._call(view, clear_rows, now.then, given, asked[3])
-            if wanted == FAULTY:
-                return False
-            scratch.have_room(wanted)
-        self._spare.give(scratch)
-        return True
 
     # ---- kernels
 
