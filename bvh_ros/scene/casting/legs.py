@@ -30,6 +30,8 @@ class Still(NamedTuple):
     """Bounds of a tree of where they come to rest."""
     root: Any
     slots: Any
+    first_end: Any
+    """When the first of them does, s."""
 
 
 @inlined
@@ -121,13 +123,16 @@ def _nearer(node_handles, slot, t, feature, other):
 
 @inlined
 def time_left(box, left, course):
-    """The t at which an obstacle comes to rest; negative if it has before, inf if it never does
-    meanwhile.
-    """
-    since = box[3] + left - course.at
-    if since < 0.0:
+    """`time_until` an obstacle comes to rest."""
+    return time_until(box[3] + left, course)
+
+
+@inlined
+def time_until(end, course):
+    """The t at which it is so late; negative if it was before, inf if it never is meanwhile."""
+    if end < course.at:
         return -1.0
-    return since / course.pace if course.pace > 0.0 else np.inf
+    return (end - course.at) / course.pace if course.pace > 0.0 else np.inf
 
 
 @inlined

@@ -33,7 +33,7 @@ from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, growths, most_growth, motions, rest
+from ..store.places import at_rest, growths, most_growth, motions, movers, rest
 from . import resting
 from .arguments import Hits, Rays, call, code_for, world_of
 from .first_moving import First, first_rows, first_swept
@@ -83,7 +83,7 @@ def still_by(held: Obstacles, last: float) -> Still | None:
         return None
     there = rest(held)
     root = there.tree.state.item(ROOT)
-    return Still(held.max_prediction, there.nodes, root, there.slots)
+    return Still(held.max_prediction, there.nodes, root, there.slots, movers(held).first_end)
 
 
 def first_then(

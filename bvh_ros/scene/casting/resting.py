@@ -15,7 +15,7 @@ from ...tree.motion.casting import Casts
 from ...tree.nodes import NONE, ROOT
 from ..geometry.shapes import Floats
 from ..store.obstacles import Obstacles
-from ..store.places import motions, rest, seen
+from ..store.places import motions, movers, rest, seen
 from ..store.registry import Slots
 from .arguments import Hits, Rays, call, new_scratch, world_of
 from .first_moving import First, each_then
@@ -77,7 +77,8 @@ def _of_pairs(
     rows, slots = (column[seen(held, pairs[1], rays.masks[pairs[0]])] for column in pairs)
     count, columns, tree = len(rows), held.columns, held.tree
     some, there = Rays(*(column[rows] for column in rays)), rest(held)
-    still = Still(held.max_prediction, there.nodes, there.tree.state.item(ROOT), there.slots)
+    root, first = there.tree.state.item(ROOT), movers(held).first_end
+    still = Still(held.max_prediction, there.nodes, root, there.slots, first)
     ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
     hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
     told = First(hits, np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))

@@ -21,8 +21,10 @@ from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ra
 from ...tree.wide.ray_stacks import STACK
 from .casting import no_hit
 from .frame import COORDINATES, FRAME_SLACK
-from .legs import look_at, look_at_standing
+from .legs import look_at, look_at_standing, time_until
 from .wide_sweeps import next_leaf, put_roots, widen
+
+SOONER, ROUNDING = 1.0 - 2.0**-40, 2.0**-44  # more than what is computed loses
 
 
 class Ways(NamedTuple):
@@ -66,7 +68,7 @@ def walk(world, tree, moving, still, ways, i, asked, tools, thin):
     """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
     at, pace, t_max, mask = thin.at, thin.pace, of_row(ways.t_max, i), of_row(ways.masks, i)
     nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
-    _set_way(fronts, moving, ways, i, reach_of(ways, i))
+    _set_way(fronts, moving, ways, i, reach_of(ways, i), 0.0)
     box, other = no_hit(), no_hit()
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
@@ -92,11 +94,16 @@ def walk_standing(world, tree, moving, still, ways, i, asked, tools, thin, found
     """The same, found = (box, other, whether that stood), among who has come to rest."""
     box, other, stood = found
     nodes, mask, more = still.nodes, of_row(ways.masks, i), reach_of(ways, i)
+    # Before the first of them nobody has come to rest: the way begins there.
+    begin = max(time_until(still.first_end, thin) * SOONER, 0.0)
+    passed = begin * (1.0 - ROUNDING)
+    limit = min(of_row(ways.t_max, i), box.t, other.t) - passed
     fronts = stack_array(FRONTS, np.float64)
-    _set_way(fronts, moving, ways, i, more)
+    _set_way(fronts, moving, ways, i, more, begin)
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = still.root, 0.0, (0 if still.root == NONE else 1)
-    limit = min(of_row(ways.t_max, i), box.t, other.t)
+    if not limit >= 0.0:
+        top = 0
     while top > 0:
         top -= 1
         if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
@@ -108,17 +115,20 @@ def walk_standing(world, tree, moving, still, ways, i, asked, tools, thin, found
         box, other, stood = look_at_standing(
             *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
         )
-        limit = min(limit, box.t, other.t)
+        limit = min(limit, box.t - passed, other.t - passed)
     return box, other, stood
 
 
 @inlined
-def _set_way(fronts, moving, ways, i, more):
-    """`set_fronts` of what goes along a way, by so much larger."""
+def _set_way(fronts, moving, ways, i, more, begin):
+    """`set_fronts` of what goes along a way from t = begin on, by so much larger."""
     corners, ndim = stack_array((2, 3), np.float64), ways.origins.shape[1]
     for axis in range(ndim):
-        corners[0, axis] = ways.origins[i, axis] - more
-        corners[1, axis] = ways.origins[i, axis] + more
+        origin, gone = ways.origins[i, axis], 0.0
+        if begin > 0.0:
+            gone = begin * ways.directions[i, axis]
+            more += ROUNDING * (abs(origin) + abs(gone))
+        corners[0, axis], corners[1, axis] = origin + gone - more, origin + gone + more
     set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
 
 
