@@ -14,7 +14,6 @@ from .casting.box_casting import segment
 from .geometry.shapes import Floats
 from .results import CastHits, SceneHit, require_few
 from .store.obstacles import EXACT, Obstacles, all_in_seconds, in_seconds
-from .store.places import at_rest
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
 if TYPE_CHECKING:
@@ -166,8 +165,8 @@ class Moments:
         self, rays: tuple[Any, ...], radii: Floats, skip: bool, at: Any, until: Any, to_goals: bool
     ) -> Any:
         """`first_of_many` with as little Python as can be, where all rays go at the same time in
-        a solid scene while nobody comes to rest; else None, as where at and until are not the most
-        common, or `moving_boxes.few_first` says so. No ball without an end may be asked for.
+        a solid scene; else None, as where at and until are not the most common, or
+        `moving_boxes.few_first` says so. No ball without an end may be asked for.
         """
         held, last, t_max = self._held, at if until is None else until, rays[2]
         tree: Any = held.tree
@@ -183,17 +182,17 @@ class Moments:
         start = begin / 1e9  # as `_way_of_time`
         pace = (end - begin) / 1e9
         when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
-        if held.max_prediction < math.inf and len(at_rest(held, stop)):
-            return None
-        shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
+        courses, still = self._courses or self._courses_then(), None
+        if held.max_prediction < math.inf:
+            still = courses.moving.still_by(held, stop)
+        shaped = still or held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
         sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))
         if sweep is None:
             sweep = tree._motion.ready_sweep(tree._storage.tree, len(rays[0]), start, stop)
             if sweep is None:
                 return None
-        courses = self._courses or self._courses_then()
         if shaped:
-            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
+            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals, still)
         return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
 
     def first_of_many(

@@ -141,6 +141,7 @@ def few_then(
     skip: bool,
     when: tuple[float, float],
     to_goals: bool,
+    still: Still | None,
 ) -> CastHits | None:
     """`first_then` in a solid scene through what is swept already, with as little Python as can
     be; else as `moving_boxes.few_first`.
@@ -156,8 +157,8 @@ def few_then(
     told = marks, ts, handles, points, normals
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
     shapes = columns.shapes
-    every = shapes, tree._storage.tree, sweep, None, ways, asked, tools, told, when, room
-    if code_for(first_swept, shapes, every)(*every) != 0:
+    every = shapes, tree._storage.tree, sweep, still, ways, asked, tools, told, when, room
+    if code_for(first_swept, shapes, every, still is not None)(*every) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 
