@@ -98,8 +98,9 @@ def is_running(pid):
 @pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, how):
-    world = start()
-    pid = int((tmp_path / 'compiles').read_text())
+    world, compiles = start(), tmp_path / 'compiles'
+    world.until(lambda: compiles.read_text() != '')  # it is there before anything stands in it
+    pid = int(compiles.read_text())
     assert is_running(pid)
     world.end(how)
     world.until(lambda: not is_running(pid))
