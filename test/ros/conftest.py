@@ -21,6 +21,7 @@ from ros import forking
 from ros.clouds import cloud
 
 START_TIMEOUT = 400.0  # seconds: the very first start compiles
+SETTLING = 1.0  # s: until a service has found who asks, too
 TIMEOUT = 60.0  # an answer takes milliseconds, where the machine has time
 END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
@@ -61,9 +62,12 @@ class World:
         from std_srvs.srv import Trigger
 
         if name not in self._clients:
+            others = kind is not None
             kind = kind or (GetPlan if isinstance(request, GetPlan.Request) else Trigger)
             self._clients[name] = self.node.create_client(kind, f'{self.name}/{name}')
             self.until(self._clients[name].service_is_ready, timeout)
+            if others:  # services that are not ours drop a reply to whom they have not found yet
+                time.sleep(SETTLING)
         future = self._clients[name].call_async(request)
         deadline = time.monotonic() + timeout
         while not future.done():
