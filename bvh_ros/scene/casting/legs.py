@@ -10,7 +10,7 @@ import numpy as np
 
 from ...tree.jit.compiling import inlined
 from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.meeting import box_of, is_before, meet
+from ...tree.motion.meeting import box_of, is_before, meet, moves
 from ...tree.motion.stopping import STOPPED, is_sooner, meet_going, meet_standing
 from ...tree.moving import LARGEST
 from ...tree.nodes import NONE
@@ -32,14 +32,6 @@ class Still(NamedTuple):
     slots: Any
     first_end: Any
     """When the first of them does, s."""
-
-
-@inlined
-def moves(box):
-    going = False
-    for axis in range(box[2].shape[0]):
-        going |= box[2][axis] != 0.0
-    return going
 
 
 @inlined

@@ -11,7 +11,6 @@ of its way: too early rather than too late.
 """
 
 import functools
-import math
 from functools import partial
 from typing import Any
 
@@ -25,7 +24,6 @@ from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.moving import LARGEST
-from ...tree.nodes import ROOT
 from ...tree.rays.ray_batches import rows_of
 from ...tree.rays.raycasting import EVERY
 from ...tree.rays.slab import INSIDE
@@ -33,7 +31,7 @@ from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, growths, most_growth, motions, movers, rest
+from ..store.places import at_rest, growths, most_growth, motions
 from . import resting
 from .arguments import Hits, Rays, call, code_for, world_of
 from .first_moving import First, first_rows, first_swept
@@ -79,11 +77,7 @@ _NO_ROOM = np.empty((0, 3))
 
 def still_by(held: Obstacles, last: float) -> Still | None:
     """Who comes to rest before a time, s, if anybody does."""
-    if math.isinf(held.max_prediction) or not len(at_rest(held, last)):
-        return None
-    there = rest(held)
-    root = there.tree.state.item(ROOT)
-    return Still(held.max_prediction, there.nodes, root, there.slots, movers(held).first_end)
+    return resting.still_of(held) if len(at_rest(held, last)) else None
 
 
 def first_then(

@@ -51,6 +51,13 @@ def met(
     return Met(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+def still_of(held: Obstacles) -> Still:
+    """Who ever does, for kernels."""
+    there = rest(held)
+    root, first = there.tree.state.item(ROOT), movers(held).first_end
+    return Still(held.max_prediction, there.nodes, root, there.slots, first)
+
+
 def comes_to_rest(held: Obstacles, slots: Slots, last: Floats) -> NDArray[np.bool_]:
     """Who of these obstacles does so before some times (m,), s. A ray that sees none of it end is
     the tree's own affair, whoever is asked about in the same batch.
@@ -76,9 +83,7 @@ def _of_pairs(
 ) -> Met:
     rows, slots = (column[seen(held, pairs[1], rays.masks[pairs[0]])] for column in pairs)
     count, columns, tree = len(rows), held.columns, held.tree
-    some, there = Rays(*(column[rows] for column in rays)), rest(held)
-    root, first = there.tree.state.item(ROOT), movers(held).first_end
-    still = Still(held.max_prediction, there.nodes, root, there.slots, first)
+    some, still = Rays(*(column[rows] for column in rays)), still_of(held)
     ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
     hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
     told = First(hits, np.empty(count, np.uint32), np.empty((count, 3)), np.empty((count, 3)))

@@ -15,7 +15,7 @@ from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
-from ...tree.motion.meeting import box_of
+from ...tree.motion.meeting import box_of, moves
 from ...tree.motion.overlapping import overlap_then, touches_then
 from ...tree.motion.sums import elapsed
 from ...tree.nodes import NONE, ROOT
@@ -62,12 +62,9 @@ class Room(NamedTuple):
 
 
 @inlined
-def rests(velocity, reference, at, left):
+def rests(box, at, left):
     """Whether an obstacle moved, and does no more at a time."""
-    moves = False
-    for axis in range(velocity.shape[0]):
-        moves |= velocity[axis] != 0.0
-    return moves and reference + left < at
+    return moves(box) and box[3] + left < at
 
 
 @inlined
@@ -87,16 +84,16 @@ def gone(velocity, since, left):
 @inlined
 def place(tree, moving, then, spare, slot, at):
     """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
-    _, _, velocity, reference = box_of(tree, moving, slot)
-    way, moves, shape = stack_array(3, np.float64), False, spare.shapes[0]
+    box = box_of(tree, moving, slot)
+    _, _, velocity, reference = box
+    way, shape = stack_array(3, np.float64), spare.shapes[0]
     since = elapsed(at, reference, moving.nanoseconds)
     spare.shapes[0] = then.bodies.shapes[slot]
     for axis in range(velocity.shape[0]):
         way[axis] = gone(velocity[axis], since, then.left)
         shape.position[axis] += way[axis]
-        moves |= velocity[axis] != 0.0
     place_footprint(then.bodies.footprints, spare.footprints, slot, way)
-    return then.growth * abs(since[0]) if moves else 0.0
+    return then.growth * abs(since[0]) if moves(box) else 0.0
 
 
 @inlined
@@ -121,7 +118,7 @@ def reach_then(tree, moving, then, asked, slots):
     count = np.int64(0)
     for i in range(total):
         box = box_of(tree, moving, slots[i])
-        if not rests(box[2], box[3], at, then.left):
+        if not rests(box, at, then.left):
             slots[count] = slots[i]
             count += 1
     total = overlap(then.rest, corners[0], corners[1], mask, slots, count)
@@ -131,9 +128,7 @@ def reach_then(tree, moving, then, asked, slots):
         slot = then.rest_slots[slots[i]]
         box = box_of(tree, moving, slot)
         low, high, end = corners[0, :ndim], corners[1, :ndim], box[3] + then.left
-        if rests(box[2], box[3], at, then.left) and touches_then(
-            *(box, low, high, end, moving.nanoseconds)
-        ):
+        if rests(box, at, then.left) and touches_then(*(box, low, high, end, moving.nanoseconds)):
             slots[count] = slot
             count += 1
     return count

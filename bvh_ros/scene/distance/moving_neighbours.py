@@ -58,7 +58,7 @@ def neighbours(tree, moving, then, near_by, room, known, row):
         count, total = total, np.int64(0)
         for i in range(count):
             box = box_of(tree, moving, slots[i])
-            if not rests(box[2], box[3], at, then.left):
+            if not rests(box, at, then.left):
                 slots[total] = slots[i]
                 total += 1
         handles, gaps = room.handles[:wanted], room.gaps[wanted : 2 * wanted]
@@ -68,7 +68,7 @@ def neighbours(tree, moving, then, near_by, room, known, row):
         for i in range(count):
             slot = then.rest_slots[handles[i]]
             box = box_of(tree, moving, slot)
-            if rests(box[2], box[3], at, then.left):
+            if rests(box, at, then.left):
                 slots[total] = slot
                 total += 1
     return more, last, total

@@ -62,6 +62,15 @@ def box_of(tree, moving, slot):
 
 
 @inlined
+def moves(box):
+    """Whether it has a velocity that is not zero."""
+    going = False
+    for axis in range(box[2].shape[0]):
+        going |= box[2][axis] != 0.0
+    return going
+
+
+@inlined
 def fetch_box(tree, moving, slot):
     """Ask for the memory of what `box_of` reads."""
     prefetch(tree.handles, slot, 1)
@@ -137,6 +146,18 @@ def _is_lower(face):
     return face & 1 == 0
 
 
+@inlined
+def side_of(box, course, face):
+    """What `_side` says of a face."""
+    return _side(box, course, face >> 1, _is_lower(face))
+
+
+@inlined
+def quotient_of(course, side):
+    """The t at which a side is met."""
+    return quotient(_gap(course, side), _rate(course, side))
+
+
 @lean_kernel
 def meet(box, course, t_max):
     """Exact decision of a course and a closed box that moves: (hit, t, face).
@@ -156,13 +177,13 @@ def meet(box, course, t_max):
             return False, np.inf, np.int64(INSIDE)
         distance = quotient(below if lower else above, speed)
         if entered != INSIDE:
-            other = _side(box, course, entered >> 1, _is_lower(entered))
+            other = side_of(box, course, entered)
             if _compare(course, distance, low if lower else high, t, other) <= 0:
                 continue
         t, entered = distance, np.int64(2 * axis + (0 if lower else 1))
     if entered == INSIDE:
         return True, 0.0, entered
-    near = _side(box, course, entered >> 1, _is_lower(entered))
+    near = side_of(box, course, entered)
     for axis in range(box[0].shape[0]):
         speed = _rate(course, _side(box, course, axis, True))
         if axis != entered >> 1 and speed[0] != 0.0:
@@ -175,24 +196,11 @@ def meet(box, course, t_max):
 
 
 @inlined
-def side_of(box, course, face):
-    """What `_side` says of a face."""
-    return _side(box, course, face >> 1, _is_lower(face))
-
-
-@inlined
-def quotient_of(course, side):
-    """The t at which a side is met."""
-    return quotient(_gap(course, side), _rate(course, side))
-
-
-@inlined
 def distance_of(box, course, face):
     """t of `meet`, which has told the face."""
     if face == INSIDE:
         return 0.0
-    side = _side(box, course, face >> 1, _is_lower(face))
-    return quotient(_gap(course, side), _rate(course, side))
+    return quotient_of(course, side_of(box, course, face))
 
 
 @lean_kernel
@@ -203,8 +211,7 @@ def is_before(tree, moving, course, hit, other):
     (slot, t, face), (other_slot, other_t, other_face) = hit, other
     order = np.int64(face != INSIDE) - np.int64(other_face != INSIDE)
     if face != INSIDE and other_face != INSIDE:
-        side = _side(box_of(tree, moving, slot), course, face >> 1, _is_lower(face))
-        other_box = box_of(tree, moving, other_slot)
-        other_side = _side(other_box, course, other_face >> 1, _is_lower(other_face))
+        side = side_of(box_of(tree, moving, slot), course, face)
+        other_side = side_of(box_of(tree, moving, other_slot), course, other_face)
         order = _compare(course, t, side, other_t, other_side)
     return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])

@@ -247,8 +247,10 @@ class Motion:
         """What the tree says of rays when others than its nodes, which have grown so much, are to
         be swept: where boxes have parted before the span, not only within it.
         """
+        if not grown > PARTED:
+            return np.inf
         told = self.kept['reference'][self.kept['owner'] >= 0]
-        if not grown > PARTED or abs(0.5 * (start + stop) - np.median(told)) <= stop - start:
+        if abs(0.5 * (start + stop) - np.median(told)) <= stop - start:
             return np.inf
         state = view.tree.state
         rays: float = LAYOUT_RAYS_PER_BOX * state.item(COUNT) / (grown - 1.0)
