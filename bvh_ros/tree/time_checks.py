@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import Floats, one, unless_refused
+from .checks import FLOAT64, Floats, one, only, unless_refused
 
 
 def moment(name: str, value: Any) -> float:
@@ -17,6 +17,22 @@ def moment(name: str, value: Any) -> float:
     if not math.isfinite(number):
         raise ValueError(f'{name} must be finite, not {number}')
     return number
+
+
+def times(name: str, value: Any, count: int) -> Floats:
+    """As `moments`, but not known to be finite, and the caller's memory where that is of the same
+    array type: for kernels that read it and see to that.
+    """
+    if type(value) is float:
+        return only(value)
+    if (
+        type(value) is np.ndarray
+        and value.dtype is FLOAT64
+        and value.shape == (count,)
+        and value.flags.carray
+    ):
+        return value
+    return moments(name, value, count)
 
 
 def moments(name: str, value: ArrayLike, count: int | None) -> Floats:

@@ -69,18 +69,22 @@ class BoxQueries(Timed):
         low = checks.rows('lo', lo, ndim)
         count = len(low)
         high, masks = checks.rows('hi', hi, ndim, count), checks.masks_or_one(mask, count)
-        threads, motion = checks.whole('threads', threads, 1), self._motion
-        if motion is not None or at is not NOW:
+        if type(threads) is not int or threads != 1:
+            threads = checks.whole('threads', threads, 1)
+        motion = self._motion
+        if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at, count=count)
         if motion is not None:
             found = motion.overlap_many(self, (low, high), masks, at, threads)
         else:
             queries = overlapping.Queries(low, high, masks)
             found = overlapping.overlap_many(self.view(), queries, threads)
-        if found is None:
+        if isinstance(found, tuple):
+            return found
+        if found == NOT_FINITE:
             box_checks.boxes(low, high, ndim)
             raise box_checks.were_changed()
-        return found
+        raise RuntimeError(IS_CHANGED)
 
     def overlap_pairs(self, mask: int = ALL) -> Ids:
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
@@ -229,10 +233,9 @@ class BoxQueries(Timed):
         where, k = checks.rows('points', points, ndim), checks.capacity('k', k)
         count = len(where)
         motion = self._motion
-        if motion is not None or at is not NOW:
+        if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at, count=count)
         if motion is not None:
-            checks.finite('points', where)
             return motion.nearest_many(self, where, k, (max_distance, mask), at)
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         asked = nearest.Points(where, k, reaches, checks.masks_or_one(mask, count))

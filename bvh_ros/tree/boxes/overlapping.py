@@ -25,6 +25,7 @@ Ids = NDArray[np.int64]
 Part: TypeAlias = tuple[int, int, Ids, int]
 FEW = 64  # handles that there is room for at first
 SORTED = 32  # of one query at most are put in order by the kernel
+FIRST = -1  # where queries start that are asked for the first time
 
 
 class Queries(NamedTuple):
@@ -102,10 +103,10 @@ def sort_few(handles):
 
 @inlined
 def fill_rows(tree, version, asked, start, stop, found, offsets, look):
-    """Handles of the boxes that the queries [start, stop) touch, asked = (queries, what else
-    `look` needs), one query after the other: those of query i end before found[offsets[i + 1]],
-    and ascend if they are no more than SORTED. look(tree, asked, i, found, count) writes slots as
-    `overlap` does.
+    """Handles of the boxes that the queries [start, stop) touch, start FIRST as 0, asked =
+    (queries, what else `look` needs), one query after the other: those of query i end before
+    found[offsets[i + 1]], and ascend if they are no more than SORTED. look(tree, asked, i, found,
+    count) writes slots as `overlap` does.
 
     Returns (queries done, room wanted, most handles of one): fewer queries than there are where
     there is no room for what the next one touches; NOT_FINITE if one is no box, REFUSED if the
@@ -113,8 +114,8 @@ def fill_rows(tree, version, asked, start, stop, found, offsets, look):
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED), np.int64(0), np.int64(0)
-    count, end, done, most = np.int64(0), np.int64(0), np.int64(start), np.int64(0)
-    if start == 0:
+    count, end, done, most = np.int64(0), np.int64(0), np.int64(max(start, 0)), np.int64(0)
+    if done == 0:
         offsets[0] = 0
     while done < stop:
         lo, hi = asked[0].lo[done], asked[0].hi[done]
@@ -156,24 +157,23 @@ rows_entry = entry_points(overlap_rows, 0, _QUERIES, 0, 0, _IDS, _IDS)
 
 def overlap_many(
     view: Any, queries: Any, threads: int, entry: Any = rows_entry
-) -> tuple[Ids, Ids] | None:
-    """(offsets, handles) of what all queries touch, those of each ascending; None if one is no
-    box, RuntimeError if the tree is changed meanwhile. `view` and `queries` are what the kernel of
-    `entry` takes.
+) -> tuple[Ids, Ids] | int:
+    """(offsets, handles) of what all queries touch, those of each ascending; why not, if that is
+    NOT_FINITE, as one is no box, or what the kernel of `entry` says to the first of them.
+    RuntimeError if the tree is changed meanwhile. `view` and `queries` are what the kernel takes.
     """
     count, ndim = queries.lo.shape
     offsets, ask = np.empty(count + 1, INT64), functools.partial(entry(ndim), *view, queries)
     found = np.empty(max(FEW, count), INT64)
-    done, end, most = ask(0, count if threads == 1 else 0, found, offsets)
+    done, end, most = ask(FIRST, count if threads == 1 else 0, found, offsets)
     if done == count:
         handles = found[:end]
-    elif done == NOT_FINITE:
-        return None
+    elif done < 0:
+        return int(done)
     else:
-        first = 0, accepted(done), found[: offsets.item(done)], most
-        parts = _in_parts(ask, offsets, threads, first)
+        parts = _in_parts(ask, offsets, threads, (0, done, found[: offsets.item(done)], most))
         if parts is None:
-            return None
+            return NOT_FINITE
         handles, most = parts
     if most > SORTED:
         for row in np.flatnonzero(np.diff(offsets) > SORTED).tolist():

@@ -29,7 +29,7 @@ from ..jit.intrinsics import CACHE_LINE, prefetch, stack_array
 from ..jit.moving_sides import HALF, enter_sides
 from ..nodes import ASKS, DEEPEST, NONE, ROOT, is_leaf, next_node
 from ..rays.slab import PAD, TINY
-from ..store.turns import REFUSED, begin_query, end_query
+from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .meeting import box_of
 
 WIDER = 2.0**-48
@@ -237,11 +237,17 @@ def moments_of(pace, count):
     return count if pace.shape[0] == 1 and pace[0] == 0.0 else 0
 
 
-@lean_kernel
-def may_ask(tree, moving, count, first, last):
-    """`begin_asking` between two times, and `end_query`."""
-    if not (moving.start <= first and last <= moving.stop):
-        return np.int64(OUTSIDE)
+@inlined
+def may_ask(tree, moving, at, count):
+    """`begin_asking` of so many rows, at times of their own or one for all, and `end_query`;
+    OUTSIDE, too, where bounds could be fitted to a time and do not hold, NOT_FINITE where one is
+    not.
+    """
+    for row in range(min(at.shape[0], count)):
+        if not math.isfinite(at[row]):
+            return np.int64(NOT_FINITE)
+        if covers(moving, at[row], 0.0, 0.0) == 0:
+            return np.int64(OUTSIDE)
     why = begin_asking(tree, moving, count)
     if why == 0:
         end_query(tree.state)

@@ -24,7 +24,6 @@ from .bounds import (
     OUTSIDE,
     Layout,
     fit_nodes,
-    may_ask,
     moving_dtype,
 )
 from .casting import no_motion
@@ -49,8 +48,12 @@ LONGER = 1.5
 # of batches ROWS take as long as one, see `bounds`. They hold until they have grown by so much.
 PARTED, ASKS_PER_BOX, LEAST_ASKS, SOON = 1.15, 0.135, 256, 0.5
 LEAST_SPAN = 2.0**-40  # of a time
-may_ask_entry = entry_points(may_ask, no_motion, 0, 0.0, 0.0)
 fit_entry = entry_points(fit_nodes, no_motion, layout_of_tree, np.empty(0, np.int64), np.empty(3))
+
+
+def rows_were_changed() -> ValueError:
+    """What is raised where a kernel was given other numbers than are there now."""
+    return ValueError('a row was changed while it was read')
 
 
 class Wanted(NamedTuple):
@@ -128,7 +131,7 @@ class Motion:
             if why >= 0:
                 return done
             if why == NOT_FINITE:
-                raise ValueError('a row was changed while it was read')
+                raise rows_were_changed()
             moving = self.others(tree, moving, why, spans()[0], moments)
 
     def others(
@@ -138,15 +141,6 @@ class Motion:
         if moving is self.bounds is not self.moving and why == OUTSIDE:
             return self.moving
         return self.fit(tree, *span, moments)
-
-    def fitted(self, tree: Any, count: int, span: tuple[float, float]) -> Moving:
-        """Bounds of the tree as it is that hold for so many moments between two."""
-        kernel, moving = may_ask_entry(tree.ndim), self.bounds
-        why = kernel(tree.view().tree, moving, count, *span)
-        while why != 0:
-            moving = self.others(tree, moving, why, span)
-            why = kernel(tree.view().tree, moving, count, *span)
-        return moving
 
     def fit(self, tree: Any, first: float, last: float, moments: bool = True) -> Moving:
         """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it

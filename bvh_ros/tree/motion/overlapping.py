@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..boxes.overlapping import fill_rows
+from ..boxes.overlapping import FIRST, fill_rows
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
 from ..jit.intrinsics import stack_array
@@ -16,7 +16,7 @@ from ..nodes import DEEPEST, NONE, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..rays.slab import RAY_ROWS, set_swept_box
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, set_fronts
 from .casting import is_sound, no_motion
 from .meeting import Course, box_of, meet
 from .sums import elapsed, surely_below
@@ -115,7 +115,13 @@ def _look(tree, asked, row, found, count):
 
 @lean_kernel
 def overlap_rows(tree, moving, queries, start, stop, found, offsets):
-    """`boxes.overlapping.fill_rows`; the bounds hold for all times for which they can."""
+    """`boxes.overlapping.fill_rows`. From FIRST on the questions are counted, and bounds hold for
+    all times for which they can: else OUTSIDE; NOT_FINITE where a time is not, either.
+    """
+    if start == FIRST:
+        why = may_ask(tree, moving, queries.at, queries.lo.shape[0])
+        if why != 0:
+            return why, np.int64(0), np.int64(0)
     asked = queries, moving
     return fill_rows(tree, moving.version, asked, start, stop, found, offsets, _look)
 

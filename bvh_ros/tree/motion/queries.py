@@ -11,13 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import box_checks, checks, time_checks
+from ..boxes.nearest_packets import LEAST as PACKETS
 from ..boxes.nearest_packets import are_dense
 from ..boxes.ordering import order_of
 from ..boxes.overlapping import overlap_many
-from ..nodes import COUNT
+from ..checks import INT64
+from ..nodes import ALL, COUNT
 from ..store.turns import NOT_FINITE
 from . import nearest, nearest_packets, overlapping
 from .bounds import LONGEST
+from .motion import rows_were_changed
 from .nearest import Near
 from .nearest_packets import Bounded
 from .ray_queries import MotionRays
@@ -84,30 +87,53 @@ class MotionQueries(MotionRays):
         masks: NDArray[np.uint32],
         at: Any,
         threads: int,
-    ) -> tuple[Ids, Ids] | None:
-        """What boxes touch at times: (offsets, handles); None if one is no box."""
-        count, view = len(boxes[0]), tree.view()
-        times = time_checks.moments('at', at, count)
-        moving = self.fitted(tree, count, times_of(times, STILL, STILL)[0])
-        queries = overlapping.QueriesThen(*boxes, masks, times)
-        arrays, entry = (view.tree, moving), overlapping.rows_entry
-        return overlap_many(arrays, queries, threads, entry)
+    ) -> tuple[Ids, Ids] | int:
+        """What boxes touch at times: (offsets, handles); NOT_FINITE if one is no box."""
+        count, moving = len(boxes[0]), self.bounds
+        times = time_checks.times('at', at, count)
+        # As QueriesThen(...), which would take one more call of a function of Python's.
+        queries = tuple.__new__(overlapping.QueriesThen, (*boxes, masks, times))
+        while True:
+            arrays = tree._settled().tree, moving
+            found = overlap_many(arrays, queries, threads, overlapping.rows_entry)
+            if isinstance(found, tuple):
+                return found
+            if found == NOT_FINITE:
+                time_checks.moments('at', at, count)
+                return found
+            span, _ = times_of(times, STILL, STILL)
+            moving = self.others(tree, moving, found, span)
 
     def nearest_many(
         self, tree: Any, points: Floats, k: int, asked: tuple[Any, Any], at: Any
     ) -> tuple[Ids, Floats]:
         """The nearest to points, asked = (max_distance, mask): (ids, distances)."""
-        count, boxes = len(points), tree.view().tree.state.item(COUNT)
-        limits = checks.limits_or_one('max_distance', asked[0], count)
-        masks, times = checks.masks_or_one(asked[1], count), time_checks.moments('at', at, count)
-        dense = are_dense(count, boxes) and bool((np.abs(times) < LONGEST).all())
-        kernel = (nearest_packets.entry if dense else nearest.rows_entry)(tree.ndim)
-        order = order_of(tree, points) if dense or count >= MANY_POINTS else NO_ORDER
-        rows = Near(points, limits, masks, times, k, order)
-        found, distances = np.empty((count, k), np.int64), np.empty((count, k))
-        spans = functools.partial(times_of, times, STILL, STILL)
-        self.ask(tree, spans, lambda *arrays: kernel(*arrays, rows, found, distances))
-        return found, distances
+        (reach, mask), count, moving = asked, len(points), self.bounds
+        limits, masks, dense, order = checks.FOREVER, checks.EVERYTHING, False, NO_ORDER
+        if count >= PACKETS or not (reach is np.inf and mask is ALL and type(at) is float):
+            checks.finite('points', points)  # else a kernel looks
+            limits = checks.limits_or_one('max_distance', reach, count)
+            masks = checks.masks_or_one(mask, count)
+            dense = are_dense(count, tree._settled().tree.state.item(COUNT))
+        times = time_checks.times('at', at, count)
+        if dense:
+            times = time_checks.moments('at', at, count)
+            dense = bool((np.abs(times) < LONGEST).all())
+        kernel = (nearest_packets.entry if dense else nearest.rows_entry)(tree._ndim)
+        if dense or count >= MANY_POINTS:
+            order = order_of(tree, points)
+        # As Near(...), which would take one more call of a function of Python's.
+        rows = tuple.__new__(Near, (points, limits, masks, times, k, order))
+        found, distances = np.empty((count, k), INT64), np.empty((count, k))
+        while True:
+            why = kernel(tree._settled().tree, moving, rows, found, distances)
+            if why >= 0:
+                return found, distances
+            if why == NOT_FINITE:
+                checks.finite('points', points)
+                time_checks.moments('at', at, count)
+                raise rows_were_changed()
+            moving = self.others(tree, moving, why, times_of(times, STILL, STILL)[0])
 
     def bound_many(self, tree: Any, rows: Near, bounded: Bounded) -> None:
         """Fill in the boxes whose bounds are nearest to the rows of `order`, see
