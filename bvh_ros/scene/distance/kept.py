@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...tree.checks import UINT32
 from ..geometry.footprint import FOOTPRINT
 from ..geometry.records import GEOMETRY
-from .moving import Room, Then
+from .moving import ROOM, Then
 from .nearness import NO_ORDER
-from .touching import Found
+from .touching import FOUND, Found, found_in
 from .touching_rows import COUNT, Near, Points
 from .touching_rows import room_for as answers_for
 
@@ -26,7 +27,8 @@ class Known(NamedTuple):
     until: float
     """From then on somebody rests."""
     then: Then
-    room: Room
+    memory: tuple[Any, Any]
+    """See `moving.room_in`."""
 
 
 class Scratch:
@@ -43,27 +45,24 @@ class Scratch:
 
     def make_room(self, count: int) -> None:
         """Have room for at least so many."""
-        rows = 2 * count
         self.known: Known | None = None
-        self.slots, self.handles = np.empty((2, rows), np.int64)
-        self.gaps = np.empty(rows)
-        self.found = Found(
-            *(np.empty(rows, np.int64), np.empty(rows), np.zeros((rows, 3)), np.zeros((rows, 3))),
-            *(np.empty(0, np.bool_), np.empty(0), np.empty(rows, np.int64)),
-        )
+        self.floats = np.zeros(ROOM * 2 * count)
         self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
+        self.found: Found = found_in.py_func(self.floats[: FOUND * 2 * count])
 
-    def room(self, then: Then) -> Room:
+    def memory(self, then: Then) -> tuple[Any, Any]:
         """What of it kernels write to as they look at what stands there then."""
         footprint = None if then.bodies.footprints is None else self.footprint
         spare = then.bodies._replace(shapes=self.shape, footprints=footprint)
-        return Room(self.slots, self.handles, self.gaps, spare)
+        return self.floats, spare
 
     def have_room(self, count: int) -> None:
         """`make_room` if there is less."""
-        if count > len(self.gaps):
+        if count > len(self.found.slots):
             self.make_room(count)
 
 
 def no_rows(count: int, k: int) -> Near:
-    return Near(np.empty((count, k), np.uint32), np.empty((count, k)), np.empty((count, k, 3)))
+    # As Near(...), which would take one more call of a function of Python's.
+    parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
+    return tuple.__new__(Near, parts)

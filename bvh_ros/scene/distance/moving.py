@@ -26,8 +26,10 @@ from ..store.places import WIDER
 from .narrow_phase import near
 from .query_rows import FAULTY, make_row
 from .query_shape import LARGEST, QueryShape, grow
-from .touching import look_at, order_found
+from .touching import FOUND, found_in, look_at, order_found
 from .touching_rows import ALL, ANY, tell_row
+
+ROOM = FOUND + 3  # floats of a row of `Room` and `Found`
 
 
 class Then(NamedTuple):
@@ -59,6 +61,20 @@ class Room(NamedTuple):
     gaps: Any
     spare: Any
     """`Bodies` with one shape: an obstacle where it stands."""
+
+
+@inlined
+def room_in(memory):
+    """(`Room`, `Found`) of memory = (one array, ROOM floats a box; what is `spare`), see
+    `touching.found_in`.
+    """
+    floats, spare = memory
+    rows = floats.shape[0] // ROOM
+    end = FOUND * rows
+    slots, handles = floats[end : end + rows], floats[end + rows : end + 2 * rows]
+    gaps = floats[end + 2 * rows : end + 3 * rows]
+    room = Room(slots.view(np.int64), handles.view(np.int64), gaps, spare)
+    return room, found_in(floats[:end])
 
 
 @inlined
@@ -135,13 +151,14 @@ def reach_then(tree, moving, then, asked, slots):
 
 
 @lean_kernel
-def touch_rows(tree, moving, then, queries, asked, room, found, answers):
+def touch_rows(tree, moving, then, queries, asked, memory, answers):
     """Answer the rows [start, stop) by plain `touching_rows.Answers`, asked = (start, stop, what
     is wanted, handles before these rows). Returns (rows done, room wanted, handles written, pairs
     compared): fewer rows than there are where there is no room for the next one, or where that is
-    not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead. `found`: what touches the
-    last row, if not ANY is wanted.
+    not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead. `memory` holds what
+    touches the last row, if not ANY is wanted, see `room_in`.
     """
+    room, found = room_in(memory)
     (row, stop, wanted, before), (records, _, tolerances, masks, _) = asked, queries
     why = begin_asking(tree, moving, stop - row)
     if why != 0:

@@ -21,7 +21,7 @@ from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
 from . import clearance
 from .closest import length
-from .moving import gone, most_growth, place, rests, swell
+from .moving import gone, most_growth, place, rests, room_in, swell
 from .query_rows import FAULTY, make_row
 from .sinking import sink_in_obstacle
 from .touching import ROUNDED, look_at, order_found
@@ -75,13 +75,13 @@ def neighbours(tree, moving, then, near_by, room, known, row):
 
 
 @lean_kernel
-def near_rows(tree, moving, then, points, known, asked, room, found, told):
+def near_rows(tree, moving, then, points, known, asked, memory, told):
     """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, whether some boxes more
     are likely to be wanted, how many there are, whether an obstacle may stand at two places,
     `touching_rows.Signed`). `known`: what packets found of all rows, `Bounded`, or None. Returns
     (rows done, room wanted) as `touch_rows`, and how many were found at last.
     """
-    done, stop, k, some_more, everybody, twice, signed = asked
+    (room, found), (done, stop, k, some_more, everybody, twice, signed) = room_in(memory), asked
     why = begin_asking(tree, moving, stop - done)
     if why != 0:
         return why, 0, np.int64(0)
@@ -131,13 +131,14 @@ def _lie(tree, moving, then, asked, signed, room, slots, found):
 
 
 @lean_kernel
-def clear_rows(tree, moving, then, queries, asked, room, told):
+def clear_rows(tree, moving, then, queries, asked, memory, told):
     """Fill in the rows [start, stop) of `told`, a `clearance.Neighbours`; asked = (start, stop,
     reaches, how many boxes there are, the slot of the obstacle that is the only row, or NONE,
     `touching_rows.Signed`, whether the nearest box is likely to be that of the nearest obstacle).
     Returns (rows done, room wanted) as `touch_rows`.
     """
     row, stop, reaches, everybody, itself, signed, alike = asked
+    room, _ = room_in(memory)
     why = begin_asking(tree, moving, stop - row)
     if why != 0:
         return why, 0

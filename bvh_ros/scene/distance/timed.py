@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...tree.jit.compiling import entry_point
-from ...tree.nodes import COUNT, View
+from ...tree.nodes import CHANGES, COUNT, Tree
 from ..geometry.shapes import Floats
 from ..results import SceneHit
 from ..store.mesh_store import Hulls
@@ -42,10 +42,10 @@ class OneTimed:
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
         asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
-            view, found = tree.view(), scratch.found
-            known = self._known(scratch, view, at, hulls)
-            given = asked, (0, 1, COUNTED, 0), known.room, found, scratch.answers
-            done, wanted, _, compared = self._call(view, touch_rows, known.then, given, None)
+            arrays, found = tree._settled().tree, scratch.found
+            known = self._known(scratch, arrays, at, hulls)
+            given = asked, (0, 1, COUNTED, 0), known.memory, scratch.answers
+            done, wanted, _, compared = self._call(arrays, touch_rows, known.then, given, None)
             if not done:
                 scratch.have_room(wanted)
         if compared:
@@ -68,11 +68,11 @@ class OneTimed:
         if scratch.told.handles.shape[1] != k:
             scratch.told = no_rows(1, k)
         while not done:
-            view, found = held.tree.view(), scratch.found
-            known = self._known(scratch, view, at, None)
-            asked = 0, 1, k, *self._among(view, signed)
-            given = scratch.points, None, asked, known.room, found, scratch.told
-            done, wanted, count = self._call(view, near_rows, known.then, given, signed)
+            arrays, found = held.tree._settled().tree, scratch.found
+            known = self._known(scratch, arrays, at, None)
+            asked = 0, 1, k, *self._among(arrays, signed)
+            given = scratch.points, None, asked, known.memory, scratch.told
+            done, wanted, count = self._call(arrays, near_rows, known.then, given, signed)
             if not done:
                 scratch.have_room(wanted)
         distances = found.distances[:count].tolist()
@@ -87,23 +87,24 @@ class OneTimed:
 
     # ---- kernels
 
-    def _among(self, view: View, signed: Signed) -> tuple[bool, int, bool, Signed]:
+    def _among(self, arrays: Tree, signed: Signed) -> tuple[bool, int, bool, Signed]:
         """What `near_rows` is told of all rows."""
-        columns = self._held.columns
+        held, columns = self._held, self._held.columns
         shaped, twice = columns.shaped > 0, columns.shadows > 0
-        some_more = shaped or twice or self._held.uncertainty > 0.0 or signed is not None
-        return some_more, view.tree.state.item(COUNT), twice, signed
+        some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
+        return some_more, arrays[4].item(COUNT), twice, signed
 
-    def _known(self, scratch: Scratch, view: View, at: Any, hulls: Hulls | None) -> Known:
+    def _known(self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None) -> Known:
         """What a kernel is told of times, and of one until the next one."""
         held, known, columns = self._held, scratch.known, self._held.columns
+        version = arrays[4].item(CHANGES)
         if type(at) is not float:
             then = self._then(at, hulls)
-            return Known(view.version, None, None, 0.0, then, scratch.room(then))
+            return Known(version, None, None, 0.0, then, scratch.memory(then))
         scratch.at[0] = at
         if (
             known is not None
-            and known.version == view.version
+            and known.version == version
             and at <= known.until
             and hulls is None
             and known.geometry is columns.geometry
@@ -112,7 +113,7 @@ class OneTimed:
             return known
         until = math.inf if math.isinf(held.max_prediction) else movers(held).first_end
         then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls)
-        known = Known(view.version, *ours, until, then, scratch.room(then))
+        known = Known(version, *ours, until, then, scratch.memory(then))
         scratch.known = known if hulls is None and at <= until else None
         return known
 
@@ -129,17 +130,19 @@ class OneTimed:
         still = resting.tree.view().tree, resting.slots
         return Then(*places, at, held.max_prediction, held.uncertainty, *ends, *still)
 
-    def _call(self, view: View, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any) -> Any:
+    def _call(
+        self, arrays: Tree, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any
+    ) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
         tree: Any = self._held.tree
-        variant, motion = (kernel, kind, then.bodies.hulls is not None), tree._motion
+        variant, motion = (kernel, kind, then[0].hulls is not None), tree._motion
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)
         if entry is None:
-            entry = entry_point(kernel, view.tree, motion.moving, then, *given)
+            entry = entry_point(kernel, arrays, motion.moving, then, *given)
             self._entries[variant] = entry
-        done = entry(view.tree, motion.bounds, then, *given)
+        done = entry(arrays, motion.bounds, then, *given)
         if done[0] >= 0:
             return done
         span = (then.at.min(), then.at.max()), True

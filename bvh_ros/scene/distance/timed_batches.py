@@ -11,7 +11,7 @@ from ...tree.boxes.nearest_packets import are_dense
 from ...tree.boxes.ordering import order_of
 from ...tree.motion.nearest import Near
 from ...tree.motion.nearest_packets import Bounded
-from ...tree.nodes import COUNT, NONE, View
+from ...tree.nodes import COUNT, NONE, Tree
 from ...tree.store.workers import in_threads
 from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
@@ -41,22 +41,26 @@ class TimedDistances(OneTimed):
         """What is `wanted` of what n queries touch at times, as `overlaps.Overlaps.answer` has
         it; `at` (s) is one for all or (n,).
         """
-        columns, count, view = self._held.columns, number_of(rows), self._held.tree.view()
+        held, count = self._held, number_of(rows)
+        columns, arrays = held.columns, held.tree._settled().tree
         told = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
             scratch = self._spare.take()
-            known = self._known(scratch, view, at, hulls)
-            given = rows, (0, count, wanted, 0), known.room, scratch.found, told
-            done = self._call(view, touch_rows, known.then, given, None)
+            known = self._known(scratch, arrays, at, hulls)
+            given = rows, (0, count, wanted, 0), known.memory, told
+            done, _, written, compared = self._call(arrays, touch_rows, known.then, given, None)
             self._spare.give(scratch)
-            if done[0] == count:
-                columns.pairs_compared += done[3]
-                return as_wanted(told, [told[2][: done[2]]], wanted, False)
-        return self._touching(view, rows, hulls, at, threads, wanted, told)
+            if done == count:
+                if compared:
+                    columns.pairs_compared += compared
+                if wanted != ALL and wanted != HITS:
+                    return told[wanted]
+                return as_wanted(told, [told[2][:written]], wanted, False)
+        return self._touching(arrays, rows, hulls, at, threads, wanted, told)
 
     def _touching(
         self,
-        view: View,
+        arrays: Tree,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
         at: Any,
@@ -72,11 +76,11 @@ class TimedDistances(OneTimed):
             begin, total, room, answers, some = start, 0, FEW, told, []
             scratch = self._spare.take()
             while start < stop:
-                known = self._known(scratch, view, at, hulls)
+                known = self._known(scratch, arrays, at, hulls)
                 if wanted == ALL:
                     answers = *told[:2], np.empty(room, np.uint32), *told[3:]
-                given = rows, (start, stop, wanted, total), known.room, scratch.found, answers
-                done = self._call(view, touch_rows, known.then, given, None)
+                given = rows, (start, stop, wanted, total), known.memory, answers
+                done = self._call(arrays, touch_rows, known.then, given, None)
                 start, needed, written, compared = done
                 if needed == FAULTY:
                     return None
@@ -106,24 +110,22 @@ class TimedDistances(OneTimed):
         """The k obstacles nearest to n points at times, one in seconds for all or (n,); None if a
         point is not finite.
         """
-        count, tree = len(points.points), self._held.tree
-        told, view = no_rows(count, k), tree.view()
-        among = self._among(view, signed)
+        count, arrays = len(points.points), self._held.tree._settled().tree
+        told, among = no_rows(count, k), self._among(arrays, signed)
         if threads == 1 and count < MANY:  # without what others take
             scratch = self._spare.take()
-            now = self._known(scratch, view, at, None)
-            given = points, None, (0, count, k, *among), now.room, scratch.found, told
-            done, wanted, _ = self._call(view, near_rows, now.then, given, signed)
+            now = self._known(scratch, arrays, at, None)
+            given = points, None, (0, count, k, *among), now.memory, told
+            done, wanted, _ = self._call(arrays, near_rows, now.then, given, signed)
             self._spare.give(scratch)
             if done == count:
                 return told
             if wanted == FAULTY:
                 return None
-        return told if self._nearest(view, points, (k, *among), at, threads, told) else None
+        return told if self._nearest(points, (k, *among), at, threads, told) else None
 
     def _nearest(
         self,
-        view: View,
         points: Points,
         asked: tuple[int, bool, int, bool, Signed],
         at: Any,
@@ -132,6 +134,7 @@ class TimedDistances(OneTimed):
     ) -> bool:
         """The same, in parts; whether all points are finite."""
         signed, count, tree = asked[-1], len(points.points), self._held.tree
+        view = tree.view()
         near, known = self._in_packets(points, asked, at)
         variant: Any = signed if known is None else (signed, Bounded)
         if near is not None:
@@ -142,9 +145,9 @@ class TimedDistances(OneTimed):
                 tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
             scratch = self._spare.take()
             while start < stop:
-                now = self._known(scratch, view, at, None)
-                given = points, known, (start, stop, *asked), now.room, scratch.found, told
-                start, wanted, _ = self._call(view, near_rows, now.then, given, variant)
+                now = self._known(scratch, view.tree, at, None)
+                given = points, known, (start, stop, *asked), now.memory, told
+                start, wanted, _ = self._call(view.tree, near_rows, now.then, given, variant)
                 if wanted == FAULTY:
                     return False
                 scratch.have_room(wanted)
@@ -189,17 +192,17 @@ class TimedDistances(OneTimed):
         sign). None if a row that is `given` is not legal.
         """
         reaches, itself, signed = asked
-        count, view = number_of(rows), self._held.tree.view()
-        everybody = view.tree.state.item(COUNT)
+        count, arrays = number_of(rows), self._held.tree._settled().tree
+        everybody = arrays[4].item(COUNT)
         told = room_for(count, NOT_ASKED if itself == NONE else np.empty(count, np.int64))
-        given = view, rows, hulls, (reaches, everybody, itself, signed), at, told
+        given = arrays, rows, hulls, (reaches, everybody, itself, signed), at, told
         if threads == 1:
             return told if self._clear(*given, 0, count) else None
         return told if all(in_threads(partial(self._clear, *given), count, threads)) else None
 
     def _clear(
         self,
-        view: View,
+        arrays: Tree,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
         asked: tuple[Floats, int, int, Signed],
@@ -212,10 +215,10 @@ class TimedDistances(OneTimed):
         alike = asked[2] == NONE and not self._held.columns.shaped
         scratch = self._spare.take()
         while start < stop:
-            now = self._known(scratch, view, at, hulls)
+            now = self._known(scratch, arrays, at, hulls)
             question = start, stop, *asked, alike and not len(now.then.rest_slots)
-            given = rows, question, now.room, told
-            start, wanted = self._call(view, clear_rows, now.then, given, asked[3])
+            given = rows, question, now.memory, told
+            start, wanted = self._call(arrays, clear_rows, now.then, given, asked[3])
             if wanted == FAULTY:
                 return False
             scratch.have_room(wanted)
