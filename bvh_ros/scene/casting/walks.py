@@ -13,11 +13,12 @@ from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.jit.moving_sides import FRONTS
 from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import descend
+from ...tree.motion.starting import start_seen
 from ...tree.motion.wide_casting import may_meet
 from ...tree.nodes import DEEPEST, NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import PAD, TINY
-from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32
 from ...tree.wide.ray_stacks import STACK
 from .casting import no_hit
 from .frame import COORDINATES, FRAME_SLACK
@@ -140,11 +141,11 @@ def walk_wide(world, tree, moving, still, sweep, ways, i, asked, tools, thin):
     records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
     box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
-    suited = start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max)
+    suited = start_seen(record, snapshot, leaves, ways, i)
     if not (suited and reach < FARTHEST_ORIGIN):
         return False, box, other
     widen(record, reach)
-    limits[0], octant = record.limit, octant_of(direction)
+    limits[0], octant = record.limit, np.int64(record.octant)
     limit, mask = t_max, of_row(ways.masks, i)
     top = put_roots(snapshot, stack)
     while top > 0:

@@ -33,6 +33,21 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
     return numbers
 
 
+def _seen_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> Any:
+    """The numbers of an array, or of (an array, a tuple, so many times which it loses)."""
+    if isinstance(kind, types.Array):
+        return _row(context, builder, kind, given, ndim)
+    start, way, times = (builder.extract_value(given, place) for place in range(3))
+    numbers = ir.Constant(_VECTOR, [0.0] * FOUR)
+    for axis in range(ndim):
+        number = builder.extract_value(way, axis)
+        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
+    lost = builder.fmul(numbers, splat(builder, times, FOUR))
+    # -0.0 becomes 0.0, or a -0.0 that loses nothing would lose its sign.
+    lost = builder.fadd(lost, ir.Constant(_VECTOR, [0.0] * FOUR))
+    return builder.fsub(_row(context, builder, kind[0], start, ndim), lost)
+
+
 def _any(builder: Any, truths: Any) -> Any:
     bits = builder.bitcast(truths, ir.IntType(FOUR))
     return builder.icmp_unsigned('!=', bits, ir.Constant(bits.type, 0))
@@ -60,7 +75,8 @@ def _largest(builder: Any, numbers: Any) -> Any:
 def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
     """Write how a ray meets planes, `slope`, `near_shift`, `far_shift` and `octant` of a record as
     of `filtering.ray_dtype`; what lies in the four bytes behind the first three is lost. Returns
-    the largest component of the direction, and whether the ray is within `bounds`.
+    the largest component of the direction, and whether the ray is within `bounds`. Origin and
+    direction are arrays, or each (an array, a tuple, so many times which it loses).
 
     `bounds`, float64: how far an origin may be, least and largest component that is not zero; how
     large an inverse becomes, and the pad.
@@ -70,7 +86,8 @@ def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def row(argument: int) -> Any:
-            return _row(context, builder, signature.args[argument], args[argument], ndim)
+            kind = signature.args[argument]
+            return _seen_row(context, builder, kind, args[argument], ndim)
 
         def store(name: str, numbers: Any) -> None:
             place = builder.gep(record, [index(ray.offset(name))])

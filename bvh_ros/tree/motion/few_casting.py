@@ -16,11 +16,11 @@ from ..rays.raycasting import CLOSEST
 from ..rays.slab import EXACT, RAY_ROWS, set_ray
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from ..wide.few_rays import cast_one
-from ..wide.filtering import start_ray
 from ..wide.ray_piles import write_miss
 from ..wide.ray_stacks import ABREAST, STACK
 from ..wide.raycasting import MIXED
 from .asked_then import AS_ARRAYS, MovingRays
+from .starting import start_seen
 from .sweeping import no_sweep
 from .wide_casting import UNSUITED, is_better, write_hit
 
@@ -60,15 +60,14 @@ def _cast_all(snapshot, tree, rays, hits):
     records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
     places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
     nearest = stack_array((ABREAST, WIDTH), np.int32)
-    count, center = rays.origins.shape[0], snapshot.center
-    row, exact, unsuited = np.int64(0), np.int64(0), np.int64(0)
+    count, row = rays.origins.shape[0], np.int64(0)
+    exact, unsuited = np.int64(0), np.int64(0)
     while row < count:
         alive = np.int64(0)
         while row < count and alive < ABREAST:
-            origin, direction, t_max = rays.origins[row], rays.directions[row], rays.t_max[0]
             rows[alive], places[alive] = row, alive
             write_miss(rays, row, hits)
-            if start_ray(records[alive], origin, direction, center, snapshot.per_length, t_max):
+            if start_seen(records[alive], snapshot, rays.leaves, rays, row):
                 alive += 1
             else:
                 hits.ids[row] = UNSUITED

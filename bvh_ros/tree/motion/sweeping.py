@@ -6,6 +6,10 @@ Nodes and children are those of the snapshot of boxes at rest; the planes of eac
 from the start of the span to its stop, those of an inner node its children. It only prunes, so it
 serves every ray whose times lie within the span; the shorter that is, the better.
 
+Where boxes go together, places are those that somebody sees who goes with them, at their mean
+velocity, the drift: where he is at the start of the span nodes stay as small as at rest, and it is
+rays that go further, see `starting`.
+
 Most leaves that a ray meets so are elsewhere when it is there. To tell that, a record of each
 holds what a rounded test needs, in one cache line: bounds at the start, a velocity as a float32,
 with which they hold over the span, and how loose they are.
@@ -39,12 +43,11 @@ from .casting import no_motion
 from .meeting import Moving, box_of
 
 USELESS = -2  # why there is no such snapshot
-# Boxes swept for so long that a line across the scene would meet so many of them, and so many
-# times as many as if the scene went along with them, are left to the binary tree, whose bounds
-# move. Where boxes go together, a ray through these takes 1 us, as through so many swept boxes;
-# where each of 10,000 goes its way, 5 to 1,000 m, its nodes grow, too: 2 to 130 us, through what
-# is swept 0.2 to 25 us.
-MOST_MET, MOST_TIMES = 80.0, 4.0
+# Boxes go together if on the average what they sweep is so many times what they sweep as who goes
+# along with them sees it.
+TOGETHER = 1.5
+# No snapshot sees boxes go along for more than so many of its units: then rays begin too far away.
+FARTHEST_DRIFT = 2.0**9
 MARGIN, FASTEST = 2.0**-38, 1e30
 WIDER_32, LEAST_32 = 2.0**-22, np.float32(1e-37)
 
@@ -69,7 +72,9 @@ class Leaves(NamedTuple):
     records: NDArray[Any]
     """Of `leaf_dtype`."""
     start: float
-    """When boxes are where they say, s."""
+    """When boxes are where they say, s; then planes of the snapshot are where they are, too."""
+    drift: tuple[float, ...]
+    """Velocity at which these go on, a number an axis."""
 
 
 class Sweep(NamedTuple):
@@ -88,26 +93,31 @@ class Sweep(NamedTuple):
 
 def no_sweep(ndim: int) -> Sweep:
     """To tell a compiler the types."""
-    leaves = Leaves(np.empty(0, leaf_dtype(ndim)), 0.0)
+    leaves = Leaves(np.empty(0, leaf_dtype(ndim)), 0.0, (0.0,) * ndim)
     return Sweep(no_snapshot(ndim), no_motion(ndim), leaves)
 
 
 @inlined
-def _swept_side(box, axis, moving):
-    """The bounds of a box on an axis over the span, surely not too narrow."""
-    first, last, more = _ways(box, axis, moving)
+def _swept_side(box, axis, moving, drift):
+    """The bounds of a box on an axis over the span, surely not too narrow, as who drifts sees
+    it.
+    """
+    first, last, more = _ways(box, axis, moving, drift[axis])
     lo, hi = box[0][axis], box[1][axis]
     return lo + min(first, last) - more, hi + max(first, last) + more
 
 
 @inlined
-def _ways(box, axis, moving):
-    """How far a box has gone at the start and at the stop, and how wrong its place may be then."""
+def _ways(box, axis, moving, drift):
+    """How far a box has gone at the start and at the stop, where who goes at `drift` from the
+    start on sees it, and how wrong its place may be then.
+    """
     lo, hi, velocity, reference = box
     speed = velocity[axis]
     first, last = speed * (moving.start - reference), speed * (moving.stop - reference)
-    extent = abs(lo[axis]) + abs(hi[axis])
-    extent += abs(speed) * (abs(moving.start) + abs(moving.stop) + abs(reference))
+    last -= drift * (moving.stop - moving.start)
+    extent, times = abs(lo[axis]) + abs(hi[axis]), abs(moving.start) + abs(moving.stop)
+    extent += abs(speed) * (times + abs(reference)) + abs(drift) * times
     return first, last, extent * WIDER + LEAST
 
 
@@ -117,11 +127,10 @@ def _set_leaf(leaf, box, axis, moving, per_length):
 
     It is wider by MARGIN of the scene. That is more than all that `wide_casting.quick_decision`
     loses: with its origin within 2**10 scenes and within the span, a ray goes no further than that
-    along an axis, relative to a box.
+    along an axis, relative to a box, nor does that go further than FARTHEST_DRIFT and a scene.
     """
-    first, last, more = _ways(box, axis, moving)
     speed = np.float32(box[2][axis] if abs(box[2][axis]) < FASTEST else 0.0)
-    last -= np.float64(speed) * (moving.stop - moving.start)
+    first, last, more = _ways(box, axis, moving, np.float64(speed))
     margin = MARGIN / per_length
     more += margin
     leaf.velocity[axis] = speed
@@ -148,23 +157,29 @@ def _half_area(sides):
 
 
 @inlined
-def _set_frame(tree, moving, snapshot, frame, mean):
-    """Write the centre of all that is swept, and units in which it lies within [-1, 1], and the
-    mean velocity; return the half area, -1 if there are no such units, as in
-    `wide.snapshot.take_snapshot`.
+def _set_frame(tree, moving, snapshot, frame, drift, mean):
+    """Write the centre of all that is swept, as who drifts sees it, units in which it lies within
+    [-1, 1], and the mean velocity; return (whether there are such units, as in
+    `wide.snapshot.take_snapshot`, whether boxes go together).
     """
     ndim, half, farthest, count = frame.shape[0] - 1, 0.0, 0.0, 0
-    mean[:] = 0.0
+    length = moving.stop - moving.start
     low, high = stack_array(3, np.float64), stack_array(3, np.float64)
-    low[:], high[:] = np.inf, -np.inf
+    low[:], high[:], mean[:] = np.inf, -np.inf, 0.0
+    # What a box sweeps on the average, and as who goes at the mean velocity sees it.
+    swept, apart = stack_array(3, np.float64), stack_array(3, np.float64)
+    swept[:] = apart[:] = 0.0
     for lane in range((snapshot.size + snapshot.loose) * WIDTH):
         slot = _leaf_of(tree, snapshot, lane)
         if slot >= 0:
             box = box_of(tree, moving, slot)
             count += 1
             for axis in range(ndim):
-                lo, hi = _swept_side(box, axis, moving)
-                mean[axis] += (box[2][axis] - mean[axis]) / count
+                lo, hi = _swept_side(box, axis, moving, drift)
+                side, speed = box[1][axis] - box[0][axis], box[2][axis]
+                mean[axis] += (speed - mean[axis]) / count
+                swept[axis] += side + abs(speed) * length
+                apart[axis] += side + abs(speed - mean[axis]) * length
                 # Written such that what is not a number makes the scene too large.
                 low[axis] = low[axis] if low[axis] <= lo else lo
                 high[axis] = high[axis] if high[axis] >= hi else hi
@@ -174,29 +189,35 @@ def _set_frame(tree, moving, snapshot, frame, mean):
         far = max(abs(low[axis]), abs(high[axis]))
         farthest = farthest if farthest >= far else far
     if not (SMALLEST_SCENE < half < LARGEST_SCENE and farthest < LARGEST_SCENE):
-        return -1.0
+        return False, False
     frame[ndim] = math.ldexp(1.0, -math.frexp(half)[1])
-    for axis in range(ndim):
-        high[axis] = (high[axis] - low[axis]) * frame[ndim]
-    return _half_area(high[:ndim])
+    return True, TOGETHER * _half_area(apart[:ndim]) < _half_area(swept[:ndim])
 
 
 @inlined
-def _sweep_leaf(box, lane, moving, frame, mean, planes, leaf, sides):
-    """Write the planes and the record of a leaf; its half area swept as who goes at `mean` sees
-    it, and as it is.
+def _choose_frame(tree, moving, snapshot, frame, drift):
+    """`_set_frame` and the drift: none, or the mean velocity if boxes go together. Returns whether
+    a snapshot can be made so.
     """
-    ndim, length = frame.shape[0] - 1, moving.stop - moving.start
+    mean, farthest, drift[:] = stack_array(3, np.float64), 0.0, 0.0
+    for _ in range(2):
+        fits, together = _set_frame(tree, moving, snapshot, frame, drift, mean)
+        if not (fits and together):
+            break
+        for axis in range(drift.shape[0]):
+            drift[axis], farthest = mean[axis], max(farthest, abs(mean[axis]))
+    way = farthest * (moving.stop - moving.start) * frame[drift.shape[0]]
+    return fits and way <= FARTHEST_DRIFT
+
+
+@inlined
+def _sweep_leaf(box, lane, moving, frame, drift, planes, leaf):
+    """Write the planes and the record of a leaf."""
+    ndim, leaf.loose = frame.shape[0] - 1, np.float32(0.0)
     for axis in range(ndim):
-        way = abs(box[2][axis] - mean[axis]) * length
-        sides[axis] = (box[1][axis] - box[0][axis] + way) * frame[ndim]
-    apart, leaf.loose = _half_area(sides[:ndim]), np.float32(0.0)
-    for axis in range(ndim):
-        lo, hi = _swept_side(box, axis, moving)
-        sides[axis] = (hi - lo) * frame[ndim]
+        lo, hi = _swept_side(box, axis, moving, drift)
         _set_leaf(leaf, box, axis, moving, frame[ndim])
         write_planes(planes, lane, axis, ndim, outwards(lo, hi, frame[axis], frame[ndim]))
-    return apart, _half_area(sides[:ndim])
 
 
 @inlined
@@ -222,25 +243,23 @@ def _unite_child(planes, lane, child, ndim):
 
 
 @lean_kernel
-def sweep(tree, moving, snapshot, planes, leaves, frame, areas):
-    """Fill `planes`, as those of a snapshot of the tree at rest, and `leaves` for the span of
-    `moving`, and `frame`, (ndim + 1,): its centre, and its units per length; `areas`, (2,): the
-    half area of all wide nodes in the snapshot, and now. Returns 0; USELESS if it would be;
-    REFUSED if the tree is of another version than `moving`.
+def sweep(tree, moving, snapshot, planes, leaves, drift, frame, areas):
+    """Fill `planes`, as those of a snapshot of the tree at rest, `leaves` for the span of
+    `moving`, and `drift`, as of `Leaves`; `frame`, (ndim + 1,): its centre, and its units per
+    length; `areas`, (2,): the half area of all wide nodes in the snapshot, and now. Returns 0;
+    USELESS if it would be; REFUSED if the tree is of another version than `moving`.
     """
     if not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
-    ndim, sides = frame.shape[0] - 1, stack_array(3, np.float64)
-    mean, areas[:] = stack_array(3, np.float64), 0.0
-    apart, swept, whole = 0.0, 0.0, _set_frame(tree, moving, snapshot, frame, mean)
-    if whole >= 0.0:
+    ndim, areas[:] = drift.shape[0], 0.0
+    useful = _choose_frame(tree, moving, snapshot, frame, drift)
+    if useful:
         # From the last to the first: children have greater numbers than their parents.
         for lane in range((snapshot.size + snapshot.loose) * WIDTH - 1, -1, -1):
             slot, child = _leaf_of(tree, snapshot, lane), np.int64(snapshot.children[lane])
             if slot >= 0:
                 box = box_of(tree, moving, slot)
-                parts = _sweep_leaf(box, lane, moving, frame, mean, planes, leaves[slot], sides)
-                apart, swept = apart + parts[0], swept + parts[1]
+                _sweep_leaf(box, lane, moving, frame, drift, planes, leaves[slot])
             elif child >= 0:
                 _unite_child(planes, lane, child, ndim)
                 areas[0] += _lane_area(snapshot.planes, lane, ndim, snapshot.per_length)
@@ -250,14 +269,13 @@ def sweep(tree, moving, snapshot, planes, leaves, frame, areas):
                     empty = np.float32(np.inf), np.float32(-np.inf)
                     write_planes(planes, lane, axis, ndim, empty)
     end_query(tree.state)
-    few = whole >= 0.0 and swept <= max(MOST_MET * whole, MOST_TIMES * apart)
-    return np.int64(0 if few else USELESS)
+    return np.int64(0 if useful else USELESS)
 
 
 _PLANES, _NUMBERS = np.empty(0, np.float32), np.empty(0)
 _entry = entry_points(
     *(sweep, no_motion, no_snapshot, _PLANES),
-    *(lambda ndim: np.empty(0, leaf_dtype(ndim)), _NUMBERS, _NUMBERS),
+    *(lambda ndim: np.empty(0, leaf_dtype(ndim)), _NUMBERS, _NUMBERS, _NUMBERS),
 )
 
 
@@ -268,8 +286,8 @@ def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> tuple[Sweep | None,
     """
     ndim = len(snapshot.center)
     planes, frame, areas = on_cache_lines(len(snapshot.planes)), np.empty(ndim + 1), np.empty(2)
-    leaves = aligned_empty(len(tree.handles), leaf_dtype(ndim))
-    done = _entry(ndim)(tree, moving, snapshot, planes, leaves, frame, areas)
+    records, drift = aligned_empty(len(tree.handles), leaf_dtype(ndim)), np.empty(ndim)
+    done = _entry(ndim)(tree, moving, snapshot, planes, records, drift, frame, areas)
     if done == USELESS:
         return None, 1.0
     accepted(done)
@@ -278,4 +296,5 @@ def swept(tree: Tree, moving: Moving, snapshot: Snapshot) -> tuple[Sweep | None,
         return None, 1.0
     snapshot = snapshot._replace(planes=planes, center=center, per_length=per_length)
     grown = areas.item(1) / areas.item(0) if areas.item(0) > 0.0 else 1.0
-    return Sweep(snapshot, moving, Leaves(leaves, moving.start)), grown
+    leaves = Leaves(records, moving.start, tuple(drift.tolist()))
+    return Sweep(snapshot, moving, leaves), grown

@@ -30,11 +30,11 @@ from ..wide.ray_streams import (
     TALLY,
     make_scratch,
     scratch_for,
-    sort_by_octant,
 )
-from ..wide.raycasting import MIXED, start_group, traverse, visit_leaf
+from ..wide.raycasting import MIXED, traverse, visit_leaf
 from .asked_then import NO_RAYS, MovingRays, RaysThen
 from .meeting import Course, box_of, distance_of, fetch_box, is_before, meet
+from .starting import sort_by_octant, start_group
 from .sweeping import Sweep, no_sweep
 
 # Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
@@ -171,7 +171,7 @@ def cast_rows(tree, sweep, asked, scratch, hits):
             for row in range(count):
                 batch[row] = row
         else:
-            sort_by_octant(rays.directions, first, scratch.octants, batch, ends)
+            sort_by_octant(rays, first, scratch.octants, batch, ends)
         for octant in range(OCTANTS):
             while begin < ends[octant]:
                 rows = batch[begin : min(ends[octant], begin + RAYS_AT_ONCE)]

@@ -61,8 +61,8 @@ def limit32(t, unit):
 
 @inlined
 def start_ray(ray, origin, direction, center, per_length, t_max):
-    """Fill a record; return whether the ray is suited. What is not finite is not: NaN is in no
-    range.
+    """Fill a record; return whether the ray is suited, origin and direction as of `set_slopes`.
+    What is not finite is not: NaN is in no range.
     """
     largest, suited = set_slopes(ray, origin, direction, center, per_length, _BOUNDS)
     unit = largest * per_length

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit.compiling import inlined, lean_kernel
+from ..jit.compiling import inlined
 from ..jit.int32x8 import AT_ONCE
 from ..jit.intrinsics import WIDTH, trailing_zeros
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
-from .filtering import octant_of, ray_dtype
+from .filtering import ray_dtype
 from .snapshot import LOOSE_NODES
 
 # How many rays go together at most.
@@ -49,7 +49,7 @@ class Scratch(NamedTuple):
     ray: NDArray[np.float64]
     """One ray, as of `slab`."""
     octants: NDArray[np.uint8]
-    """Of rays that are sorted, see `sort_by_octant`."""
+    """Of rays that are sorted, see `motion.starting`."""
     rows: NDArray[np.int64]
     """Of rays, octant by octant."""
     records: NDArray[Any]
@@ -97,23 +97,6 @@ def scratch_for(count: int, ndim: int, depth: int) -> Scratch:
     if scratch is None or len(scratch.stack) < WIDTH * depth + LOOSE_NODES:
         scratch = _kept.rooms[ndim] = make_scratch(KEPT_RAYS, ndim, depth)
     return scratch
-
-
-@lean_kernel
-def sort_by_octant(directions, start, octants, rows, ends):
-    """Fill `rows` with the numbers from `start` on, octant by octant; those of octant k end before
-    ends[k]. `octants` is scratch.
-    """
-    ends[:] = 0
-    for i in range(rows.shape[0]):
-        octants[i] = octant_of(directions[start + i])
-        ends[octants[i]] += 1
-    before = 0
-    for octant in range(ends.shape[0]):
-        before, ends[octant] = before + ends[octant], before
-    for i in range(rows.shape[0]):
-        rows[ends[octants[i]]] = start + i
-        ends[octants[i]] += 1
 
 
 @inlined

@@ -26,7 +26,7 @@ from ..rays.slab import (
 )
 from ..store.turns import REFUSED, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
-from .filtering import NOWHERE, limit32, start_ray
+from .filtering import NOWHERE, limit32
 from .ray_piles import pile_size, start_rays
 from .ray_streams import (
     BAD,
@@ -97,27 +97,6 @@ def cast_pile(snapshot, tree, group, rays, scratch, tally, hits):
         hit = np.int64(best.slot), best.best_t, np.int64(best.axis)
         exact = write_hit(tree, scratch.ray, rays, row, hit, hits)
         tally[DECIDED_EXACTLY] += exact and not best.exact
-
-
-@inlined
-def start_group(snapshot, rays, rows, scratch):
-    """Fill the records of the rays of `rows` and list them, those that are suited first; return
-    how many are.
-    """
-    alive, last = 0, rows.shape[0]
-    for i in range(rows.shape[0]):
-        suited = start_ray(
-            scratch.records[i],
-            rays.origins[rows[i]],
-            rays.directions[rows[i]],
-            snapshot.center,
-            snapshot.per_length,
-            of_row(rays.t_max, rows[i]),
-        )
-        last -= not suited
-        scratch.lists[alive if suited else last] = i
-        alive += suited
-    return alive
 
 
 @inlined

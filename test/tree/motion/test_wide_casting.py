@@ -124,23 +124,6 @@ def test_what_cannot_be_swept_is_asked_one_by_one():
     assert len(tree.raycast_many(origins[:0], ways[:0], 1.0, pace=1.0).ids) == 0
 
 
-@pytest.mark.parametrize('together', [False, True])
-def test_who_goes_far_is_swept_unless_all_go_together(together: bool):
-    """Boxes that go along each other stay near in the nodes of the tree."""
-    rng = np.random.default_rng(4)
-    world = crowd(rng, 400, 0.1 if together else 100.0)
-    if together:
-        world = world._replace(velocities=world.velocities + np.array([100.0, 60.0]))
-    tree, times = tree_of(world), {'at': 0.25, 'pace': 1.0}
-    origins, ways = rng.uniform(-40, 80, (200, 2)), rng.normal(0, 30, (200, 2))
-    for _ in range(3):
-        hits = tree.raycast_many(origins, ways, 1.0, **times)
-    assert is_swept(tree) != together
-    found = list(zip(hits.ids.tolist(), hits.t.tolist(), strict=True))
-    assert found == one_by_one(tree, origins, ways, times)
-    assert 20 < sum(row != -1 for row, _ in found) < 200
-
-
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_few_rays_are_those_one_by_one(ndim: int):
     """Batches too small for lists, whose rays graze corners of boxes that tie."""
