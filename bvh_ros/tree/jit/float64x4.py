@@ -34,17 +34,14 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
 
 
 def _seen_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> Any:
-    """The numbers of an array, or of (an array, a tuple, so many times which it loses)."""
+    """The numbers of an array, or of (an array, another, so many times which it loses)."""
     if isinstance(kind, types.Array):
         return _row(context, builder, kind, given, ndim)
     start, way, times = (builder.extract_value(given, place) for place in range(3))
-    numbers = ir.Constant(_VECTOR, [0.0] * FOUR)
-    for axis in range(ndim):
-        number = builder.extract_value(way, axis)
-        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
-    lost = builder.fmul(numbers, splat(builder, times, FOUR))
+    way = _row(context, builder, kind[1], way, ndim)
     # -0.0 becomes 0.0, or a -0.0 that loses nothing would lose its sign.
-    lost = builder.fadd(lost, ir.Constant(_VECTOR, [0.0] * FOUR))
+    zero = ir.Constant(_VECTOR, [0.0] * FOUR)
+    lost = builder.fadd(builder.fmul(way, splat(builder, times, FOUR)), zero)
     return builder.fsub(_row(context, builder, kind[0], start, ndim), lost)
 
 
@@ -76,7 +73,7 @@ def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
     """Write how a ray meets planes, `slope`, `near_shift`, `far_shift` and `octant` of a record as
     of `filtering.ray_dtype`; what lies in the four bytes behind the first three is lost. Returns
     the largest component of the direction, and whether the ray is within `bounds`. Origin and
-    direction are arrays, or each (an array, a tuple, so many times which it loses).
+    direction are arrays, or each (an array, another, so many times which it loses).
 
     `bounds`, float64: how far an origin may be, least and largest component that is not zero; how
     large an inverse becomes, and the pad.

@@ -24,8 +24,9 @@ def start_seen(record, snapshot, leaves, rays, row):
     """`filtering.start_ray` of one of `rays`, MovingRays or what has as much to say; whether it is
     suited to the snapshot of a `sweeping.Sweep`, whose leaves these are.
     """
-    origin = rays.origins[row], leaves.drift, of_row(rays.at, row) - leaves.start
-    way = rays.directions[row], leaves.drift, of_row(rays.pace, row) * ALMOST_ONE
+    drift = leaves.records[-1].lo
+    origin = rays.origins[row], drift, of_row(rays.at, row) - leaves.start
+    way = rays.directions[row], drift, of_row(rays.pace, row) * ALMOST_ONE
     return start_ray(
         record, origin, way, snapshot.center, snapshot.per_length, of_row(rays.t_max, row)
     )
@@ -50,7 +51,7 @@ def sort_by_octant(rays, start, octants, rows, ends):
     """Fill `rows` with the numbers from `start` on, octant by octant of where rays are seen to go;
     those of octant k end before ends[k]. `octants` is scratch.
     """
-    ends[:], drift, rests = 0, rays.leaves.drift, True
+    ends[:], drift, rests = 0, rays.leaves.records[-1].lo, True
     for axis in range(rays.directions.shape[1]):
         rests &= drift[axis] == 0.0
     for i in range(rows.shape[0]):

@@ -81,7 +81,7 @@ def drifting(rng: Random, ndim: int, kind: str, count: int) -> tuple[World, Rays
 def drift_of(tree: DynamicBVH) -> tuple[float, ...] | None:
     """At which what is swept goes, None if nothing is."""
     sweep = tree.motion._wanted.sweep
-    return None if sweep is None else sweep.leaves.drift
+    return None if sweep is None else tuple(sweep.leaves.records['lo'][-1].tolist())
 
 
 def check(rays: Rays, world: World, tree: DynamicBVH, skip: bool, few: bool) -> int:
