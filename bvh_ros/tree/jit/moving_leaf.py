@@ -80,7 +80,9 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
         since, pace, more, slowest = (splat(builder, one, width) for one in args[4:])
         record = record_at(context, builder, kind, args[0], args[1])
         lo = _field(builder, record, kind, 'lo', _DOUBLE, width)
-        hi = _field(builder, record, kind, 'hi', _DOUBLE, width)
+        # Behind it lies a velocity, of which two numbers may be one below the normal doubles: to
+        # multiply such a one takes a processor forty times as long.
+        hi = builder.select(axes, _field(builder, record, kind, 'hi', _DOUBLE, width), zero)
         velocity = _field(builder, record, kind, 'velocity', ir.FloatType(), width)
         velocity = builder.fpext(velocity, vector)
         loose = builder.fpext(
