@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions about a scene whose obstacles have velocities, at a time or while it passes."""
 
-import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -130,16 +129,14 @@ class Moments:
     ) -> SceneHit | None:
         """What a ray, or ball, meets first; asked = (start, goal, radius)."""
         (start, goal, radius), held, skip = asked, self._held, bool(skip)
-        when, still = self._way_of_time(at, until), None
-        if held.max_prediction < math.inf:
-            still = self._courses_then().moving.still_by(held, when[0] + when[1])
+        when = self._way_of_time(at, until)
         if self._one_way is None:
             from .casting.one_moving import OneWay  # no scene without velocities needs it
 
             self._one_way = OneWay(held)
         thick = checks.limit('radius', radius) > 0.0
-        if still or held.columns.shaped or held.uncertainty or thick:
-            hit = self._one_way.first_shape(segment(*asked), checks.mask(mask), skip, when, still)
+        if held.columns.shaped or held.uncertainty or thick:
+            hit = self._one_way.first_shape(segment(*asked), checks.mask(mask), skip, when)
         else:
             ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
             hit = self._one_way.first_box(*ends, checks.mask(mask), skip, when)
@@ -182,17 +179,15 @@ class Moments:
         start = begin / 1e9  # as `_way_of_time`
         pace = (end - begin) / 1e9
         when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
-        courses, still = self._courses or self._courses_then(), None
-        if held.max_prediction < math.inf:
-            still = courses.moving.still_by(held, stop)
-        shaped = still or held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
+        courses = self._courses or self._courses_then()
+        shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
         sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))
         if sweep is None:
             sweep = tree._motion.ready_sweep(tree._storage.tree, len(rays[0]), start, stop)
             if sweep is None:
                 return None
         if shaped:
-            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals, still)
+            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
         return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
 
     def first_of_many(
@@ -203,17 +198,15 @@ class Moments:
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
-        still, moving = None, self._courses_then().moving
-        if held.max_prediction < math.inf:
-            still = moving.still_by(held, times.last(rays.t_max))
-        if not (still or held.columns.shaped or held.uncertainty or thick):
-            return self._courses_then().moving_boxes.first_boxes(held, rays, skip, times, threads)
+        moving, moving_boxes, _ = self._courses_then()
+        if not (held.columns.shaped or held.uncertainty or thick):
+            return moving_boxes.first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
             refuse_infinite(rays)
         sweep = moving.sweep_for(held, rays, times)
 
         def first(some: Rays, balls: Floats, when: 'Times') -> CastHits:
-            asked = held, sweep, some, balls, bool(skip), when, still
+            asked = held, sweep, some, balls, bool(skip), when
             hits, handles, points, normals = moving.first_then(*asked)
             return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Boxes that move by themselves. A tree without any neither imports nor compiles `motion`."""
 
+import math
 from typing import TYPE_CHECKING, Any, Optional
 
 import numpy as np
@@ -72,15 +73,16 @@ class Timed(Arrays):
         self.check_unchanged(view)
         self._change(motion.write, view.version, named, rows, times)
 
-    def count_nanoseconds(self) -> None:
+    def count_nanoseconds(self, left: float = math.inf) -> None:
         """Let times, and paces, mean the whole nanoseconds nearest to them: of these all is
         decided, exactly, up to 2**51 ns (26 days) from time 0. Few of them are doubles of seconds.
-        For a tree that knows no velocities yet.
+        Boxes go on for `left` (s) after they were told, and then stand. For a tree that knows no
+        velocities yet.
         """
         if self._motion is None:
             from .motion.queries import MotionQueries
 
-            self._motion = MotionQueries(self.ndim, nanoseconds=True)
+            self._motion = MotionQueries(self.ndim, True, left)
 
     def velocities(self, handles: ArrayLike) -> tuple[Floats, Floats]:
         """(velocities, references) of boxes, shape (n, ndim) and (n,); zero where a box has none.

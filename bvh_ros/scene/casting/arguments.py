@@ -153,27 +153,25 @@ def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
     return tuple.__new__(CastWorld, parts)
 
 
-_codes: dict[tuple[Any, bool, bool, Any], Any] = {}
+_codes: dict[tuple[Any, bool, bool], Any] = {}
 
 
-def code_for(
-    kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], kind: bool = False
-) -> Any:
+def code_for(kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...]) -> Any:
     """The machine code of a kernel that takes a world, or `Columns.shapes`, and always the same
-    types of a `kind` besides: numba would look at every array of it.
+    types besides: numba would look at every array of it.
     """
     solid, flat = shapes
-    variant = kernel, flat is None, (solid or flat)[1] is None, kind
+    variant = kernel, flat is None, (solid or flat)[1] is None
     code = _codes.get(variant)
     if code is None:
         code = _codes[variant] = entry_point(kernel, *given)
     return code
 
 
-def call(kernel: Any, world: CastWorld, *arguments: Any, kind: bool = False) -> Any:
+def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
     """Call a kernel that takes a world, as of `code_for`."""
     given = world, *arguments
-    return code_for(kernel, (world.geometry, world.footprints), given, kind)(*given)
+    return code_for(kernel, (world.geometry, world.footprints), given)(*given)
 
 
 def new_scratch(ndim: int) -> Scratch:

@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The first obstacle that a ray, or ball, meets among those that move: one walk through the tree,
-nearest first, and one through that of who comes to rest meanwhile. `legs` says how one is met.
+"""The first obstacle that a ray, or ball, meets among those that move: `walks` says whom it may
+meet, `legs` how one is met.
 """
 
 from typing import Any, NamedTuple
@@ -12,8 +12,7 @@ from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import OUTSIDE, begin_asking, covers, moments_of
 from ...tree.motion.casting import locate
-from ...tree.motion.meeting import Course, box_of
-from ...tree.motion.stopping import as_met
+from ...tree.motion.meeting import box_of, course_of
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
@@ -21,9 +20,9 @@ from ...tree.rays.slab import RAY_ROWS, set_swept_box
 from ...tree.store.turns import REFUSED, begin_query, count_rays, end_query
 from ..results import NO_NODE
 from .arguments import CastWorld, Hits, fill_ways
-from .casting import no_hit, touch
-from .legs import growth_of, look_at, look_at_standing, see, see_as_met
-from .walks import Ways, walk, walk_standing, walk_wide
+from .casting import touch
+from .legs import growth_of, look_at, see, see_standing
+from .walks import Ways, nothing, walk, walk_wide
 
 
 class First(NamedTuple):
@@ -39,13 +38,13 @@ class First(NamedTuple):
 
 
 @lean_kernel
-def first_rows(world, tree, moving, still, ways, asked, node_handles, scratch, told):
+def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
     """Fill in a row for each way; asked as of `legs.look_at`. Returns 0; or OUTSIDE or REFUSED."""
-    return _rows(world, tree, moving, still, None, ways, asked, (node_handles, scratch), told)
+    return _rows(world, tree, moving, None, ways, asked, (node_handles, scratch), told)
 
 
 @lean_kernel
-def first_swept(shapes, tree, sweep, still, ways, asked, tools, told, when, room):
+def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
     """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
     UNSUITED. Returns how many; 1 if one is not finite. shapes as of `Columns.shapes`, ways what a
     `Ways` holds, tools = (node_handles, scratch), told = (slots and features, (2, n) or more, ts,
@@ -63,11 +62,11 @@ def first_swept(shapes, tree, sweep, still, ways, asked, tools, told, when, room
         at[0], pace[0] = when
     every = Ways(origins, directions, t_max, masks, radii, at, pace, grown)
     world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
-    return _rows(world, tree, sweep.moving, still, sweep, every, asked, tools, found)
+    return _rows(world, tree, sweep.moving, sweep, every, asked, tools, found)
 
 
 @lean_kernel
-def _rows(world, tree, moving, still, sweep, ways, asked, tools, told):
+def _rows(world, tree, moving, sweep, ways, asked, tools, told):
     why, suited = np.int64(0), True
     if sweep is None:
         why = begin_asking(tree, moving, moments_of(ways.pace, ways.origins.shape[0]))
@@ -77,24 +76,17 @@ def _rows(world, tree, moving, still, sweep, ways, asked, tools, told):
         return why
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(ways.origins.shape[0]):
-        thin = Course(ray, of_row(ways.at, i), of_row(ways.pace, i), moving.nanoseconds)
+        thin = course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
         if sweep is None:
             if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
                 why = np.int64(OUTSIDE)
                 break
-            box, other = walk(world, tree, moving, still, ways, i, asked, tools, thin)
+            found = walk(world, tree, moving, ways, i, asked, tools, thin)
         else:
-            suited, box, other = walk_wide(
-                *(world, tree, moving, still, sweep, ways, i, asked, tools, thin)
-            )
-        found = box, other, False
-        if still is not None:
-            found = walk_standing(
-                *(world, tree, moving, still, ways, i, asked, tools, thin, found)
-            )
+            suited, found = walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin)
         if suited:
-            tell_first(world, tree, moving, still, ways, i, asked, tools, thin, found, told)
+            tell_first(world, tree, moving, ways, i, asked, tools, thin, found, told)
         else:
             told.hits.slots[i] = UNSUITED
             why += 1
@@ -105,26 +97,19 @@ def _rows(world, tree, moving, still, sweep, ways, asked, tools, told):
 
 
 @lean_kernel
-def each_then(world, tree, moving, still, ways, slots, asked, tools, told):
+def each_then(world, tree, moving, ways, slots, asked, tools, told):
     """Fill in a row for each way and the obstacle of `slots` that it may meet."""
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(slots.shape[0]):
-        thin = Course(ray, of_row(ways.at, i), of_row(ways.pace, i), moving.nanoseconds)
+        thin = course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
-        nobody = no_hit(), no_hit()
-        box, other = look_at(
-            *(world, tree, moving, still, ways, i, asked, tools, thin, slots[i], nobody)
-        )
-        found = box, other, False
-        if box.slot == NONE and other.slot == NONE:
-            found = look_at_standing(
-                *(world, tree, moving, still, ways, i, asked, tools, thin, slots[i], found)
-            )
-        tell_first(world, tree, moving, still, ways, i, asked, tools, thin, found, told)
+        slot = slots[i]
+        found = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, nothing())
+        tell_first(world, tree, moving, ways, i, asked, tools, thin, found, told)
 
 
 @inlined
-def tell_first(world, tree, moving, still, ways, i, asked, tools, thin, found, told):
+def tell_first(world, tree, moving, ways, i, asked, tools, thin, found, told):
     """Write which of two hits is the first, found = (box, other, whether that stood), and where it
     is.
     """
@@ -136,13 +121,11 @@ def tell_first(world, tree, moving, still, ways, i, asked, tools, thin, found, t
         place = write_first(other, i, node_handles, told)
         if other.slot != NONE:
             met = scratch, other, stood
-            _tell(world, tree, moving, still, ways, i, asked, met, told, place)
+            _tell(world, tree, moving, ways, i, asked, met, told, place)
     else:
         place = write_first(box, i, node_handles, told)
-        there, (seen, face) = box_of(tree, moving, box.slot), (thin, box.feature)
-        if still is not None:
-            seen, face = as_met(there, thin, face, still.left)
-        locate(there, seen, box.t, face, place[0][:ndim], place[1][:ndim])
+        there, (point, normal) = box_of(tree, moving, box.slot), place
+        locate(there, thin, box.t, box.feature, point[:ndim], normal[:ndim])
 
 
 @inlined
@@ -160,7 +143,7 @@ def write_first(best, i, node_handles, told):
 
 
 @lean_kernel
-def _tell(world, tree, moving, still, ways, i, asked, found, told, place):
+def _tell(world, tree, moving, ways, i, asked, found, told, place):
     """Write where an obstacle is met."""
     (scratch, best, stood), (point, normal), hits = found, place, told.hits
     at, pace = of_row(ways.at, i), of_row(ways.pace, i)
@@ -168,8 +151,9 @@ def _tell(world, tree, moving, still, ways, i, asked, found, told, place):
     grown = growth_of(box, asked[1], at, pace, of_row(ways.t_max, i))
     then = at - box[3] + best.t * pace
     see(ways, i, box, scratch.ray)
-    if still is not None:
-        then = see_as_met(ways, i, box, still.left, stood, then, scratch.ray)
+    if stood:
+        see_standing(ways, i, box, moving.left, scratch.ray)
+        then = moving.left
     touch(world, scratch, of_row(ways.radii, i) + grown, hits, i, point, normal)
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * then

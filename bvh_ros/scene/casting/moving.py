@@ -24,21 +24,22 @@ from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.moving import LARGEST
+from ...tree.nodes import NONE
 from ...tree.rays.ray_batches import rows_of
 from ...tree.rays.raycasting import EVERY
-from ...tree.rays.slab import INSIDE
 from ...tree.store.turns import accepted
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, growths, most_growth, motions
-from . import resting
-from .arguments import Hits, Rays, call, code_for, world_of
-from .first_moving import First, first_rows, first_swept
-from .legs import Still
-from .seen import Met, Times, grow, meet_pairs
+from ..store.places import growths, most_growth
+from .arguments import Hits, Rays, call, code_for, new_scratch, world_of
+from .first_moving import First, each_then, first_rows, first_swept
+from .seen import Met, Times
 from .sweeping import AT_HAND, kept
 from .walks import Ways, ball_reach
+
+_NO_ROOM = np.empty((0, 3))
+PAIRS = 1 << 17  # that are looked at in one go
 
 
 def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> Met:
@@ -52,15 +53,6 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     parts = [_plain(held, flat, np.flatnonzero(thin), skip, times)]
     if held.columns.shaped or held.uncertainty or not thin.all():
         parts.append(_shaped(held, flat, radii, skip, times))
-    still = at_rest(held, times.last(rays.t_max))
-    if len(still):
-        ends = times.ends(rays.t_max)
-        parts = [
-            met.take(np.flatnonzero(~resting.comes_to_rest(held, met.slots, ends[met.rows])))
-            for met in parts
-        ]
-        casts = _casts(held, flat, radii, times)
-        parts.append(resting.met(held, flat, radii, skip, times, still, casts))
     columns: Any = zip(*parts, strict=True)
     met = Met(*(np.concatenate(column) for column in columns))
     if ndim == 2:
@@ -72,25 +64,11 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
     return met.take(order) if count else met
 
 
-_NO_ROOM = np.empty((0, 3))
-
-
-def still_by(held: Obstacles, last: float) -> Still | None:
-    """Who comes to rest before a time, s, if anybody does."""
-    return resting.still_of(held) if len(at_rest(held, last)) else None
-
-
 def first_then(
-    held: Obstacles,
-    sweep: Sweep | None,
-    rays: Rays,
-    radii: Floats,
-    skip: bool,
-    times: Times,
-    still: Still | None,
+    held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
 ) -> First:
     """First hits of rays, or balls, their columns one for all or (n,); as of `cast_then`. `sweep`:
-    what `sweep_for` says, of these and more rays; `still`: as of `still_by`.
+    what `sweep_for` says, of these and more rays.
     """
     tree, columns, count = held.tree, held.columns, len(rays.origins)
     ndim, grown = tree.ndim, NOTHING
@@ -105,22 +83,21 @@ def first_then(
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[ndim])
     motion = _motion_of(held)
     if sweep is None:
-        world, given = world_of(tree, columns), (still, Ways(*ways), asked, *tools, told)
+        world, given = world_of(tree, columns), (Ways(*ways), asked, *tools, told)
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         moments = not times.pace.any()
-        kind = still is not None
 
         def ask(*arrays: Any) -> Any:
-            return call(first_rows, world, *arrays, *given, kind=kind)
+            return call(first_rows, world, *arrays, *given)
 
         motion.ask(tree, spans, ask, moments)
     else:
         view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
         found = marks, hits.ts, told.handles, *places
-        every = shapes, view.tree, now, still, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
-        if accepted(code_for(first_swept, shapes, every, still is not None)(*every)):
-            _tell_others(held, (rays, radii, skip, times, still), told)
+        every = shapes, view.tree, now, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
+        if accepted(code_for(first_swept, shapes, every)(*every)):
+            _tell_others(held, (rays, radii, skip, times), told)
     if tree.ndim == 2:
         met = told.handles != NO_NODE
         told.points[met, 2] = rays.origins[met, 2]
@@ -135,7 +112,6 @@ def few_then(
     skip: bool,
     when: tuple[float, float],
     to_goals: bool,
-    still: Still | None,
 ) -> CastHits | None:
     """`first_then` in a solid scene through what is swept already, with as little Python as can
     be; else as `moving_boxes.few_first`.
@@ -151,8 +127,8 @@ def few_then(
     told = marks, ts, handles, points, normals
     asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
     shapes = columns.shapes
-    every = shapes, tree._storage.tree, sweep, still, ways, asked, tools, told, when, room
-    if code_for(first_swept, shapes, every, still is not None)(*every) != 0:
+    every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
+    if code_for(first_swept, shapes, every)(*every) != 0:
         return None
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 
@@ -169,11 +145,11 @@ def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
 
 def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
     """Fill in the rows of ways that are not for a sweep; asked = what `first_then` is told."""
-    (rays, radii, skip, times, still), count = asked, len(told.handles)
+    (rays, radii, skip, times), count = asked, len(told.handles)
     others = np.flatnonzero(told.hits.slots == UNSUITED)
     some, when = rows_of(rays, count, others), rows_of(times, count, others)
     balls = radii[others] if len(radii) == count else radii
-    found = first_then(held, None, some, balls, skip, when, still)
+    found = first_then(held, None, some, balls, skip, when)
     for column, part in zip((*told.hits, *told[1:]), (*found.hits, *found[1:]), strict=True):
         column[others] = part
 
@@ -236,21 +212,32 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
     slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(radii)), np.diff(offsets))
     grown = growths(held, slots, times.at[rows], ends[rows])
     wanted = held.columns.geometry['shaped'][slots] | (radii[rows] + grown > 0.0)
-    slots, rows, grown = slots[wanted], rows[wanted], grown[wanted]
-    velocities, references = motions(held, slots)
-    since = times.at[rows] - references
-    seen = Rays(
-        rays.origins[rows] - velocities * since[:, None],
-        rays.directions[rows] - velocities * times.pace[rows, None],
-        rays.t_max[rows],
-        rays.masks[rows],
-    )
-    found = meet_pairs(held, seen, slots, radii[rows] + grown)
-    hits = found.hits
-    met = hits.ts < np.inf
-    then = since + np.where(met, hits.ts, 0.0) * times.pace[rows]
-    found.points[:, : held.tree.ndim] += velocities * then[:, None]
-    kept = met & ~(skip & (hits.features == INSIDE))
-    all_met = Met(rows, slots, hits.ts, found.points, found.normals)
-    grow(all_met, grown, rays.origins[rows])
-    return all_met.take(np.flatnonzero(kept))
+    slots, rows, parts = slots[wanted], rows[wanted], []
+    for begin in range(0, max(len(rows), 1), PAIRS):
+        some = slice(begin, begin + PAIRS)
+        parts.append(_of_pairs(held, rays, radii, skip, times, rows[some], slots[some]))
+    columns: Any = zip(*parts, strict=True)
+    return Met(*(np.concatenate(column) for column in columns))
+
+
+def _of_pairs(
+    held: Obstacles,
+    rays: Rays,
+    radii: Floats,
+    skip: bool,
+    times: Times,
+    rows: NDArray[np.int64],
+    slots: NDArray[np.int64],
+) -> Met:
+    """Rays, or balls, of some rows, each against one obstacle."""
+    count, columns, tree = len(rows), held.columns, held.tree
+    some = Rays(*(column[rows] for column in rays))
+    ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
+    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
+    told = First(hits, np.empty(count, UINT32), np.empty((count, 3)), np.empty((count, 3)))
+    tools, view = (columns.node_handle, new_scratch(tree.ndim)), tree.view()
+    known = _motion_of(held).known(view, 0.0, 0.0)
+    given = view.tree, known, ways, slots, (skip, held.uncertainty), tools, told
+    call(each_then, world_of(tree, columns), *given)
+    met = np.flatnonzero(hits.slots != NONE)
+    return Met(rows, slots, hits.ts, told.points, told.normals).take(met)

@@ -16,7 +16,8 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, NO_TIMES, RaysThen
 from ...tree.motion.casting import locate
 from ...tree.motion.few_casting import FEW, NO_FEW, cast_few
-from ...tree.motion.meeting import Course, box_of, fetch_box
+from ...tree.motion.meeting import box_of, course_of, fetch_box
+from ...tree.motion.stopping import face_met
 from ...tree.motion.sweeping import Sweep, no_sweep
 from ...tree.motion.wide_casting import AHEAD, cast_rows
 from ...tree.nodes import Tree, slot_of
@@ -180,9 +181,10 @@ def describe(tree, moving, rays, node_handles, told):
         slot = slot_of(told.ids[i])
         told.handles[i] = node_handles[slot]
         set_ray(ray, rays.origins[i], rays.directions[i])
-        course = Course(ray, of_row(at, i), of_row(pace, i), moving.nanoseconds)
+        course = course_of(ray, of_row(at, i), of_row(pace, i), moving)
         box = box_of(tree, moving, slot)
-        locate(box, course, told.t[i], np.int64(face), point, told.normals[i])
+        face = face_met(box, course, of_row(rays.t_max, i), told.t[i], np.int64(face))
+        locate(box, course, told.t[i], face, point, told.normals[i])
 
 
 _ROWS = np.empty((0, 3))

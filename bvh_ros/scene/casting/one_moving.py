@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One ray, or swept ball, among obstacles that have velocities, while nobody comes to rest.
+"""One ray, or swept ball, among obstacles that have velocities.
 
 The answers are those of `moving.first_then`. Here arrays of one row are kept, as making them would
 take longer than the question.
@@ -26,7 +26,6 @@ from ..store.spare import Spare
 from .arguments import Hits, call, new_scratch, world_of
 from .box_casting import BoxHit, too_long, way_between
 from .first_moving import First, first_rows
-from .legs import Still
 from .walks import Ways
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
@@ -92,10 +91,8 @@ class OneWay:
             slot, t = self._first(tree._settled().tree, moving, *asked)
         return None if slot == NONE else (slot, t, place[0], place[1])
 
-    def first_shape(
-        self, way: Way, mask: np.uint32, skip: bool, when: When, still: Still | None
-    ) -> BoxHit | None:
-        """The first obstacle of any shape; `still`: as of `moving.still_by`."""
+    def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
+        """The first obstacle of any shape."""
         held, tree, room = self._held, self._tree, self._spare.take()
         (origin, direction, radius), (at, pace) = way, when
         ways, hits, ndim = room.ways, room.hits, tree.ndim
@@ -105,13 +102,12 @@ class OneWay:
         if held.uncertainty:
             ways.grown[0] = np.max(most_growth(held, ways.at, ways.at + pace))
         told = First(hits, room.handles, np.empty((1, 3)), np.empty((1, 3)))
-        given = still, ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
+        given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
         world, motion = world_of(tree, held.columns), tree.motion
         spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
-        kind = still is not None
 
         def ask(*arrays: Any) -> Any:
-            return call(first_rows, world, *arrays, *given, kind=kind)
+            return call(first_rows, world, *arrays, *given)
 
         motion.ask(tree, spans, ask, pace == 0.0)
         if ndim == 2:

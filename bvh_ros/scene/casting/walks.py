@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ways through the trees of obstacles that move, nearest first: past who goes, through the tree's
-nodes or what is swept, and past who has come to rest.
-"""
+"""Ways past obstacles that move, nearest first: through the tree's nodes or what is swept."""
 
 from typing import Any, NamedTuple
 
@@ -22,10 +20,8 @@ from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32
 from ...tree.wide.ray_stacks import STACK
 from .casting import no_hit
 from .frame import COORDINATES, FRAME_SLACK
-from .legs import look_at, look_at_standing, time_until
+from .legs import look_at
 from .wide_sweeps import next_leaf, put_roots, widen
-
-SOONER, ROUNDING = 1.0 - 2.0**-40, 2.0**-44  # more than what is computed loses
 
 
 class Ways(NamedTuple):
@@ -65,12 +61,18 @@ def reach_of(ways, i):
 
 
 @inlined
-def walk(world, tree, moving, still, ways, i, asked, tools, thin):
-    """The first hits of a way, (box, other), each a `Best`: through the tree's nodes."""
+def nothing():
+    """What `look_at` has found at first."""
+    return no_hit(), no_hit(), False
+
+
+@inlined
+def walk(world, tree, moving, ways, i, asked, tools, thin):
+    """The first hits of a way, as of `look_at`: through the tree's nodes."""
     at, pace, t_max, mask = thin.at, thin.pace, of_row(ways.t_max, i), of_row(ways.masks, i)
     nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
-    _set_way(fronts, moving, ways, i, reach_of(ways, i), 0.0)
-    box, other = no_hit(), no_hit()
+    _set_way(fronts, moving, ways, i, reach_of(ways, i))
+    found = nothing()
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
     stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
     bounded, limit = covers(moving, at, pace, t_max) > 0, t_max
@@ -82,68 +84,33 @@ def walk(world, tree, moving, still, ways, i, asked, tools, thin):
         node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
         if node == NONE or nodes[node].mask & mask == 0:
             continue
-        slot, found = np.int64(node >> 1), (box, other)
-        box, other = look_at(
-            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
-        )
-        limit = min(limit, box.t, other.t)
-    return box, other
+        slot = np.int64(node >> 1)
+        found = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)
+        limit = min(limit, found[0].t, found[1].t)
+    return found
 
 
 @inlined
-def walk_standing(world, tree, moving, still, ways, i, asked, tools, thin, found):
-    """The same, found = (box, other, whether that stood), among who has come to rest."""
-    box, other, stood = found
-    nodes, mask, more = still.nodes, of_row(ways.masks, i), reach_of(ways, i)
-    # Before the first of them nobody has come to rest: the way begins there.
-    begin = max(time_until(still.first_end, thin) * SOONER, 0.0)
-    passed = begin * (1.0 - ROUNDING)
-    limit = min(of_row(ways.t_max, i), box.t, other.t) - passed
-    fronts = stack_array(FRONTS, np.float64)
-    _set_way(fronts, moving, ways, i, more, begin)
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = still.root, 0.0, (0 if still.root == NONE else 1)
-    if not limit >= 0.0:
-        top = 0
-    while top > 0:
-        top -= 1
-        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
-            continue
-        node, top = descend(nodes, fronts, True, (0.0, 0.0, limit), (stack, entries, top))
-        if node == NONE or nodes[node].mask & mask == 0:
-            continue
-        slot, found = still.slots[node >> 1], (box, other, stood)
-        box, other, stood = look_at_standing(
-            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
-        )
-        limit = min(limit, box.t - passed, other.t - passed)
-    return box, other, stood
-
-
-@inlined
-def _set_way(fronts, moving, ways, i, more, begin):
-    """`set_fronts` of what goes along a way from t = begin on, by so much larger."""
-    corners, ndim = stack_array((2, 3), np.float64), ways.origins.shape[1]
-    for axis in range(ndim):
-        origin, gone = ways.origins[i, axis], 0.0
-        if begin > 0.0:
-            gone = begin * ways.directions[i, axis]
-            more += ROUNDING * (abs(origin) + abs(gone))
-        corners[0, axis], corners[1, axis] = origin + gone - more, origin + gone + more
+def _set_way(fronts, moving, ways, i, more):
+    """`set_fronts` of what goes along a way, by so much larger."""
+    corners = stack_array((2, 3), np.float64)
+    for axis in range(ways.origins.shape[1]):
+        corners[0, axis] = ways.origins[i, axis] - more
+        corners[1, axis] = ways.origins[i, axis] + more
     set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
 
 
 @inlined
-def walk_wide(world, tree, moving, still, sweep, ways, i, asked, tools, thin):
-    """`walk` through what is swept: (whether the way is for it, box, other)."""
+def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
+    """`walk` through what is swept: (whether the way is for it, what it meets)."""
     snapshot, leaves, more = sweep.snapshot, sweep.leaves, reach_of(ways, i)
     origin, direction, t_max = ways.origins[i], ways.directions[i], of_row(ways.t_max, i)
     records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
     record, limits = records[0], stack_array(1, np.float32)
-    box, other, reach = no_hit(), no_hit(), more * snapshot.per_length
+    found, reach = nothing(), more * snapshot.per_length
     suited = start_seen(record, snapshot, leaves, ways, i)
     if not (suited and reach < FARTHEST_ORIGIN):
-        return False, box, other
+        return False, found
     widen(record, reach)
     limits[0], octant = record.limit, np.int64(record.octant)
     limit, mask = t_max, of_row(ways.masks, i)
@@ -156,14 +123,11 @@ def walk_wide(world, tree, moving, still, sweep, ways, i, asked, tools, thin):
         since = thin.at - leaves.start
         if not may_meet(*(leaves.records, slot, origin, direction, since, thin.pace, limit, more)):
             continue
-        found = box, other
-        box, other = look_at(
-            *(world, tree, moving, still, ways, i, asked, tools, thin, slot, found)
-        )
-        if min(box.t, other.t) < limit:
-            limit = min(box.t, other.t)
+        found = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)
+        if min(found[0].t, found[1].t) < limit:
+            limit = min(found[0].t, found[1].t)
             record.limit = limits[0] = limit32(limit, record.unit)
-    return True, box, other
+    return True, found
 
 
 @inlined

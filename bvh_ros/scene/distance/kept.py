@@ -24,8 +24,6 @@ class Known(NamedTuple):
     version: int
     geometry: Any
     hulls: Any
-    until: float
-    """From then on somebody rests."""
     then: Then
     memory: tuple[Any, Any]
     """See `moving.room_in`."""

@@ -3,22 +3,19 @@
 """Overlaps and distances among obstacles that move: `touching` and `clearance` at a time a row.
 
 The tree says whose boxes are there at the time, as real arithmetic does. Each obstacle is then
-written down where it stands (`place`) and looked at as one at rest. Who has come to rest meanwhile
-the tree expects elsewhere: these stand in a tree of their own, `Then.rest`.
+written down where it stands (`place`) and looked at as one at rest.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.boxes.overlapping import overlap
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
 from ...tree.motion.meeting import box_of, moves
-from ...tree.motion.overlapping import overlap_then, touches_then
+from ...tree.motion.overlapping import overlap_then
 from ...tree.motion.sums import elapsed
-from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
 from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
@@ -29,7 +26,7 @@ from .query_shape import LARGEST, QueryShape, grow
 from .touching import FOUND, found_in, look_at, order_found
 from .touching_rows import ALL, ANY, tell_row
 
-ROOM = FOUND + 3  # floats of a row of `Room` and `Found`
+ROOM = FOUND + 2  # floats of a row of `Room` and `Found`
 
 
 class Then(NamedTuple):
@@ -40,24 +37,18 @@ class Then(NamedTuple):
     node_handles: Any
     at: Any
     """s, one for all or (n,)"""
-    left: float
-    """Obstacles go on for so long, s, and then rest."""
     growth: float
     """Those that move grow by so much all round, m/s, since they were told, or until then."""
     earliest: float
     latest: float
     """When the first and the last of them were told, s."""
-    rest: Any
-    """Tree of where obstacles come to rest, see `places.Rest`; empty if nobody is by then."""
-    rest_slots: Any
 
 
 class Room(NamedTuple):
     """For the boxes that the tree names."""
 
     slots: Any
-    """(n,), as of the next two."""
-    handles: Any
+    """(n,), as of the gaps."""
     gaps: Any
     spare: Any
     """`Bodies` with one shape: an obstacle where it stands."""
@@ -71,16 +62,8 @@ def room_in(memory):
     floats, spare = memory
     rows = floats.shape[0] // ROOM
     end = FOUND * rows
-    slots, handles = floats[end : end + rows], floats[end + rows : end + 2 * rows]
-    gaps = floats[end + 2 * rows : end + 3 * rows]
-    room = Room(slots.view(np.int64), handles.view(np.int64), gaps, spare)
-    return room, found_in(floats[:end])
-
-
-@inlined
-def rests(box, at, left):
-    """Whether an obstacle moved, and does no more at a time."""
-    return moves(box) and box[3] + left < at
+    slots, gaps = floats[end : end + rows], floats[end + rows : end + 2 * rows]
+    return Room(slots.view(np.int64), gaps, spare), found_in(floats[:end])
 
 
 @inlined
@@ -106,7 +89,7 @@ def place(tree, moving, then, spare, slot, at):
     since = elapsed(at, reference, moving.nanoseconds)
     spare.shapes[0] = then.bodies.shapes[slot]
     for axis in range(velocity.shape[0]):
-        way[axis] = gone(velocity[axis], since, then.left)
+        way[axis] = gone(velocity[axis], since, moving.left)
         shape.position[axis] += way[axis]
     place_footprint(then.bodies.footprints, spare.footprints, slot, way)
     return then.growth * abs(since[0]) if moves(box) else 0.0
@@ -119,35 +102,6 @@ def place_footprint(footprints, spare, slot, way):
         spare[0] = footprints[slot]
         for axis in range(2):
             spare[0].centre[axis] += way[axis]
-
-
-@lean_kernel
-def reach_then(tree, moving, then, asked, slots):
-    """Write the slots of boxes that a box touches, asked = (its corners, mask, at); return how
-    many, which may be more than fit.
-    """
-    (corners, mask, at), ndim = asked, moving.kept[0].velocity.shape[0]
-    box = corners[0, :ndim], corners[1, :ndim], at
-    total = overlap_then(tree, moving, box, mask, slots, 0)
-    if then.rest.state[ROOT] == NONE or total > slots.shape[0]:
-        return total
-    count = np.int64(0)
-    for i in range(total):
-        box = box_of(tree, moving, slots[i])
-        if not rests(box, at, then.left):
-            slots[count] = slots[i]
-            count += 1
-    total = overlap(then.rest, corners[0], corners[1], mask, slots, count)
-    if total > slots.shape[0]:
-        return total
-    for i in range(count, total):
-        slot = then.rest_slots[slots[i]]
-        box = box_of(tree, moving, slot)
-        low, high, end = corners[0, :ndim], corners[1, :ndim], box[3] + then.left
-        if rests(box, at, then.left) and touches_then(*(box, low, high, end, moving.nanoseconds)):
-            slots[count] = slot
-            count += 1
-    return count
 
 
 @lean_kernel
@@ -166,6 +120,7 @@ def touch_rows(tree, moving, then, queries, asked, memory, answers):
     grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
     own, fit = stack_array(1, records), min(room.slots.shape[0], found.slots.shape[0])
     needed, written, compared = np.int64(0), np.int64(0), np.int64(0)
+    ndim = moving.kept[0].velocity.shape[0]
     while row < stop:
         at, tolerance = of_row(then.at, row), of_row(tolerances, row)
         record, bounds, fault = make_row(queries, row, own, box)
@@ -176,8 +131,8 @@ def touch_rows(tree, moving, then, queries, asked, memory, answers):
             needed = np.int64(FAULTY)
             break
         grow(QueryShape(record, bounds, False, tolerance + most_growth(then, at), 0.0), grown)
-        corners = grown, of_row(masks, row), at
-        needed = reach_then(tree, moving, then, corners, room.slots)
+        corners = grown[0, :ndim], grown[1, :ndim], at
+        needed = overlap_then(tree, moving, corners, of_row(masks, row), room.slots, 0)
         if needed > fit or (wanted == ALL and written + needed > answers[2].shape[0]):
             break
         some = record[0], tolerance, at, wanted == ANY

@@ -7,21 +7,20 @@ As `touching_rows.nearest_rows` and `clearance.clearance_rows`.
 
 import numpy as np
 
-from ...tree.boxes.nearest import nearest
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
 from ...tree.motion.meeting import box_of, fetch_box
 from ...tree.motion.nearest import at_least, nearest_bounds
 from ...tree.motion.sums import elapsed
-from ...tree.nodes import NONE, ROOT
+from ...tree.nodes import NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import is_finite
 from ...tree.store.turns import end_query
 from ..geometry.canonical import FINE
 from . import clearance
 from .closest import length
-from .moving import gone, most_growth, place, rests, room_in, swell
+from .moving import gone, most_growth, place, room_in, swell
 from .query_rows import FAULTY, make_row
 from .sinking import sink_in_obstacle
 from .touching import ROUNDED, look_at, order_found
@@ -44,33 +43,16 @@ def _nearest_bounds(tree, moving, near_by, known, row, slots, gaps):
 
 
 @inlined
-def neighbours(tree, moving, then, near_by, room, known, row):
-    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask), of those that
-    move and of those at rest: (whether there may be more, how far those are at least, how many).
+def neighbours(tree, moving, near_by, room, known, row):
+    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask): (whether there
+    may be more, how far those are at least, how many).
     `known`: see `near_rows`.
     """
-    low, high, at, wanted, limit, mask = near_by
+    wanted = near_by[3]
     places = max(wanted, PLACES) if known is None else wanted
     slots, gaps = room.slots, room.gaps[:places]
     total, left_out = _nearest_bounds(tree, moving, near_by, known, row, slots[:places], gaps)
     more, last = total >= wanted, at_least(left_out)
-    if then.rest.state[ROOT] != NONE:
-        count, total = total, np.int64(0)
-        for i in range(count):
-            box = box_of(tree, moving, slots[i])
-            if not rests(box, at, then.left):
-                slots[total] = slots[i]
-                total += 1
-        handles, gaps = room.handles[:wanted], room.gaps[wanted : 2 * wanted]
-        count = nearest(then.rest, low, high, wanted, limit, mask, handles, gaps)
-        if count == wanted:
-            more, last = True, min(last if more else np.inf, gaps[wanted - 1])
-        for i in range(count):
-            slot = then.rest_slots[handles[i]]
-            box = box_of(tree, moving, slot)
-            if rests(box, at, then.left):
-                slots[total] = slot
-                total += 1
     return more, last, total
 
 
@@ -98,9 +80,9 @@ def near_rows(tree, moving, then, points, known, asked, memory, told):
         more, mask = most_growth(then, at), of_row(points.masks, row)
         limit, kept = max(reach * ROUNDED, reach) + more, 0
         wanted = min(k + 1 if some_more else k, everybody + 1)
-        while 2 * wanted <= found.slots.shape[0]:
+        while wanted <= found.slots.shape[0]:
             near_by = point, point, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, then, near_by, room, known, row)
+            others, last, total = neighbours(tree, moving, near_by, room, known, row)
             _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
             kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
@@ -108,12 +90,12 @@ def near_rows(tree, moving, then, points, known, asked, memory, told):
             if not others or last - more > farthest:
                 break
             wanted = min(wanted * 4, everybody + 1)
-        if 2 * wanted > found.slots.shape[0]:
+        if wanted > found.slots.shape[0]:
             break
         pad(told, row, kept)
         done += 1
     end_query(tree.state)
-    return np.int64(done), 2 * wanted, total
+    return np.int64(done), wanted, total
 
 
 @inlined
@@ -162,9 +144,9 @@ def clear_rows(tree, moving, then, queries, asked, memory, told):
         low, high = corners[0], corners[1]
         exact = more == 0.0 and not record[0].shaped
         limit, wanted = max(reach * clearance.ROUNDED, reach) + more, 1 if exact and alike else 2
-        while 2 * wanted <= room.gaps.shape[0]:
+        while wanted <= room.gaps.shape[0]:
             near_by = low, high, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, then, near_by, room, None, row)
+            others, last, total = neighbours(tree, moving, near_by, room, None, row)
             clearance.tell_nobody(told, row)
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
@@ -178,11 +160,11 @@ def clear_rows(tree, moving, then, queries, asked, memory, told):
             if not others or last - more > distance * clearance.ROUNDED:
                 break
             wanted = min(wanted * clearance.MORE, everybody + 1)
-        if 2 * wanted > room.gaps.shape[0]:
+        if wanted > room.gaps.shape[0]:
             break
         row += 1
     end_query(tree.state)
-    return np.int64(row), 2 * wanted
+    return np.int64(row), wanted
 
 
 @inlined
@@ -205,7 +187,7 @@ def _is_farther(tree, moving, then, pair, least):
     _, _, velocity, reference = box_of(tree, moving, slot)
     since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(velocity.shape[0]):
-        way = gone(velocity[axis], since, then.left)
+        way = gone(velocity[axis], since, moving.left)
         position, half = other.position[axis] + way, other.half[axis]
         low = max(one.position[axis] - one.half[axis], position - half)
         high = min(one.position[axis] + one.half[axis], position + half)
@@ -223,7 +205,7 @@ def put_itself(tree, moving, then, query, slot, spare):
     at = then.at[0]
     since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(lo.shape[0]):
-        way = gone(velocity[axis], since, then.left)
+        way = gone(velocity[axis], since, moving.left)
         bounds[0, axis], bounds[1, axis] = lo[axis] + way, hi[axis] + way
     grown = place(tree, moving, then, spare, slot, at)
     record[0] = spare.shapes[0]

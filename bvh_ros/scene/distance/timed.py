@@ -4,7 +4,6 @@
 and one query. Scenes without velocities need none of this.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from ..geometry.shapes import Floats
 from ..results import SceneHit
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
-from ..store.places import at_rest, movers, nobody_rests, rest
+from ..store.places import movers
 from ..store.spare import Spare
 from .kept import FEW, Known, Scratch, no_rows
 from .moving import Then, touch_rows
@@ -96,39 +95,30 @@ class OneTimed:
 
     def _known(self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None) -> Known:
         """What a kernel is told of times, and of one until the next one."""
-        held, known, columns = self._held, scratch.known, self._held.columns
+        known, columns = scratch.known, self._held.columns
         version = arrays[4].item(CHANGES)
         if type(at) is not float:
             then = self._then(at, hulls)
-            return Known(version, None, None, 0.0, then, scratch.memory(then))
+            return Known(version, None, None, then, scratch.memory(then))
         scratch.at[0] = at
         if (
             known is not None
             and known.version == version
-            and at <= known.until
             and hulls is None
             and known.geometry is columns.geometry
             and known.hulls is columns.hulls
         ):
             return known
-        until = math.inf if math.isinf(held.max_prediction) else movers(held).first_end
         then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls)
-        known = Known(version, *ours, until, then, scratch.memory(then))
-        scratch.known = known if hulls is None and at <= until else None
+        known = Known(version, *ours, then, scratch.memory(then))
+        scratch.known = known if hulls is None else None
         return known
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
-        resting, ends = nobody_rests(held.tree.ndim), (0.0, 0.0)
-        if not math.isinf(held.max_prediction):
-            last = at.item() if len(at) == 1 else at.max(initial=-np.inf)
-            if len(at_rest(held, last)):
-                resting = rest(held)
-        if held.uncertainty:
-            ends = movers(held)[1:3]
+        ends = movers(held)[1:] if held.uncertainty else (0.0, 0.0)
         places = bodies_of(held.columns, hulls), held.columns.node_handle
-        still = resting.tree.view().tree, resting.slots
-        return Then(*places, at, held.max_prediction, held.uncertainty, *ends, *still)
+        return Then(*places, at, held.uncertainty, *ends)
 
     def _call(
         self, arrays: Tree, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any

@@ -216,7 +216,7 @@ class TimedDistances(OneTimed):
         scratch = self._spare.take()
         while start < stop:
             now = self._known(scratch, arrays, at, hulls)
-            question = start, stop, *asked, alike and not len(now.then.rest_slots)
+            question = start, stop, *asked, alike
             given = rows, question, now.memory, told
             start, wanted = self._call(arrays, clear_rows, now.then, given, asked[3])
             if wanted == FAULTY:

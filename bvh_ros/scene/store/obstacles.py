@@ -24,6 +24,7 @@ from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
 EXACT = 1 << 53  # ns, 104 days: each of them is a double
+FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 KNOWN = 1 << 51  # ns, 26 days: of each of them a double of seconds tells which one it is
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
 
@@ -65,8 +66,6 @@ class Obstacles:
         """Those that move grow by so much all round, m/s, since their last update."""
         self.movers: Any = None
         """`places.Movers`, once somebody asks."""
-        self.rest: Any = None
-        """`places.Rest`, once somebody asks."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""
@@ -173,7 +172,8 @@ class Obstacles:
                 self.epoch = rows.stamp.item(0)
                 self.moves = bool(now.any())
                 if self.moves:
-                    self.tree.count_nanoseconds()
+                    left = self.max_prediction
+                    self.tree.count_nanoseconds(left if left < FOR_EVER else np.inf)
         if self.moves:
             self._follow_time(rows.stamp)
             since = self.seconds(rows.stamp)

@@ -95,22 +95,29 @@ def _set_side(sides, rates, axis, first, last, per_second, extent):
 @inlined
 def _fit_leaf(node, box, moving):
     lo, hi, velocity, reference = box
-    start, stop, ndim = moving.start, moving.stop, lo.shape[0]
+    start, stop, ndim, end = moving.start, moving.stop, lo.shape[0], reference + moving.left
+    first, last, share = min(start, end) - reference, min(stop, end) - reference, 0.0
+    if start < end < stop:
+        share = (end - start) / (stop - start)
     node.loose = 0.0
     for axis in range(ndim):
-        way, later = velocity[axis] * (start - reference), velocity[axis] * (stop - reference)
+        way, later, bent = velocity[axis] * first, velocity[axis] * last, 0.0
+        if share > 0.0:  # it stops meanwhile, so far beside the line
+            bent = (later - way) * (1.0 - share)
         extent = abs(lo[axis]) + abs(hi[axis])
         extent += abs(velocity[axis]) * (abs(start) + abs(stop) + abs(reference))
-        per_second, below, above = 1.0 / (stop - start), lo[axis] + way, hi[axis] + way
+        per_second, below, above = 1.0 / (stop - start), min(bent, 0.0), max(bent, 0.0)
+        below, above = lo[axis] + below, hi[axis] + above
         bounds = _set_side(
-            *(node.lower, node.lower_rates, axis), *(below, lo[axis] + later, per_second, extent)
+            *(node.lower, node.lower_rates, axis),
+            *(below + way, below + later, per_second, extent),
         )
         bounds &= _set_side(
             *(node.upper, node.upper_rates, axis),
-            *(-above, -(hi[axis] + later), per_second, extent),
+            *(-(above + way), -(above + later), per_second, extent),
         )
         # As much as it is widened by is lost by rounding at most, and once more by who asks.
-        node.loose += 3.0 * (extent * WIDER + LEAST) if bounds else np.nan
+        node.loose += 3.0 * (extent * WIDER + LEAST) + abs(bent) if bounds else np.nan
 
 
 @inlined

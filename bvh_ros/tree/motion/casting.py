@@ -19,7 +19,8 @@ from ..rays.slab import DIRECTION, EXACT, INSIDE, ORIGIN, PAD, RAY_ROWS, TINY, U
 from ..store.turns import NOT_FINITE, count_rays, end_query
 from . import velocities
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, moving_dtype, set_fronts
-from .meeting import Course, Moving, box_of, is_before, meet
+from .meeting import Moving, box_of, course_of
+from .stopping import as_met, is_before, meet_box
 from .sums import elapsed
 
 Floats = NDArray[np.float64]
@@ -51,7 +52,7 @@ class Places(NamedTuple):
 @lean_kernel
 def cast(tree, moving, course, asked, found, filled):
     """Write the hits of a course, `asked` as of `Asked`, to `found` from `filled` on; return where
-    the next would go. See `rays.raycasting.raycast`; instead of axes, faces of `meet`.
+    the next would go. See `rays.raycasting.raycast`; instead of axes, faces of `meet_box`.
 
     What the bounds do not hold for visits all boxes.
     """
@@ -75,7 +76,7 @@ def cast(tree, moving, course, asked, found, filled):
         if node == NONE or nodes[node].mask & mask == 0:
             continue
         slot = np.int64(node >> 1)
-        hit, t, face = meet(box_of(tree, moving, slot), course, asked.t_max)
+        hit, t, face = meet_box(box_of(tree, moving, slot), course, asked.t_max)
         if not hit or (asked.skip_inside and face == INSIDE):
             continue
         place = filled
@@ -135,9 +136,10 @@ def locate(box, course, t, face, point, normal):
     touch the closest to the centre of what is swept, in the box as it is then, on the face met.
     """
     lo, hi, velocity, reference = box
-    since = elapsed(course.at, reference, course.nanoseconds)[0]
-    if course.pace != 0.0:
-        since += t * course.pace
+    seen, face = as_met(box, course, face)
+    since = elapsed(seen.at, reference, seen.nanoseconds)[0]
+    if seen.pace != 0.0:
+        since += t * seen.pace
     for k in range(lo.shape[0]):
         low, high = course.ray[ORIGIN, k], course.ray[UPPER, k]
         normal[k], point[k] = 0.0, low * 0.5 + high * 0.5
@@ -168,7 +170,7 @@ def cast_one(tree, moving, swept, asked, times, place):
     why = begin_asking(tree, moving, 1 if pace == 0.0 else 0)
     if why != 0:
         return why, np.inf
-    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, pace, moving.nanoseconds)
+    course = course_of(stack_array((RAY_ROWS, 3), np.float64), at, pace, moving)
     set_swept_box(course.ray, lo, hi, direction)
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
@@ -198,7 +200,7 @@ def cast_rows(tree, moving, casts, offsets, found, first):
     done, exact, end, refused = np.int64(first), np.int64(0), np.int64(0), np.int64(0)
     while done < casts.lo.shape[0]:
         lo, hi, direction = casts.lo[done], casts.hi[done], casts.directions[done]
-        course = Course(ray, of_row(casts.at, done), of_row(casts.pace, done), moving.nanoseconds)
+        course = course_of(ray, of_row(casts.at, done), of_row(casts.pace, done), moving)
         t_max, mask = of_row(casts.t_max, done), of_row(casts.masks, done)
         if not is_sound(lo, hi, direction, (course.at, course.pace)):
             refused = np.int64(NOT_FINITE)
@@ -228,7 +230,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(casts.lo.shape[0]):
         set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
-        course = Course(ray, of_row(casts.at, i), of_row(casts.pace, i), moving.nanoseconds)
+        course = course_of(ray, of_row(casts.at, i), of_row(casts.pace, i), moving)
         for j in range(offsets[i] + 1, offsets[i + 1]):
             hit, place = (slots[j], ts[j], faces[j]), j
             while place > offsets[i] and is_before(
@@ -248,7 +250,7 @@ def describe_rows(tree, moving, casts, offsets, found, places):
 def no_motion(ndim: int) -> Moving:
     """To tell a compiler the types."""
     nodes = np.empty(0, moving_dtype(ndim))
-    return Moving(velocities.room_for(0, ndim), nodes, 0.0, 0.0, 0, False)
+    return Moving(velocities.room_for(0, ndim), nodes, 0.0, 0.0, 0, False, np.inf)
 
 
 _IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))

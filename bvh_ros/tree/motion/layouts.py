@@ -24,15 +24,17 @@ def layout_of_tree(ndim: int) -> Layout:
     return Layout(empty_tree(ndim).nodes, NONE, np.empty(0, np.int64))
 
 
-def lay_out(view: View, kept: NDArray[np.void], at: float) -> Layout:
-    """Nodes built over the places of all boxes at a time, rounded: `bounds` are fitted to them."""
-    (tree, _), slots = _built(view, kept, at)
+def lay_out(view: View, kept: NDArray[np.void], at: float, left: float) -> Layout:
+    """Nodes built over the places of all boxes at a time, rounded, which go on for `left` s:
+    `bounds` are fitted to them.
+    """
+    (tree, _), slots = _built(view, kept, at, left)
     return Layout(tree.nodes, tree.state.item(ROOT), slots)
 
 
-def snapshot_then(view: View, kept: NDArray[np.void], at: float) -> Snapshot | None:
+def snapshot_then(view: View, kept: NDArray[np.void], at: float, left: float) -> Snapshot | None:
     """A snapshot of such nodes, for `sweeping`."""
-    built, slots = _built(view, kept, at)
+    built, slots = _built(view, kept, at, left)
     snapshot = take_snapshot(built)
     if snapshot is None:
         return None
@@ -41,7 +43,9 @@ def snapshot_then(view: View, kept: NDArray[np.void], at: float) -> Snapshot | N
     return snapshot
 
 
-def _built(view: View, kept: NDArray[np.void], at: float) -> tuple[View, NDArray[np.int64]]:
+def _built(
+    view: View, kept: NDArray[np.void], at: float, left: float
+) -> tuple[View, NDArray[np.int64]]:
     """A tree of all boxes at a time, and their slots in the other tree, in its order of slots;
     RuntimeError if that is being changed.
     """
@@ -52,6 +56,6 @@ def _built(view: View, kept: NDArray[np.void], at: float) -> tuple[View, NDArray
     if state.item(TURN) < 0 or state.item(CHANGES) != version:
         raise RuntimeError(IS_CHANGED)
     with np.errstate(over='ignore'):
-        ways = velocities * (at - references)[:, None]
+        ways = velocities * np.minimum(at - references, left)[:, None]
         lo, hi = (np.clip(boxes[side] + ways, -FARTHEST, FARTHEST) for side in ('lo', 'hi'))
     return DynamicBVH.from_boxes(lo, hi, mask=masks).view(), slots

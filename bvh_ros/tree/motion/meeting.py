@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The exact decision of a ray, or a box that is swept, and a box that moves.
+"""The exact decision of a ray, or a box that is swept, and a box that goes on for ever.
 
 As `rays.slab` decides of boxes at rest, in relative motion: on each axis `sums.gap` is how far a
 side of the box is ahead, `sums.rate` how fast it comes nearer. Their signs are exact. Of two
@@ -36,6 +36,8 @@ class Moving(NamedTuple):
     """Of the tree when the nodes were fitted."""
     nanoseconds: bool
     """Whether the times of decisions are whole nanoseconds: the nearest, as `sums` has them."""
+    left: float
+    """Boxes go on for so long, s, after they were told, and then stand; inf if they never do."""
 
 
 class Course(NamedTuple):
@@ -48,7 +50,14 @@ class Course(NamedTuple):
     pace: float
     """Seconds a unit of t."""
     nanoseconds: bool
-    """As of `Moving`."""
+    """As of `Moving`, as `left`."""
+    left: float
+
+
+@inlined
+def course_of(ray, at, pace, moving):
+    """A course among the boxes of a tree."""
+    return Course(ray, at, pace, moving.nanoseconds, moving.left)
 
 
 @inlined
@@ -160,7 +169,7 @@ def quotient_of(course, side):
 
 @lean_kernel
 def meet(box, course, t_max):
-    """Exact decision of a course and a closed box that moves: (hit, t, face).
+    """Exact decision of a course and a closed box that goes on: (hit, t, face).
 
     `face` is that of the axis entered last, ties to the lowest: 2 axis, or 2 axis + 1 for the
     upper one; INSIDE where they touch at the start.
@@ -193,25 +202,3 @@ def meet(box, course, t_max):
     if not math.isinf(t_max) and _compare(course, t, near, t_max, (t_max, 0.0, 0.0, 0.0, 1.0)) > 0:
         return False, np.inf, np.int64(INSIDE)
     return True, t, entered
-
-
-@inlined
-def distance_of(box, course, face):
-    """t of `meet`, which has told the face."""
-    if face == INSIDE:
-        return 0.0
-    return quotient_of(course, side_of(box, course, face))
-
-
-@lean_kernel
-def is_before(tree, moving, course, hit, other):
-    """Whether the first of two hits of a course, each (slot, t, face), is the nearer, or as near
-    with the smaller handle.
-    """
-    (slot, t, face), (other_slot, other_t, other_face) = hit, other
-    order = np.int64(face != INSIDE) - np.int64(other_face != INSIDE)
-    if face != INSIDE and other_face != INSIDE:
-        side = side_of(box_of(tree, moving, slot), course, face)
-        other_side = side_of(box_of(tree, moving, other_slot), course, other_face)
-        order = _compare(course, t, side, other_t, other_side)
-    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])

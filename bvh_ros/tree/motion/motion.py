@@ -4,6 +4,7 @@
 asked for.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -82,9 +83,10 @@ def asks_for(boxes: int, grown: float) -> int:
 class Motion:
     """The velocities of a tree, and bounds of its nodes over the times that are asked for."""
 
-    def __init__(self, ndim: int, nanoseconds: bool = False) -> None:
+    def __init__(self, ndim: int, nanoseconds: bool = False, left: float = math.inf) -> None:
         self.kept = velocities.room_for(0, ndim)
-        self.moving = no_motion(ndim)._replace(version=NOT_FITTED, nanoseconds=nanoseconds)
+        known = no_motion(ndim)._replace(version=NOT_FITTED)
+        self.moving = known._replace(nanoseconds=nanoseconds, left=left)
         self._no_nodes = self.moving.nodes
         self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
         # Those that a moment is asked of first: of nodes that are laid out for some, if there are
@@ -177,7 +179,7 @@ class Motion:
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim), 2 * CACHE_LINE)
         order, areas = np.empty(len(arrays.nodes), np.int64), np.empty(3)
         span = float(first), float(last)
-        moving = Moving(self.kept, nodes, *span, view.version, self.moving.nanoseconds)
+        moving = Moving(self.kept, nodes, *span, view.version, *self.moving[-2:])
         if fit_entry(ndim)(arrays, moving, layout, order, areas) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         if own:
@@ -197,7 +199,7 @@ class Motion:
         if laid is not moving and laid.start <= first <= last <= laid.stop:
             moving = laid
         elif parted + per_second * (middle - moving.start) > PARTED:
-            layout = lay_out(view, self.kept, middle)
+            layout = lay_out(view, self.kept, middle, moving.left)
             soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
             stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
             self.bounds = moving = self._fit(view, layout, first, stop)
@@ -253,7 +255,7 @@ class Motion:
     def _laid_out(self, view: View, wanted: Wanted) -> Wanted:
         """The sweep of nodes that are built for its time."""
         start, stop, sweep = wanted.start, wanted.stop, wanted.sweep
-        snapshot = snapshot_then(view, self.kept, 0.5 * start + 0.5 * stop)
+        snapshot = snapshot_then(view, self.kept, 0.5 * start + 0.5 * stop, self.moving.left)
         if snapshot is not None:
             sweep, _ = swept(view.tree, self.known(view, start, stop), snapshot)
         return wanted._replace(sweep=sweep, worn=np.inf)
@@ -278,7 +280,8 @@ class Motion:
 
     def known(self, view: View, start: float, stop: float) -> Moving:
         """What is known of the motion of a tree, for a span, without bounds."""
-        told = self.kept, self._no_nodes, start, stop, view[1], self.moving.nanoseconds
+        _, _, _, _, _, nanoseconds, left = self.moving
+        told = self.kept, self._no_nodes, start, stop, view[1], nanoseconds, left
         return tuple.__new__(Moving, told)
 
     @property

@@ -23,6 +23,7 @@ from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
 from .casting import is_sound, no_motion
 from .meeting import box_of, fetch_box
+from .stopping import moment_of
 from .sums import elapsed, gap, quick_gap, surely_below
 
 # Squares whose root says something, and by how much it is rounded down.
@@ -181,6 +182,7 @@ def _keep_distance(tree, moving, near, leaf, square, kept, count, limit):
     """By its distance: kept = (slots, distances)."""
     (slots, distances), (low, high, at, k, reach, _) = kept, near
     box = box_of(tree, moving, leaf >> 1)
+    at = moment_of(box, at, moving.left)
     apart = distance_then(box, low, high, (at, moving.nanoseconds))
     if apart <= reach:
         count = insert_candidate(slots, distances, tree.handles, count, k, leaf >> 1, apart)
@@ -239,7 +241,8 @@ def decide(tree, moving, near, bounded, found, distances):
     for i in range(candidates):
         slot = found[i]
         box = box_of(tree, moving, slot)
-        apart = distance_then(box, low, high, (at, moving.nanoseconds))
+        then = moment_of(box, at, moving.left)
+        apart = distance_then(box, low, high, (then, moving.nanoseconds))
         farthest = max(farthest, apart)
         if apart <= reach:
             count = insert_candidate(found, distances, tree.handles, count, k, slot, apart)

@@ -18,7 +18,8 @@ from ..rays.slab import RAY_ROWS, set_swept_box
 from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, set_fronts
 from .casting import is_sound, no_motion
-from .meeting import Course, box_of, meet
+from .meeting import box_of, course_of, meet
+from .stopping import moment_of
 from .sums import elapsed, surely_below
 
 
@@ -33,10 +34,11 @@ class QueriesThen(NamedTuple):
 
 
 @lean_kernel
-def touches_then(box, low, high, at, nanoseconds):
+def touches_then(box, low, high, at, moving):
     """Whether a box that moves touches the one from low to high at a time: exactly."""
     lo, hi, velocity, reference = box
-    since, _ = elapsed(at, reference, nanoseconds)
+    at = moment_of(box, at, moving.left)
+    since, _ = elapsed(at, reference, moving.nanoseconds)
     clear, nowhere = True, stack_array(3, np.float64)
     for axis in range(lo.shape[0]):
         way, nowhere[axis] = velocity[axis] * since, 0.0
@@ -46,7 +48,7 @@ def touches_then(box, low, high, at, nanoseconds):
         clear &= surely_below(low[axis], hi[axis], -way)
     if clear:
         return True
-    course = Course(stack_array((RAY_ROWS, 3), np.float64), at, 0.0, nanoseconds)
+    course = course_of(stack_array((RAY_ROWS, 3), np.float64), at, 0.0, moving)
     set_swept_box(course.ray, low, high, nowhere)
     return meet(box, course, 0.0)[0]
 
@@ -70,7 +72,7 @@ def overlap_then(tree, moving, box, mask, found, count):
             touches = bounded and is_behind(nodes, node, fronts, ahead, nodes[node].loose)
             if not touches:
                 there = box_of(tree, moving, node >> 1)
-                touches = touches_then(there, lo, hi, at, moving.nanoseconds)
+                touches = touches_then(there, lo, hi, at, moving)
             if touches:
                 if count < found.shape[0]:
                     found[count] = node >> 1

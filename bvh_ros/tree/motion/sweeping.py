@@ -40,7 +40,9 @@ from ..wide.snapshot import (
 )
 from .bounds import LEAST, WIDER
 from .casting import no_motion
-from .meeting import Moving, box_of
+from .meeting import Moving, box_of, moves
+from .stopping import LATER
+from .sums import A_NANOSECOND
 
 USELESS = -2  # why there is no such snapshot
 # Boxes go together if on the average what they sweep is so many times what they sweep as who goes
@@ -102,23 +104,44 @@ def _swept_side(box, axis, moving, drift):
     """The bounds of a box on an axis over the span, surely not too narrow, as who drifts sees
     it.
     """
-    first, last, more = _ways(box, axis, moving, drift[axis])
-    lo, hi = box[0][axis], box[1][axis]
-    return lo + min(first, last) - more, hi + max(first, last) + more
+    least, most, more = _ways(box, axis, moving, drift[axis])
+    return box[0][axis] + least - more, box[1][axis] + most + more
 
 
 @inlined
 def _ways(box, axis, moving, drift):
-    """How far a box has gone at the start and at the stop, where who goes at `drift` from the
-    start on sees it, and how wrong its place may be then.
+    """How far a box has gone in the span, the least and the most, where who goes at `drift` from
+    the start on sees it, and how wrong its place may be then.
     """
     lo, hi, velocity, reference = box
-    speed = velocity[axis]
-    first, last = speed * (moving.start - reference), speed * (moving.stop - reference)
-    last -= drift * (moving.stop - moving.start)
+    speed, end, length = velocity[axis], reference + moving.left, moving.stop - moving.start
+    first = speed * (min(moving.start, end) - reference)
+    # Where it stops it stays: on the way there, and from there on, its place is linear in time.
+    gone = speed * (min(moving.stop, end) - reference)
+    bent = gone - drift * min(max(end - moving.start, 0.0), length)
+    last = gone - drift * length
     extent, times = abs(lo[axis]) + abs(hi[axis]), abs(moving.start) + abs(moving.stop)
     extent += abs(speed) * (times + abs(reference)) + abs(drift) * times
-    return first, last, extent * WIDER + LEAST
+    return min(first, bent, last), max(first, bent, last), extent * WIDER + LEAST
+
+
+@inlined
+def _speed_of(box, axis, moving):
+    """Of a box that may stop, on the average over the span."""
+    end = box[3] + moving.left
+    if end < moving.stop:
+        passed = max(end - moving.start, 0.0)
+        return box[2][axis] * (passed / (moving.stop - moving.start)) if passed > 0.0 else 0.0
+    return box[2][axis]
+
+
+@inlined
+def _may_stop(box, moving):
+    """Whether a box is going at the start of the span and may stop before a course is over whose
+    last time, as it is rounded, is in the span.
+    """
+    soon = (abs(moving.start) + abs(moving.stop)) * LATER + A_NANOSECOND
+    return moving.start <= box[3] + moving.left < moving.stop + soon and moves(box)
 
 
 @inlined
@@ -129,14 +152,15 @@ def _set_leaf(leaf, box, axis, moving, per_length):
     loses: with its origin within 2**10 scenes and within the span, a ray goes no further than that
     along an axis, relative to a box, nor does that go further than FARTHEST_DRIFT and a scene.
     """
-    speed = np.float32(box[2][axis] if abs(box[2][axis]) < FASTEST else 0.0)
-    first, last, more = _ways(box, axis, moving, np.float64(speed))
+    speed = _speed_of(box, axis, moving)
+    speed = np.float32(speed if abs(speed) < FASTEST else 0.0)
+    least, most, more = _ways(box, axis, moving, np.float64(speed))
     margin = MARGIN / per_length
     more += margin
     leaf.velocity[axis] = speed
-    leaf.lo[axis] = box[0][axis] + min(first, last) - more
-    leaf.hi[axis] = box[1][axis] + max(first, last) + more
-    loose = abs(first - last) + 2.0 * more + margin
+    leaf.lo[axis] = box[0][axis] + least - more
+    leaf.hi[axis] = box[1][axis] + most + more
+    loose = most - least + 2.0 * more + margin
     leaf.loose = max(leaf.loose, np.float32(loose * (1.0 + WIDER_32)) + LEAST_32)
 
 
@@ -176,7 +200,7 @@ def _set_frame(tree, moving, snapshot, frame, drift, mean):
             count += 1
             for axis in range(ndim):
                 lo, hi = _swept_side(box, axis, moving, drift)
-                side, speed = box[1][axis] - box[0][axis], box[2][axis]
+                side, speed = box[1][axis] - box[0][axis], _speed_of(box, axis, moving)
                 mean[axis] += (speed - mean[axis]) / count
                 swept[axis] += side + abs(speed) * length
                 apart[axis] += side + abs(speed - mean[axis]) * length
@@ -213,7 +237,8 @@ def _choose_frame(tree, moving, snapshot, frame, drift):
 @inlined
 def _sweep_leaf(box, lane, moving, frame, drift, planes, leaf):
     """Write the planes and the record of a leaf."""
-    ndim, leaf.loose = frame.shape[0] - 1, np.float32(0.0)
+    # Who may stop meanwhile is going when a ray meets it, or is not: no rounded test tells which.
+    ndim, leaf.loose = frame.shape[0] - 1, np.float32(np.inf if _may_stop(box, moving) else 0.0)
     for axis in range(ndim):
         lo, hi = _swept_side(box, axis, moving, drift)
         _set_leaf(leaf, box, axis, moving, frame[ndim])

@@ -33,8 +33,9 @@ from ..wide.ray_streams import (
 )
 from ..wide.raycasting import MIXED, traverse, visit_leaf
 from .asked_then import NO_RAYS, MovingRays, RaysThen
-from .meeting import Course, box_of, distance_of, fetch_box, is_before, meet
+from .meeting import box_of, course_of, fetch_box
 from .starting import sort_by_octant, start_group
+from .stopping import as_met, distance_of, is_before, meet_box
 from .sweeping import Sweep, no_sweep
 
 # Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
@@ -104,7 +105,7 @@ def may_meet(leaves, slot, origin, direction, since, pace, limit, more):
 
 @inlined
 def is_better(tree, ray, rays, row, slot, best):
-    """As `wide.best_hit.is_better`, with faces of `meet` for axes."""
+    """As `wide.best_hit.is_better`, with faces of `meet_box` for axes."""
     origin, direction = rays.origins[row], rays.directions[row]
     at, pace = of_row(rays.at, row), of_row(rays.pace, row)
     ray[EXACT, 0] = 0.0
@@ -114,14 +115,14 @@ def is_better(tree, ray, rays, row, slot, best):
     if verdict != ASK:
         return verdict == MEETS and not (rays.skip_inside and face == INSIDE), t, np.int64(face)
     set_ray(ray, origin, direction)
-    course = Course(ray, at, pace, rays.moving.nanoseconds)
+    course = course_of(ray, at, pace, rays.moving)
     return _is_better(tree, course, rays, row, slot, best)
 
 
 @lean_kernel
 def _is_better(tree, course, rays, row, slot, best):
     """The exact decision."""
-    hit, t, face = meet(box_of(tree, rays.moving, slot), course, of_row(rays.t_max, row))
+    hit, t, face = meet_box(box_of(tree, rays.moving, slot), course, of_row(rays.t_max, row))
     better = hit and not (rays.skip_inside and face == INSIDE)
     if better and best[0] != NONE:
         best_t = distance_of(box_of(tree, rays.moving, best[0]), course, best[2])
@@ -137,9 +138,10 @@ def write_hit(tree, ray, rays, row, hit, hits):
     slot, _, face = hit
     hits.ids[row] = tree.handles[slot]
     if rays.mode != ANY:
-        times = of_row(rays.at, row), of_row(rays.pace, row)
-        course = Course(ray, *times, rays.moving.nanoseconds)
-        hits.t[row] = distance_of(box_of(tree, rays.moving, slot), course, face)
+        course = course_of(ray, of_row(rays.at, row), of_row(rays.pace, row), rays.moving)
+        box = box_of(tree, rays.moving, slot)
+        hits.t[row] = distance_of(box, course, face)
+        _, face = as_met(box, course, face)
         if face != INSIDE:
             hits.normals[row, face >> 1] = -1.0 if face & 1 == 0 else 1.0
 

@@ -1,17 +1,15 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who comes to rest is found through trees: as if every ray were asked of every obstacle."""
+"""Who comes to rest is found through the tree: as if every ray were asked of every obstacle."""
 
 import numpy as np
 import pytest
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.casting import resting
 from bvh_ros.scene.casting.arguments import Rays
-from bvh_ros.scene.casting.moving import _casts
+from bvh_ros.scene.casting.moving import _of_pairs, cast_then, first_then
 from bvh_ros.scene.casting.seen import Times
 from bvh_ros.scene.geometry.shapes import along_axes
-from bvh_ros.scene.store.places import at_rest
 
 SECOND = 1_000_000_000
 COUNT, WAYS = 80, 60
@@ -31,22 +29,29 @@ def test_nobody_who_rests_is_overlooked(planar):
         told = {'stamp': rng.integers(0, SECOND, COUNT), 'velocities': speeds}
         shapes = Shapes.boxes(places * scale, sizes * scale, turns)
         assert not scene.update('s', [f'o{i}' for i in range(COUNT)], shapes, **told)
-        held, axes = scene._held, (2 if planar else 3)
+        held = scene._held
         origins, directions = rng.uniform(-8, 8, (2, WAYS, 3)) * scale
         masks = np.full(WAYS, 0xFFFFFFFF, np.uint32)
-        flat = along_axes(origins, axes), along_axes(directions, axes)
-        rays, radii = Rays(*flat, np.ones(WAYS), masks), (np.arange(WAYS) % 3) * 0.2 * scale
+        rays, radii = Rays(origins, directions, np.ones(WAYS), masks), np.arange(WAYS) % 3 * 0.2
+        flat = Rays(*(along_axes(one, held.tree.ndim) for one in rays[:2]), *rays[2:])
+        radii *= scale
         at = np.sort(rng.uniform(-0.5, 1.0, WAYS))
         times = Times(at, rng.uniform(0.0, 1.5, WAYS) * (np.arange(WAYS) % 4 > 0))
-        still = at_rest(held, times.last(rays.t_max))
-        rows, slots = np.repeat(np.arange(WAYS), len(still)), np.tile(still, WAYS)
-        stops = resting.comes_to_rest(held, slots, times.ends(rays.t_max)[rows])
-        pairs = rows[stops], slots[stops]
+        slots = np.flatnonzero(held.columns.tree_handle >= 0)
+        rows, every = np.repeat(np.arange(WAYS), len(slots)), np.tile(slots, WAYS)
         for skip in (False, True):
-            asked = held, rays, radii, skip, times
-            wanted = resting._of_pairs(*asked, pairs)
-            found = resting.met(*asked, still, _casts(held, rays, radii, times))
+            wanted = _of_pairs(held, flat, radii, skip, times, rows, every)
+            order = np.lexsort((held.columns.node_handle[wanted.slots], wanted.ts, wanted.rows))
+            wanted = wanted.take(order)
+            if planar:
+                wanted.points[:, 2] = origins[wanted.rows, 2]
+            found = cast_then(held, rays, radii, skip, times)
             for one, other in zip(found, wanted, strict=True):
                 assert one.tolist() == other.tolist()
             met += len(found.rows)
-    assert met > 100
+            first = first_then(held, None, rays, radii, skip, times)
+            some, places = np.unique(found.rows, return_index=True)
+            assert np.flatnonzero(~np.isnan(first.points[:, 0])).tolist() == some.tolist()
+            assert first.hits.ts[some].tolist() == found.ts[places].tolist()
+            assert first.points[some].tolist() == found.points[places].tolist()
+    assert met > 150

@@ -59,6 +59,26 @@ def meetings(world: World, course: Course) -> list[ExactHit]:
     return sorted(hits)
 
 
+def meetings_until(world: World, course: Course, left: float) -> list[ExactHit]:
+    """`meetings` of boxes that go on for so long, s, and then stand; faces only name the sides."""
+    hits, at, pace = [], Fraction(course.at), Fraction(course.pace)
+    for row, velocity in enumerate(world.velocities):
+        one, end = World(*(array[row : row + 1] for array in world)), np.inf
+        if velocity.any():
+            end = float(world.references[row] + left)
+        going, standing = course, course._replace(at=end, pace=0.0)
+        met = meetings(one, going) if course.at <= end else []
+        if end < np.inf:
+            met = [hit for hit in met if hit.axis == INSIDE or at + pace * hit.t <= Fraction(end)]
+        if not met and end < course.at:
+            met = meetings(one, standing)
+        elif not met and end < np.inf and pace > 0:
+            met = [hit for hit in meetings(one, standing) if hit.axis != INSIDE]
+            met = [hit for hit in met if at + pace * hit.t >= Fraction(end)]
+        hits += [hit._replace(row=row) for hit in met]
+    return sorted(hits)
+
+
 def squared_distances(world: World, low: Floats, high: Floats, at: float) -> list[Fraction]:
     """Exact squares of the distances of the boxes at a time from the one from low to high."""
     squares = []

@@ -11,10 +11,12 @@ from tree.motion.worlds import worlds
 from tree.reference import INSIDE, LARGEST, effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.motion.queries import MotionQueries
 
 
-def tree_of(world: World, margin: float = 0.0) -> DynamicBVH:
+def tree_of(world: World, margin: float = 0.0, left: float = math.inf) -> DynamicBVH:
     tree = DynamicBVH.from_boxes(world.lo, world.hi, margin=margin)
+    tree._motion = MotionQueries(tree.ndim, left=left)
     moving = world.velocities.any(axis=1)
     ids = tree.ids()[moving]
     tree.set_velocities(ids, world.velocities[moving], world.references[moving])

@@ -1,0 +1,137 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Boxes that stop some time after they were told to go, against exact rationals."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from tree.motion.exact import Course, World, meetings, meetings_until, squared_distances
+from tree.motion.test_moving_boxes import normal_of, tree_of
+from tree.motion.test_wide_casting import is_swept
+from tree.motion.worlds import Random, worlds
+from tree.reference import LARGEST, effort, is_within_2_ulp, seen
+
+pytestmark = pytest.mark.slow  # kernels of its own
+RAYS = 64  # as many are worth a snapshot of few boxes
+
+
+def stopping(seed: int, count: int) -> Iterator[tuple[World, Course, float, Random]]:
+    """`worlds`, and how long boxes go on: often until one is met, but for the rounding of it."""
+    for world, course, rng in worlds(seed, count):
+        course = course._replace(pace=abs(course.pace))
+        with np.errstate(all='ignore'):
+            ts = [float(hit.t) for hit in meetings(world, course) if hit.t <= LARGEST]
+            then = course.at + course.pace * float(rng.choice([0.0, 0.5, 1.0, *ts]))
+            left = then - float(rng.choice(world.references))
+        left = float(rng.choice([left, np.nextafter(left, np.inf), 0.5 * left, 0.0]))
+        yield world, course, max(left if math.isfinite(left) else 1.0, 0.0), rng
+
+
+def check_row(hits, row: int, exact, ids, limit: float, skip: bool) -> None:
+    right = seen(exact, ids, limit, skip)
+    assert hits.ids[row] == (ids[right[0].row] if right else -1)
+    if right:
+        assert is_within_2_ulp(float(hits.t[row]), right[0].t)
+        assert hits.normals[row].tolist() == normal_of(right[0].axis, hits.normals.shape[1])
+
+
+def test_courses():
+    checked = 0
+    for number, (world, course, left, rng) in enumerate(stopping(11, effort(400, 20_000))):
+        tree = tree_of(world, 0.1 if number % 5 == 0 else 0.0, left)
+        course, ids = course._replace(high=course.low), tree.ids()
+        exact, when = meetings_until(world, course, left), {'at': course.at, 'pace': course.pace}
+        ends = [float(hit.t) for hit in exact if hit.t <= LARGEST]
+        for limit in {1.0, float(rng.choice([*ends, 2.0])), math.inf}:
+            for skip in (False, True):
+                asked = course.low, course.direction, limit
+                right = seen(exact, ids, limit, skip)
+                hit = tree.raycast(*asked, skip_inside=skip, **when)
+                assert (hit.id if hit else -1) == (ids[right[0].row] if right else -1)
+                if hit:
+                    assert is_within_2_ulp(hit.t, right[0].t)
+                    assert hit.normal.tolist() == normal_of(right[0].axis, tree.ndim)
+                every = tree.raycast_all(*asked, skip_inside=skip, **when)
+                assert [hit.id for hit in every] == [ids[hit.row] for hit in right]
+                assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
+                checked += len(world.lo)
+    assert checked > 5000
+
+
+def test_moments():
+    for world, course, left, _ in stopping(12, effort(200, 5000)):
+        tree, at = tree_of(world, 0.0, left), course.at
+        ids, still = tree.ids().tolist(), course._replace(direction=0 * course.low, pace=0.0)
+        exact = meetings_until(world, still, left)
+        touched = sorted(ids[hit.row] for hit in exact)
+        assert tree.overlap(course.low, course.high, at=at).tolist() == touched
+        _, found = tree.overlap_many([course.low] * 3, [course.high] * 3, at=[at] * 3)
+        assert found.tolist() == touched * 3
+        near, gaps = tree.nearest(np.array(course[:2]), k=len(ids), at=at)
+        squares = []
+        for row in range(len(ids)):  # each at its own time
+            one = World(*(array[row : row + 1] for array in world))
+            then = min(at, float(world.references[row] + left))
+            squares += squared_distances(one, course.low, course.high, then)
+        for handle, gap in zip(near.tolist(), gaps.tolist(), strict=True):
+            if 1e-100 < gap < 1e100:
+                assert gap * gap == pytest.approx(float(squares[ids.index(handle)]), rel=1e-14)
+        assert sorted(near.tolist()) == ids
+        if (course.low == course.high).all():
+            many = tree.nearest_many([course.low] * 2, k=3, at=at)
+            assert many[0][1].tolist() == near[:3].tolist()
+            assert many[1][1].tolist() == gaps[:3].tolist()
+
+
+def test_batches():
+    swept = 0
+    for number, (world, course, left, rng) in enumerate(stopping(13, effort(60, 6000))):
+        tree, ndim = tree_of(world, 0.0, left), world.lo.shape[1]
+        ids = tree.ids()
+        origins = np.repeat(course.low[None], RAYS, axis=0)
+        ways = np.repeat(course.direction[None], RAYS, axis=0)
+        origins[1:32] *= rng.choice([1.0, 1.0 + 2.0**-52, 1.5, -1.0], (31, ndim))
+        ways[16:48] *= rng.choice([1.0, -1.0, 0.0, 0.5], (32, ndim))
+        paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
+        every = [
+            meetings_until(world, course._replace(low=o, high=o, direction=w, pace=float(p)), left)
+            for o, w, p in zip(origins, ways, paces, strict=True)
+        ]
+        for skip in (False, True):
+            when = {'at': course.at, 'pace': paces, 'threads': 1 + number % 2}
+            hits = tree.raycast_many(origins, ways, 1.0, skip_inside=skip, **when)
+            for row, exact in enumerate(every):
+                check_row(hits, row, exact, ids, 1.0, skip)
+        swept += is_swept(tree)
+    assert swept >= 20
+
+
+@pytest.mark.parametrize(('apart', 'drift'), [(0.0, 0.0), (0.3, 0.0), (0.3, 12.0)])
+def test_many_among_many(apart: float, drift: float):
+    """What is swept for large batches, and nodes that are laid out for a later time: as a tree
+    says, one by one, that knows neither.
+    """
+    rng = np.random.default_rng(14)
+    lo, velocities = rng.uniform(0, 30, (400, 2)), 6.0 * rng.normal(size=(400, 2))
+    velocities[:, 0] += drift
+    velocities[::7] = 0.0
+    world = World(lo, lo + rng.uniform(0, 1, lo.shape), velocities, apart * rng.random(400))
+    one, many = tree_of(world, 0.0, 0.9), tree_of(world, 0.0, 0.9)
+    origins, ways = rng.uniform(0, 30, (2000, 2)), rng.normal(0, 4, (2000, 2))
+    for at, pace in ((0.0, 1.0), (0.5, 1.0), (0.2, 0.4), (0.9, 0.0), (1.2, 0.0), (1.5, 3.0)):
+        for part in (slice(0, 16), slice(0, 2000)):
+            for _ in range(3):
+                hits = many.raycast_many(origins[part], ways[part], 1.0, at=at, pace=pace)
+        for row in range(0, 2000, 10):
+            hit = one.raycast(origins[row], ways[row], 1.0, at=at, pace=pace)
+            assert (hits.ids[row], hits.t[row]) == ((hit.id, hit.t) if hit else (-1, np.inf))
+        offsets, found = many.overlap_many(origins, origins + 1.0, at=at)
+        near, gaps = many.nearest_many(origins, 2, at=at)
+        for row in range(0, 2000, 10):
+            touched = one.overlap(origins[row], origins[row] + 1.0, at=at).tolist()
+            assert found[offsets[row] : offsets[row + 1]].tolist() == touched
+            closest, distances = one.nearest(origins[row], 2, at=at)
+            assert near[row].tolist() == closest.tolist()
+            assert gaps[row].tolist() == distances.tolist()
