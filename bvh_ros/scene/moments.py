@@ -93,6 +93,13 @@ class Moments:
         if type(at) is int and FIRST_TIME <= at <= LAST_TIME and held.moves:  # the most common
             since = at - held.epoch
             return since / 1e9 if -EXACT < since < EXACT else held.second(at)
+        if (
+            type(at) is np.ndarray
+            and at.dtype is checks.INT64
+            and at.shape == (count,)
+            and held.moves
+        ):
+            return held.seconds(at)
         if not self.meant(at, None, count):
             return None
         return held.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))

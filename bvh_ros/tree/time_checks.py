@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .checks import FLOAT64, Floats, one, only, unless_refused
+from .checks import FLOAT64, Floats, first_not_finite, one, only, unless_refused
 
 
 def moment(name: str, value: Any) -> float:
@@ -21,9 +21,9 @@ def moment(name: str, value: Any) -> float:
 
 def times(name: str, value: Any, count: int) -> Floats:
     """As `moments`, but not known to be finite, and the caller's memory where that is of the same
-    array type: for kernels that read it and see to that.
+    array type: for kernels that read it and see to that. With no row they see nothing.
     """
-    if type(value) is float:
+    if type(value) is float and count:
         return only(value)
     if (
         type(value) is np.ndarray
@@ -44,7 +44,7 @@ def moments(name: str, value: ArrayLike, count: int | None) -> Floats:
         return np.array([moment(name, array[()])])
     if array.shape != (count,):
         raise ValueError(f'{name} must be a number or have shape ({count},), not {array.shape}')
-    bad = np.flatnonzero(~np.isfinite(array))
-    if len(bad):
+    if first_not_finite(array[None]) >= 0:
+        bad = np.flatnonzero(~np.isfinite(array))
         raise ValueError(f'{name} must be finite: row {bad[0]} is {array[bad[0]]}')
     return array

@@ -22,8 +22,7 @@ class Known(NamedTuple):
     """What kernels are told of a world while it is of one version and its arrays are these."""
 
     version: int
-    geometry: Any
-    hulls: Any
+    bodies: Any
     then: Then
     memory: tuple[Any, Any]
     """See `moving.room_in`."""

@@ -42,9 +42,9 @@ class OneTimed:
         asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
             arrays, found = tree._settled().tree, scratch.found
-            known = self._known(scratch, arrays, at, hulls)
-            given = asked, (0, 1, COUNTED, 0), known.memory, scratch.answers
-            done, wanted, _, compared = self._call(arrays, touch_rows, known.then, given, None)
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = asked, (0, 1, COUNTED, 0), memory, scratch.answers
+            done, wanted, _, compared = self._call(arrays, touch_rows, then, given, None)
             if not done:
                 scratch.have_room(wanted)
         if compared:
@@ -68,10 +68,10 @@ class OneTimed:
             scratch.told = no_rows(1, k)
         while not done:
             arrays, found = held.tree._settled().tree, scratch.found
-            known = self._known(scratch, arrays, at, None)
+            then, memory = self._known(scratch, arrays, at, None)
             asked = 0, 1, k, *self._among(arrays, signed)
-            given = scratch.points, None, asked, known.memory, scratch.told
-            done, wanted, count = self._call(arrays, near_rows, known.then, given, signed)
+            given = scratch.points, None, asked, memory, scratch.told
+            done, wanted, count = self._call(arrays, near_rows, then, given, signed)
             if not done:
                 scratch.have_room(wanted)
         distances = found.distances[:count].tolist()
@@ -93,26 +93,21 @@ class OneTimed:
         some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
         return some_more, arrays[4].item(COUNT), twice, signed
 
-    def _known(self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None) -> Known:
-        """What a kernel is told of times, and of one until the next one."""
-        known, columns = scratch.known, self._held.columns
-        version = arrays[4].item(CHANGES)
-        if type(at) is not float:
-            then = self._then(at, hulls)
-            return Known(version, None, None, then, scratch.memory(then))
-        scratch.at[0] = at
-        if (
-            known is not None
-            and known.version == version
-            and hulls is None
-            and known.geometry is columns.geometry
-            and known.hulls is columns.hulls
-        ):
-            return known
-        then, ours = self._then(scratch.at, hulls), (columns.geometry, columns.hulls)
-        known = Known(version, *ours, then, scratch.memory(then))
-        scratch.known = known if hulls is None else None
-        return known
+    def _known(
+        self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None
+    ) -> tuple[Then, tuple[Any, Any]]:
+        """What a kernel is told of times, and what of `scratch` it writes to."""
+        known, bodies, version = scratch.known, self._held.columns.bodies, arrays[4].item(CHANGES)
+        if known is not None and hulls is None and known[0] == version and known[1] is bodies:
+            _, _, then, memory = known
+        else:
+            then = self._then(scratch.at, hulls)
+            memory = scratch.memory(then)
+            scratch.known = Known(version, bodies, then, memory) if hulls is None else None
+        if type(at) is float:
+            scratch.at[0] = at
+            return then, memory
+        return tuple.__new__(Then, (*then[:2], at, *then[3:])), memory
 
     def _then(self, at: Floats, hulls: Hulls | None) -> Then:
         held = self._held
@@ -133,7 +128,10 @@ class OneTimed:
             entry = entry_point(kernel, arrays, motion.moving, then, *given)
             self._entries[variant] = entry
         done = entry(arrays, motion.bounds, then, *given)
-        if done[0] >= 0:
-            return done
+        return done if done[0] >= 0 else self._call_again(entry, then, given)
+
+    def _call_again(self, entry: Any, then: Then, given: tuple[Any, ...]) -> Any:
+        """Call it with bounds that hold for these times."""
+        tree: Any = self._held.tree
         span = (then.at.min(), then.at.max()), True
-        return motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
+        return tree._motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))

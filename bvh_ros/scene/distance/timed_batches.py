@@ -46,9 +46,9 @@ class TimedDistances(OneTimed):
         told = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
             scratch = self._spare.take()
-            known = self._known(scratch, arrays, at, hulls)
-            given = rows, (0, count, wanted, 0), known.memory, told
-            done, _, written, compared = self._call(arrays, touch_rows, known.then, given, None)
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (0, count, wanted, 0), memory, told
+            done, _, written, compared = self._call(arrays, touch_rows, then, given, None)
             self._spare.give(scratch)
             if done == count:
                 if compared:
@@ -76,11 +76,11 @@ class TimedDistances(OneTimed):
             begin, total, room, answers, some = start, 0, FEW, told, []
             scratch = self._spare.take()
             while start < stop:
-                known = self._known(scratch, arrays, at, hulls)
+                then, memory = self._known(scratch, arrays, at, hulls)
                 if wanted == ALL:
                     answers = *told[:2], np.empty(room, np.uint32), *told[3:]
-                given = rows, (start, stop, wanted, total), known.memory, answers
-                done = self._call(arrays, touch_rows, known.then, given, None)
+                given = rows, (start, stop, wanted, total), memory, answers
+                done = self._call(arrays, touch_rows, then, given, None)
                 start, needed, written, compared = done
                 if needed == FAULTY:
                     return None
@@ -114,9 +114,9 @@ class TimedDistances(OneTimed):
         told, among = no_rows(count, k), self._among(arrays, signed)
         if threads == 1 and count < MANY:  # without what others take
             scratch = self._spare.take()
-            now = self._known(scratch, arrays, at, None)
-            given = points, None, (0, count, k, *among), now.memory, told
-            done, wanted, _ = self._call(arrays, near_rows, now.then, given, signed)
+            then, memory = self._known(scratch, arrays, at, None)
+            given = points, None, (0, count, k, *among), memory, told
+            done, wanted, _ = self._call(arrays, near_rows, then, given, signed)
             self._spare.give(scratch)
             if done == count:
                 return told
@@ -145,9 +145,9 @@ class TimedDistances(OneTimed):
                 tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
             scratch = self._spare.take()
             while start < stop:
-                now = self._known(scratch, view.tree, at, None)
-                given = points, known, (start, stop, *asked), now.memory, told
-                start, wanted, _ = self._call(view.tree, near_rows, now.then, given, variant)
+                then, memory = self._known(scratch, view.tree, at, None)
+                given = points, known, (start, stop, *asked), memory, told
+                start, wanted, _ = self._call(view.tree, near_rows, then, given, variant)
                 if wanted == FAULTY:
                     return False
                 scratch.have_room(wanted)
@@ -195,30 +195,37 @@ class TimedDistances(OneTimed):
         count, arrays = number_of(rows), self._held.tree._settled().tree
         everybody = arrays[4].item(COUNT)
         told = room_for(count, NOT_ASKED if itself == NONE else np.empty(count, np.int64))
-        given = arrays, rows, hulls, (reaches, everybody, itself, signed), at, told
-        if threads == 1:
-            return told if self._clear(*given, 0, count) else None
-        return told if all(in_threads(partial(self._clear, *given), count, threads)) else None
+        alike = itself == NONE and not self._held.columns.shaped
+        if threads == 1:  # without what others take
+            scratch = self._spare.take()
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (0, count, reaches, everybody, itself, signed, alike), memory, told
+            done, wanted = self._call(arrays, clear_rows, then, given, signed)
+            self._spare.give(scratch)
+            if done == count:
+                return told
+            if wanted == FAULTY:
+                return None
+        every = arrays, rows, hulls, (reaches, everybody, itself, signed, alike), at, told
+        return told if all(in_threads(partial(self._clear, *every), count, threads)) else None
 
     def _clear(
         self,
         arrays: Tree,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
-        asked: tuple[Floats, int, int, Signed],
+        asked: tuple[Floats, int, int, Signed, bool],
         at: Any,
         told: Neighbours,
         start: int,
         stop: int,
     ) -> bool:
         """Fill in the rows [start, stop); whether all are legal."""
-        alike = asked[2] == NONE and not self._held.columns.shaped
         scratch = self._spare.take()
         while start < stop:
-            now = self._known(scratch, arrays, at, hulls)
-            question = start, stop, *asked, alike
-            given = rows, question, now.memory, told
-            start, wanted = self._call(arrays, clear_rows, now.then, given, asked[3])
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (start, stop, *asked), memory, told
+            start, wanted = self._call(arrays, clear_rows, then, given, asked[3])
             if wanted == FAULTY:
                 return False
             scratch.have_room(wanted)

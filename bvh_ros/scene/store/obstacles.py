@@ -26,6 +26,7 @@ from .updating import Rows
 EXACT = 1 << 53  # ns, 104 days: each of them is a double
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 KNOWN = 1 << 51  # ns, 26 days: of each of them a double of seconds tells which one it is
+FEW = 32  # times for which numpy takes longer than Python
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
 
 
@@ -198,8 +199,8 @@ class Obstacles:
         """Times in ns as the tree has them: seconds since the first velocity was told, or 26 days
         ago at most, so that it knows which whole nanosecond is meant.
         """
-        if len(stamps) == 1:
-            return np.array([self.second(stamps.item())])
+        if len(stamps) <= FEW:
+            return np.array([in_seconds(stamp - self.epoch) for stamp in stamps.tolist()])
         return all_in_seconds(stamps.astype(np.longdouble) - np.longdouble(self.epoch))
 
     def leave_shadows(self, rows: Rows) -> Slots:

@@ -4,10 +4,12 @@
 
 import copy
 import pickle
+import re
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -86,6 +88,37 @@ def test_what_is_refused_changes_nothing():
                 still.raycast([0, 0], [1, 0], **times)
             with pytest.raises(ValueError, match=r'at|pace'):
                 still.raycast_many([[0, 0]] * 3, [[1, 0]] * 3, **times)
+
+
+@pytest.mark.parametrize('count', [0, 1, 3, 100])
+def test_times_of_boxes_and_points_are_refused_however_many_rows_there_are(count: int):
+    """Kernels look at times, and see none where there is no row."""
+    tree, lo = moving_tree(), np.zeros((count, 2))
+    late = np.zeros(count)
+    late[-1:] = np.nan
+    cases: list[tuple[Any, str]] = [
+        (np.nan, 'at must be finite, not nan'),
+        (-np.inf, 'at must be finite, not -inf'),
+        (np.zeros(count + 2), f'at must be a number or have shape ({count},), not ({count + 2},)'),
+        ('x', 'at must be real numbers: they are of type <U1'),
+    ]
+    if count:
+        row = f'row {count - 1} is nan'
+        cases += [
+            (late, f'at must be finite: {row}'),
+            (late.tolist(), f'at must be finite: {row}'),
+        ]
+    for at, message in cases:
+        with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
+            tree.nearest_many(lo, at=at)
+        with pytest.raises(ValueError, match=f'^{re.escape(message)}$'):
+            tree.overlap_many(lo, lo + 1.0, at=at)
+    if count:
+        lo[-1, 0] = np.nan
+        with pytest.raises(ValueError, match=f'^points must be finite: row {count - 1} is '):
+            tree.nearest_many(lo, at=1.0)
+        with pytest.raises(ValueError, match=f'^lo must be finite: row {count - 1} is '):
+            tree.overlap_many(lo, lo, at=1.0)
 
 
 def test_kept_in_files(tmp_path: Path):
