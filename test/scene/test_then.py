@@ -3,6 +3,7 @@
 """Questions about a scene at a time: as to a scene in which everybody stands where it is then."""
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -249,6 +250,22 @@ def test_boxes_are_decided_exactly():
                 for a in range(3)
             )
             assert (names[row] in hit) == touches
+
+
+@pytest.mark.parametrize('at', [0, np.empty(0, np.int64)])
+def test_no_row_is_asked_at_no_time(at: Any):
+    """Bounds are fitted to no time at the first question."""
+    for ask in ('overlap_many', 'nearest_many', 'clearance_many'):
+        scene, none = Scene(), np.empty((0, 3))
+        boxes = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+        scene.update('a', ['one'], boxes, stamp=0, velocities=[[1.0, 0, 0]])
+        asked = {
+            'overlap_many': (none, [1, 1, 1]),
+            'nearest_many': (none,),
+            'clearance_many': (Shapes.boxes(none, [1, 1, 1]),),
+        }
+        found = getattr(scene, ask)(*asked[ask], at=at)
+        assert not len(found if ask == 'overlap_many' else found[0])
 
 
 def test_what_is_refused_and_what_nothing_moves():

@@ -4,11 +4,14 @@
 and one query. Scenes without velocities need none of this.
 """
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ...tree.checks import NOTHING
 from ...tree.jit.compiling import entry_point
+from ...tree.motion.spans import times_of
 from ...tree.nodes import CHANGES, COUNT, Tree
 from ..geometry.shapes import Floats
 from ..results import SceneHit
@@ -133,5 +136,5 @@ class OneTimed:
     def _call_again(self, entry: Any, then: Then, given: tuple[Any, ...]) -> Any:
         """Call it with bounds that hold for these times."""
         tree: Any = self._held.tree
-        span = (then.at.min(), then.at.max()), True
-        return tree._motion.ask(tree, lambda: span, lambda *arrays: entry(*arrays, then, *given))
+        spans = partial(times_of, then.at, NOTHING, NOTHING)
+        return tree._motion.ask(tree, spans, lambda *arrays: entry(*arrays, then, *given))
