@@ -23,9 +23,11 @@ from .ray_queries import RayQueries
 from .region import as_region
 from .removals import Removals
 from .slicing import SlicedUpdates
-from .store.obstacles import Obstacles
+from .store.obstacles import Obstacles, in_seconds
 from .store.registry import UNKNOWN
 from .updates import Categorise, Updates
+
+FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 
 
 class Scene(RayQueries, OverlapQueries, DistanceQueries):
@@ -55,7 +57,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         obstacles whose bounds touch it are kept: one that leaves it is removed. Who has a velocity
         is kept if its bounds may touch it within `max_prediction` of its stamp.
     max_prediction : float
-        Who has a velocity moves on for so many seconds after its stamp, and then stays there.
+        Who has a velocity moves on for so many seconds after its stamp, to the nearest nanosecond,
+        and then stays there.
     uncertainty : float
         Who has a velocity other than zero is, at another time than its stamp, so much larger all
         round (m) for each second between. Rays and sweeps meet it as large as it is at the end of
@@ -89,7 +92,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         uncertainty: float = 0.0,
     ) -> None:
         held = Obstacles(bool(planar), margin, meshes, max_obstacles)
-        held.max_prediction = checks.limit('max_prediction', max_prediction)
+        going = checks.limit('max_prediction', max_prediction)
+        held.max_prediction = in_seconds(round(going * 1e9)) if going < FOR_EVER else math.inf
         held.uncertainty = checks.limit('uncertainty', uncertainty)
         if math.isinf(held.uncertainty):
             raise ValueError('uncertainty must be finite')

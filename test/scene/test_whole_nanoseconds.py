@@ -192,3 +192,20 @@ def test_who_is_met_until_an_instant(seed):
         assert few.t.item() == found.t[row]
         met += bool(hits)
     assert met
+
+
+def test_who_goes_on_for_no_whole_number_of_nanoseconds():
+    """It is the nearest of them: after a third of a second at 3e9 m/s the rest makes a metre."""
+    scene = Scene(max_prediction=1 / 3)
+    assert scene.max_prediction == 0.333333333
+    box = Shapes.boxes([[0.0, 0.0, 0.0]], [[1.0, 1.0, 1.0]])
+    scene.update('s', ['fast'], box, stamp=0, velocities=[[3e9, 0.0, 0.0]])
+    start, goal, when = [999999999.5, 0.5, 0.0], [1000000001.0, 0.5, 0.0], {'at': SECOND}
+    for _ in range(3):
+        assert scene.raycast(start, goal, **when).t == 0.0
+        assert scene.raycast([1e9, 0.0, 0.0], [1e9 + 1, 0.0, 0.0], **when) is None
+        found = scene.raycast_many([start] * 90, [[1.0, 0.0, 0.0]] * 90, 1.0, **when)
+        assert (found.t == 0.0).all()
+        assert scene.overlap(start, goal, **when)
+        assert not scene.overlap([999999999.6, 0.0, 0.0], goal, **when)
+        assert scene.nearest(goal, **when)[0].t == 1.5

@@ -11,8 +11,8 @@ from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.jit.moving_sides import FRONTS
 from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import descend
+from ...tree.motion.rounded import may_meet
 from ...tree.motion.starting import start_seen
-from ...tree.motion.wide_casting import may_meet
 from ...tree.nodes import DEEPEST, NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import PAD, TINY

@@ -24,7 +24,6 @@ from .registry import UNKNOWN, Registry, Slots
 from .updating import Rows
 
 EXACT = 1 << 53  # ns, 104 days: each of them is a double
-FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 KNOWN = 1 << 51  # ns, 26 days: of each of them a double of seconds tells which one it is
 FEW = 32  # times for which numpy takes longer than Python
 MANY = 10_000  # boxes: where fresh memory takes longer than a turn
@@ -173,8 +172,7 @@ class Obstacles:
                 self.epoch = rows.stamp.item(0)
                 self.moves = bool(now.any())
                 if self.moves:
-                    left = self.max_prediction
-                    self.tree.count_nanoseconds(left if left < FOR_EVER else np.inf)
+                    self.tree.count_nanoseconds(self.max_prediction)
         if self.moves:
             self._follow_time(rows.stamp)
             since = self.seconds(rows.stamp)

@@ -41,6 +41,7 @@ from ..wide.snapshot import (
 from .bounds import LEAST, WIDER
 from .casting import no_motion
 from .meeting import Moving, box_of, moves
+from .rounded import FASTEST, LEAST_32
 from .stopping import LATER
 from .sums import A_NANOSECOND
 
@@ -50,8 +51,8 @@ USELESS = -2  # why there is no such snapshot
 TOGETHER = 1.5
 # No snapshot sees boxes go along for more than so many of its units: then rays begin too far away.
 FARTHEST_DRIFT = 2.0**9
-MARGIN, FASTEST = 2.0**-38, 1e30
-WIDER_32, LEAST_32 = 2.0**-22, np.float32(1e-37)
+MARGIN = 2.0**-38
+WIDER_32 = 2.0**-22
 
 
 @functools.cache
@@ -148,7 +149,7 @@ def _may_stop(box, moving):
 def _set_leaf(leaf, box, axis, moving, per_length):
     """Write an axis of a leaf's record.
 
-    It is wider by MARGIN of the scene. That is more than all that `wide_casting.quick_decision`
+    It is wider by MARGIN of the scene. That is more than all that `rounded.quick_decision`
     loses: with its origin within 2**10 scenes and within the span, a ray goes no further than that
     along an axis, relative to a box, nor does that go further than FARTHEST_DRIFT and a scene.
     """

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import prefetch, stack_array, trailing_zeros
-from ..jit.moving_leaf import moving_slabs
+from ..jit.intrinsics import prefetch, stack_array
 from ..nodes import NONE, Tree
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import ANY, of_row
-from ..rays.slab import EXACT, INSIDE, PAD, TINY, set_ray
+from ..rays.slab import EXACT, INSIDE, set_ray
 from ..results import RayHits
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
-from ..wide.best_hit import ASK, MEETS, MISSES
+from ..wide.best_hit import ASK, MEETS
 from ..wide.ray_piles import MIXED_RAYS, is_scan
 from ..wide.ray_streams import (
     DECIDED_EXACTLY,
@@ -34,13 +33,11 @@ from ..wide.ray_streams import (
 from ..wide.raycasting import MIXED, traverse, visit_leaf
 from .asked_then import NO_RAYS, MovingRays, RaysThen
 from .meeting import box_of, course_of, fetch_box
+from .rounded import may_meet, quick_decision, quick_decision_of_both
 from .starting import sort_by_octant, start_group
 from .stopping import as_met, distance_of, is_before, meet_box
 from .sweeping import Sweep, no_sweep
 
-# Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
-# from that of the same box's record.
-SLOWEST, NEAR = 1e-290, 2.0**-16
 UNSUITED = -3  # not a handle, nor NONE
 AHEAD = 4  # so many hits before it is described, the memory of a box is asked for
 WAITING, PLACES = TALLY, TALLY + 1  # behind what is tallied: how many pairs wait
@@ -70,48 +67,20 @@ class Waiting(NamedTuple):
 
 
 @inlined
-def quick_decision(leaves, slot, origin, direction, since, pace, limit):
-    """Decide where rounding cannot matter: (verdict, t, face), as `wide.best_hit.quick_decision`.
-    `since` the start of the span.
-
-    MEETS: surely met, and before `limit`, at `face`; t is not before that, nor later by more than
-    NEAR of it.
-    """
-    missed, doubt, entry, leave, entered_by, others_by, surely, lanes, negative, within = (
-        moving_slabs(leaves, slot, origin, direction, since, pace, 0.0, SLOWEST)
-    )
-    if within and limit > 0.0:
-        return MEETS, 0.0, INSIDE
-    if missed or entry > min(leave, limit) * PAD + TINY:
-        return MISSES, limit, INSIDE
-    surely = min(surely, limit * (1.0 - NEAR))
-    clear = others_by * PAD < entry and entered_by * PAD < surely and not doubt
-    if clear and lanes & (lanes - 1) == 0 and entered_by < entry * (1.0 + 0.5 * NEAR):
-        axis = np.int64(trailing_zeros(np.uint32(lanes)))
-        return MEETS, entered_by, 2 * axis + (negative >> axis & 1)
-    return ASK, limit, INSIDE
-
-
-@inlined
-def may_meet(leaves, slot, origin, direction, since, pace, limit, more):
-    """Whether a course may meet a leaf before `limit` whose box is larger by `more` on all sides;
-    as `quick_decision`, where it does not say MISSES.
-    """
-    missed, _, entry, leave, _, _, _, _, _, _ = moving_slabs(
-        *(leaves, slot, origin, direction, since, pace, more, SLOWEST)
-    )
-    return not (missed | (entry > min(leave, limit) * PAD + TINY))
-
-
-@inlined
 def is_better(tree, ray, rays, row, slot, best):
     """As `wide.best_hit.is_better`, with faces of `meet_box` for axes."""
     origin, direction = rays.origins[row], rays.directions[row]
     at, pace = of_row(rays.at, row), of_row(rays.pace, row)
     ray[EXACT, 0] = 0.0
+    leaves = rays.leaves
     verdict, t, face = quick_decision(
-        *(rays.leaves.records, slot, origin, direction), at - rays.leaves.start, pace, best[1]
+        *(leaves.records, slot, origin, direction, at - leaves.start, pace, best[1])
     )
+    if verdict == ASK and leaves.records[slot].loose == np.inf:
+        way = origin, direction, at, pace
+        verdict, t, face = quick_decision_of_both(
+            tree, rays.moving, leaves.records, slot, way, best[1]
+        )
     if verdict != ASK:
         return verdict == MEETS and not (rays.skip_inside and face == INSIDE), t, np.int64(face)
     set_ray(ray, origin, direction)
