@@ -218,6 +218,8 @@ def visit_waiting(tree, rows, rays, scratch, tally):
         near = may_meet(leaves.records, slot, *way, since, pace, limit, 0.0)
         pairs[kept] = pair
         kept += near
+        if near and leaves.records[slot].loose == np.inf:
+            fetch_box(tree, rays.moving, slot)
     for i in range(kept):
         group = rows, (pairs[i] & 0xFFFFFFFF,)
         visit_leaf(tree, pairs[i] >> 32, scratch.patched, group, rays, scratch, tally, is_better)
