@@ -73,13 +73,15 @@ def is_better(tree, ray, rays, row, slot, best):
     at, pace = of_row(rays.at, row), of_row(rays.pace, row)
     ray[EXACT, 0] = 0.0
     leaves = rays.leaves
-    verdict, t, face = quick_decision(
-        *(leaves.records, slot, origin, direction, at - leaves.start, pace, best[1])
-    )
-    if verdict == ASK and leaves.records[slot].loose == np.inf:
+    if leaves.records[slot].loose == np.inf:
         way = origin, direction, at, pace
         verdict, t, face = quick_decision_of_both(
             tree, rays.moving, leaves.records, slot, way, best[1]
+        )
+    else:
+        since = at - leaves.start
+        verdict, t, face = quick_decision(
+            leaves.records, slot, origin, direction, since, pace, best[1]
         )
     if verdict != ASK:
         return verdict == MEETS and not (rays.skip_inside and face == INSIDE), t, np.int64(face)
