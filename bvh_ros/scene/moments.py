@@ -176,7 +176,7 @@ class Moments:
         tree: Any = held.tree
         if held.planar or held.uncertainty or not held.moves:
             return None
-        if len(t_max) != 1 or tree._storage.heirs:
+        if not len(t_max) or tree._storage.heirs:
             return None
         if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
             return None
@@ -185,7 +185,8 @@ class Moments:
             return None
         start = begin / 1e9  # as `_way_of_time`
         pace = (end - begin) / 1e9
-        when, stop = (start, pace), start if pace == 0.0 else start + t_max.item() * pace
+        limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
+        when, stop = (start, pace), start if pace == 0.0 else start + limit * pace
         courses = self._courses or self._courses_then()
         shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
         sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))

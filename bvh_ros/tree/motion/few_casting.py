@@ -32,14 +32,14 @@ FEW = 72
 @lean_kernel
 def cast_few(tree, sweep, asked, skip_inside, mode, when, hits):
     """As `wide_casting.cast_rows`, of rays asked = (origins, directions, t_max, masks) that share
-    one t_max and their times, when = (at, pace); REFUSED, too, where those do not lie within the
-    span that was swept.
+    their times, when = (at, pace); REFUSED, too, where those do not lie within the span that was
+    swept.
     """
     (origins, directions, t_max, masks), (at, pace), moving = asked, when, sweep.moving
-    if t_max.shape[0] != 1:
-        return np.int64(REFUSED)
-    last = at if pace == 0.0 else at + t_max[0] * pace
-    within = moving.start <= at <= moving.stop and moving.start <= last <= moving.stop
+    within = moving.start <= at <= moving.stop
+    for row in range(t_max.shape[0]):
+        last = at if pace == 0.0 else at + t_max[row] * pace
+        within = within and moving.start <= last <= moving.stop
     if not within or not begin_query(tree.state, moving.version):
         return np.int64(REFUSED)
     ats, paces = stack_array(1, np.float64), stack_array(1, np.float64)

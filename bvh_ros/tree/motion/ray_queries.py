@@ -148,8 +148,9 @@ class MotionRays(Motion):
         what is swept already; REFUSED where nothing is.
         """
         count, (at, pace), t_max = len(rays[0]), when, rays[2]
-        if len(t_max) == 1:
-            last = at if pace == 0.0 else at + t_max.item() * pace
+        if len(t_max):
+            limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
+            last = at if pace == 0.0 else at + limit * pace
             sweep = self.ready_sweep(tree._storage.tree, count, at, last)
             if sweep is not None:
                 hits = ray_batches.room_for(count, tree._ndim, mode)
@@ -167,11 +168,20 @@ class MotionRays(Motion):
         threads: int,
     ) -> RayHits:
         """`first_many` at good times."""
-        count, view = len(rays[0]), tree.view()
+        count = len(rays[0])
         span, every = times_of(*when, rays[2])
-        sweep = self.swept_for(tree, view, count, span) if every and count else None
         asked = RaysThen(*rays, skip_inside, mode, *when, AS_ARRAYS)
         hits = ray_batches.room_for(count, tree._ndim, mode)
+        if threads == 1 and every and count and not tree._storage.heirs:
+            arrays = tree._storage.tree
+            ready = self.ready_sweep(arrays, count, *span)
+            done = REFUSED if ready is None else wide_casting.cast(arrays, ready, asked, hits)
+            if done > 0:
+                self._tell_unsuited(tree, asked, hits)
+            if done >= 0:
+                return hits
+        view = tree.view()
+        sweep = self.swept_for(tree, view, count, span) if every and count else None
         self.answer(tree, (view, sweep), asked, hits, threads, wide_casting.cast)
         return hits
 
