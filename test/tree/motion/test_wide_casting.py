@@ -126,7 +126,9 @@ def test_what_cannot_be_swept_is_asked_one_by_one():
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_few_rays_are_those_one_by_one(ndim: int):
-    """Batches too small for lists, whose rays graze corners of boxes that tie."""
+    """Batches too small for lists, whose rays graze corners of boxes that tie, with one limit for
+    all or each with its own, as the times.
+    """
     rng, count = np.random.default_rng(ndim), 1600
     lo = rng.integers(-12, 12, (count, ndim)).astype(np.float64)
     box_masks = rng.integers(1, 8, count).astype(np.uint32)
@@ -143,13 +145,18 @@ def test_few_rays_are_those_one_by_one(ndim: int):
         if number % 2:
             origins[0], ways[-1], ways[size // 2] = 1e6, 0.0, 1e-250  # not all are suited
         masks = rng.integers(1, 8, size).astype(np.uint32)
-        for times in ({'pace': 1.0}, {'at': 0.5}, {'at': 1.0, 'pace': -1.0}, {'at': 3.0}):
-            asked = origins, ways, 1.0, masks, number % 3 == 0
+        limits = rng.choice([0.0, 0.5, 1.0], size) if number % 4 > 1 else np.ones(1)
+        own = {'at': rng.choice([0.0, 0.5], size), 'pace': rng.choice([0.0, 0.5], size)}
+        for times in ({'pace': 1.0}, {'at': 0.5}, {'at': 1.0, 'pace': -1.0}, {'at': 3.0}, own):
+            limit = limits if len(limits) == size else 1.0
+            asked = origins, ways, limit, masks, number % 3 == 0
             hits = tree.raycast_many(*asked, **times)
             met = tree.occluded_many(*asked, **times)
             for row in range(size):
-                asked_one = origins[row], ways[row], 1.0, int(masks[row]), asked[4]
-                one = tree.raycast(*asked_one, **times)
+                end = limits.item(row if len(limits) == size else 0)
+                asked_one = origins[row], ways[row], end, int(masks[row]), asked[4]
+                when = {name: float(np.broadcast_to(x, size)[row]) for name, x in times.items()}
+                one = tree.raycast(*asked_one, **when)
                 assert met[row] == (one is not None)
                 assert hits.ids[row] == (-1 if one is None else one.id)
                 assert hits.t[row] == (math.inf if one is None else one.t)
