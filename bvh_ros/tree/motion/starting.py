@@ -24,12 +24,13 @@ def start_seen(record, snapshot, leaves, rays, row):
     """`filtering.start_ray` of one of `rays`, MovingRays or what has as much to say; whether it is
     suited to the snapshot of a `sweeping.Sweep`, whose leaves these are.
     """
-    drift = leaves.records[-1].lo
-    origin = rays.origins[row], drift, of_row(rays.at, row) - leaves.start
-    way = rays.directions[row], drift, of_row(rays.pace, row) * ALMOST_ONE
-    return start_ray(
-        record, origin, way, snapshot.center, snapshot.per_length, of_row(rays.t_max, row)
-    )
+    origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
+    units, drift = (snapshot.center, snapshot.per_length), leaves.records[-1].lo
+    if leaves.records[-1].loose == 0.0:
+        return start_ray(record, origin, direction, *units, t_max)
+    origin = origin, drift, of_row(rays.at, row) - leaves.start
+    direction = direction, drift, of_row(rays.pace, row) * ALMOST_ONE
+    return start_ray(record, origin, direction, *units, t_max)
 
 
 @inlined
@@ -51,13 +52,11 @@ def sort_by_octant(rays, start, octants, rows, ends):
     """Fill `rows` with the numbers from `start` on, octant by octant of where rays are seen to go;
     those of octant k end before ends[k]. `octants` is scratch.
     """
-    ends[:], drift, rests = 0, rays.leaves.records[-1].lo, True
-    for axis in range(rays.directions.shape[1]):
-        rests &= drift[axis] == 0.0
+    ends[:], drift = 0, rays.leaves.records[-1].lo
     for i in range(rows.shape[0]):
         direction = rays.directions[start + i]
         octant, pace = octant_of(direction), of_row(rays.pace, start + i) * ALMOST_ONE
-        if not rests:
+        if rays.leaves.records[-1].loose != 0.0:
             octant = 0
             for axis in range(direction.shape[0]):
                 way = direction[axis] - (drift[axis] * pace + 0.0)
