@@ -209,3 +209,18 @@ def test_who_goes_on_for_no_whole_number_of_nanoseconds():
         assert scene.overlap(start, goal, **when)
         assert not scene.overlap([999999999.6, 0.0, 0.0], goal, **when)
         assert scene.nearest(goal, **when)[0].t == 1.5
+
+
+@pytest.mark.parametrize('most', [None, 1])
+def test_copies_know_whole_nanoseconds_and_who_stands(most):
+    """A node keeps copies for questions about the past."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        crowd = Crowd(rng, most)
+        scenes = crowd.scene, crowd.scene.copy(), crowd.scene.copy().copy()
+        for time in crowd.instants(rng, 5, 90).tolist():
+            for point in crowd.corners(rng, [time] * 4):
+                touched = crowd.touched(point, time)
+                for scene in scenes:
+                    hits = scene.overlap(point, point, at=time)
+                    assert {hit.name for hit in hits} == touched

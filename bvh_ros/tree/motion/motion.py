@@ -106,8 +106,9 @@ class Motion:
         return done
 
     def packed(self, handles: Ids) -> dict[str, Any]:
-        """`velocities.packed`."""
-        return velocities.packed(self.kept, handles)
+        """`velocities.packed`; and `left`, where times are whole nanoseconds."""
+        told = velocities.packed(self.kept, handles)
+        return told | {'left': self.moving.left} if self.moving.nanoseconds else told
 
     def told_to(self, handles: Ids, slots: Ids) -> tuple[Floats, Floats]:
         """`velocities.told_to`."""

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from .. import checks
 from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN, Tree
 from ..validation import array_forms
 from . import mapped
@@ -26,6 +27,7 @@ from .storage import READ_ONLY, allocate, storage_of
 VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too
 VERSIONS = VERSION, WITH_MOTION
 MOTION = ('moving', 'velocities', 'references')
+LEFT = 'left'  # is told beside them, where times are whole nanoseconds
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
 # A letter of numpy's for each kind of number or text that a value may be.
 VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
@@ -81,11 +83,11 @@ def _read(archive: zipfile.ZipFile) -> dict[str, Any]:
     _refuse_missing(name[:-4] for name in archive.namelist() if name.endswith('.npy'))
     packed = {}
     for name in (*VALUES, 'counters'):
-        if archive.getinfo(f'{name}.npy').file_size > LARGEST_VALUE:
-            raise ValueError(f'its {name} is too large')
-        packed[name] = _member(archive, name)
+        packed[name] = _small(archive, name)
         if name == 'version' and _value(packed, name) not in VERSIONS:
             raise ValueError(f'it has format version {packed[name]}; this is for {VERSIONS}')
+    if f'{LEFT}.npy' in archive.namelist():
+        packed[LEFT] = _small(archive, LEFT)
     forms = {name: _form(archive, name) for name in ARRAYS}
     _check_forms(_value(packed, 'ndim'), forms)
     nodes = archive.getinfo('nodes.npy')
@@ -110,6 +112,12 @@ def _refuse_missing(names: Iterable[str]) -> None:
     missing = {'counters', *ARRAYS, *VALUES} - set(names)
     if missing:
         raise ValueError(f'it lacks {sorted(missing)}')
+
+
+def _small(archive: zipfile.ZipFile, name: str) -> Any:
+    if archive.getinfo(f'{name}.npy').file_size > LARGEST_VALUE:
+        raise ValueError(f'its {name} is too large')
+    return _member(archive, name)
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> Any:
@@ -211,6 +219,8 @@ def unpack(tree: Any, packed: Any) -> None:
     try:
         tree.validate()
         if kept['version'] == WITH_MOTION:
+            if LEFT in packed:
+                tree.count_nanoseconds(checks.limit(LEFT, packed[LEFT]))
             tree.set_velocities(*(packed[name] for name in MOTION))
     except (RuntimeError, KeyError, ValueError) as error:
         raise ValueError(f'the saved tree is not sound: {error}') from None

@@ -154,6 +154,30 @@ def test_kept_in_files(tmp_path: Path):
             DynamicBVH.load(tmp_path / 'damaged.npz')
 
 
+def test_whole_nanoseconds_and_how_long_boxes_go_on_are_kept(tmp_path: Path):
+    tree = DynamicBVH(ndim=2)
+    box = tree.insert([0, 0], [1, 1])
+    tree.count_nanoseconds(0.3)
+    tree.set_velocities([box], [[10, 0]], reference=0.1)
+    tree.save(tmp_path / 'tree.npz')
+    others = DynamicBVH.load(tmp_path / 'tree.npz'), pickle.loads(pickle.dumps(tree))
+    for other in (tree, *others, copy.deepcopy(tree), copy.deepcopy(others[0])):
+        for x, at, met in (
+            (3, 0.3, True),
+            (2, 0.3, True),
+            (4, 0.4, True),
+            (4, 99.0, True),
+            (5, 99.0, False),
+        ):
+            assert other.occluded([x, 9], [0, -1], at=at) == met
+    with np.load(tmp_path / 'tree.npz') as file:
+        sound = dict(file)
+    for left in (np.array(-1.0), np.array(np.nan), np.zeros(2), np.array('x'), np.zeros(5000)):
+        np.savez_compressed(tmp_path / 'damaged.npz', **(sound | {'left': left}))
+        with pytest.raises(ValueError, match=r'no saved tree|not sound'):
+            DynamicBVH.load(tmp_path / 'damaged.npz')
+
+
 def test_bounds_follow_the_tree_and_the_times():
     """One tree that changes and is asked for all times, against one made for each question."""
     for world, course, rng in worlds(5, 20):
