@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Decisions of a ray and a box that moves where rounding cannot matter, by `sweeping.leaf_dtype`;
+"""Decisions of a ray and a box that moves where rounding cannot matter, by `leaves.leaf_dtype`;
 `stopping` decides the others.
 """
 

@@ -8,23 +8,17 @@ serves every ray whose times lie within the span; the shorter that is, the bette
 
 Where boxes go together, places are those that somebody sees who goes with them, at their mean
 velocity, the drift: where he is at the start of the span nodes stay as small as at rest, and it is
-rays that go further, see `starting`.
-
-Most leaves that a ray meets so are elsewhere when it is there. To tell that, a record of each
-holds what a rounded test needs, in one cache line: bounds at the start, a velocity as a float32,
-with which they hold over the span, and how loose they are.
+rays that go further, see `starting`. Leaves: see `leaves`.
 """
 
-import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..entries import entry_points
 from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import CACHE_LINE, WIDTH, stack_array
+from ..jit.intrinsics import WIDTH, stack_array
 from ..nodes import Tree, aligned_empty
 from ..store.turns import REFUSED, accepted, begin_query, end_query
 from ..wide.snapshot import (
@@ -38,12 +32,9 @@ from ..wide.snapshot import (
     outwards,
     write_planes,
 )
-from .bounds import LEAST, WIDER
 from .casting import no_motion
-from .meeting import Moving, box_of, moves
-from .rounded import FASTEST, LEAST_32
-from .stopping import LATER
-from .sums import A_NANOSECOND
+from .leaves import Leaves, leaf_dtype, may_stop, set_leaf, speed_of, swept_side
+from .meeting import Moving, box_of
 
 USELESS = -2  # why there is no such snapshot
 # Boxes go together if on the average what they sweep is so many times what they sweep as who goes
@@ -51,33 +42,6 @@ USELESS = -2  # why there is no such snapshot
 TOGETHER = 2.0
 # No snapshot sees boxes go along for more than so many of its units: then rays begin too far away.
 FARTHEST_DRIFT = 2.0**9
-MARGIN = 2.0**-38
-WIDER_32 = 2.0**-22
-
-
-@functools.cache
-def leaf_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of a leaf, by slot."""
-    wide, narrow = (np.float64, (ndim,)), (np.float32, (ndim,))
-    return np.dtype(
-        {
-            'names': ['lo', 'hi', 'velocity', 'loose'],
-            'formats': [wide, wide, narrow, np.float32],
-            'offsets': [0, 8 * ndim, 16 * ndim, 20 * ndim],
-            'itemsize': CACHE_LINE,
-        }
-    )
-
-
-class Leaves(NamedTuple):
-    """What a rounded test needs."""
-
-    records: NDArray[Any]
-    """Of `leaf_dtype`; behind them one more, whose `lo` is the drift: at that velocity the planes
-    of the snapshot go on; `loose` is 0 if there is none. (An argument more takes 0.2 us.)
-    """
-    start: float
-    """When boxes are where they say, s, and planes, too."""
 
 
 class Sweep(NamedTuple):
@@ -98,69 +62,6 @@ def no_sweep(ndim: int) -> Sweep:
     """To tell a compiler the types."""
     leaves = Leaves(np.empty(0, leaf_dtype(ndim)), 0.0)
     return Sweep(no_snapshot(ndim), no_motion(ndim), leaves)
-
-
-@inlined
-def _swept_side(box, axis, moving, drift):
-    """The bounds of a box on an axis over the span as who drifts sees it, surely wide enough."""
-    least, most, more = _ways(box, axis, moving, drift[axis])
-    return box[0][axis] + least - more, box[1][axis] + most + more
-
-
-@inlined
-def _ways(box, axis, moving, drift):
-    """How far a box has gone in the span, the least and the most, where who goes at `drift` from
-    the start on sees it, and how wrong its place may be then.
-    """
-    lo, hi, velocity, reference = box
-    speed, end, length = velocity[axis], reference + moving.left, moving.stop - moving.start
-    first = speed * (min(moving.start, end) - reference)
-    # Where it stops it stays: on the way there, and from there on, its place is linear in time.
-    gone = speed * (min(moving.stop, end) - reference)
-    bent = gone - drift * min(max(end - moving.start, 0.0), length)
-    last = gone - drift * length
-    extent, times = abs(lo[axis]) + abs(hi[axis]), abs(moving.start) + abs(moving.stop)
-    extent += abs(speed) * (times + abs(reference)) + abs(drift) * times
-    return min(first, bent, last), max(first, bent, last), extent * WIDER + LEAST
-
-
-@inlined
-def _speed_of(box, axis, moving):
-    """Of a box that may stop, on the average over the span."""
-    end = box[3] + moving.left
-    if end < moving.stop:
-        passed = max(end - moving.start, 0.0)
-        return box[2][axis] * (passed / (moving.stop - moving.start)) if passed > 0.0 else 0.0
-    return box[2][axis]
-
-
-@inlined
-def _may_stop(box, moving):
-    """Whether a box is going at the start of the span and may stop before a course is over whose
-    last time, as it is rounded, is in the span.
-    """
-    soon = (abs(moving.start) + abs(moving.stop)) * LATER + A_NANOSECOND
-    return moving.start <= box[3] + moving.left < moving.stop + soon and moves(box)
-
-
-@inlined
-def _set_leaf(leaf, box, axis, moving, per_length):
-    """Write an axis of a leaf's record.
-
-    It is wider by MARGIN of the scene. That is more than all that `rounded.quick_decision`
-    loses: with its origin within 2**10 scenes and within the span, a ray goes no further than that
-    along an axis, relative to a box, nor does that go further than FARTHEST_DRIFT and a scene.
-    """
-    speed = _speed_of(box, axis, moving)
-    speed = np.float32(speed if abs(speed) < FASTEST else 0.0)
-    least, most, more = _ways(box, axis, moving, np.float64(speed))
-    margin = MARGIN / per_length
-    more += margin
-    leaf.velocity[axis] = speed
-    leaf.lo[axis] = box[0][axis] + least - more
-    leaf.hi[axis] = box[1][axis] + most + more
-    loose = most - least + 2.0 * more + margin
-    leaf.loose = max(leaf.loose, np.float32(loose * (1.0 + WIDER_32)) + LEAST_32)
 
 
 @inlined
@@ -198,8 +99,8 @@ def _set_frame(tree, moving, snapshot, frame, drift, mean):
             box = box_of(tree, moving, slot)
             count += 1
             for axis in range(ndim):
-                lo, hi = _swept_side(box, axis, moving, drift)
-                side, speed = box[1][axis] - box[0][axis], _speed_of(box, axis, moving)
+                lo, hi = swept_side(box, axis, moving, drift)
+                side, speed = box[1][axis] - box[0][axis], speed_of(box, axis, moving)
                 mean[axis] += (speed - mean[axis]) / count
                 swept[axis] += side + abs(speed) * length
                 apart[axis] += side + abs(speed - mean[axis]) * length
@@ -239,10 +140,10 @@ def _choose_frame(tree, moving, snapshot, frame, last):
 def _sweep_leaf(box, lane, moving, frame, drift, planes, leaf):
     """Write the planes and the record of a leaf."""
     # Who may stop meanwhile is going when a ray meets it, or is not: no rounded test tells which.
-    ndim, leaf.loose = frame.shape[0] - 1, np.float32(np.inf if _may_stop(box, moving) else 0.0)
+    ndim, leaf.loose = frame.shape[0] - 1, np.float32(np.inf if may_stop(box, moving) else 0.0)
     for axis in range(ndim):
-        lo, hi = _swept_side(box, axis, moving, drift)
-        _set_leaf(leaf, box, axis, moving, frame[ndim])
+        lo, hi = swept_side(box, axis, moving, drift)
+        set_leaf(leaf, box, axis, moving, frame[ndim])
         write_planes(planes, lane, axis, ndim, outwards(lo, hi, frame[axis], frame[ndim]))
 
 

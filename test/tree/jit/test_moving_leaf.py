@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.tree.jit.moving_leaf import moving_slabs
-from bvh_ros.tree.motion.sweeping import leaf_dtype
+from bvh_ros.tree.motion.leaves import leaf_dtype
 
 SLOWEST = 0.75
 
