@@ -20,6 +20,7 @@ from ..timing import Job, interleaved
 
 BOXES, ROWS, CALLS, REPEATS = 10_000, 10_000, 300, 9
 SPEED, FAST, WAY, RADIUS = 1.5, 10.0, 5.0, 0.2  # m/s, standard deviation an axis; m
+ALONG, OF_SPEED = (17.0, 0.0, 0.0), (1.0, 0.1, 0.0)  # m/s, and shares: one carriageway
 SHORT = 0.9  # s: who goes on no longer has come to rest by the end of a way
 STEP = 0.1  # m
 SECOND = 10**9
@@ -139,6 +140,9 @@ def times(page: Page, brief: bool) -> None:
     def fast(speeds: Floats | None) -> Floats | None:
         return None if speeds is None else faster * speeds
 
+    def along(speeds: Floats | None) -> Floats | None:
+        return None if speeds is None else np.array(ALONG) + OF_SPEED * speeds
+
     worlds: dict[str, Callable[[Floats | None], Questions]] = {
         'tree': lambda speeds: _of_tree(boxes, speeds, asked),
         'scene': lambda speeds: _of_scene(still, speeds, asked),
@@ -147,6 +151,8 @@ def times(page: Page, brief: bool) -> None:
         f'scene, turned boxes, {FAST:g} m/s': lambda speeds: _of_scene(
             turned, fast(speeds), asked
         ),
+        'tree, one way': lambda speeds: _of_tree(boxes, along(speeds), asked),
+        'scene, one way': lambda speeds: _of_scene(still, along(speeds), asked),
         'scene, at rest by then': lambda speeds: _of_scene(still, speeds, asked, SHORT),
     }
     rows: list[list[Cell]] = []
@@ -161,9 +167,10 @@ def times(page: Page, brief: bool) -> None:
     page.add('### Asking about another time')
     page.add(
         f'{len(size):,} boxes that fill 2 % of a cube of 100 m, and as many that move at {SPEED} '
-        f'm/s on each axis, or at {FAST}, or for {SHORT} s and then no more. Ways of {WAY} m, '
-        'which take a second; boxes, points and shapes a second later. us a call, row or box, '
-        'without velocities and with them.'
+        f'm/s on each axis, or at {FAST}; or one way, at {ALONG[0]:g} m/s and so much more or '
+        f'less; or for {SHORT} s and then no more. Ways of {WAY} m, which take a second; boxes, '
+        'points and shapes a second later. us a call, row or box, without velocities and with '
+        'them.'
     )
     header = ['world', 'question', 'us, at rest', 'us, at a time', 'ratio']
     page.table(Table('features_times', header, rows))
