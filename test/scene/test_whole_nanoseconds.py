@@ -224,3 +224,24 @@ def test_copies_know_whole_nanoseconds_and_who_stands(most):
                 for scene in scenes:
                     hits = scene.overlap(point, point, at=time)
                     assert {hit.name for hit in hits} == touched
+
+
+@pytest.mark.parametrize('second', [0, 1, 3, 100, 2_000_000])
+@pytest.mark.parametrize('late', [-1, 0, 1])
+def test_who_stands_from_the_very_start_is_met_by_a_ball_that_begins_at_it(second, late):
+    """It touches to the last digit, and goes into the box."""
+    stamp, scene = second * SECOND, Scene(max_prediction=1e-9)
+    first = Shapes.boxes([[500.0, 0, 0]], [1, 1, 1])
+    scene.update('s', ['first'], first, stamp=0, velocities=[[1.0, 0, 0]])
+    box = Shapes.boxes([[-5.5, -4.0, 1.0]], [[3.0, 2.5, 1.0]])
+    scene.update('s', ['box'], box, stamp=stamp, velocities=[[-7.0, -3.0, -4.0]])
+    start = np.array([-4.500000007, -3.500000003, 1.999999996])
+    goal = start - np.array([357.0, 153.0, 204.0])
+    at = stamp + 1 + late
+    when = {'at': at, 'until': at + 51 * SECOND}
+    hit = scene.raycast(start, goal, 0.5, **when)
+    assert hit is not None
+    assert hit.name == 'box'
+    assert hit.t < 1e-9
+    found = scene.sweep_many([start] * 80, [goal] * 80, 0.5, **when)
+    assert (found.t == hit.t).all()

@@ -16,6 +16,7 @@ from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import INSIDE, set_ray
 from .casting import Best, enter_obstacle, plain
 
+HALF_A_NANOSECOND = 0.5e-9  # scenes tell whole ones, and less apart are but rounded otherwise
 NEAR = 2.0**-40  # of the t at which time is up: what is computed is not off by as much
 
 
@@ -74,11 +75,11 @@ def _enter(world, ways, i, box, radius, skip, scratch, thin, slot):
 
 @inlined
 def _time_left(box, course):
-    """The t at which an obstacle comes to rest; negative if it did before, inf if it does not
-    meanwhile.
+    """The t at which an obstacle comes to rest; negative if it stands from the start, at the very
+    nanosecond, too; inf if it does not meanwhile.
     """
     end = end_of(box, course.left)
-    if end < course.at:
+    if end - course.at < HALF_A_NANOSECOND:
         return -1.0
     return (end - course.at) / course.pace if course.pace > 0.0 else np.inf
 
