@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene.geometry.shapes import BOX, SPHERE
 
 SECOND = 10**9
 HALF = 1  # of every box
@@ -245,3 +246,30 @@ def test_who_stands_from_the_very_start_is_met_by_a_ball_that_begins_at_it(secon
     assert hit.t < 1e-9
     found = scene.sweep_many([start] * 80, [goal] * 80, 0.5, **when)
     assert (found.t == hit.t).all()
+
+
+@pytest.mark.parametrize('days', [0, 1, 25])
+@pytest.mark.parametrize('radius', [0.0, 0.25])
+def test_other_shapes_are_where_they_are_after_weeks(days, radius):
+    """Seconds on a clock that ran for weeks are rounded to half a nanosecond: 1e-8 m at 30 m/s."""
+    rng, scene = np.random.default_rng(days), Scene(max_prediction=0.5)
+    names, kinds, places = ['ball', 'box'], np.array([SPHERE, BOX], np.uint8), np.zeros((2, 3))
+    places[1, 1] = 9.0
+    shapes = Shapes(kinds, places, np.zeros((2, 4)), np.ones((2, 3)))
+    for stamp in (0, *(days * 86_400 * SECOND + rng.integers(1, SECOND, 50)).tolist()):
+        scene.update('s', names, shapes, stamp=stamp, velocities=[[30.0, 0.0, 0.0]] * 2)
+        at = stamp + int(rng.integers(0, SECOND))
+        until = at + int(rng.integers(1, SECOND))
+        gone = [30 * Fraction(min(time - stamp, SECOND // 2), SECOND) for time in (at, until)]
+        rest = min(Fraction(max(stamp + SECOND // 2 - at, 0), until - at), 1)
+        for y in (0.0, 9.0):
+            start, goal, gap = [-5.0, y, 0.0], [95.0, y, 0.0], Fraction(9, 2) - Fraction(radius)
+            frozen = scene.raycast(start, goal, radius, at=at).t
+            assert abs(frozen * 100 - float(gap + gone[0])) < 1e-12 * 100
+            met = (gap + gone[0]) / (100 - (gone[1] - gone[0]) / rest) if rest else Fraction(2)
+            met = met if rest and met <= rest else (gap + gone[1]) / 100
+            hit = scene.raycast(start, goal, radius, at=at, until=until)
+            assert abs(hit.t - float(met)) * 100 < 1e-12 * 100
+            assert abs(hit.point[0] - float(met * 100 - 5 + Fraction(radius))) < 1e-12 * 100
+            many = scene.sweep_many([start] * 80, [goal] * 80, radius, at=at, until=until)
+            assert (many.t == hit.t).all()

@@ -13,6 +13,7 @@ from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.bounds import OUTSIDE, begin_asking, covers, moments_of
 from ...tree.motion.casting import locate
 from ...tree.motion.meeting import box_of, course_of
+from ...tree.motion.sums import elapsed
 from ...tree.motion.wide_casting import UNSUITED
 from ...tree.nodes import NONE, ROOT
 from ...tree.rays.raycasting import of_row
@@ -149,8 +150,8 @@ def _tell(world, tree, moving, ways, i, asked, found, told, place):
     at, pace = of_row(ways.at, i), of_row(ways.pace, i)
     box = box_of(tree, moving, best.slot)
     grown = growth_of(box, asked[1], at, pace, of_row(ways.t_max, i))
-    then = at - box[3] + best.t * pace
-    see(ways, i, box, scratch.ray)
+    then = elapsed(at, box[3], moving.nanoseconds)[0] + best.t * pace
+    see(ways, i, box, moving.nanoseconds, scratch.ray)
     if stood:
         see_standing(ways, i, box, moving.left, scratch.ray)
         then = moving.left

@@ -9,7 +9,8 @@ import numpy as np
 from ...tree.jit.compiling import inlined
 from ...tree.jit.intrinsics import stack_array
 from ...tree.motion.meeting import box_of, moves
-from ...tree.motion.stopping import end_of, is_before, meet_box
+from ...tree.motion.stopping import is_before, meet_box
+from ...tree.motion.sums import elapsed
 from ...tree.moving import LARGEST
 from ...tree.nodes import NONE
 from ...tree.rays.raycasting import of_row
@@ -57,7 +58,7 @@ def _enter(world, ways, i, box, radius, skip, scratch, thin, slot):
     t, feature, t_max, left = np.inf, np.int64(INSIDE), of_row(ways.t_max, i), thin.left
     until, stands = _time_left(box, thin), False
     if until >= 0.0:
-        see(ways, i, box, scratch.ray)
+        see(ways, i, box, thin.nanoseconds, scratch.ray)
         end = min(t_max, until * (1.0 + NEAR))
         t, feature = enter_obstacle(world, slot, scratch.ray, radius, end, scratch.work)
     inside = t < np.inf and feature == INSIDE
@@ -78,10 +79,12 @@ def _time_left(box, course):
     """The t at which an obstacle comes to rest; negative if it stands from the start, at the very
     nanosecond, too; inf if it does not meanwhile.
     """
-    end = end_of(box, course.left)
-    if end - course.at < HALF_A_NANOSECOND:
+    if not moves(box):
+        return np.inf
+    time = course.left - elapsed(course.at, box[3], course.nanoseconds)[0]
+    if time < HALF_A_NANOSECOND:
         return -1.0
-    return (end - course.at) / course.pace if course.pace > 0.0 else np.inf
+    return time / course.pace if course.pace > 0.0 else np.inf
 
 
 @inlined
@@ -94,11 +97,11 @@ def growth_of(box, rate, at, pace, t_max):
 
 
 @inlined
-def see(ways, i, box, ray):
+def see(ways, i, box, nanoseconds, ray):
     """Write the ray as an obstacle sees it that moves."""
     _, _, velocity, reference = box
-    seen = stack_array((2, 3), np.float64)
-    ndim, since = ways.origins.shape[1], of_row(ways.at, i) - reference
+    seen, ndim = stack_array((2, 3), np.float64), ways.origins.shape[1]
+    since, _ = elapsed(of_row(ways.at, i), reference, nanoseconds)
     for axis in range(ndim):
         seen[0, axis] = ways.origins[i, axis] - velocity[axis] * since
         seen[1, axis] = ways.directions[i, axis] - velocity[axis] * of_row(ways.pace, i)
