@@ -245,12 +245,13 @@ def test_many_rays_are_answered_in_pieces_and_others_meanwhile(asker):
     bad = 30_000
     columns['dx'][bad] = np.nan
     few = cloud(rays(origins[:5], directions[:5]))
+    # Found before: on a busy machine that takes longer than the rays.
+    reply_of = world.node.create_client(GetPlan, f'{world.name}/raycast')
+    world.until(reply_of.service_is_ready)
     asker.publisher.publish(cloud(columns, kind='f4'))
     few.header.stamp.sec = 77
     asker.publisher.publish(few)
     time.sleep(0.1)
-    reply_of = world.node.create_client(GetPlan, f'{world.name}/raycast')
-    world.until(reply_of.service_is_ready)
     future = reply_of.call_async(GetPlan.Request())
     world.until(future.done)
     assert not asker.replies
