@@ -18,19 +18,24 @@ from rclpy.executors import SingleThreadedExecutor
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
 from bvh_ros.ros.qos import REQUESTS
 
+SERVICES = 'raycast', 'raycast_all', 'overlap', 'nearest'
+
 
 class FakeNode:
     """Answers like a bvh node: by the tolerance of the request."""
 
-    def __init__(self, context):
+    def __init__(self, context, services=SERVICES):
         self.node = rclpy.create_node('bvh', context=context)
         self.requests = []
-        for name in ('raycast', 'raycast_all', 'overlap'):
-            self.node.create_service(GetPlan, f'~/{name}', self.answer, qos_profile=REQUESTS)
+        for name in services:
+            self.offer(name)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
         self.thread = threading.Thread(target=self.executor.spin)
         self.thread.start()
+
+    def offer(self, service):
+        self.node.create_service(GetPlan, f'~/{service}', self.answer, qos_profile=REQUESTS)
 
     def answer(self, request, response):
         self.requests.append(request)
@@ -178,6 +183,24 @@ def test_nobody_there(context, node):
     client = BvhClient(node, 'elsewhere')
     with pytest.raises(BvhTimeoutError, match='elsewhere'):
         client.wait_until_ready(0.1)
+
+
+@pytest.mark.parametrize('last', SERVICES)
+def test_a_node_is_ready_when_it_offers_all_services(context, last):
+    server = FakeNode(context, [name for name in SERVICES if name != last])
+    node = rclpy.create_node('asker', context=context)
+    client = BvhClient(node)
+    others = [getattr(client.services, name) for name in SERVICES if name != last]
+    try:
+        assert client.waiting.until(lambda: all(one.service_is_ready() for one in others), 10.0)
+        with pytest.raises(BvhTimeoutError, match="no services of 'bvh'"):
+            client.wait_until_ready(0.2)
+        server.offer(last)
+        client.wait_until_ready(10.0)
+        assert getattr(client.services, last).service_is_ready()
+    finally:
+        server.close()
+        node.destroy_node()
 
 
 def test_async_inside_a_callback(client, context):

@@ -38,14 +38,12 @@ class Services:
             waiting.add_client(made)
             return made
 
-        self.raycast, self.raycast_all, self.overlap, self.nearest = map(
-            client, ('raycast', 'raycast_all', 'overlap', 'nearest')
-        )
+        self._clients = [client(name) for name in ('raycast', 'raycast_all', 'overlap', 'nearest')]
+        self.raycast, self.raycast_all, self.overlap, self.nearest = self._clients
 
     def are_offered(self) -> bool:
         """Whether the node offers them."""
-        clients = self.raycast, self.raycast_all, self.overlap
-        return all(client.service_is_ready() for client in clients)
+        return all(client.service_is_ready() for client in self._clients)
 
     def ask(
         self, client: Client, request: GetPlan.Request, read: Callable[[Any], Answer]
