@@ -14,16 +14,14 @@ from ...tree.motion.bounds import OUTSIDE, begin_asking, covers, moments_of
 from ...tree.motion.casting import locate
 from ...tree.motion.meeting import box_of, course_of
 from ...tree.motion.sums import elapsed
-from ...tree.motion.wide_casting import UNSUITED
-from ...tree.nodes import NONE, ROOT
+from ...tree.nodes import NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import RAY_ROWS, set_swept_box
-from ...tree.store.turns import REFUSED, begin_query, count_rays, end_query
+from ...tree.store.turns import end_query
 from ..results import NO_NODE
-from .arguments import CastWorld, Hits, fill_ways
 from .casting import touch
 from .legs import growth_of, look_at, see, see_standing
-from .walks import Ways, nothing, walk, walk_wide
+from .walks import nothing, walk
 
 
 class First(NamedTuple):
@@ -41,58 +39,18 @@ class First(NamedTuple):
 @lean_kernel
 def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
     """Fill in a row for each way; asked as of `legs.look_at`. Returns 0; or OUTSIDE or REFUSED."""
-    return _rows(world, tree, moving, None, ways, asked, (node_handles, scratch), told)
-
-
-@lean_kernel
-def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, room):
-    """`first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it become
-    UNSUITED. Returns how many; 1 if one is not finite. shapes as of `Columns.shapes`, ways what a
-    `Ways` holds, tools = (node_handles, scratch), told = (slots and features, (2, n) or more, ts,
-    handles, points, normals), when = (at, pace) of all if the ways tell no times. With `room`,
-    (n, 3) or more, what is called directions are the goals of the ways, which are written there.
-    """
-    origins, directions, t_max, masks, radii, at, pace, grown = ways
-    marks, ts, handles, points, normals = told
-    found = First(Hits(marks[0], ts, marks[1]), handles, points, normals)
-    if room.shape[0] > 0 and fill_ways(origins, directions, room) >= 0:
-        return np.int64(1)
-    directions = room if room.shape[0] > 0 else directions
-    if at.shape[0] == 0:
-        at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
-        at[0], pace[0] = when
-    every = Ways(origins, directions, t_max, masks, radii, at, pace, grown)
-    world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
-    return _rows(world, tree, sweep.moving, sweep, every, asked, tools, found)
-
-
-@lean_kernel
-def _rows(world, tree, moving, sweep, ways, asked, tools, told):
-    why, suited = np.int64(0), True
-    if sweep is None:
-        why = begin_asking(tree, moving, moments_of(ways.pace, ways.origins.shape[0]))
-    elif not begin_query(tree.state, moving.version):
-        why = np.int64(REFUSED)
+    why = begin_asking(tree, moving, moments_of(ways.pace, ways.origins.shape[0]))
     if why != 0:
         return why
-    ray = stack_array((RAY_ROWS, 3), np.float64)
+    ray, tools = stack_array((RAY_ROWS, 3), np.float64), (node_handles, scratch)
     for i in range(ways.origins.shape[0]):
         thin = course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
+        if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
+            why = np.int64(OUTSIDE)
+            break
         set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
-        if sweep is None:
-            if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
-                why = np.int64(OUTSIDE)
-                break
-            found = walk(world, tree, moving, ways, i, asked, tools, thin)
-        else:
-            suited, found = walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin)
-        if suited:
-            tell_first(world, tree, moving, ways, i, asked, tools, thin, found, told)
-        else:
-            told.hits.slots[i] = UNSUITED
-            why += 1
-    if sweep is not None:
-        count_rays(tree.state, ways.origins.shape[0], 0)
+        found = walk(world, tree, moving, ways, i, asked, tools, thin)
+        tell_first(world, tree, moving, ways, i, asked, tools, thin, found, told)
     end_query(tree.state)
     return why
 

@@ -7,7 +7,7 @@ from then on. Axis-aligned boxes are decided exactly; others are seen as if they
 import numpy as np
 
 from ...tree.jit.compiling import inlined
-from ...tree.jit.intrinsics import stack_array
+from ...tree.jit.intrinsics import prefetch, stack_array
 from ...tree.motion.meeting import box_of, moves
 from ...tree.motion.stopping import is_before, meet_box
 from ...tree.motion.sums import elapsed
@@ -79,7 +79,7 @@ def _time_left(box, course):
     """The t at which an obstacle comes to rest; negative if it stands from the start, at the very
     nanosecond, too; inf if it does not meanwhile.
     """
-    if not moves(box):
+    if course.left == np.inf or not moves(box):
         return np.inf
     time = course.left - elapsed(course.at, box[3], course.nanoseconds)[0]
     if time < HALF_A_NANOSECOND:
@@ -115,3 +115,14 @@ def see_standing(ways, i, box, left, ray):
     for axis in range(ndim):
         seen[axis] = ways.origins[i, axis] - box[2][axis] * left
     set_ray(ray, seen[:ndim], ways.directions[i])
+
+
+@inlined
+def fetch(tree, moving, geometry, footprints, slot):
+    """Ask for the memory of what `look_at` reads of most obstacles."""
+    prefetch(moving.kept, slot, 1)
+    prefetch(tree.handles, slot, 1)
+    if geometry is not None:
+        prefetch(geometry[0], slot, 2)
+    if footprints is not None:
+        prefetch(footprints[0], slot, 2)

@@ -33,9 +33,9 @@ from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles
 from ..store.places import growths, most_growth
 from .arguments import Hits, Rays, call, code_for, new_scratch, world_of
-from .first_moving import First, each_then, first_rows, first_swept
+from .first_moving import First, each_then, first_rows
 from .seen import Met, Times
-from .sweeping import AT_HAND, kept
+from .swept_ways import AT_HAND, first_swept, kept, lists_for
 from .walks import Ways, ball_reach
 
 _NO_ROOM = np.empty((0, 3))
@@ -80,10 +80,13 @@ def first_then(
     marks, places = np.empty((2, count), INT64), (np.empty((count, 3)), np.empty((count, 3)))
     hits = Hits(marks[0], np.empty(count), marks[1])
     told = First(hits, np.empty(count, UINT32), *places)
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[ndim])
+    asked, handles = (skip, held.uncertainty), columns.node_handle
     motion = _motion_of(held)
     if sweep is None:
-        world, given = world_of(tree, columns), (Ways(*ways), asked, *tools, told)
+        world, given = (
+            world_of(tree, columns),
+            (Ways(*ways), asked, handles, new_scratch(ndim), told),
+        )
         spans = partial(times_of, times.at, times.pace, rays.t_max)
         moments = not times.pace.any()
 
@@ -95,6 +98,7 @@ def first_then(
         view, shapes = tree.view(), columns.shapes
         now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
         found = marks, hits.ts, told.handles, *places
+        tools = handles, lists_for(sweep.snapshot.depth)
         every = shapes, view.tree, now, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
         if accepted(code_for(first_swept, shapes, every)(*every)):
             _tell_others(held, (rays, radii, skip, times), told)
@@ -125,8 +129,8 @@ def few_then(
     ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     handles = np.empty(count, UINT32)
     told = marks, ts, handles, points, normals
-    asked, tools = (skip, held.uncertainty), (columns.node_handle, kept.scratch[3])
-    shapes = columns.shapes
+    tools = columns.node_handle, lists_for(sweep.snapshot.depth)
+    asked, shapes = (skip, held.uncertainty), columns.shapes
     every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
     if code_for(first_swept, shapes, every)(*every) != 0:
         return None

@@ -22,13 +22,12 @@ from ...tree.store.workers import in_threads
 from ...tree.wide.snapshot import begin_batch
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
-from .arguments import SCRATCH, Ball, CastWorld, Hits, code_for, new_scratch, scratch_in
+from .arguments import SCRATCH, Ball, CastWorld, Hits, code_for, scratch_in
 from .ball_casting import Sweep, bracket, cast_ball, find, slack_of
 from .casting import AT, EARLY, LATE, course_of, plain, touch
 from .wide_sweeps import UNSUITED, find_wide, tree_and_snapshot
 
 FEW = 64  # obstacles that a ball may touch before more room is made
-AT_HAND = 64  # rows of a batch that there is room for
 TOUCHED = 9  # numbers of each
 OPEN = -1  # only exact arithmetic tells
 
@@ -39,9 +38,6 @@ class Kept(threading.local):
     def __init__(self) -> None:
         self.touched = np.empty((TOUCHED, FEW))
         """What a ball may touch, see `room_in`."""
-        self.scratch = {ndim: new_scratch(ndim) for ndim in (2, 3)}
-        self.marks, self.ways = np.empty((2, AT_HAND), np.int64), np.empty((AT_HAND, 3))
-        """Slots and features of hits, and ways, that a kernel alone is to read."""
 
 
 kept = Kept()

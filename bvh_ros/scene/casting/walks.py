@@ -1,27 +1,22 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ways past obstacles that move, nearest first: through the tree's nodes or what is swept."""
+"""Ways past obstacles that move, nearest first, through the tree's nodes."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.jit.compiling import inlined
-from ...tree.jit.intrinsics import prefetch, stack_array
+from ...tree.jit.intrinsics import stack_array
 from ...tree.jit.moving_sides import FRONTS
 from ...tree.motion.bounds import covers, set_fronts
 from ...tree.motion.casting import descend
-from ...tree.motion.rounded import may_meet
-from ...tree.motion.starting import start_seen
 from ...tree.nodes import DEEPEST, NONE
 from ...tree.rays.raycasting import of_row
 from ...tree.rays.slab import PAD, TINY
-from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32
-from ...tree.wide.ray_stacks import STACK
 from .casting import no_hit
 from .frame import COORDINATES, FRAME_SLACK
 from .legs import look_at
-from .wide_sweeps import next_leaf, put_roots, widen
 
 
 class Ways(NamedTuple):
@@ -34,7 +29,7 @@ class Ways(NamedTuple):
     masks: Any
     radii: Any
     at: Any
-    """s; empty, as `pace`, if `first_swept` is told when."""
+    """s; empty, as `pace`, if `swept_ways.first_swept` is told when."""
     pace: Any
     """How many seconds a unit of t takes."""
     grown: Any
@@ -98,44 +93,3 @@ def _set_way(fronts, moving, ways, i, more):
         corners[0, axis] = ways.origins[i, axis] - more
         corners[1, axis] = ways.origins[i, axis] + more
     set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
-
-
-@inlined
-def walk_wide(world, tree, moving, sweep, ways, i, asked, tools, thin):
-    """`walk` through what is swept: (whether the way is for it, what it meets)."""
-    snapshot, leaves, more = sweep.snapshot, sweep.leaves, reach_of(ways, i)
-    origin, direction, t_max = ways.origins[i], ways.directions[i], of_row(ways.t_max, i)
-    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
-    record, limits = records[0], stack_array(1, np.float32)
-    found, reach = nothing(), more * snapshot.per_length
-    suited = start_seen(record, snapshot, leaves, ways, i)
-    if not (suited and reach < FARTHEST_ORIGIN):
-        return False, found
-    widen(record, reach)
-    limits[0], octant = record.limit, np.int64(record.octant)
-    limit, mask = t_max, of_row(ways.masks, i)
-    top = put_roots(snapshot, stack)
-    while top > 0:
-        slot, top = next_leaf(snapshot, records, octant, mask, limits, stack, top)
-        if slot == NONE or (snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0):
-            continue
-        fetch(tree, moving, world.geometry, world.footprints, slot)
-        since = thin.at - leaves.start
-        if not may_meet(*(leaves.records, slot, origin, direction, since, thin.pace, limit, more)):
-            continue
-        found = look_at(world, tree, moving, ways, i, asked, tools, thin, slot, found)
-        if min(found[0].t, found[1].t) < limit:
-            limit = min(found[0].t, found[1].t)
-            record.limit = limits[0] = limit32(limit, record.unit)
-    return True, found
-
-
-@inlined
-def fetch(tree, moving, geometry, footprints, slot):
-    """Ask for the memory of what `look_at` reads of most obstacles."""
-    prefetch(moving.kept, slot, 1)
-    prefetch(tree.handles, slot, 1)
-    if geometry is not None:
-        prefetch(geometry[0], slot, 2)
-    if footprints is not None:
-        prefetch(footprints[0], slot, 2)

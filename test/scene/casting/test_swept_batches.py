@@ -12,7 +12,7 @@ from bvh_ros.scene.geometry.shapes import BOX, CYLINDER, SPHERE
 
 SECOND = 1_000_000_000
 NOW = 1_790_000_000 * SECOND
-COUNT, WAYS = 150, 120
+COUNT, WAYS, GROUPS = 150, 120, 9
 
 
 def obstacles(rng, shaped):
@@ -65,6 +65,11 @@ def test_a_batch_is_as_its_ways_one_by_one(planar, shaped):
             mask, skip = (2, True) if turn else (0xFFFFFFFF, False)
             asked = starts, goals, radii, mask, skip
             found = scene.sweep_many(*asked, **times, threads=1 + turn)
+            # More than go together.
+            every = *(np.tile(rows, (GROUPS, 1)) for rows in asked[:2]), np.tile(radii, GROUPS)
+            again = scene.sweep_many(*every, mask, skip, **times)
+            for column, rows in zip(again, found, strict=True):
+                np.testing.assert_array_equal(column.reshape(GROUPS, *rows.shape), [rows] * GROUPS)
             for row in range(WAYS):
                 one = starts[row], goals[row], float(radii[row]), mask, skip
                 same(found, row, scene.raycast(*one, **times))
