@@ -79,7 +79,7 @@ class Kept(threading.local):
     def __init__(self) -> None:
         self.marks, self.ways = np.empty((2, AT_HAND), np.int64), np.empty((AT_HAND, 3))
         """Slots and features of hits, and ways, that a kernel alone is to read."""
-        self.lists = np.empty(0, np.int32)
+        self.lists, self.depth = np.empty(0, np.int32), -1
 
 
 kept = Kept()
@@ -89,10 +89,9 @@ def lists_for(depth: int) -> NDArray[np.int32]:
     """Room for lists of ways that go together, and the stack of them, through a snapshot of so
     many levels, see `ray_streams`.
     """
-    nodes = WIDTH * depth + LOOSE_NODES
-    size = 3 * nodes + WAYS_AT_ONCE * (1 + WIDTH * depth) + AT_ONCE
-    if len(kept.lists) < size:
-        kept.lists = np.empty(size, np.int32)
+    if depth > kept.depth:
+        size = 3 * (WIDTH * depth + LOOSE_NODES) + WAYS_AT_ONCE * (1 + WIDTH * depth) + AT_ONCE
+        kept.lists, kept.depth = np.empty(size, np.int32), depth
     return kept.lists
 
 
