@@ -50,6 +50,7 @@ def _rays_among_boxes(needs: Needs) -> None:
     for radius in (0.0, RADIUS):
         for until in (3, LATER):
             scene.raycast_many(line, line, 1.0, radius=radius, at=2, until=until)
+    scene.raycast_many(line, line, 1.0, at=np.full(MANY, 2), until=until)
 
 
 def nearest_then(needs: Needs) -> None:

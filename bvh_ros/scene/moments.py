@@ -168,9 +168,9 @@ class Moments:
     def few(
         self, rays: tuple[Any, ...], radii: Floats, skip: bool, at: Any, until: Any, to_goals: bool
     ) -> Any:
-        """`first_of_many` with as little Python as can be, where all rays go at the same time in
-        a solid scene; else None, as where at and until are not the most common, or
-        `moving_boxes.few_first` says so. No ball without an end may be asked for.
+        """`first_of_many` with as little Python as can be, in a solid scene; else None, as where
+        at and until are not the most common, or `moving_boxes.few_first` says so. No ball without
+        an end may be asked for.
         """
         held, last, t_max = self._held, at if until is None else until, rays[2]
         tree: Any = held.tree
@@ -178,16 +178,21 @@ class Moments:
             return None
         if not len(t_max) or tree._storage.heirs:
             return None
-        if not (type(at) is type(last) is int and FIRST_TIME <= at <= last <= LAST_TIME):
-            return None
-        begin, end = at - held.epoch, last - held.epoch
-        if not -EXACT < begin <= end < EXACT:
-            return None
-        start = begin / 1e9  # as `_way_of_time`
-        pace = (end - begin) / 1e9
-        limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
-        when, stop = (start, pace), start if pace == 0.0 else start + limit * pace
         courses = self._courses or self._courses_then()
+        if type(at) is type(last) is int:
+            if not FIRST_TIME <= at <= last <= LAST_TIME:
+                return None
+            begin, end = at - held.epoch, last - held.epoch
+            if not -EXACT < begin <= end < EXACT:
+                return None
+            start = begin / 1e9  # as `_way_of_time`
+            pace = (end - begin) / 1e9
+            limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
+            when, stop = (start, pace), start if pace == 0.0 else start + limit * pace
+        else:
+            when, start, stop = self._times_of_rows(at, last, t_max, len(rays[0]))
+            if when is None:
+                return None
         shaped = held.columns.shaped or (radii is not checks.NOTHING and is_any(radii))
         sweep = None if shaped else tree._motion.few_sweep(len(rays[0]))
         if sweep is None:
@@ -197,6 +202,31 @@ class Moments:
         if shaped:
             return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
         return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
+
+    def _times_of_rows(
+        self, at: Any, until: Any, t_max: Floats, count: int
+    ) -> tuple[Any, float, float]:
+        """`_times` of arrays of integers of 64 bits, or one of them and a number: (times, the
+        first, the last); times None where they are something else, or far apart.
+        """
+        epoch, rows = self._held.epoch, []
+        within = max(epoch - EXACT + 1, FIRST_TIME), min(epoch + EXACT - 1, LAST_TIME)
+        for told in (at, until):
+            if type(told) is int and FIRST_TIME <= told <= LAST_TIME:
+                rows.append(np.array([told]))
+            elif (
+                type(told) is np.ndarray
+                and told.dtype is checks.INT64
+                and told.shape == (count,)
+                and told.flags.carray
+            ):
+                rows.append(told)
+            else:
+                return None, 0.0, 0.0
+        starts, paces = np.empty(count), np.empty(count)
+        fill = self._courses_then().seen.times_entry()
+        fits, first, last = fill(*rows, t_max, epoch, within, starts, paces)
+        return (starts, paces) if fits else None, first, last
 
     def first_of_many(
         self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.checks import INT64, NOTHING, UINT32
-from ...tree.motion.asked_then import AS_ARRAYS, NO_TIMES
+from ...tree.motion.asked_then import AS_ARRAYS, told_once
 from ...tree.motion.casting import Casts
 from ...tree.motion.spans import times_of
 from ...tree.motion.sweeping import Sweep
@@ -114,7 +114,7 @@ def few_then(
     rays: tuple[Any, ...],
     radii: Floats,
     skip: bool,
-    when: tuple[float, float],
+    when: tuple[Any, Any],
     to_goals: bool,
 ) -> CastHits | None:
     """`first_then` in a solid scene through what is swept already, with as little Python as can
@@ -122,7 +122,8 @@ def few_then(
     """
     tree: Any = held.tree
     count, columns = len(rays[0]), held.columns
-    ways = *rays, radii, NO_TIMES, NO_TIMES, NOTHING
+    at, pace, when = told_once(when)
+    ways = *rays, radii, at, pace, NOTHING
     marks, room = kept.marks, kept.ways if to_goals else _NO_ROOM
     if count > AT_HAND:
         marks, room = np.empty((2, count), INT64), np.empty((count if to_goals else 0, 3))

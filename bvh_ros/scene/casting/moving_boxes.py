@@ -13,7 +13,7 @@ from ...tree.checks import INT64, UINT32
 from ...tree.entries import entry_points
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, NO_TIMES, RaysThen
+from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, RaysThen, told_once
 from ...tree.motion.casting import locate
 from ...tree.motion.few_casting import FEW, NO_FEW, cast_few
 from ...tree.motion.meeting import box_of, course_of, fetch_box
@@ -88,13 +88,13 @@ def few_first(
     sweep: Sweep,
     rays: tuple[Any, ...],
     skip: bool,
-    when: tuple[float, float],
+    when: tuple[Any, Any],
     to_goals: bool,
 ) -> CastHits | None:
     """`first_boxes` in a tree of three dimensions through what is swept already, with as little
     Python as can be: of few rays, that is most. None where a ray is not for it. rays = (origins,
-    directions, t_max, masks), when = (at, pace) of all. `to_goals`: what is called directions are
-    the goals of the ways.
+    directions, t_max, masks), when = (at, pace) of all, or arrays. `to_goals`: what is called
+    directions are the goals of the ways.
     """
     tree: Any = held.tree
     count = len(rays[0])
@@ -102,10 +102,10 @@ def few_first(
     handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
     normals, node_handles = np.empty((count, 3)), held.columns.node_handle
     hits = tuple.__new__(CastHits, (handles, ts, points, normals))
-    if count < FEW:
+    if count < FEW and type(when[0]) is float:
         few = rays, skip, when, to_goals, node_handles, hits
         return hits if _few_entry(3)(tree._storage.tree, sweep, *few) == 0 else None
-    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, NO_TIMES, NO_TIMES, when))
+    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, *told_once(when)))
     ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
     told = tuple.__new__(Told, (ids, ts, normals, handles, points))
     scratch = scratch_for(count, 3, sweep.snapshot.depth)

@@ -29,6 +29,11 @@ class RaysThen(NamedTuple):
     """For all rays: of few, to make arrays takes as long as some of them."""
 
 
+def told_once(when: tuple[Any, Any]) -> tuple[Floats, Floats, tuple[float, float]]:
+    """`at`, `pace` and `when` of `RaysThen`, of what may be two numbers for all or two arrays."""
+    return (NO_TIMES, NO_TIMES, when) if type(when[0]) is float else (*when, AS_ARRAYS)
+
+
 class MovingRays(NamedTuple):
     """What of `RaysThen` and `sweeping.Sweep` each ray asks for."""
 
