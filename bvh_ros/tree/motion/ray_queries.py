@@ -18,7 +18,7 @@ from ..rays import ray_batches
 from ..rays.ray_batches import rows_of
 from ..rays.raycasting import ANY, CLOSEST, EVERY, Found, more_room, room_for_hits
 from ..results import RayHits
-from ..store.turns import NOT_FINITE, REFUSED, accepted
+from ..store.turns import NOT_FINITE, accepted
 from ..store.workers import in_threads
 from ..wide.ray_streams import RAYS_AT_ONCE
 from . import casting, wide_casting
@@ -118,72 +118,67 @@ class MotionRays(Motion):
         count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
         if threads == 1 and type(at) is type(pace) is float and not tree._storage.heirs:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            sweep = self.few_sweep(count)
-            if sweep is not None:
-                if mode != CLOSEST:
-                    hits = ray_batches.room_for(count, ndim, mode)
-                else:  # as RayHits(...), which would take one more call of a function of Python's
-                    parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
-                    hits = tuple.__new__(RayHits, parts)
-                done = few_entry(ndim)(tree._storage.tree, sweep, rays, skip, mode, times, hits)
-            else:
-                done, hits = self._first_ready(tree, rays, skip, mode, times)
-            if done > 0:
-                asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, times)
-                self._tell_unsuited(tree, asked, hits)
-            if done >= 0:
+            hits = self._alike(tree, rays, skip, mode, times)
+            if hits is not None:
                 return hits
-        both = both_times(times, count)
-        return self.first_at(tree, rays, skip, mode, both, threads)
+        when = time_checks.times('at', at, count), time_checks.times('pace', pace, count)
+        span, every = times_of(*when, rays[2])
+        if not every:
+            when = both_times(times, count)
+        asked = RaysThen(*rays, skip, mode, *when, AS_ARRAYS)
+        if threads == 1 and every and count and not tree._storage.heirs:
+            hits = self._ready(tree, asked, *span)
+            if hits is not None:
+                return hits
+        view, hits = tree.view(), ray_batches.room_for(count, ndim, mode)
+        sweep = self.swept_for(tree, view, count, span) if every and count else None
+        self.answer(tree, (view, sweep), asked, hits, threads, wide_casting.cast)
+        return hits
 
-    def _first_ready(
+    def _alike(
         self,
         tree: Any,
         rays: tuple[Floats, Floats, Floats, Any],
         skip: bool,
         mode: int,
         when: tuple[float, float],
-    ) -> tuple[int, Any]:
-        """What `wide_casting.cast` returns, and hits, of rays that all go at the same time through
-        what is swept already; REFUSED where nothing is.
+    ) -> Any:
+        """Hits of rays that all go at the same time, through what is swept already; None where
+        nothing is.
         """
-        count, (at, pace), t_max = len(rays[0]), when, rays[2]
-        if len(t_max):
+        count, ndim, (at, pace), t_max = len(rays[0]), tree._ndim, when, rays[2]
+        sweep = self.few_sweep(count)
+        if sweep is None:
+            if not len(t_max):
+                return None
             limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
             last = at if pace == 0.0 else at + limit * pace
-            sweep = self.ready_sweep(tree._storage.tree, count, at, last)
-            if sweep is not None:
-                hits = ray_batches.room_for(count, tree._ndim, mode)
-                asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
-                return wide_casting.cast(tree._storage.tree, sweep, asked, hits), hits
-        return REFUSED, None
+            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            return self._ready(tree, asked, at, last)
+        if mode != CLOSEST:
+            hits = ray_batches.room_for(count, ndim, mode)
+        else:  # as RayHits(...), which would take one more call of a function of Python's
+            parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
+            hits = tuple.__new__(RayHits, parts)
+        done = few_entry(ndim)(tree._storage.tree, sweep, rays, skip, mode, when, hits)
+        if done > 0:
+            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            self._tell_unsuited(tree, asked, hits)
+        return hits if done >= 0 else None
 
-    def first_at(
-        self,
-        tree: Any,
-        rays: tuple[Floats, Floats, Floats, Any],
-        skip_inside: bool,
-        mode: int,
-        when: tuple[Floats, Floats],
-        threads: int,
-    ) -> RayHits:
-        """`first_many` at good times."""
-        count = len(rays[0])
-        span, every = times_of(*when, rays[2])
-        asked = RaysThen(*rays, skip_inside, mode, *when, AS_ARRAYS)
-        hits = ray_batches.room_for(count, tree._ndim, mode)
-        if threads == 1 and every and count and not tree._storage.heirs:
-            arrays = tree._storage.tree
-            ready = self.ready_sweep(arrays, count, *span)
-            done = REFUSED if ready is None else wide_casting.cast(arrays, ready, asked, hits)
-            if done > 0:
-                self._tell_unsuited(tree, asked, hits)
-            if done >= 0:
-                return hits
-        view = tree.view()
-        sweep = self.swept_for(tree, view, count, span) if every and count else None
-        self.answer(tree, (view, sweep), asked, hits, threads, wide_casting.cast)
-        return hits
+    def _ready(self, tree: Any, asked: RaysThen, first: float, last: float) -> Any:
+        """Hits of rays from a time to another, through what is swept already; None where nothing
+        is.
+        """
+        count, arrays = len(asked.origins), tree._storage.tree
+        sweep = self.ready_sweep(arrays, count, first, last)
+        if sweep is None:
+            return None
+        hits = ray_batches.room_for(count, tree._ndim, asked.mode)
+        done = wide_casting.cast(arrays, sweep, asked, hits)
+        if done > 0:
+            self._tell_unsuited(tree, asked, hits)
+        return hits if done >= 0 else None
 
     def answer(
         self,

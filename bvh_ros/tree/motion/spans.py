@@ -2,19 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The times of courses, and the spans that hold them."""
 
-from math import inf
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import time_checks
+from ..jit.compiling import entry_point, lean_kernel
+from ..rays.raycasting import of_row
 from .bounds import LONGEST
 
 Floats = NDArray[np.float64]
-
-
-FEW = 32  # rows for which numpy takes longer than Python
 
 
 def both_times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
@@ -33,30 +33,28 @@ def span_of(at: float, pace: float, t_max: float) -> tuple[float, float]:
 
 def times_of(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
     """`span_of` of all rows for which there can be bounds, and whether that is all rows."""
-    if len(at) == len(pace) == len(t_max) == 1:
-        going, limit = pace.item(), t_max.item()
-        return span_of(at.item(), going, limit), going == 0.0 or limit < inf
-    counts = len(at), len(pace), len(t_max)
-    if max(counts) <= FEW and 0 not in counts:
-        return _times_of_few(max(counts), at, pace, t_max)
-    with np.errstate(invalid='ignore', over='ignore'):
-        last = np.where(pace == 0.0, at, at + t_max * pace)
-        at = np.broadcast_to(at, last.shape)
-        good = (np.abs(at) < LONGEST) & (np.abs(last) < LONGEST)
-    moments = np.concatenate((at[good], last[good]))
-    span = (moments.min(), moments.max()) if len(moments) else (0.0, 0.0)
-    return span, bool(good.all())
+    first, last, every = _entry()(at, pace, t_max)
+    return (first, last), every
 
 
-def _times_of_few(count: int, *columns: Floats) -> tuple[tuple[float, float], bool]:
-    """The same of so many rows, at least one."""
-    moments: list[float] = []
-    every = True
-    told = (rows.tolist() * (count // len(rows)) for rows in columns)
-    for at, pace, t_max in zip(*told, strict=True):
-        last = at if pace == 0.0 else at + t_max * pace
-        if -LONGEST < at < LONGEST and -LONGEST < last < LONGEST:
-            moments += at, last
+@lean_kernel
+def span_of_rows(at, pace, t_max):
+    """First and last time of all rows for which there can be bounds, (n,) or one for all, and
+    whether that is all rows.
+    """
+    first, last, every = np.inf, -np.inf, True
+    counts = at.shape[0], pace.shape[0], t_max.shape[0]
+    for i in range(max(counts) if min(counts) > 0 else 0):
+        begin, going = of_row(at, i), of_row(pace, i)
+        end = begin if going == 0.0 else begin + of_row(t_max, i) * going
+        if abs(begin) < LONGEST and abs(end) < LONGEST:
+            first, last = min(first, begin, end), max(last, begin, end)
         else:
             every = False
-    return (min(moments), max(moments)) if moments else (0.0, 0.0), every
+    return (first, last, every) if first <= last else (0.0, 0.0, every)
+
+
+@functools.cache
+def _entry() -> Callable[..., Any]:
+    """The machine code of `span_of_rows`."""
+    return entry_point(span_of_rows, *(np.empty(0),) * 3)
