@@ -70,3 +70,51 @@ def test_bad_ways_are_refused(bad: float, turned: bool, radius: float):
     if not np.isfinite(bad):
         with pytest.raises(ValueError, match=r'directions .*row 3'):
             scene.raycast_many(starts, goals, 1.0, **times)
+
+
+@pytest.mark.parametrize(('turned', 'radius'), [(False, 0.0), (False, 0.2), (True, 0.0)])
+@pytest.mark.parametrize('count', [20, 40, 100])
+def test_rows_that_tell_their_times(turned: bool, radius: float, count: int):
+    """As arrays, lists, or a number and an array, near and farther away than doubles count ns."""
+    scene, rng = Scene(), np.random.default_rng(count)
+    put(scene, np.arange(BOXES), rng, turned)
+    far = 300 * 86_400 * SECOND
+    for turn in range(24):
+        starts, goals = rng.uniform(-12, 12, (2, count, 3))
+        at = rng.integers(0, SECOND // 2, count)
+        until = rng.integers(SECOND // 2, SECOND, count)
+        if turn % 4 == 1:
+            at[0], until[-1] = 0, SECOND
+        when = {'at': at, 'until': None if turn % 6 == 5 else until}
+        if turn % 8 == 6:
+            when['at'] = 0
+        if turn % 8 == 7:
+            when['at'] = at.tolist()
+        if turn % 12 == 11:
+            until[0] = far
+        many = scene.sweep_many(starts, goals, radius, **when)
+        last = at if when['until'] is None else until
+        first = np.broadcast_to(when['at'], count)
+        for i in range(count):
+            times = {'at': int(first[i]), 'until': int(last[i])}
+            hit = scene.raycast(starts[i], goals[i], radius, **times)
+            if hit is None:
+                assert (many.handles[i], many.t[i]) == (NO_NODE, np.inf)
+                continue
+            assert (hit.handle, hit.t) == (many.handles[i], many.t[i])
+            assert hit.point.tolist() == many.points[i].tolist()
+    assert scene._held.tree.motion._wanted.sweep is not None
+    early = np.full(count, SECOND)
+    early[-1] = -1
+    with pytest.raises(ValueError, match=f'row {count - 1}'):
+        scene.sweep_many(starts, goals, radius, at=np.zeros(count, np.int64), until=early)
+    with pytest.raises(ValueError, match='at must be an integer'):
+        scene.sweep_many(starts, goals, radius, at=np.zeros(count), until=early)
+    if not radius:
+        endless = scene.raycast_many(starts, goals, np.inf, at=at, until=until)
+        for i in range(count):
+            one = slice(i, i + 1)
+            alone = scene.raycast_many(
+                starts[one], goals[one], np.inf, at=int(at[i]), until=int(until[i])
+            )
+            assert (alone.handles[0], alone.t[0]) == (endless.handles[i], endless.t[i])
