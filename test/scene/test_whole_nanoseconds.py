@@ -35,6 +35,7 @@ class Crowd:
         names = [f'box{i}' for i in range(count)]
         told = {'stamp': self.stamps, 'velocities': self.velocity}
         self.scene.update('crowd', names, shapes, **told)
+        self._places: dict[tuple[int, int], list[Fraction]] = {}
 
     def instants(self, rng, count, most):
         return self.begin + rng.integers(0, most, count) * self.step
@@ -44,33 +45,35 @@ class Crowd:
 
     def place(self, i, time):
         """The middle of a box, exactly."""
-        since = Fraction(int(time) - int(self.stamps[i]), SECOND)
-        if self.most is not None:
-            since = min(since, self.most)
-        rows = zip(self.position[i].tolist(), self.velocity[i].tolist(), strict=True)
-        return [Fraction(at) + Fraction(speed) * since for at, speed in rows]
+        asked = i, int(time)
+        if asked not in self._places:
+            since = Fraction(asked[1] - int(self.stamps[i]), SECOND)
+            if self.most is not None:
+                since = min(since, self.most)
+            rows = zip(self.position[i].tolist(), self.velocity[i].tolist(), strict=True)
+            self._places[asked] = [Fraction(at) + Fraction(speed) * since for at, speed in rows]
+        return self._places[asked]
 
     def touched(self, point, time):
         """Names of the boxes that a point touches."""
+        point = [Fraction(x) for x in point.tolist()]
         return {
             f'box{i}'
             for i in range(len(self))
-            if all(
-                abs(Fraction(x) - y) <= HALF
-                for x, y in zip(point.tolist(), self.place(i, time), strict=True)
-            )
+            if all(abs(x - y) <= HALF for x, y in zip(point, self.place(i, time), strict=True))
         }
 
     def met(self, start, goal, at, until):
         """{name: t} of the boxes that are met on the way."""
         found = {}
+        start, goal = ([Fraction(x) for x in point.tolist()] for point in (start, goal))
+        ways = [there - here for here, there in zip(start, goal, strict=True)]
         for i in range(len(self)):
             enter, leave = Fraction(0), Fraction(1)
-            ends = zip(
-                start.tolist(), goal.tolist(), self.place(i, at), self.place(i, until), strict=True
-            )
-            for here, there, begin, end in ends:
-                gap, way = begin - Fraction(here), Fraction(there) - Fraction(here) - end + begin
+            for here, way, begin, end in zip(
+                start, ways, self.place(i, at), self.place(i, until), strict=True
+            ):
+                gap, way = begin - here, way - end + begin
                 if way == 0 and abs(gap) > HALF:
                     enter = Fraction(2)
                 elif way != 0:
@@ -85,13 +88,14 @@ class Crowd:
         without any.
         """
         found = []
+        start, goal = ([Fraction(x) for x in point] for point in (start, goal))
+        way = [y - x for x, y in zip(start, goal, strict=True)]
         for i in range(len(self)):
             end = int(self.stamps[i]) + int(self.most * SECOND)
             stop = Fraction(min(max(end - at, 0), until - at), max(until - at, 1))
-            gaps = [x - Fraction(y) for x, y in zip(self.place(i, at), start, strict=True)]
+            gaps = [x - y for x, y in zip(self.place(i, at), start, strict=True)]
             if skip and all(abs(gap) <= HALF for gap in gaps):
                 continue
-            way = [Fraction(y) - Fraction(x) for x, y in zip(start, goal, strict=True)]
             gone = [x - y for x, y in zip(self.place(i, until), self.place(i, at), strict=True)]
             speeds = [x / stop if stop else x for x in gone]
             met = reach(gaps, [x - y for x, y in zip(way, speeds, strict=True)], 0, stop)

@@ -11,6 +11,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,9 @@ class ExactHit(NamedTuple):
     row: int
     axis: int
     """The axis entered last, ties to the lowest; INSIDE where the ray starts in the box."""
+
+
+by_t = attrgetter('t')  # fractions are slow to compare: once each, and not for == before <
 
 
 # ---- rays
@@ -88,7 +92,7 @@ def _hits_of_box(
         entry = latest_entry([(a - top, b - bottom, way) for a, b, bottom, top, way in sides])
         if entry is not None:
             hits.append(ExactHit(entry[0], row, entry[1]))
-    return sorted(hits)
+    return sorted(hits, key=by_t)  # rows are in order, and stay so where t is the same
 
 
 def latest_entry(gaps: list[tuple[int, int, int]]) -> tuple[Fraction, int] | None:
@@ -123,14 +127,15 @@ def seen(
     """The hits that a query with these limits returns, by exact t, then handle. `visible` says
     which rows the mask sees.
     """
+    limit = None if math.isinf(t_max) else Fraction(t_max)
     kept = [
         hit
         for hit in hits
-        if (math.isinf(t_max) or hit.t <= Fraction(t_max))
+        if (limit is None or hit.t <= limit)
         and not (skip_inside and hit.axis == INSIDE)
         and (visible is None or visible[hit.row])
     ]
-    return sorted(kept, key=lambda hit: (hit.t, handles[hit.row]))
+    return sorted(sorted(kept, key=lambda hit: handles[hit.row]), key=by_t)
 
 
 def is_within_2_ulp(t: float, exact: Fraction) -> bool:
@@ -192,11 +197,11 @@ def overlapping_pairs(lo: Floats, hi: Floats) -> list[tuple[int, int]]:
 
 def squared_distance(lo: Floats, hi: Floats, point: Floats) -> Fraction:
     """Exact square of the distance of a point from a closed box."""
-    total = Fraction(0)
-    for low, high, x in zip(lo.tolist(), hi.tolist(), point.tolist(), strict=True):
-        low, high, x = Fraction(low), Fraction(high), Fraction(x)
+    bits = finest((lo, hi, point))
+    total = 0
+    for low, high, x in zip(*(whole(side, bits) for side in (lo, hi, point)), strict=True):
         total += max(low - x, 0, x - high) ** 2
-    return total
+    return Fraction(total, 1 << 2 * bits)
 
 
 # ---- trees

@@ -125,8 +125,9 @@ def check_nearest(rng: Rng, tree: DynamicBVH, lo: Floats, hi: Floats, handles: I
     row_of = {handle: row for row, handle in enumerate(handles.tolist())}
     for i in range(EXACT):
         squares = [squared_distance(*box, points[i]) for box in zip(lo, hi, strict=True)]
+        in_order = sorted(squares)
         for rank, handle in enumerate(ids[i].tolist()):
-            of_rank = sorted(squares)[rank]
+            of_rank = in_order[rank]
             assert is_distance(float(distances[i, rank]), of_rank)
             assert is_distance(float(distances[i, rank]), squares[row_of[handle]])
 

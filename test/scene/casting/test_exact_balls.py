@@ -8,7 +8,7 @@ out which of two was touched first by halving the time until one has been touche
 
 import math
 from fractions import Fraction
-from functools import cmp_to_key
+from functools import cmp_to_key, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -31,13 +31,24 @@ class Sweep(NamedTuple):
     radius: float
 
 
+@lru_cache(maxsize=1000)
+def whole(numbers):
+    """Doubles in units of a power of two in which all of them are whole, and that of the unit."""
+    ratios = [number.as_integer_ratio() for number in numbers]
+    over = max(under for _, under in ratios)
+    return [above * (over // under) for above, under in ratios], over
+
+
 def square_gap(lo, hi, sweep, t):
     """Squared distance of the ball's centre from the box at t."""
-    total = Fraction(0)
-    for low, high, x, step in zip(lo, hi, sweep.start, sweep.way, strict=True):
-        place = Fraction(x) + t * Fraction(step)
-        total += max(Fraction(low) - place, place - Fraction(high), Fraction(0)) ** 2
-    return total
+    ndim = len(lo)
+    numbers, over = whole((*lo, *hi, *sweep.start, *sweep.way))
+    above, under = t.numerator, t.denominator
+    total = 0
+    for low, high, x, step in (numbers[axis::ndim] for axis in range(ndim)):
+        place = x * under + above * step
+        total += max(low * under - place, place - high * under, 0) ** 2
+    return Fraction(total, (over * under) ** 2)
 
 
 def moments(lo, hi, sweep):
