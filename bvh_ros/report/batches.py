@@ -100,7 +100,7 @@ def _times(tree: DynamicBVH, scene: Any, turns: list[Batch], brief: bool) -> lis
         lambda: scene.run(*next(theirs), dists=reach),
     )
     jobs = {name: many_times(Job(run, 1), brief) for name, run in zip(PEERS, runs, strict=True)}
-    found = interleaved(jobs, 3 if brief else REPEATS, warm=True)
+    found = interleaved(jobs, 3 if brief else REPEATS, warm=not brief)
     return [found[name].nanoseconds / 1e3 for name in PEERS]
 
 

@@ -99,7 +99,7 @@ def measure(task: Task, libraries: list[Library], brief: bool) -> dict[int, dict
             if hasattr(library, task.name)
         }
         repeats = REPEATS_QUICK if brief else REPEATS
-        found[size] = interleaved(jobs, repeats, warm=True)
+        found[size] = interleaved(jobs, repeats, warm=not brief)
     return found
 
 

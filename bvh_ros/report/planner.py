@@ -148,7 +148,7 @@ def batches(page: Page, brief: bool) -> None:
         for peer in peers if question.size else ():
             jobs[peer.name] = Job(loop(peer, boxes, asked, question), len(starts[few]))
         with one_processor():
-            found = interleaved(jobs, 2 if brief else REPEATS, warm=True)
+            found = interleaved(jobs, 2 if brief else REPEATS, warm=not brief)
         row: list[Cell] = [name, *(found[str(n)].nanoseconds / 1e3 for n in counts)]
         exact = truth(question, name, boxes, (starts[few], goals[few]), asked[0])
         answers = question.ask(few).astype(np.float64)

@@ -15,6 +15,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from numba import config
 from numpy.typing import ArrayLike, NDArray
 
 from bvh_ros import DynamicBVH, RayHit
@@ -22,14 +23,23 @@ from bvh_ros import DynamicBVH, RayHit
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
 
+LONG = bool(os.environ.get('BVH_ROS_LONG_TESTS'))
 LARGEST = 1.7976931348623157e308
 SMALLEST = 5e-324
 INSIDE = -1
 
 
 def effort(short: int, long: int) -> int:
-    """How much to try: `long` where the environment sets BVH_ROS_LONG_TESTS."""
-    return long if os.environ.get('BVH_ROS_LONG_TESTS') else short
+    """How much to try, or, where `short` is more than `long`, a stride: `long` where the
+    environment sets BVH_ROS_LONG_TESTS, and a third of the effort where NUMBA_BOUNDSCHECK has code
+    check its indices. A wrong one is met sooner than a wrong answer, and those are looked for in
+    full where code is as it is used.
+    """
+    if LONG:
+        return long
+    if not config.BOUNDSCHECK:
+        return short
+    return 3 * short if short > long else -(-short // 3)
 
 
 class ExactHit(NamedTuple):

@@ -16,6 +16,7 @@ from tree.adversary import SCALES, coordinates, each_ndim, each_scale, rays_at, 
 from tree.reference import (
     INSIDE,
     LARGEST,
+    LONG,
     SMALLEST,
     ExactHit,
     Floats,
@@ -34,7 +35,7 @@ BOXES = 20
 RAYS = 500  # a scene: enough for the batch path
 SCENES = effort(1, 130)  # a scale and number of dimensions
 
-pytestmark = pytest.mark.timeout(effort(300, 3600))
+pytestmark = pytest.mark.timeout(3600 if LONG else 300)
 
 
 class World(NamedTuple):

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from tree.reference import (
+    LONG,
     Floats,
     Ids,
     effort,
@@ -279,6 +280,6 @@ TestTree = TreeMachine.TestCase
 TestTree.settings = settings(
     max_examples=effort(40, 2000),
     stateful_step_count=effort(40, 100),
-    derandomize=effort(True, False),
+    derandomize=not LONG,
     suppress_health_check=list(HealthCheck),
 )

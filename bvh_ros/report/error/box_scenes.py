@@ -8,7 +8,7 @@ from ..page import Page
 from ..scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from . import recordings
 from .truth import boxes_truth
-from .ways import box_ways, compare, repeats, show
+from .ways import box_ways, compare, show
 
 PLACES, PLACES_QUICK = 20, 2  # in the building, each with as many beams
 
@@ -83,5 +83,5 @@ def building_scene(page: Page, brief: bool) -> None:
 
 def _measure(page: Page, brief: bool, name: str, title: str, boxes: Boxes, rays: Rays) -> None:
     ways, truth = box_ways(boxes, rays), boxes_truth(boxes, rays)
-    found = compare(ways, truth, repeats(brief))
+    found = compare(ways, truth, brief)
     show(page, name, f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays', ways, found)

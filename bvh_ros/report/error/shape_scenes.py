@@ -16,7 +16,7 @@ from ..scenes import EDGE, Boxes, Rays, incoherent_rays, spread
 from . import recordings
 from .scoring import Answer
 from .truth import NOTHING, Truth, shapes_truth
-from .ways import MEAN, WRONG, Way, compare, repeats, show, tree_answer
+from .ways import MEAN, WRONG, Way, compare, show, tree_answer
 
 ShapesAndRays = tuple[Shapes, Rays]
 
@@ -147,4 +147,4 @@ def _measure(
         ways['cylinder as its box'] = _scene_way(worlds, ShapeKind.CYLINDER)
     counts = [len(shapes.kind) for shapes, _ in worlds]
     truth = joined_truth([shapes_truth(*world) for world in worlds], counts)
-    show(page, name, title, ways, compare(ways, truth, repeats(brief)), (WRONG, MEAN))
+    show(page, name, title, ways, compare(ways, truth, brief), (WRONG, MEAN))

@@ -19,7 +19,7 @@ from .recordings import Track, tracks
 from .scoring import Answer
 from .shape_scenes import joined_truth
 from .truth import NOTHING, Rows, Truth, shapes_truth
-from .ways import MEAN, WRONG, Way, compare, repeats, show
+from .ways import MEAN, WRONG, Way, compare, show
 
 RATES = (1, 2, 5, 10, 20)  # Hz
 MOMENTS_PER_SECOND, RAYS_PER_MOMENT = 25, 40
@@ -170,6 +170,6 @@ def stale_traffic(page: Page, brief: bool) -> None:
     for rate in RATES:
         watchers[f'{rate} Hz, predicted'] = Observer(traffic, moments, rate, True)
     ways: dict[str, Way] = {name: watcher.answer for name, watcher in watchers.items()}
-    found = compare(ways, traffic_truth(traffic, moments), repeats(brief), dict(watchers))
+    found = compare(ways, traffic_truth(traffic, moments), brief, dict(watchers))
     title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'
     show(page, 'traffic', title, ways, found, (WRONG, MEAN))

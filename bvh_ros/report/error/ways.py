@@ -28,12 +28,8 @@ RELATIVE = Panel(
     1e-2,
 )
 MEAN = Panel('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
+REPEATS = 9
 SLOW_RAYS = 200  # the first ones, for a way that takes milliseconds each
-
-
-def repeats(brief: bool) -> int:
-    """How often each way takes its turn."""
-    return 2 if brief else 9
 
 
 def tree_answer(tree: DynamicBVH, rays: Rays) -> Answer:
@@ -84,7 +80,7 @@ def box_ways(boxes: Boxes, rays: Rays) -> dict[str, Way]:
 def compare(
     ways: Mapping[str, Way],
     truth: Truth,
-    repeats: int,
+    brief: bool,
     timed: Mapping[str, Callable[[], Any]] | None = None,
 ) -> tuple[dict[str, Score], dict[str, Timing]]:
     """Score every way against the truth, and let them take turns.
@@ -98,7 +94,7 @@ def compare(
     jobs = {
         name: Job(timed[name] if timed else way, scores[name].rays) for name, way in ways.items()
     }
-    return scores, interleaved(jobs, repeats, warm=True)
+    return scores, interleaved(jobs, 2 if brief else REPEATS, warm=not brief)
 
 
 def show(

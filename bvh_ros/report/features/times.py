@@ -160,7 +160,7 @@ def times(page: Page, brief: bool) -> None:
         jobs = {'at rest': _jobs(make(None), False), 'then': _jobs(make(velocities), True)}
         both = {f'{which}: {name}': jobs[which][name] for name in jobs['then'] for which in jobs}
         with one_processor():
-            found = interleaved(both, 2 if brief else REPEATS, warm=True)
+            found = interleaved(both, 2 if brief else REPEATS, warm=not brief)
         for name in jobs['then']:
             rest, then = (found[f'{which}: {name}'].nanoseconds / 1e3 for which in jobs)
             rows.append([world, name, rest, then, then / rest])

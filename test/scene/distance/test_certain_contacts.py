@@ -7,7 +7,6 @@ from either side; a common point lies in both. `contacts` measures the truth in 
 """
 
 import math
-import os
 from decimal import localcontext
 
 import numpy as np
@@ -26,13 +25,13 @@ from scene.distance.contacts import (
 )
 from scene.reference import box_of_triangles
 from scipy.spatial.transform import Rotation
+from tree.reference import effort
 
 from bvh_ros.scene import Mesh, Scene, Shapes
 from bvh_ros.scene.distance.gap import gap as distance_of
 from bvh_ros.scene.distance.narrow_phase import near_pairs
 
-LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
-COUNT = 200_000 if LONG else 400  # of each of five kinds
+COUNT = effort(400, 200_000)  # of each of five kinds
 BATCH = 2000
 GAPS = [10.0**-k for k in range(1, 13)] + [1.1e-12, 2e-12, 5e-12]
 NEAR, FAR = (0.0, 1.0), (100.0, 1e4)

@@ -22,6 +22,7 @@ from scene.distance.contacts import (
     pairs_of,
     scene_of,
 )
+from tree.reference import effort
 
 from bvh_ros.scene import Mesh, Scene, Shapes
 from bvh_ros.scene.distance.gap import gap as distance_of
@@ -64,7 +65,7 @@ def test_every_feature_of_a_cylinder(sizes, sign):
     for gap in np.array(GAPS) * max(sizes):
         if gap > min(sizes) / 20:
             continue
-        made = [one for _ in range(5) for one in every(sizes, sign * gap, rng)]
+        made = [one for _ in range(effort(5, 5)) for one in every(sizes, sign * gap, rng)]
         pairs, geometry, hulls = pairs_of(made, scene_of(made))
         found = np.empty(len(made), np.bool_)
         for order in (pairs, pairs[:, ::-1].copy()):
