@@ -64,13 +64,15 @@ class Solid(NamedTuple):
 
 def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     """max over unit n of n . offset - support(n), not below 0; by ever closer samples of n."""
-    angles = np.broadcast_to(np.linspace(-math.pi, math.pi, 181), (len(offsets), 181))
-    for _ in range(14):
+    angles = np.linspace(-math.pi, math.pi, 181)
+    normals, step = np.stack([np.cos(angles), np.sin(angles)], axis=1), angles[1] - angles[0]
+    best = angles[np.argmax(offsets @ normals.T - support(normals), axis=1)][:, None]
+    for _ in range(13):
+        angles = best + np.linspace(-1, 1, 17) * step
         normals = np.stack([np.cos(angles), np.sin(angles)], axis=2)
         gaps = np.einsum('nka,na->nk', normals, offsets) - support(normals)
         best = np.take_along_axis(angles, np.argmax(gaps, axis=1)[:, None], axis=1)
-        step = angles[:, 1:2] - angles[:, :1]
-        angles = best + np.linspace(-1, 1, 17) * step
+        step /= 8
     return np.maximum(gaps.max(axis=1), 0.0)
 
 
@@ -164,7 +166,8 @@ def first_contact(
     """(t, depth): where the distance along the segment first falls to the radius, else inf.
 
     `depth` is how far beyond touching the ball gets. The distance is convex in t, so ever closer
-    samples about the least one find its minimum, and then the contact before that.
+    samples about the least one find its minimum, and then the contact before that. It changes by
+    no more than the way that is gone: of what stays away, `depth` is a bound, below -1 mm.
     """
     measure = solid.distances_from_above if planar else solid.distances
 
@@ -172,6 +175,9 @@ def first_contact(
         return measure(start + t[:, None] * (goal - start)) - radius
 
     low, high, least, closest = 0.0, 1.0, math.inf, 0.0
+    nearer = gaps(np.linspace(0.0, 1.0, 17)).min() - np.linalg.norm(goal - start) / 32
+    if nearer > 1e-3:
+        return math.inf, -nearer
     for _ in range(16):
         t = np.linspace(low, high, 17)
         values = gaps(t)
