@@ -22,6 +22,7 @@ RNG = np.random.default_rng(11)
 CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
 SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
 LOW, HIGH = CENTRE - SIZE / 2, CENTRE + SIZE / 2
+NO_QUESTION = 1_000_000  # the stamp of what only looks whether somebody answers
 XYZ, WAY, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
 
 
@@ -32,16 +33,32 @@ class Asker:
         from sensor_msgs.msg import PointCloud2
 
         self.world, self.stamps, self.replies = world, itertools.count(1), {}
+        self.heard = False
         topic = f'{world.namespace}/{name}'
         self.publisher = world.node.create_publisher(PointCloud2, f'{topic}/rays', 10)
         self.subscription = world.node.create_subscription(
             PointCloud2, f'{topic}/ray_hits', self.take, 10
         )
         world.until(lambda: self.publisher.get_subscription_count() > 0)
-        world.until(lambda: world.node.count_publishers(f'{topic}/ray_hits') > 0)
+        # The node may find this subscription later than it is found here: until then its replies
+        # go to nobody.
+        probe, again = cloud(rays(np.empty((0, 3)), np.empty((0, 3)))), 0.0
+        probe.header.stamp.sec = NO_QUESTION
+
+        def heard():
+            nonlocal again
+            if time.monotonic() > again:
+                self.publisher.publish(probe)
+                again = time.monotonic() + 0.5
+            return self.heard
+
+        world.until(heard)
 
     def take(self, reply):
-        self.replies[reply.header.stamp.sec] = reply
+        if reply.header.stamp.sec == NO_QUESTION:
+            self.heard = True
+        else:
+            self.replies[reply.header.stamp.sec] = reply
 
     def ask(self, cloud, frame=''):
         cloud.header.stamp.sec = stamp = next(self.stamps)
