@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ..scene import Scene, Shapes
-from ..scene.casting import exact_balls
+from ..scene.cast import exact_ball
 from ..scene.geometry.shapes import rotations, unit_quaternions
 from .batches import many_times
 from .libraries.fcl import Coal, Fcl, centers
@@ -92,7 +92,7 @@ def exact_ts(boxes: Boxes, starts: Floats, goals: Floats, radius: float) -> Floa
         beside = np.maximum(np.maximum(boxes.lo - start, start - boxes.hi), 0.0)
         for box in np.flatnonzero(np.linalg.norm(beside, axis=1) <= LONG + 2.0 * radius + 0.1):
             ends = boxes.lo[box].tolist(), boxes.hi[box].tolist(), start.tolist(), way.tolist()
-            root = exact_balls.first_touch(*ends, radius)
+            root = exact_ball.first_touch(*ends, radius)
             ts[row] = min(ts[row], np.inf if root is None else float(root))
     return ts
 

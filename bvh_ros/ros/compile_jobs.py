@@ -227,7 +227,7 @@ def _checks(needs: Needs) -> None:
 
 def _batches(needs: Needs) -> None:
     """Of each size that is answered in a way of its own; first what compiles without boxes."""
-    from bvh_ros.scene.casting.box_casting import few_entry
+    from bvh_ros.scene.cast.boxes import few_entry
     from bvh_ros.tree.wide.collapse_plan import planning_entry
     from bvh_ros.tree.wide.raycasting import cast_entry
     from bvh_ros.tree.wide.snapshot import blurred_entry, collapse_entry

@@ -15,7 +15,7 @@ import numpy as np
 
 from bvh_ros.ros.job_scenes import ABOUT_Z, CORNERS, FAR, GOAL, RADIUS, START, scenes, with_shapes
 from bvh_ros.scene import ShapeKind
-from bvh_ros.scene.casting.arguments import Rays
+from bvh_ros.scene.cast.arguments import Rays
 from bvh_ros.scene.distance.hull_gap import hull_gap
 from bvh_ros.scene.geometry.hull import Hull
 from bvh_ros.scene.moments import Moments
@@ -68,10 +68,10 @@ def _rays(needs: Needs) -> None:
 
 
 def _batches_of_rays(needs: Needs) -> None:
-    from bvh_ros.scene.casting.wide_rays import first_of_many
+    from bvh_ros.scene.cast.batch import first_hits_of_rays
 
     held, ray = _no_shapes(needs)
-    first_of_many(held.tree, held.columns, tuple(ray), (False, False), 1)
+    first_hits_of_rays(held.tree, held.columns, tuple(ray), (False, False), 1)
     with_shapes(needs).raycast_many([START], [GOAL])
 
 

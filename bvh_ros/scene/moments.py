@@ -8,27 +8,25 @@ import numpy as np
 
 from ..tree import checks
 from ..tree.store.workers import in_threads
-from .casting.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
-from .casting.box_casting import segment
+from .cast.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
+from .cast.boxes import segment
 from .geometry.shapes import Floats
 from .results import CastHits, SceneHit, require_few
 from .store.obstacles import EXACT, Obstacles, all_in_seconds, in_seconds
 from .store.updating import FIRST_TIME, LAST_TIME, column
 
 if TYPE_CHECKING:
-    from .casting.one_moving import OneWay
-    from .casting.seen import Times
+    from .cast.motion import OneWay, Times
     from .distance.timed_batches import TimedDistances
 
 Way = tuple[Floats, Floats, float]  # origin, direction, radius
 
 
 class Courses(NamedTuple):
-    """Modules of `casting`."""
+    """Modules of `cast`."""
 
-    moving: Any
-    moving_boxes: Any
-    seen: Any
+    motion: Any
+    motion_batch: Any
 
 
 class Moments:
@@ -55,9 +53,9 @@ class Moments:
         takes half a microsecond each time.
         """
         if self._courses is None:
-            from .casting import moving, moving_boxes, seen  # no scene without velocities needs it
+            from .cast import motion, motion_batch  # no scene without velocities needs it
 
-            self._courses = Courses(moving, moving_boxes, seen)
+            self._courses = Courses(motion, motion_batch)
         return self._courses
 
     def meant(self, at: Any, until: Any, count: int) -> bool:
@@ -106,7 +104,7 @@ class Moments:
 
     def _times(self, at: Any, until: Any, count: int) -> 'Times':
         """Times in seconds, one for all or (count,)."""
-        named = self._courses_then().seen.Times
+        named = self._courses_then().motion.Times
         if type(at) is int and (until is None or type(until) is int):
             begin, pace = self._way_of_time(at, until)
             return tuple.__new__(named, (np.array([begin]), np.array([pace])))
@@ -138,7 +136,7 @@ class Moments:
         (start, goal, radius), held, skip = asked, self._held, bool(skip)
         when = self._way_of_time(at, until)
         if self._one_way is None:
-            from .casting.one_moving import OneWay  # no scene without velocities needs it
+            from .cast.motion import OneWay  # no scene without velocities needs it
 
             self._one_way = OneWay(held)
         thick = checks.limit('radius', radius) > 0.0
@@ -157,7 +155,7 @@ class Moments:
         masks = np.full(1, checks.mask(mask))
         rays = Rays(origin[None], direction[None], np.ones(1), masks)
         times = self._times(at, until, 1)
-        met = self._courses_then().moving.cast_then(
+        met = self._courses_then().motion_batch.cast_then(
             self._held, rays, np.full(1, radius), bool(skip), times
         )
         require_few(len(met.slots), most)
@@ -200,8 +198,8 @@ class Moments:
             if sweep is None:
                 return None
         if shaped:
-            return courses.moving.few_then(held, sweep, rays, radii, skip, when, to_goals)
-        return courses.moving_boxes.few_first(held, sweep, rays, skip, when, to_goals)
+            return courses.motion_batch.few_then(held, sweep, rays, radii, skip, when, to_goals)
+        return courses.motion_batch.few_first(held, sweep, rays, skip, when, to_goals)
 
     def _times_of_rows(
         self, at: Any, until: Any, t_max: Floats, count: int
@@ -224,7 +222,7 @@ class Moments:
             else:
                 return None, 0.0, 0.0
         starts, paces = np.empty(count), np.empty(count)
-        fill = self._courses_then().seen.times_entry()
+        fill = self._courses_then().motion.times_entry()
         fits, first, last = fill(*rows, t_max, epoch, within, starts, paces)
         return (starts, paces) if fits else None, first, last
 
@@ -236,16 +234,16 @@ class Moments:
         count, times = len(rays.origins), self._times(*when, len(rays.origins))
         if thick and rays.t_max is not WHOLE_WAY:
             ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
-        moving, moving_boxes, _ = self._courses_then()
+        batch = self._courses_then().motion_batch
         if not (held.columns.shaped or held.uncertainty or thick):
-            return moving_boxes.first_boxes(held, rays, skip, times, threads)
+            return batch.first_boxes(held, rays, skip, times, threads)
         if not (thick or held.columns.shaped):  # else somebody has looked
             refuse_infinite(rays)
-        sweep = moving.sweep_for(held, rays, times)
+        sweep = batch.sweep_for(held, rays, times)
 
         def first(some: Rays, balls: Floats, when: 'Times') -> CastHits:
             asked = held, sweep, some, balls, bool(skip), when
-            hits, handles, points, normals = moving.first_then(*asked)
+            hits, handles, points, normals = batch.first_then(*asked)
             return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
 
         if threads == 1:

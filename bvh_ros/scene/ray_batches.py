@@ -9,8 +9,8 @@ import numpy as np
 from ..tree import checks
 from ..tree.rays.raycasting import CLOSEST
 from ..tree.rays.raycasting import Rays as ThinRays
-from .casting import box_casting, casting, sweeping, wide_rays
-from .casting.arguments import Found, Rays, refuse_infinite, row_by_row, ways_of
+from .cast import batch, boxes, query
+from .cast.arguments import Found, Rays, refuse_infinite, row_by_row, ways_of
 from .geometry.shapes import Floats, along_axes
 from .moments import Moments
 from .results import CastHits
@@ -61,21 +61,21 @@ class RayBatches:
         if radii is not checks.NOTHING:
             if not (radii.item() > 0.0 if len(radii) == 1 else radii.all()):
                 return None
-            return sweeping.first_of_many(held.tree, columns, (*rays, radii), asked, threads)
+            return batch.first_hits_of_balls(held.tree, columns, (*rays, radii), asked, threads)
         if threads != 1:
             return None
         if columns.shaped:
-            return wide_rays.first_of_many(held.tree, columns, rays, asked, 1)
+            return batch.first_hits_of_rays(held.tree, columns, rays, asked, 1)
         # As Rays(...), which would take one more call of a function of Python's.
         thin = tuple.__new__(ThinRays, (*rays, asked[1], CLOSEST, True))
         if len(thin.origins) > FEW and not held.tree.few_rays(thin):
             return None
-        return box_casting.few_first(held.tree, columns.node_handle, thin, asked[0])
+        return boxes.few_first(held.tree, columns.node_handle, thin, asked[0])
 
     def _balls(self, rays: Rays, radii: Floats, skip: bool, threads: int) -> CastHits:
         """First hits of balls that go along rays."""
         held, balls, asked = self._held, (*rays, radii), (False, skip)
-        found = sweeping.first_of_many(held.tree, held.columns, balls, asked, threads)
+        found = batch.first_hits_of_balls(held.tree, held.columns, balls, asked, threads)
         if found is None:
             refuse_endless(rays, radii)
         assert found is not None
@@ -88,8 +88,8 @@ class RayBatches:
             handles = held.columns.node_handle
             if held.planar:
                 refuse_infinite(rays)  # else the tree's kernel looks
-            return box_casting.first_of_many(held.tree, handles, rays, skip, threads)
-        found = wide_rays.first_of_many(
+            return boxes.first_of_many(held.tree, handles, rays, skip, threads)
+        found = batch.first_hits_of_rays(
             held.tree, held.columns, tuple(rays), (False, skip), threads
         )
         if found is None:
@@ -102,7 +102,7 @@ class RayBatches:
         held = self._held
         origins, directions = (along_axes(rows, held.tree.ndim) for rows in rays[:2])
         flat = Rays(origins, directions, rays.t_max, rays.masks)
-        return casting.cast_all(held.tree, held.columns, flat, skip, every)
+        return query.cast_all(held.tree, held.columns, flat, skip, every)
 
 
 def refuse_endless(rays: Rays, radii: Floats) -> None:

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.checks import EVERYTHING
 from ..tree.nodes import ALL
-from .casting import ball_casting, box_casting
-from .casting.arguments import WHOLE_WAY, Rays, ways_entry
+from .cast import boxes, exact_ball
+from .cast.arguments import WHOLE_WAY, Rays, ways_entry
 from .geometry.shapes import Floats
 from .moments import Moments
 from .ray_batches import RayBatches
@@ -61,7 +61,7 @@ class RayQueries:
             zero as well where the ball's centre is no farther from the obstacle than rounding.
             Among axis-aligned boxes it is decided exactly whether a ray or a ball touches, and
             which obstacle is first; other shapes touch too where that cannot be told apart, see
-            `frame`. Ties go to the smaller handle.
+            `cast.shapes`. Ties go to the smaller handle.
 
         Raises
         ------
@@ -75,9 +75,9 @@ class RayQueries:
         held, radius = self._held, checks.limit('radius', radius)
         if radius == 0.0 and not held.columns.shaped:
             start, goal = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
-            hit = box_casting.first(held.tree, start, goal, checks.mask(mask), bool(skip_inside))
+            hit = boxes.first(held.tree, start, goal, checks.mask(mask), bool(skip_inside))
             return None if hit is None else held.hit(*hit)
-        origin, direction, radius = box_casting.segment(start, goal, radius)
+        origin, direction, radius = boxes.segment(start, goal, radius)
         hits = self._cast_one(origin, direction, radius, mask, skip_inside, False)
         return hits[0] if hits else None
 
@@ -100,12 +100,12 @@ class RayQueries:
         """
         if self._held.change.unfinished:
             self._held.change.require_none()
-        origin, direction, radius = box_casting.segment(start, goal, radius)
+        origin, direction, radius = boxes.segment(start, goal, radius)
         if self._moments.meant(at, until, 1):
             way = origin, direction, radius
             return self._moments.every(way, mask, skip_inside, at, until, most)
         if radius == 0.0 and not self._held.columns.shaped:
-            hits = box_casting.every(
+            hits = boxes.every(
                 self._held.tree, origin, direction, checks.mask(mask), bool(skip_inside), most
             )
             return self._held.each_once([self._held.hit(*hit) for hit in hits])
@@ -237,8 +237,8 @@ class RayQueries:
     ) -> list[SceneHit]:
         held, skip = self._held, bool(skip_inside)
         if radius > 0.0:
-            asked = ball_casting.Sweep(origin, direction, radius, checks.mask(mask), skip, every)
-            rows = ball_casting.cast_ball(held.tree, held.columns, asked, most)
+            asked = exact_ball.Sweep(origin, direction, radius, checks.mask(mask), skip, every)
+            rows = exact_ball.cast_ball(held.tree, held.columns, asked, most)
         else:
             masks = np.full(1, checks.mask(mask))
             rays = Rays(origin[None], direction[None], np.ones(1), masks)

@@ -10,7 +10,7 @@ import pytest
 from bvh_ros.scene import Scene, ShapeKind, Shapes
 
 UNIT = 2.0**-53
-BOUND = 8  # roundings, see bvh_ros.scene.casting.ray_shapes
+BOUND = 8  # roundings, see bvh_ros.scene.cast.shapes
 
 
 def to_frame(point: list[Decimal], position: np.ndarray, turn: np.ndarray) -> list[Decimal]:

@@ -9,7 +9,7 @@ import bvh_ros.scene
 
 SCENE = Path(bvh_ros.scene.__file__).parent
 # Each room imports from those before it only; '' is the scene's own folder.
-ROOMS = ['tree', 'geometry', 'store', 'distance', 'casting', '']
+ROOMS = ['tree', 'geometry', 'store', 'distance', 'cast', '']
 SHARED = {'refusals', 'results'}  # what rooms and scene say to each other: these import geometry
 
 
@@ -39,4 +39,4 @@ def test_rooms_import_one_way():
             if rank > ROOMS.index(room):
                 wrong.append(f'{path.relative_to(SCENE)}:{line} imports from {other}')
     assert not wrong
-    assert {('casting', 'distance'), ('distance', 'geometry'), ('store', 'geometry')} <= seen
+    assert {('cast', 'distance'), ('distance', 'geometry'), ('store', 'geometry')} <= seen

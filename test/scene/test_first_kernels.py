@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
-from bvh_ros.scene.casting import sweeping
+from bvh_ros.scene.cast import batch
 from bvh_ros.scene.distance.overlaps import Overlaps
 
 NOWHERE = 1e3
@@ -46,14 +46,14 @@ def test_a_snapshot_from_before_a_change_is_not_asked(turn, radius):
 def test_a_batch_of_balls_goes_on_with_the_tree_that_it_began_with(monkeypatch):
     scene, start, goal = row_of_boxes(), np.zeros((3, 3)), np.array([[9.0, 0.0, 0.0]] * 3)
     start[:, 1] = goal[:, 1] = -1.25  # they pass by so closely that only exact arithmetic tells
-    expected, tell = scene.sweep_many(start, goal, 0.75), sweeping._tell_open_one
+    expected, tell = scene.sweep_many(start, goal, 0.75), batch._answer_exactly
     assert (expected.handles != NO_NODE).all()
 
     def moving_on(*given):
         tell(*given)
         put(scene, '19', 70.0 + given[-1])
 
-    monkeypatch.setattr(sweeping, '_tell_open_one', moving_on)
+    monkeypatch.setattr(batch, '_answer_exactly', moving_on)
     with pytest.raises(RuntimeError, match='changed'):
         scene.sweep_many(start, goal, 0.75)
 

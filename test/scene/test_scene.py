@@ -182,9 +182,9 @@ assert scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
 assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
-from bvh_ros.scene.casting import casting
+from bvh_ros.scene.cast import query
 from bvh_ros.scene.distance import touching
-assert not casting.cast_rays.signatures and len(touching.touching.signatures) == 1
+assert not query.cast_rays.signatures and len(touching.touching.signatures) == 1
 scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 1]]), stamp=1)
 assert scene.overlap([0, 0, 8], [1, 1, 9]) and len(touching.touching.signatures) == 2
 assert 'fcl' not in sys.modules

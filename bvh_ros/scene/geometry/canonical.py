@@ -27,7 +27,7 @@ from .shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE, UINT8, Floats, Shapes,
 SNAP = 2.0**-50
 
 # Growth of the bounds of what is not an axis-aligned box, a share of the largest coordinate or
-# reach: above what counts as touching, see `casting.frame`, so that the broad phase never loses
+# reach: above what counts as touching, see `cast.shapes`, so that the broad phase never loses
 # what the true shape touches. From above heights count only of what leans.
 OUTWARD = 2.0**-45
 LEAST = 5e-324

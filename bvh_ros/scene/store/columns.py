@@ -83,7 +83,7 @@ class Columns:
     hulls: Hulls | None
     """The meshes; None without any: what is None is not compiled."""
     shapes: tuple[Any, Any]
-    """(records, hulls), and (footprints, hulls), one of which is None: see `casting.arguments`."""
+    """(records, hulls), and (footprints, hulls), one of which is None: see `cast.arguments`."""
     bodies: Bodies
 
     def __init__(self, planar: bool, meshes: bool = False) -> None:

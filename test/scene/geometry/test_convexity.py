@@ -6,7 +6,7 @@ decade of size, however finely the surface is cut, however gently it bends inwar
 
 import numpy as np
 import pytest
-from scene.casting.test_surface import CUBE, cut_cube, shuffled, single, turned
+from scene.cast.test_surface import CUBE, cut_cube, shuffled, single, turned
 from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from bvh_ros.scene.casting.mesh_rays import shear
+from bvh_ros.scene.cast.mesh import shear
 from bvh_ros.tree import checks
 from bvh_ros.tree.jit import inside
 from bvh_ros.tree.jit.compiling import entry_point, inlined, kernel, lean_kernel

@@ -18,14 +18,19 @@ from ..geometry.lengths import length, scale_of
 from ..geometry.rim import FACE, ROUND
 from ..geometry.rotation import rotate
 from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
-from .frame import COORDINATES, FRAME_SLACK, Frame, point_along, reach_of, time_of
-from .ray_hulls import enter_mesh
-from .ray_shapes import (
+from .mesh import enter_mesh
+from .shapes import (
+    COORDINATES,
+    FRAME_SLACK,
+    Frame,
     enter_box,
     enter_cylinder,
     enter_rounded_box,
     enter_rounded_cylinder,
     enter_sphere,
+    point_along,
+    reach_of,
+    time_of,
 )
 
 

@@ -13,6 +13,12 @@ products. Rounding keeps their order: the sign is right or zero, and of the two 
 edge one has -(a - b). A triangle counts with its edges, so a ray that crosses the surface between
 rounded corners crosses a triangle. Those corners are within a few ulp of the mesh's size of the
 true ones; the boxes in the tree are larger by more (`meshes.PAD`).
+
+
+Rays and balls against one convex mesh in its own frame.
+
+A thin ray is followed through the tree of its triangles. How far a ball is away,
+GJK says.
 """
 
 from typing import Any, NamedTuple
@@ -35,7 +41,14 @@ from ...tree.rays.slab import (
     set_ray,
     traversal_distance,
 )
+from ..distance.hull_gap import hull_gap
+from ..distance.simplex import dot
+from ..geometry.farthest import farthest_vertex
+from ..geometry.hull import hull_of
 from ..geometry.rim import FACE, ROUND
+from .shapes import approach_by
+
+# ---- thin rays
 
 
 class Surface(NamedTuple):
@@ -61,7 +74,7 @@ class Shear(NamedTuple):
 
 @lean_kernel
 def enter_surface(surface, scale, origin, direction, reach):
-    """(s, feature) as the functions of `ray_shapes`: the triangle by which a mesh is entered.
+    """(s, feature) as the functions of `shapes`: the triangle by which a mesh is entered.
     The ray is given in lengths times `scale`.
     """
     ray = stack_array((RAY_ROWS, 3), np.float64)
@@ -152,3 +165,44 @@ def cross_triangle(vertices, corner, origin, frame):
     if min(u, v, w) < 0.0 < max(u, v, w):
         return np.nan
     return az + ((bz - az) * v + (cz - az) * w) / (u + v + w)
+
+
+# ---- rays and balls
+
+
+@lean_kernel
+def measure_hull(solid, point, normal):
+    """`approach`'s measure of a mesh times a scale: how far the plane through its vertex farthest
+    towards the point keeps it off, and its closest point.
+    """
+    hull, scale = solid
+    place, apart = stack_array(3, np.float64), stack_array(3, np.float64)
+    for axis in range(3):
+        place[axis] = point[axis] / scale
+    distance = hull_gap(hull, place, apart, normal)
+    if distance == 0.0:
+        return 0.0, 0.0
+    vertex = hull.places[farthest_vertex(hull, normal[0], normal[1], normal[2])]
+    return (dot(normal, place) - dot(normal, vertex)) * scale, distance * scale
+
+
+approach_hull = approach_by(measure_hull)
+
+
+@lean_kernel
+def enter_mesh(hulls, shape, frame, radius, reach, work):
+    """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
+    if radius == 0.0:
+        span = hulls.spans[shape.mesh]
+        first, stop = span.faces[0], span.faces[1]
+        surface = Surface(
+            hulls.vertices[span.vertices[0] : span.vertices[1]],
+            hulls.corners[first:stop],
+            hulls.nodes[2 * first : 2 * stop],
+            span.root,
+            span.radius,
+        )
+        return enter_surface(surface, frame.scale, work[0], work[1], reach)
+    solid = hull_of(hulls, shape), frame.scale
+    s, _ = approach_hull(solid, radius, reach, frame.slack, work)
+    return s, np.int64(INSIDE if s == 0.0 else ROUND)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.casting.arguments import Rays
-from bvh_ros.scene.casting.moving import _of_pairs, cast_then, first_then
-from bvh_ros.scene.casting.seen import Times
+from bvh_ros.scene.cast.arguments import Rays
+from bvh_ros.scene.cast.motion import Times
+from bvh_ros.scene.cast.motion_batch import _of_pairs, cast_then, first_then
 from bvh_ros.scene.geometry.shapes import along_axes
 
 SECOND = 1_000_000_000

@@ -18,9 +18,8 @@ from tree.adversary import coordinates, nudge
 from tree.reference import effort
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.casting import exact_balls
-from bvh_ros.scene.casting.ball_casting import _undecided
-from bvh_ros.scene.casting.exact_balls import Root
+from bvh_ros.scene.cast import exact_ball
+from bvh_ros.scene.cast.exact_ball import Root, _undecided
 
 HALVINGS = 250  # two roots that agree in so many digits are equal: checked below
 
@@ -259,8 +258,8 @@ def test_few_roots_are_asked_for_however_far_or_small(monkeypatch):
     """
     rng = np.random.default_rng(5)
     count, asked = 70, []
-    root = exact_balls.first_touch
-    monkeypatch.setattr(exact_balls, 'first_touch', lambda *given: asked.append(1) or root(*given))
+    root = exact_ball.first_touch
+    monkeypatch.setattr(exact_ball, 'first_touch', lambda *given: asked.append(1) or root(*given))
     scene, shapes = Scene(), Shapes.boxes(rng.uniform(0, 20, (count, 3)), [1.5, 1.0, 0.5])
     scene.update('test', [str(row) for row in range(count)], shapes, stamp=1)
     lo, hi = (side.tolist() for side in scene._held.tree.boxes(scene._held.tree.ids()))
@@ -309,8 +308,8 @@ def test_random_balls_need_no_exact_arithmetic():
 )
 def test_comparing_roots(one, other, sign):
     a, b = (Root(Fraction(x), Fraction(y)) for x, y in (one, other))
-    assert exact_balls.compare(a, b) == sign
-    assert exact_balls.compare(b, a) == -sign
+    assert exact_ball.compare(a, b) == sign
+    assert exact_ball.compare(b, a) == -sign
 
 
 def test_comparing_roots_against_many_digits():
@@ -328,6 +327,6 @@ def test_comparing_roots_against_many_digits():
         gap = digits(one) - digits(other)
         sign = 0 if abs(gap) < Fraction(1, 10**190) else (1 if gap > 0 else -1)
         if sign:
-            assert exact_balls.compare(one, other) == sign
+            assert exact_ball.compare(one, other) == sign
         if one.square < one.middle**2:
             assert float(one) == pytest.approx(float(digits(one)), rel=4e-16)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept balls through the tree to the true shapes.
 
-Only scenes with other shapes than axis-aligned boxes, and balls (from `ball_casting`), come here:
+Only scenes with other shapes than axis-aligned boxes, and balls (from `exact_ball`), come here:
 thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
 centre is in the obstacle's box grown by r, so every node is grown by r on the way.
 """
@@ -31,11 +31,10 @@ from ..geometry.rim import ROUND
 from ..store.columns import Columns
 from .arguments import Asked, Ball, Found, Hits, Rays, call, new_scratch, world_of
 from .contact import contact, enter_shape
-from .frame import COORDINATES, FRAME_SLACK, Met, point_along, time_of
-from .ray_footprint import enter_footprint, touch_footprint
-from .ray_shapes import enter_rounded_boxes
+from .footprint import enter_footprint, touch_footprint
+from .shapes import COORDINATES, FRAME_SLACK, RayAndBox, enter_rounded_boxes, point_along, time_of
 
-EARLY, AT, LATE = range(3)  # of a ball that is larger, itself, smaller, see `ball_casting`
+EARLY, AT, LATE = range(3)  # of a ball that is larger, itself, smaller, see `exact_ball`
 
 
 @lean_kernel
@@ -144,11 +143,13 @@ def first_of(world, ray, radius, box, other):
 def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    return enter_any(world.geometry, world.footprints, slot, Met(ray, lo, hi), radius, t_max, work)
+    return enter_any(
+        world.geometry, world.footprints, slot, RayAndBox(ray, lo, hi), radius, t_max, work
+    )
 
 
 class Course(NamedTuple):
-    """A ball's way, where no length needs a scale, see `frame`: the same for all boxes."""
+    """A ball's way, where no length needs a scale, see `shapes`: the same for all boxes."""
 
     unit: Any
     """(3,)"""
@@ -254,7 +255,7 @@ def touch(world, scratch, radius, hits, j, point, normal):
     """Fill in where hit j meets its obstacle, and the outward normal there."""
     slot, hit = hits.slots[j], (hits.ts[j], hits.features[j])
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    met, out = Met(scratch.ray, lo, hi), (point, normal)
+    met, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
     touch_any(world.geometry, world.footprints, slot, met, hit, radius, scratch.work, out)
 
 

@@ -1,6 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A thin ray, or a ball swept along it, against one shape in the shape's own frame.
+"""How a ray is seen from a shape: in lengths that may be squared, with what of them is rounding.
+
+Lengths are brought by a power of two, which rounds nothing, to where products of four neither
+overflow nor vanish. In everyday scenes they are there, and stay metres.
+
+
+When a swept ball touches a convex solid, where no closed form says.
+
+The walk is Newton's on the distance, a convex function of the way, and ends with a proof. Each
+step looks for a plane through, or next to, the solid's closest point, with the ball before it and
+all of the solid behind it:
+
+      ball ->            |  ___            The ball is surely free until it touches the plane;
+        ( )   - - - - -  | /   solid       there the next step begins. It is free for ever where
+                         |(                it moves along the plane, or away from it.
+
+So no answer is `free` that a plane does not prove, however much noise there is in its normal. What
+no plane proves is a hit: there the ball is as near to the solid as rounding tells.
+
+
+A thin ray, or a ball swept along it, against one shape in the shape's own frame.
 
 A ball of radius r meets a shape where its centre meets the shape grown by r with rounded edges
 (Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives (s, feature):
@@ -15,15 +35,131 @@ surface.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.jit.compiling import inlined, lean_kernel
 from ...tree.jit.intrinsics import stack_array
-from ...tree.rays.slab import INSIDE
-from ..geometry.lengths import hypot, length
+from ...tree.rays.slab import DIRECTION, INSIDE
+from ..geometry.lengths import hypot, length, scale_of
 from ..geometry.rim import ROUND
-from .approach import ROUNDING, approach_by
+
+# ---- frames
+
+
+# What nobody can tell apart touches: shares of the largest length in play, as seen from the
+# shape, and of the largest coordinate, which was rounded before.
+FRAME_SLACK = 2.0**-46
+COORDINATES = 2.0**-51
+
+
+@inlined
+def reach_of(t_max, pace):
+    """How far a ray goes that is `pace` long up to t = 1."""
+    return t_max * pace if 0.0 < t_max < np.inf else t_max
+
+
+@inlined
+def time_of(s, pace, t_max):
+    """The t at which a ray has gone so far; a hit has one even where it exceeds the doubles."""
+    if not 0.0 < s < np.inf:
+        return s
+    return min(s / pace, t_max, 1.7976931348623157e308)
+
+
+class RayAndBox(NamedTuple):
+    """A ray, and the box in the tree of the obstacle that it may meet."""
+
+    ray: Any
+    lo: Any
+    hi: Any
+
+
+class Frame(NamedTuple):
+    """How a ray is seen from a shape."""
+
+    pace: Any
+    """How far it goes up to t = 1, in the frame's lengths."""
+    scale: Any
+    """The frame's lengths are metres times this power of two."""
+    slack: Any
+    """What is no farther apart touches, in the frame's lengths."""
+
+
+@lean_kernel
+def point_along(ray, scale, out):
+    """Fill `out` with the unit vector along a ray; return its length times `scale`."""
+    largest = 0.0
+    for axis in range(ray.shape[1]):
+        largest = max(largest, abs(ray[DIRECTION, axis]))
+    turn = scale_of(largest)
+    for axis in range(ray.shape[1]):
+        out[axis] = ray[DIRECTION, axis] * turn
+    total = length(out)
+    for axis in range(ray.shape[1]):
+        out[axis] = out[axis] / total if total > 0.0 else 0.0
+    return total * scale / turn
+
+
+# ---- a ball that has no closed form
+
+
+MOST_STEPS = 64
+ROUNDING = 2.0**-50
+
+
+@inlined
+def slope_of(normal, direction):
+    slope = 0.0
+    for axis in range(direction.shape[0]):
+        slope += normal[axis] * direction[axis]
+    return slope
+
+
+def approach_by(measure: Any) -> Any:
+    """The walk to solids whose distances a kernel measures.
+
+    `measure(solid, point, normal)` gives (low, high) around the distance of a point: that by which
+    a plane with the unit normal that it fills in keeps the solid off, and that of a point of the
+    solid. Apart from rounding they are equal.
+    """
+
+    @lean_kernel
+    def approach(solid, radius, reach, slack, work):
+        """(s, slope): how far a ball goes until it touches, inf if it does not, and the slope of
+        its distance there; s is 0 if it touches at the start. Rows of `work`: where it starts, the
+        unit vector along its way, two to work in.
+        """
+        origin, direction, point, normal = work[0], work[1], work[2], work[3]
+        s, slope, near = 0.0, -np.inf, np.inf  # near: first within rounding
+        for _ in range(MOST_STEPS):
+            for axis in range(direction.shape[0]):
+                point[axis] = origin[axis] + s * direction[axis]
+            low, high = measure(solid, point, normal)
+            if high <= radius or low <= radius:
+                return s, slope
+            if high <= radius + slack:
+                near = min(near, s)
+            slope = slope_of(normal, direction)
+            if slope >= 0.0 or s == reach:
+                return near, slope
+            step = (low - radius) / -slope
+            if s + step > reach:
+                if low + slope * (reach - s) > radius + slack:
+                    return near, slope
+                s = reach
+            elif step <= ROUNDING * s:
+                return s, slope
+            else:
+                s += step
+        return s, slope
+
+    return approach
+
+
+# ---- closed forms
+
 
 BEYOND = -1.0  # entered after the reach
 

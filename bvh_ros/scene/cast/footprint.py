@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A thin ray, or a disc swept along it, against one footprint; the planar sister of `contact`.
+"""A disc swept along a ray against the rim of a convex polygon.
+
+A thin ray, or a disc swept along it, against one footprint; the planar sister of `contact`.
 
 Everything is relative to the footprint's centre. An axis-aligned rectangle is met by its corners
 in the tree, which are exact.
@@ -13,22 +15,65 @@ import numpy as np
 from ...tree.jit.compiling import lean_kernel
 from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
 from ..geometry.lengths import length, scale_of
-from ..geometry.oval import cross_oval, measure_oval, to_oval
+from ..geometry.oval import cross_oval, measure_oval, slab, to_oval
 from ..geometry.rim import (
     FACE,
     ROUND,
     closest_on_footprint,
     closest_on_polygon,
+    corner_of,
     cross_polygon,
     edge_of,
     look_out_of_oval,
     oval_of,
     rim_of,
 )
-from .approach import approach_by
-from .frame import COORDINATES, FRAME_SLACK, Frame, point_along, reach_of, time_of
-from .ray_polygon import enter_rounded_rim
-from .ray_shapes import enter_rounded_box
+from .shapes import (
+    COORDINATES,
+    FRAME_SLACK,
+    Frame,
+    approach_by,
+    enter_rounded_box,
+    enter_sphere,
+    point_along,
+    reach_of,
+    time_of,
+)
+
+# ---- a polygon that a disc grows
+
+
+@lean_kernel
+def enter_rounded_rim(rim, origin, direction, radius, reach, offset):
+    """Where a ray from outside enters a grown polygon. That is covered by discs about the corners,
+    rectangles on the edges, as thick as the discs, and the polygon itself; the ray enters where it
+    first meets one.
+    """
+    best = np.inf
+    for i in range(rim.corners.shape[0]):
+        x, y = corner_of(rim, i)
+        offset[0], offset[1] = origin[0] - x, origin[1] - y
+        x, y = edge_of(rim, i)
+        edge = math.hypot(x, y)
+        if edge == 0.0 and i > 0:
+            continue
+        best = min(best, enter_sphere(offset, direction, radius, reach)[0])
+        if edge == 0.0:
+            continue
+        x, y = x / edge, y / edge
+        facing = direction[0] * y - direction[1] * x  # the outward normal is (y, -x)
+        if facing < 0.0:
+            along, rate = offset[0] * x + offset[1] * y, direction[0] * x + direction[1] * y
+            entry, leave = slab(along - 0.5 * edge, rate, 0.5 * edge)
+            first, last = slab(offset[0] * y - offset[1] * x, facing, radius)
+            entry = max(entry, first, 0.0)
+            if entry <= min(leave, last, reach):
+                best = min(best, entry)
+    return best
+
+
+# ---- one footprint
+
 
 approach_oval = approach_by(measure_oval)
 

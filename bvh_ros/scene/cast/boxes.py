@@ -33,7 +33,7 @@ from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
 from .arguments import WHOLE_WAY, Rays, fill_ways, ways_entry
 
-AT_ONCE = 1024  # rays whose hits lie on the stack of a kernel
+RAYS_ON_STACK = 1024  # rays whose hits lie on the stack of a kernel
 _NO_IDS = np.empty(0, np.int64)
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
@@ -136,7 +136,7 @@ def few_first(
     # As CastHits(...), which would take one more call of a function of Python's.
     columns = np.empty(count, UINT32), ts, points, np.empty((count, 3))
     told = tuple.__new__(CastHits, columns)
-    ids = _NO_IDS if count <= AT_ONCE else np.empty(count, INT64)
+    ids = _NO_IDS if count <= RAYS_ON_STACK else np.empty(count, INT64)
     flat = None if ndim == 3 else np.empty((3, count, ndim))
     ready, done = tree.ready_snapshot(), REFUSED
     if ready is not None:
@@ -144,14 +144,14 @@ def few_first(
         given = arrays, version, snapshot, rays, to_goals, node_handles, ids, flat, told
         done = few_entry(ndim)(*given)
     if done == REFUSED:
-        done = _few_slowly(tree, node_handles, rays, to_goals, (ids, flat), told)
+        done = cast_without_snapshot(tree, node_handles, rays, to_goals, (ids, flat), told)
     if done == NOT_FINITE:
         return None
     accepted(done)
     return told
 
 
-def _few_slowly(
+def cast_without_snapshot(
     tree: DynamicBVH,
     node_handles: NDArray[np.int64],
     rays: raycasting.Rays,
@@ -232,7 +232,7 @@ def describe(tree, node_handles, origins, directions, hits, told):
 @lean_kernel
 def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, flat, told):
     """First hits of rays in one call; returns as `cast_few`. `to_goals`: what is called directions
-    are the goals of the ways. Scratch: `ids` for the hits of more than AT_ONCE rays, `flat`
+    are the goals of the ways. Scratch: `ids` for the hits of more than RAYS_ON_STACK rays, `flat`
     (3, n, 2), or None in three dimensions, for rays and normals as a planar tree has them.
     """
     directions = rays.directions
@@ -247,7 +247,7 @@ def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids
         starts, ways, normals = flat[0], flat[1], flat[2]
     asked = starts, ways, rays.t_max, rays.masks, rays.skip_inside, rays.mode, rays.counted
     if ids.shape[0] == 0:
-        ids = stack_array(AT_ONCE, np.int64)[: rays.origins.shape[0]]
+        ids = stack_array(RAYS_ON_STACK, np.int64)[: rays.origins.shape[0]]
     hits = RayHits(ids, told.t, normals)
     done = cast_few(tree, version, snapshot, asked, hits)
     if done >= 0:

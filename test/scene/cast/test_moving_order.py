@@ -5,7 +5,7 @@
 import numpy as np
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.casting.moving import _keep_exact_order
+from bvh_ros.scene.cast.motion_batch import _keep_exact_order
 from bvh_ros.scene.geometry.shapes import BOX, SPHERE
 
 
