@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An arm of 60 balls along 500 trajectories at a recorded shelf: which of them are free, how far
-each is from the shelf, and at what rate.
+"""An arm of 60 balls moves along 500 trajectories at a recorded shelf: which are free, and how far
+is each from the shelf?
 
 python examples/arm_at_a_shelf.py [--data ../shared/data] [--picture arm.png]
 """
@@ -25,7 +25,7 @@ rng = np.random.default_rng(6)
 
 
 def shelf(file, name):
-    """The obstacles of a scene of the file."""
+    """The obstacles of one scene of the file."""
     with file.open(newline='') as table:
         rows = [row for row in csv.DictReader(table) if row['scene'] == name]
     numbers = [
@@ -82,7 +82,8 @@ def main():
     given = parser.parse_args()
     file = given.data / 'manipulation_scenes' / 'scenes.csv'
     if not file.exists():
-        sys.exit(f'{file} is not there: no shelf, no example')
+        print(f'{file} is missing: name its folder with --data', file=sys.stderr)
+        sys.exit(2)
     scene, shapes = shelf(file, 'robowflex_vicon_shelf_01')
     middle = shapes.position.mean(axis=0) - BASE
     facing = np.arctan2(middle[1], middle[0])
@@ -92,7 +93,7 @@ def main():
     joints = ends[0][:, None] * (1.0 - share) + ends[1][:, None] * share
     arms = balls(joints)  # (trajectories, waypoints, balls, 3)
     starts, goals = arms[:, :-1].reshape(-1, 3), arms[:, 1:].reshape(-1, 3)
-    scene.sweep_many(starts[:1], goals[:1], RADIUS)  # what is compiled, or loaded, once
+    scene.sweep_many(starts[:1], goals[:1], RADIUS)  # compiles, or loads, the kernels
     scene.nearest_many(starts[:1])
     began = time.perf_counter()
     hits = scene.sweep_many(starts, goals, RADIUS)
@@ -103,8 +104,8 @@ def main():
     print(
         f'{free.sum()} of {TRAJECTORIES} trajectories are free: {len(starts)} swept balls in '
         f'{1e3 * (swept - began):.0f} ms, {(swept - began) / len(starts) * 1e6:.2f} us each; '
-        f'{arms.size // 3} distances in {1e3 * (ended - swept):.0f} ms; the widest free way keeps '
-        f'{gaps[free].max(initial=0.0) - RADIUS:.2f} m off'
+        f'{arms.size // 3} distances in {1e3 * (ended - swept):.0f} ms; '
+        f'the widest free trajectory keeps {gaps[free].max(initial=0.0) - RADIUS:.2f} m away'
     )
     if given.picture:
         draw(given.picture, shapes, arms, free)

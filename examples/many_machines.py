@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A world in parts on disk, asked by several processes, and what that costs.
+"""A world larger than memory: parts on disk, several worker processes, and the cost of a ray.
 
 pip install 'bvh_ros[cluster]'
 python examples/many_machines.py --boxes 1e7 --rays 1e7 --workers 2
@@ -27,8 +27,8 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument('--boxes', type=float, default=1e5)
 parser.add_argument('--rays', type=float, default=1e5)
 parser.add_argument('--part', type=float, default=4e6, help='boxes a part')
-parser.add_argument('--workers', type=int, default=2, help='0: this process asks')
-parser.add_argument('--folder', type=Path, help='is kept; used again if it exists')
+parser.add_argument('--workers', type=int, default=2, help='0: no workers')
+parser.add_argument('--folder', type=Path, help='keep the world here, and use it again')
 parser.add_argument('--scheduler')
 
 
@@ -41,7 +41,7 @@ def chunks(count: int, side: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def peak() -> int:
-    """Most memory that a process has had, MB."""
+    """Peak memory of this process, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 

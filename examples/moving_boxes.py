@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who drives 5 m in a second among boxes that move meets whom, when?
+"""Rays that take a second among moving boxes: how many meet one, and would at rest?
 
 python examples/moving_boxes.py [--boxes 10000] [--speed 1.5]
 """
@@ -28,8 +28,11 @@ moving.set_velocities(ids, velocities)
 
 starts = rng.uniform(0, [side, side, 2], (QUESTIONS, 3))
 angles = rng.uniform(0, 2 * np.pi, QUESTIONS)
-ways = 5.0 * np.column_stack((np.cos(angles), np.sin(angles), 0 * angles))
-hits = moving.raycast_many(starts, ways, 1.0, pace=1.0)
-told = still.raycast_many(starts, ways, 1.0)
+segments = 5.0 * np.column_stack((np.cos(angles), np.sin(angles), 0 * angles))
+hits = moving.raycast_many(starts, segments, 1.0, pace=1.0)
+at_rest = still.raycast_many(starts, segments, 1.0)
 print(f'{(hits.ids >= 0).sum()} of {QUESTIONS} meet a moving box within a second;', end=' ')
-print(f'if all stood still, {(told.ids >= 0).sum()}, and {(hits.ids != told.ids).sum()} others')
+print(
+    f'at rest {(at_rest.ids >= 0).sum()} would, '
+    f'and {(hits.ids != at_rest.ids).sum()} answers differ'
+)

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A planner's loop at 20 Hz: of some headings, take the one nearest to the goal whose way is free.
+"""A planner at 20 Hz: the robot takes the free heading closest to the goal, among moving carts.
 
 python examples/planner_loop.py
 """
@@ -22,13 +22,13 @@ waited = evaded = 0
 for tick in range(2_000):
     place += TICK * speed
     scene.update('carts', names, Shapes.boxes(place, [0.6, 0.6, 1.0]), stamp=tick)
-    way = goal - robot
-    if np.linalg.norm(way) < STEP:
+    to_goal = goal - robot
+    if np.linalg.norm(to_goal) < STEP:
         break
-    straight = np.arctan2(way[1], way[0])
-    ahead = min(AHEAD, float(np.linalg.norm(way)))
+    straight = np.arctan2(to_goal[1], to_goal[0])
+    ahead = min(AHEAD, float(np.linalg.norm(to_goal)))
     near = scene.overlap(robot, robot, tolerance=RADIUS + SPACE)
-    if near:  # a cart came too near: away from it
+    if near:  # a cart is too near: drive away from it
         heading = robot - near[0].point
         robot = robot + STEP * heading / np.linalg.norm(heading)
         evaded += 1

@@ -17,7 +17,7 @@ MARKERS, CUBE, ADD, DELETE = 'visualization_msgs/msg/MarkerArray', 1, 0, 2
 
 
 def main(bag: Path) -> None:
-    """Read cubes, and tell who stands within 5 m of the origin."""
+    """Read the cubes, and print the obstacles within 5 m of the origin."""
     scene = Scene()
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         connections = [c for c in reader.connections if c.msgtype == MARKERS]

@@ -1,11 +1,13 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sampling planner (MPPI) at 20 Hz: of 2,000 rollouts of 30 steps each, a turned rectangle at
-every step, those that touch none of 1,000 people and forklifts on the move are averaged by cost.
+"""A sampling planner (MPPI) at 20 Hz among 1,000 moving people and forklifts.
+
+Each tick makes 2,000 rollouts of 30 steps. The robot is a turned rectangle. The planner averages
+the rollouts by cost; a rollout that touches anything is expensive.
 
 python examples/sampling_planner.py [--ticks 400] [--picture planner.png] [--node]
 
-With --node it asks a bvh_node of its own over ROS 2, to which the movers are published as boxes.
+With --node the planner asks a bvh_node over ROS 2, and publishes the movers as boxes.
 """
 
 import argparse
@@ -29,7 +31,7 @@ SIZES = np.repeat([[0.5, 0.5, 1.8], [2.4, 1.2, 2.0]], [PEOPLE, FORKLIFTS], axis=
 
 
 def quaternions(yaws):
-    """Of turns about z."""
+    """Quaternions (x, y, z, w) of rotations about z."""
     turns = np.zeros((*np.shape(yaws), 4))
     turns[..., 2], turns[..., 3] = np.sin(yaws / 2), np.cos(yaws / 2)
     return turns
@@ -44,7 +46,7 @@ def roll_out(pose, controls):
 
 @contextmanager
 def in_this_process():
-    """(how to tell of the movers, how to ask which poses touch anything)."""
+    """Two functions: one updates the movers, one says which poses touch anything."""
     scene, names = Scene(planar=True), Numbered('mover/', np.arange(COUNT))
 
     def tell(place, turns):
@@ -76,11 +78,11 @@ def through_a_node():
             cloud.header.frame_id = 'map'
             publisher.publish(cloud)
 
-        def ask(*asked):
+        def ask(*boxes):
             while True:
                 try:
-                    return client.overlap_many(*asked).counts > 0
-                except BvhError:  # what this takes is being compiled, or the movers are on the way
+                    return client.overlap_many(*boxes).counts > 0
+                except BvhError:  # kernels compile, or the node still waits for the movers
                     time.sleep(0.1)
 
         yield tell, ask
@@ -106,7 +108,7 @@ def plan(ask, pose, goal, nominal):
 
 
 def draw(file, world, track, poses, free, goal):
-    """A picture of the world from above, of the way so far, and of the last rollouts."""
+    """Draw the world from above, the path so far, and the last rollouts."""
     import matplotlib as mpl
 
     mpl.use('Agg')
@@ -124,8 +126,8 @@ def draw(file, world, track, poses, free, goal):
             )
             axes.add_patch(box)
     for some, colour in ((~free, '0.8'), (free, 'tab:green')):
-        for way in poses[some][:150]:
-            axes.plot(way[:, 0], way[:, 1], color=colour, linewidth=0.5)
+        for path in poses[some][:150]:
+            axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=0.5)
     axes.plot(*np.transpose(track), color='black', linewidth=2)
     axes.plot(*goal, marker='*', color='tab:red', markersize=15)
     axes.set(xlim=(0, SIDE), ylim=(0, SIDE), aspect='equal', xlabel='x [m]', ylabel='y [m]')
@@ -143,11 +145,11 @@ def main():
 
 
 def drive(given, tell, ask):
-    """Plan and go a step, tick after tick."""
+    """Plan and drive one step, tick after tick."""
     place = np.column_stack((rng.uniform(5.0, SIDE, (COUNT, 2)), np.full(COUNT, 0.9)))
     yaws, pace = rng.uniform(-np.pi, np.pi, COUNT), rng.uniform(0.2, 1.0, COUNT)
     pose, goal = np.array([1.0, 1.0, np.pi / 4]), np.array([SIDE - 3.0, SIDE - 3.0])
-    nominal, track, spent, met = np.tile([1.0, 0.0], (STEPS, 1)), [pose[:2]], [], 0
+    nominal, track, spent, touching = np.tile([1.0, 0.0], (STEPS, 1)), [pose[:2]], [], 0
     for _ in range(given.ticks):
         yaws += rng.normal(0.0, 0.3 * TICK, COUNT)
         place[:, 0] = np.mod(place[:, 0] + pace * TICK * np.cos(yaws), SIDE)
@@ -159,13 +161,14 @@ def drive(given, tell, ask):
         pose = roll_out(pose, nominal[None] * [TICK / STEP, TICK / STEP])[0, 0]
         track.append(pose[:2])
         at = [[*pose[:2], 0.0]]
-        met += int(ask(np.array(at), ROBOT, quaternions(pose[None, 2]))[0])
+        touching += int(ask(np.array(at), ROBOT, quaternions(pose[None, 2]))[0])
         if np.linalg.norm(pose[:2] - goal) < 1.0:
             break
     milliseconds = 1e3 * float(np.median(spent[1:] or spent))
     print(
-        f'{len(spent)} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, in {met} of '
-        f'them in touch; a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
+        f'{len(spent)} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, '
+        f'in {touching} of them in touch; '
+        f'a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
         f'among {COUNT}: {1e3 / milliseconds:.0f} Hz'
     )
     if given.picture:

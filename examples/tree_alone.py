@@ -14,7 +14,7 @@ lo = rng.uniform(0.0, 100.0, (10_000, 3))  # m
 tree = DynamicBVH.from_boxes(lo, lo + 1.0)  # a bulk build
 handles = tree.ids()  # in row order
 
-# Who is first on this ray?
+# Which box does this ray meet first?
 hit = tree.raycast([-5.0, 50.0, 50.0], [1.0, 0.0, 0.0])
 assert hit is not None
 row = np.searchsorted(handles, hit.id)
@@ -29,7 +29,7 @@ origins, directions = np.zeros((1_000, 3)), rng.uniform(0.0, 1.0, (1_000, 3))
 hits = tree.raycast_many(origins, directions)
 print(f'{np.count_nonzero(hits.ids >= 0)} of 1000 rays meet a box')
 
-# Who touches this box, who is nearest to this point, which boxes touch each other?
+# Which boxes touch this box, are nearest to this point, or touch each other?
 print(len(tree.overlap([40, 40, 40], [50, 50, 50])), 'boxes touch a cube of 10 m')
 ids, distances = tree.nearest([50.0, 50.0, 120.0], k=3)
 print('the nearest three are', distances.round(2), 'm away')

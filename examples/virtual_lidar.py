@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual lidar: 64 rings of 512 beams from one place, among people who walk.
+"""A virtual lidar: 64 rings of 512 beams from one place, among walking people.
 
 python examples/virtual_lidar.py
 """
@@ -33,8 +33,9 @@ for frame in range(5):  # at 10 Hz
     people = people._replace(position=place + 0.1 * frame * speed)
     scene.update('walking', names, people, stamp=frame * 100_000_000)
     handles, ranges, points, normals = scene.raycast_many(origins, beams, RANGE)
-    seen = handles != NO_NODE
+    returned = handles != NO_NODE
     print(
-        f't = {0.1 * frame:.1f} s: {np.count_nonzero(seen)} of {len(beams)} beams return, from '
-        f'{len(np.unique(handles[seen]))} people, the nearest {ranges[seen].min():.2f} m away'
+        f't = {0.1 * frame:.1f} s: {np.count_nonzero(returned)} of {len(beams)} beams return, '
+        f'from {len(np.unique(handles[returned]))} people, '
+        f'the nearest {ranges[returned].min():.2f} m away'
     )

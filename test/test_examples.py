@@ -74,7 +74,7 @@ def test_predicted_traffic(tmp_path):
         pytest.skip('the recorded traffic is not there')
     picture = tmp_path / 'traffic.png'
     said = run('predicted_traffic.py', str(tracks), '--plot', str(picture)).splitlines()
-    for line in said[-5:]:  # at every rate the predicted world is nearer, and misses less
+    for line in said[-5:]:  # at every rate, prediction is nearer and misses fewer robots
         cells = [float(cell) for cell in line.replace('%', '').split('|')[2:8]]
         assert max(cells[1:3]) < 0.2 * cells[0]
         assert max(cells[4:]) < 0.5 * cells[3]
