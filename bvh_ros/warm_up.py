@@ -31,7 +31,7 @@ def main(args: Sequence[str] | None = None) -> int:
     os.environ |= {'NUMBA_CACHE_DIR': str(options.folder or ''), 'BVH_ROS_KERNELS': ''}
     if options.cpu != 'native':
         os.environ |= {'NUMBA_CPU_NAME': options.cpu, 'NUMBA_CPU_FEATURES': ''}
-    from bvh_ros.tree.jit import kernel_cache, shipped
+    from bvh_ros.tree.compiler import kernel_cache, shipped
 
     if options.folder is None:
         os.environ['NUMBA_CACHE_DIR'] = str(shipped.IN_PACKAGE)

@@ -5,9 +5,9 @@
 import json
 
 import pytest
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
-from bvh_ros.tree.jit import shipped
+from bvh_ros.tree.compiler import shipped
 
 # One small kernel in place of all, which take a minute.
 ONE = """

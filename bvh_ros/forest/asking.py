@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
-from ..tree.nodes import NONE
+from ..tree.access import NONE
 from .parts import ask
 
 # Rows that are answered at once, and rows of one task: what bounds the memory of who asks, and of

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree import DynamicBVH, box_checks, checks
-from ..tree.store import mapped
+from ..tree import DynamicBVH
+from ..tree.access import box_checks, checks, mapped
 from . import hilbert
 
 VERSION = 2

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
-from ..tree.nodes import NONE
-from ..tree.store.arrays import Floats, Ids
+from ..tree.access import NONE, Floats, Ids
 from .asking import Asking, parts_of, pieces
 
 # Parts that are looked up at first; then four times as many, for the points that are not done.

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import ALL, DynamicBVH, RayHits, box_checks, checks
-from ..tree.store import mapped
-from ..tree.store.arrays import Floats, Ids
+from ..tree import ALL, DynamicBVH, RayHits
+from ..tree.access import Floats, Ids, box_checks, checks, mapped
 from . import building, chunked, distances, overlaps, rays
 from .asking import Asking
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
-from ..tree.store.arrays import Floats, Ids
+from ..tree.access import Floats, Ids
 from .asking import Asking, parts_of, pieces
 
 

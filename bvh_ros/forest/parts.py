@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
-from ..tree.nodes import NONE
-from ..tree.store import mapped
+from ..tree.access import NONE, mapped
 from .building import ids_file, part_file
 
 # Parts that a process has open: each has a snapshot of its own once enough rays have come.

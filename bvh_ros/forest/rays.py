@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import DynamicBVH, RayHits, checks
-from ..tree.nodes import NONE
+from ..tree import DynamicBVH, RayHits
+from ..tree.access import NONE, checks
 from .asking import Asking, parts_of, pieces
 
 # Of two distances, each within 2 ulp of the exact one, and half an ulp for the sum.

@@ -88,7 +88,7 @@ def vectors() -> str:
     """
     from numba import config
 
-    from ..tree.jit.shipped import host_features
+    from ..tree.compiler import host_features
 
     if config.CPU_NAME and config.CPU_FEATURES is not None:
         return f'kernels compiled for {config.CPU_NAME}'

@@ -8,8 +8,7 @@ import time
 from collections.abc import Sequence
 
 from bvh_ros.ros.compile_jobs import Job
-from bvh_ros.tree.jit import kernel_cache
-from bvh_ros.tree.jit.workers import Workers, fork_ahead
+from bvh_ros.tree.compiler import Workers, fork_ahead, kernel_cache
 
 AT_LEAST = 0.05  # of a job is left, however long it runs
 

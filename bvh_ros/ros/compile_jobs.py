@@ -32,7 +32,7 @@ from bvh_ros.ros.job_scenes import (
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 from bvh_ros.scene.store.names import as_families
 from bvh_ros.scene.store.registry import Registry
-from bvh_ros.tree.store.storage import inherit_entry
+from bvh_ros.tree.access import inherit_entry
 
 FEW = 128  # rays that go through the snapshot one by one, where there is one
 
@@ -228,9 +228,7 @@ def _checks(needs: Needs) -> None:
 def _batches(needs: Needs) -> None:
     """Of each size that is answered in a way of its own; first what compiles without boxes."""
     from bvh_ros.scene.cast.boxes import few_entry
-    from bvh_ros.tree.wide.collapse_plan import planning_entry
-    from bvh_ros.tree.wide.raycasting import cast_entry
-    from bvh_ros.tree.wide.snapshot import blurred_entry, collapse_entry
+    from bvh_ros.tree.access import blurred_entry, cast_entry, collapse_entry, planning_entry
 
     for entry in blurred_entry, planning_entry, collapse_entry, cast_entry, few_entry:
         entry(2 if needs.planar else 3)
@@ -246,7 +244,7 @@ def _batches(needs: Needs) -> None:
 
 def _threads(needs: Needs) -> None:
     """Count the rays of a batch that several threads have answered, each some of them."""
-    from bvh_ros.tree.wide.few_rays import few_entry
+    from bvh_ros.tree.access import few_entry
 
     line = MIDDLE[:, : 2 if needs.planar else 3]
     few_entry(line.shape[1])

@@ -21,7 +21,7 @@ from bvh_ros.scene.geometry.hull import Hull
 from bvh_ros.scene.moments import Moments
 from bvh_ros.scene.ray_batches import RayBatches
 from bvh_ros.scene.store.obstacles import Obstacles
-from bvh_ros.tree.jit.compiling import prepare
+from bvh_ros.tree.compiler import prepare
 
 if TYPE_CHECKING:
     from bvh_ros.ros.compile_jobs import Needs

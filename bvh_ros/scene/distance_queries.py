@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import checks
-from ..tree.nodes import ALL, NONE
-from ..tree.store.turns import IS_CHANGED
+from ..tree.access import ALL, IS_CHANGED, NONE, checks
 from .distance import clearance, nearness
 from .distance.clearance import Neighbours
 from .distance.query_rows import NO_GIVEN, given_rows, number_of, query_rows

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import checks
-from ..tree import plotting as boxes
-from ..tree.store.arrays import Ids
+from ..tree.access import Ids, checks
+from ..tree.access import plotting as boxes
 from . import plotting
 from .geometry.polygon import Polygon
 from .geometry.shapes import Floats, ShapeKind, Shapes, shapes_of

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..tree import checks
-from ..tree.store.workers import in_threads
+from ..tree.access import checks, in_threads
 from .cast.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
 from .cast.boxes import segment
 from .geometry.shapes import Floats

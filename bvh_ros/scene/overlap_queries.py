@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree import checks
-from ..tree.nodes import ALL
+from ..tree.access import ALL, checks
 from .distance import overlaps
 from .distance.query_rows import BOXES, UNTURNED, given_rows, number_of, query_rows, shape_query
 from .distance.query_shape import NO_TURN, QueryShape, box_query

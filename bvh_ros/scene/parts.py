@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree.nodes import ALL
+from ..tree.access import ALL
 from .geometry.shapes import Shapes, as_shapes
 from .speeds import Follow, velocity_rows
 from .store.names import Families, Names, as_families

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..tree.plotting import CORNERS, SIDES
+from ..tree.access import CORNERS, SIDES
 from .geometry.outline import convex_polygon
 from .geometry.shapes import Floats, ShapeKind, Shapes, rotations
 

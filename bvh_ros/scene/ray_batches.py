@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ..tree import checks
-from ..tree.rays.raycasting import CLOSEST
-from ..tree.rays.raycasting import Rays as ThinRays
+from ..tree.access import CLOSEST, checks
+from ..tree.access import Rays as ThinRays
 from .cast import batch, boxes, query
 from .cast.arguments import Found, Rays, refuse_infinite, row_by_row, ways_of
 from .geometry.shapes import Floats, along_axes

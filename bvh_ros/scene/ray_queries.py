@@ -5,9 +5,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree import checks
-from ..tree.checks import EVERYTHING
-from ..tree.nodes import ALL
+from ..tree.access import ALL, EVERYTHING, checks
 from .cast import boxes, exact_ball
 from .cast.arguments import WHOLE_WAY, Rays, ways_entry
 from .geometry.shapes import Floats

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 from numpy.typing import ArrayLike
 
-from ..tree import checks
+from ..tree.access import checks
 from .delegation import method_of
 from .distance.clearance import Clearances
 from .distance.nearness import Nearness

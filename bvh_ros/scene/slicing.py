@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
-from ..tree.nodes import SLOT_MASK
+from ..tree.access import SLOT_MASK
 from .parts import Part
 from .refusals import Refusals
 from .store import updating

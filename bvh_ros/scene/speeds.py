@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import checks
+from ..tree.access import checks
 from .geometry.shapes import Floats
 from .store.obstacles import Obstacles
 from .store.registry import Slots

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree import checks
+from ..tree.access import checks
 from .geometry.shapes import Floats
 from .speeds import Sighting
 

@@ -12,8 +12,7 @@ import math
 
 import numpy as np
 
-from .jit.compiling import inlined, lean_kernel
-from .jit.intrinsics import stack_array
+from .compiler import inlined, lean_kernel, stack_array
 from .nodes import DEEPEST, NONE, ROOT, is_leaf, next_node
 from .store.turns import begin_query, end_query
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .checks import Floats, capacity, copied_rows, finite, point, unless_refused
-from .jit.compiling import entry_point, lean_kernel
+from .compiler import entry_point, lean_kernel
 from .nodes import SLOT_MASK
 
 

@@ -13,10 +13,9 @@ import numpy as np
 from .area import tree_cost
 from .build.rebuilding import build_anew, is_due, is_too_high, look_at_cost, optimize, rebalance
 from .build.room import room_to_build
+from .compiler import inlined, lean_kernel, stack_array
 from .entries import entry_points
 from .insertion import insert_leaf, remove_leaf
-from .jit.compiling import inlined, lean_kernel
-from .jit.intrinsics import stack_array
 from .moving import (
     LARGEST,
     Change,

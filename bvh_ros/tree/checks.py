@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .jit.compiling import kernel
+from .compiler import kernel
 from .nodes import ALL, SLOT_MASK
 
 Floats = NDArray[np.float64]

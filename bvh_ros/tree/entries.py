@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from .jit.compiling import entry_point
+from .compiler import entry_point
 from .nodes import empty_tree
 
 

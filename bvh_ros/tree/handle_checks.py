@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .checks import FOREIGN, INT64, is_integer, refuse_masked, shown_short
-from .jit.compiling import entry_point, lean_kernel
+from .compiler import entry_point, lean_kernel
 from .nodes import SLOT_MASK
 
 LAST_INT64 = (1 << 63) - 1

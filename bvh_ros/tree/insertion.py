@@ -12,8 +12,7 @@ Construction for Ray Tracing", section 3, for the bound.
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .jit.compiling import inlined, lean_kernel
-from .jit.intrinsics import prefetch, stack_array
+from .compiler import inlined, lean_kernel, prefetch, stack_array
 from .nodes import DEEPEST, NONE, ROOT, free_inner, is_leaf, refit_node, replace_child, take_inner
 from .rotation import rotate
 

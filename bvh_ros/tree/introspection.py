@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import checks, handle_checks, plotting, validation
 from .area import cost_now
+from .compiler.kernel_cache import cache_folder
 from .entries import entry_points
-from .jit.kernel_cache import cache_folder
 from .nodes import (
     BUILT_COST,
     COUNTERS,

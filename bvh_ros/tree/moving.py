@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from .build.building import refit_all
 from .build.rebuilding import build_anew, is_due, look_at_cost, rebalance
+from .compiler import inlined, lean_kernel, prefetch, stack_array
 from .insertion import insert_leaf, remove_leaf
-from .jit.compiling import inlined, lean_kernel
-from .jit.intrinsics import prefetch, stack_array
 from .nodes import (
     COUNT,
     INSERTED,

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .jit.compiling import inlined, lean_kernel
+from .compiler import inlined, lean_kernel
 
 NONE = -1
 ALL = 0xFFFFFFFF  # the query mask that sees every box

@@ -17,7 +17,7 @@ list.
 import numpy as np
 
 from .area import area_scale, node_area, union_area
-from .jit.compiling import inlined, lean_kernel
+from .compiler import inlined, lean_kernel
 from .nodes import HIGHEST, NONE, is_leaf, refit_node
 
 

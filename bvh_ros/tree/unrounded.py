@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums and products of two doubles as unrounded sums of two (Knuth 1969; Dekker 1971)."""
 
-from .jit.compiling import inlined
+from .compiler import inlined
 
 HALVES = 2.0**27 + 1.0  # times a double, to part its digits in two halves
 

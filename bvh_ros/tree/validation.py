@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .build.rebuilding import height_limit
-from .jit.compiling import kernel
+from .compiler import kernel
 from .nodes import (
     COUNT,
     EXACT_RAYS,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.geometry.shapes import rotations
-from bvh_ros.tree.plotting import CORNERS, EDGES, PALETTE
+from bvh_ros.tree.access import CORNERS, EDGES, PALETTE
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import Floats, Overlay
 

@@ -15,7 +15,7 @@ import viser
 
 from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene import Shapes
-from bvh_ros.tree.plotting import PALETTE
+from bvh_ros.tree.access import PALETTE
 from bvh_ros.view.drawing import Lines, Obstacles, Overlays
 from bvh_ros.view.grouping import Namespaces
 from bvh_ros.view.panel import BY_NAMESPACE, Panel

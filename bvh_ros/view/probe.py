@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from bvh_ros.ros.conversions.outlines import edges
-from bvh_ros.tree.plotting import BLOCKED_WAY, FREE_WAY
+from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY
 from bvh_ros.view.drawing import Dots, Lines
 from bvh_ros.view.placing import Placing
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, ShownWorld

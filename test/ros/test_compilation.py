@@ -13,7 +13,7 @@ from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs
 from bvh_ros.ros.progress import Progress
 from bvh_ros.scene import ShapeKind
-from bvh_ros.tree.jit import kernel_cache
+from bvh_ros.tree.compiler import kernel_cache
 
 WRITE = 'import os; open({!r}, "a").write(f"{{os.getpid()}} ")'
 

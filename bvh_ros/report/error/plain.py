@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree.jit.compiling import inlined, rewired
+from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
 from ...tree.rays import ray_batches, ray_hits, raycasting, slab
 from ...tree.wide import best_hit

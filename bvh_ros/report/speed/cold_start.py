@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 
-from ...tree.jit.workers import processors
+from ...tree.compiler import processors
 from ..page import Page
 from ..tables import Cell, Table
 from . import entries

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from ...ros.cdr import marker_array
 from ...ros.compile_jobs import Job, Needs, jobs
 from ...ros.sources import SOURCE_TYPES
-from ...tree.jit.kernel_parts import Kernel
+from ...tree.compiler.kernel_parts import Kernel
 
 
 class Entry(NamedTuple):

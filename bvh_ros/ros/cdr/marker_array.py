@@ -22,7 +22,7 @@ from bvh_ros.ros.cdr.reading import (
     whole_number,
 )
 from bvh_ros.ros.conversions.marker_table import MarkerTable
-from bvh_ros.tree.jit.compiling import inlined, lean_kernel
+from bvh_ros.tree.compiler import inlined, lean_kernel
 
 # The definition that is decoded here, as the Python classes tell it; see `definitions.py`.
 DEFINITION = {

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.tree.jit.compiling import inlined
+from bvh_ros.tree.compiler import inlined
 
 TRUNCATED, UNTERMINATED, HIDDEN_END = -1, -2, -3
 REASONS = {

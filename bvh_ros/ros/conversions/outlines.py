@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.scene import Shapes
-from bvh_ros.tree import plotting
-from bvh_ros.tree.plotting import CORNERS, SIDES
+from bvh_ros.tree.access import CORNERS, SIDES, plotting
 
 Floats = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.parts.watched import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.tree.plotting import PALETTE
+from bvh_ros.tree.access import PALETTE
 
 if TYPE_CHECKING:
     from rclpy.node import Node

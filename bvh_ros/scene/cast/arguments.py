@@ -15,11 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree import checks
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
-from ...tree.nodes import DEEPEST, ROOT
-from ...tree.rays.slab import RAY_FLOATS, RAY_ROWS
+from ...tree.access import DEEPEST, RAY_FLOATS, RAY_ROWS, ROOT, DynamicBVH, checks
+from ...tree.compiler import entry_point, inlined, lean_kernel
 from ..geometry.shapes import Floats
 from ..store.columns import Columns
 

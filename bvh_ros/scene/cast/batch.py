@@ -23,20 +23,37 @@ from typing import Any
 
 import numpy as np
 
-from ...tree.checks import UINT32
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.float32x16 import seen16, stream16
-from ...tree.jit.intrinsics import WIDTH, stack_array
-from ...tree.nodes import CHANGES, NONE, ROOT, View
-from ...tree.rays.raycasting import of_row
-from ...tree.rays.slab import INSIDE, set_ray
-from ...tree.store.turns import NOT_FINITE, REFUSED, accepted, end_query
-from ...tree.store.workers import in_threads
-from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
-from ...tree.wide.ray_stacks import STACK, child_of, push_children, push_loose
-from ...tree.wide.raycasting import ALL32
-from ...tree.wide.snapshot import Snapshot, begin_batch, no_snapshot
+from ...tree.access import (
+    ALL32,
+    CHANGES,
+    FARTHEST_ORIGIN,
+    INSIDE,
+    NONE,
+    NOT_FINITE,
+    REFUSED,
+    ROOT,
+    STACK,
+    UINT32,
+    DynamicBVH,
+    Snapshot,
+    View,
+    accepted,
+    begin_batch,
+    child_of,
+    end_query,
+    in_threads,
+    limit32,
+    no_snapshot,
+    octant_of,
+    of_row,
+    push_children,
+    push_loose,
+    seen16,
+    set_ray,
+    start_ray,
+    stream16,
+)
+from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..results import NO_NODE, CastHits
 from ..store.columns import Columns
 from .arguments import SCRATCH, Asked, Ball, CastWorld, Hits, code_for, scratch_in

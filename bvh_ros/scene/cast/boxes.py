@@ -15,20 +15,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree import checks
-from ...tree.checks import INT64, UINT32
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.entries import entry_points
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import empty_tree, slot_of
-from ...tree.rays import ray_batches, ray_hits, raycasting
-from ...tree.rays.ray_hits import NO_HITS, locate
-from ...tree.rays.slab import INSIDE
-from ...tree.results import RayHits
-from ...tree.store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
-from ...tree.wide.few_rays import cast_few
-from ...tree.wide.snapshot import no_snapshot
+from ...tree.access import (
+    CLOSEST,
+    EVERY,
+    INSIDE,
+    INT64,
+    IS_CHANGED,
+    NO_HITS,
+    NO_RAYS,
+    NOT_FINITE,
+    REFUSED,
+    UINT32,
+    DynamicBVH,
+    RayHits,
+    accepted,
+    cast_few,
+    checks,
+    empty_tree,
+    entry_points,
+    every_hit,
+    locate,
+    no_snapshot,
+    raycast_one,
+    slot_of,
+)
+from ...tree.access import Rays as ThinRays
+from ...tree.access import cast as cast_rays
+from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
 from .arguments import WHOLE_WAY, Rays, fill_ways, ways_entry
@@ -94,8 +107,8 @@ def first_between(tree, start, goal, mask, skip_inside, place):
     way = stack_array(3, np.float64)
     if not way_between(start, goal, way, place):
         return np.int64(NOT_FINITE), np.inf
-    asked = 1.0, mask, skip_inside, raycasting.CLOSEST
-    handle, t = ray_hits.raycast_one(tree, start, way, *asked, place)
+    asked = 1.0, mask, skip_inside, CLOSEST
+    handle, t = raycast_one(tree, start, way, *asked, place)
     return (slot_of(handle) if handle >= 0 else handle), t
 
 
@@ -111,9 +124,9 @@ def every(
     TooManyHitsError if there are more than `most`.
     """
     view = tree.view()
-    asked = WHOLE_WAY, np.array([mask]), skip_inside, raycasting.EVERY, True
+    asked = WHOLE_WAY, np.array([mask]), skip_inside, EVERY, True
     rays = origin[None, : tree.ndim], direction[None, : tree.ndim], *asked
-    _, end, found = raycasting.every_hit(view, rays, False)
+    _, end, found = every_hit(view, rays, False)
     tree.check_unchanged(view)
     require_few(end, most)
     nodes, tight = view.tree.nodes, view.tree.tight
@@ -126,7 +139,7 @@ def every(
 
 
 def few_first(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: raycasting.Rays, to_goals: bool
+    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: ThinRays, to_goals: bool
 ) -> CastHits | None:
     """`first_of_many` of few rays, with as little Python as can be; None if a ray is not finite.
     `to_goals`: what is called directions are the goals of the ways.
@@ -154,7 +167,7 @@ def few_first(
 def cast_without_snapshot(
     tree: DynamicBVH,
     node_handles: NDArray[np.int64],
-    rays: raycasting.Rays,
+    rays: ThinRays,
     to_goals: bool,
     room: tuple[NDArray[np.int64], Floats | None],
     told: CastHits,
@@ -180,7 +193,7 @@ def cast_without_snapshot(
         normals = np.empty((count, 2))
         rays = rays._replace(origins=along_axes(some[0], 2), directions=along_axes(some[1], 2))
     hits = RayHits(np.empty(count, INT64), told.t, normals)
-    done = ray_batches.cast(*view, None, rays, hits)
+    done = cast_rays(*view, None, rays, hits)
     if done >= 0:
         _describe_entry(ndim)(view.tree, node_handles, *some, hits, told)
     return done
@@ -192,7 +205,7 @@ def first_of_many(
     """First hits of n rays."""
     ndim, count = tree.ndim, len(rays.origins)
     flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    asked = *flat, rays.t_max, rays.masks, skip_inside, raycasting.CLOSEST, threads == 1
+    asked = *flat, rays.t_max, rays.masks, skip_inside, CLOSEST, threads == 1
     hits = tree.first_hits(asked, threads)
     normals = hits.normals if ndim == 3 else np.empty((count, 3))
     columns = np.empty(count, UINT32), hits.t, np.empty((count, 3)), normals
@@ -271,7 +284,7 @@ def flatten(starts, ways, flat):
 def few_entry(ndim: int) -> Callable[..., Any]:
     """The machine code of `cast_and_describe`."""
     flat = None if ndim == 3 else np.empty((3, 0, ndim))
-    asked = raycasting.NO_RAYS, False, _NO_IDS, _NO_IDS, flat, _TOLD
+    asked = NO_RAYS, False, _NO_IDS, _NO_IDS, flat, _TOLD
     return entry_point(cast_and_describe, empty_tree(ndim), 0, no_snapshot(ndim), *asked)
 
 

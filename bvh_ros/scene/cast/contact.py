@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
+from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
+from ...tree.compiler import lean_kernel
 from ..distance.hull_gap import closest_on_mesh
 from ..geometry.lengths import length, scale_of
 from ..geometry.rim import FACE, ROUND

@@ -34,11 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, set_ray
+from ...tree.access import DIRECTION, INSIDE, NONE, ORIGIN, DynamicBVH, set_ray
+from ...tree.compiler import lean_kernel, stack_array
 from ..distance import overlaps
 from ..geometry.rim import ROUND
 from ..geometry.shapes import Floats

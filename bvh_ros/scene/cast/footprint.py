@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.rays.slab import DIRECTION, INSIDE, ORIGIN, intersect_exact
+from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
+from ...tree.compiler import lean_kernel
 from ..geometry.lengths import length, scale_of
 from ..geometry.oval import cross_oval, measure_oval, slab, to_oval
 from ..geometry.rim import (

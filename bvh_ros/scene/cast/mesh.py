@@ -25,22 +25,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import ALL, DEEPEST, NONE
-from ...tree.rays.raycasting import descend
-from ...tree.rays.slab import (
+from ...tree.access import (
+    ALL,
+    DEEPEST,
     DIRECTION,
     INSIDE,
+    NONE,
     ORIGIN,
     PAD,
     RAY_ROWS,
     TINY,
+    descend,
     intersect_node,
     prepare_ray,
     set_ray,
     traversal_distance,
 )
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..distance.hull_gap import hull_gap
 from ..distance.simplex import dot
 from ..geometry.farthest import farthest_vertex

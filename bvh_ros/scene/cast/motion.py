@@ -26,21 +26,45 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.entries import entry_points
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
-from ...tree.jit.intrinsics import prefetch, stack_array
-from ...tree.jit.moving_sides import FRONTS
-from ...tree.motion.bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, set_fronts
-from ...tree.motion.casting import cast_one, descend, locate, no_motion
-from ...tree.motion.meeting import box_of, course_of, moves
-from ...tree.motion.spans import span_of, times_of
-from ...tree.motion.stopping import is_before, meet_box
-from ...tree.motion.sums import elapsed
-from ...tree.moving import LARGEST
-from ...tree.nodes import DEEPEST, NONE, slot_of
-from ...tree.rays.raycasting import CLOSEST, of_row
-from ...tree.rays.slab import INSIDE, PAD, RAY_ROWS, TINY, set_ray, set_swept_box
-from ...tree.store.turns import NOT_FINITE, end_query
+from ...tree.access import (
+    CLOSEST,
+    DEEPEST,
+    INSIDE,
+    LARGEST,
+    NONE,
+    NOT_FINITE,
+    PAD,
+    RAY_ROWS,
+    TINY,
+    end_query,
+    entry_points,
+    of_row,
+    set_ray,
+    set_swept_box,
+    slot_of,
+)
+from ...tree.compiler import entry_point, inlined, lean_kernel, prefetch, stack_array
+from ...tree.motion.access import (
+    FRONTS,
+    LONGEST,
+    OUTSIDE,
+    begin_asking,
+    box_of,
+    cast_one,
+    course_of,
+    covers,
+    descend,
+    elapsed,
+    is_before,
+    locate,
+    meet_box,
+    moments_of,
+    moves,
+    no_motion,
+    set_fronts,
+    span_of,
+    times_of,
+)
 from ..geometry.shapes import Floats
 from ..results import NO_NODE
 from ..store.obstacles import EXACT, Obstacles

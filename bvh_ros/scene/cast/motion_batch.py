@@ -26,41 +26,69 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.checks import INT64, NOTHING, UINT32
-from ...tree.entries import entry_points
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.int32x8 import AT_ONCE
-from ...tree.jit.intrinsics import WIDTH, prefetch, stack_array
-from ...tree.motion.asked_then import AS_ARRAYS, NO_RAYS, RaysThen, told_once
-from ...tree.motion.casting import Casts, locate
-from ...tree.motion.few_casting import FEW, NO_FEW, cast_few
-from ...tree.motion.meeting import box_of, course_of, fetch_box
-from ...tree.motion.rounded import may_meet
-from ...tree.motion.spans import times_of
-from ...tree.motion.starting import start_seen
-from ...tree.motion.stopping import face_met
-from ...tree.motion.sweeping import Sweep, no_sweep
-from ...tree.motion.wide_casting import (
+from ...tree.access import (
+    AT_ONCE,
+    CLOSEST,
+    EVERY,
+    FARTHEST_ORIGIN,
+    FOUND,
+    INSIDE,
+    INT64,
+    LARGEST,
+    LOOSE_NODES,
+    MIXED,
+    NONE,
+    NOTHING,
+    RAY_ROWS,
+    REFUSED,
+    ROOT,
+    UINT32,
+    RayHits,
+    Tree,
+    accepted,
+    begin_query,
+    count_rays,
+    end_query,
+    entry_points,
+    limit32,
+    make_scratch,
+    of_row,
+    rows_of,
+    scratch_for,
+    set_ray,
+    set_swept_box,
+    slot_of,
+    traverse,
+)
+from ...tree.compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array
+from ...tree.motion.access import (
     AHEAD,
+    AS_ARRAYS,
+    FEW,
     MOST_WAITING,
+    NO_FEW,
+    NO_RAYS,
     PLACES,
     UNSUITED,
     WAITING,
     WAITING_SHARE,
+    Casts,
+    RaysThen,
+    Sweep,
+    box_of,
+    cast_few,
     cast_rows,
+    course_of,
+    face_met,
+    fetch_box,
+    locate,
+    may_meet,
+    no_sweep,
     not_yet,
+    start_seen,
+    times_of,
+    told_once,
 )
-from ...tree.moving import LARGEST
-from ...tree.nodes import NONE, ROOT, Tree, slot_of
-from ...tree.rays.ray_batches import rows_of
-from ...tree.rays.raycasting import CLOSEST, EVERY, of_row
-from ...tree.rays.slab import INSIDE, RAY_ROWS, set_ray, set_swept_box
-from ...tree.results import RayHits
-from ...tree.store.turns import REFUSED, accepted, begin_query, count_rays, end_query
-from ...tree.wide.filtering import FARTHEST_ORIGIN, limit32
-from ...tree.wide.ray_streams import FOUND, make_scratch, scratch_for
-from ...tree.wide.raycasting import MIXED, traverse
-from ...tree.wide.snapshot import LOOSE_NODES
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import Obstacles

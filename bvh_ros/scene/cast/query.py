@@ -11,21 +11,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import NONE, is_leaf, leaf_box
-from ...tree.rays.slab import (
+from ...tree.access import (
     INSIDE,
+    NONE,
     ORIGIN,
     PAD,
     TINY,
+    DynamicBVH,
     compare_hits,
     intersect_node,
+    is_leaf,
+    leaf_box,
     prepare_ray,
     set_ray,
     traversal_distance,
 )
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..geometry.lengths import LARGE, SMALL
 from ..geometry.rim import ROUND
 from ..store.columns import Columns

@@ -39,9 +39,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.rays.slab import DIRECTION, INSIDE
+from ...tree.access import DIRECTION, INSIDE
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..geometry.lengths import hypot, length, scale_of
 from ..geometry.rim import ROUND
 

@@ -13,16 +13,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree import checks
-from ...tree.boxes.nearest import nearest
-from ...tree.checks import INT64, UINT32
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import CHANGES, COUNT, NONE, View
-from ...tree.rays.raycasting import of_row
-from ...tree.store.turns import begin_query, end_query
-from ...tree.store.workers import in_threads
+from ...tree.access import (
+    CHANGES,
+    COUNT,
+    INT64,
+    NONE,
+    UINT32,
+    DynamicBVH,
+    View,
+    begin_query,
+    checks,
+    end_query,
+    in_threads,
+    nearest,
+    of_row,
+)
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..geometry.canonical import FINE
 from ..geometry.shapes import Floats
 from ..results import NO_NODE

@@ -10,8 +10,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..geometry.hull import hull_of
 from ..geometry.lengths import scale_of
 from ..geometry.rim import closest_on_footprint

@@ -8,8 +8,8 @@ A number is a pair (high, low); a vector is an array (3, 2). Lengths are about 1
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.unrounded import two_product, two_sum
+from ...tree.access import two_product, two_sum
+from ...tree.compiler import lean_kernel
 
 
 @lean_kernel

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from .expanding_polytope import reach_in
 from .simplex import SLACK
 

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.unrounded import two_sum
+from ...tree.access import two_sum
+from ...tree.compiler import lean_kernel, stack_array
 from .double_double import cross2, dot2
 from .gjk import AXES, CENTRE, corner_of
 from .separation import LINES, fill_line

@@ -19,8 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from ..geometry.farthest import farthest_vertex
 from .simplex import SLACK, dot, holds_origin, keep_closest, missed, weigh
 

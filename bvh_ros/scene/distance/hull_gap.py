@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from ..geometry.hull import hull_of, hull_of_point
 from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
 from .simplex import FIRST, SECOND, SLACK, WAY_ROOM

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.checks import UINT32
+from ...tree.access import UINT32
 from ..geometry.footprint import FOOTPRINT
 from ..geometry.records import GEOMETRY
 from .moving import ROOM, Then

@@ -10,14 +10,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
-from ...tree.motion.meeting import box_of, moves
-from ...tree.motion.overlapping import overlap_then
-from ...tree.motion.sums import elapsed
-from ...tree.rays.raycasting import of_row
-from ...tree.store.turns import end_query
+from ...tree.access import end_query, of_row
+from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.motion.access import (
+    OUTSIDE,
+    begin_asking,
+    box_of,
+    covers,
+    elapsed,
+    moves,
+    overlap_then,
+)
 from ..geometry.canonical import FINE
 from ..store.places import WIDER
 from .narrow_phase import near

@@ -7,16 +7,18 @@ As `touching_rows.nearest_rows` and `clearance.clearance_rows`.
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import prefetch, stack_array
-from ...tree.motion.bounds import OUTSIDE, begin_asking, covers
-from ...tree.motion.meeting import box_of, fetch_box
-from ...tree.motion.nearest import at_least, nearest_bounds
-from ...tree.motion.sums import elapsed
-from ...tree.nodes import NONE
-from ...tree.rays.raycasting import of_row
-from ...tree.rays.slab import is_finite
-from ...tree.store.turns import end_query
+from ...tree.access import NONE, end_query, is_finite, of_row
+from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
+from ...tree.motion.access import (
+    OUTSIDE,
+    at_least,
+    begin_asking,
+    box_of,
+    covers,
+    elapsed,
+    fetch_box,
+    nearest_bounds,
+)
 from ..geometry.canonical import FINE
 from . import clearance
 from .closest import length

@@ -22,8 +22,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from ..geometry.hull import hull_of
 from ..geometry.rotation import rotate
 from ..geometry.shapes import CAPSULE, CYLINDER, MESH, SPHERE

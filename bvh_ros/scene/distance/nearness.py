@@ -12,13 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.boxes.ordering import order_of
-from ...tree.checks import UINT32
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point
-from ...tree.nodes import COUNT, View
-from ...tree.store.turns import IS_CHANGED, NOT_FINITE
-from ...tree.store.workers import in_threads
+from ...tree.access import (
+    COUNT,
+    IS_CHANGED,
+    NOT_FINITE,
+    UINT32,
+    DynamicBVH,
+    View,
+    in_threads,
+    order_of,
+)
+from ...tree.compiler import entry_point
 from ..geometry.shapes import Floats, along_axes
 from ..store.columns import Columns
 from ..store.spare import Spare

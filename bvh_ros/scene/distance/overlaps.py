@@ -8,13 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.boxes.within import boxes_within
-from ...tree.checks import UINT32
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.jit.compiling import entry_point
-from ...tree.nodes import View
-from ...tree.store.turns import IS_CHANGED
-from ...tree.store.workers import in_threads
+from ...tree.access import IS_CHANGED, UINT32, DynamicBVH, View, boxes_within, in_threads
+from ...tree.compiler import entry_point
 from ..geometry.shapes import Floats
 from ..results import NO_NODE, BoxHits, require_few
 from ..store.columns import Bodies, Columns

@@ -14,8 +14,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from ..geometry.hull import hull_of, hull_of_point
 from .expanding_polygon import polygon_depth
 from .expanding_polytope import polytope_depth

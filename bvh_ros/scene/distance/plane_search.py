@@ -19,8 +19,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from .gjk import CENTRE, corner_of
 from .simplex import dot
 

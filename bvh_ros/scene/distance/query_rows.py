@@ -7,10 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree import checks
-from ...tree.jit.compiling import inlined
-from ...tree.nodes import ALL
-from ...tree.rays.raycasting import of_row
+from ...tree.access import ALL, checks, of_row
+from ...tree.compiler import inlined
 from ..geometry.canonical import (
     FINE,
     NO_BOUNDS,

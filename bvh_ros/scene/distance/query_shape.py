@@ -8,9 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...tree import checks
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.access import checks
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..geometry.canonical import canonical_row, fill_unit, is_finite, maps_axes_to_axes
 from ..geometry.records import GEOMETRY, UNTURNED, Records
 from ..geometry.rotation import fill_rotation

@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from .gjk import AXES, CENTRE, HALF
 from .simplex import dot
 

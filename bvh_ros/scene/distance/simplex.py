@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
+from ...tree.compiler import lean_kernel
 
 SLACK = 2.0**-48  # of lengths about 1: all that rounds support points, quaternions included
 FIRST, SECOND, WAY_ROOM = 3, 6, 9  # of what `gjk.gap_bounds` fills in

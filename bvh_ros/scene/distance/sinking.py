@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from .closest import fill_corners
 from .penetration import depth_of_point, penetration
 

@@ -16,8 +16,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 from .gjk import corner_of, gap_bounds
 from .plane_search import MOST_TRIALS, widest_gap
 from .simplex import FIRST, SECOND, SLACK, dot

@@ -15,9 +15,8 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.unrounded import two_sum
+from ...tree.access import two_sum
+from ...tree.compiler import lean_kernel, stack_array
 from .double_double import cross2, dot2, over, plus, times
 
 # Of lengths about 1: what the weights of a tetrahedron may miss the origin by. Of a flat one they

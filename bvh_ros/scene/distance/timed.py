@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ...tree.checks import NOTHING
-from ...tree.jit.compiling import entry_point
-from ...tree.motion.spans import times_of
-from ...tree.nodes import CHANGES, COUNT, Tree
+from ...tree.access import CHANGES, COUNT, NOTHING, Tree
+from ...tree.compiler import entry_point
+from ...tree.motion.access import times_of
 from ..geometry.shapes import Floats
 from ..results import SceneHit
 from ..store.mesh_store import Hulls

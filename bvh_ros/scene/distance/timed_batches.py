@@ -7,12 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...tree.boxes.nearest_packets import are_dense
-from ...tree.boxes.ordering import order_of
-from ...tree.motion.nearest import Near
-from ...tree.motion.nearest_packets import Bounded
-from ...tree.nodes import COUNT, NONE, Tree
-from ...tree.store.workers import in_threads
+from ...tree.access import COUNT, NONE, Tree, are_dense, in_threads, order_of
+from ...tree.motion.access import Bounded, Near
 from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
 from .clearance import NOT_ASKED, Neighbours, room_for

@@ -10,12 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.boxes.nearest import nearest
-from ...tree.boxes.overlapping import overlap
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import leaf_box
-from ...tree.store.turns import ANY_VERSION, begin_query, end_query
+from ...tree.access import ANY_VERSION, begin_query, end_query, leaf_box, nearest, overlap
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from .closest import closest_from_above, closest_in_box, closest_in_obstacle, length, look_back
 from .narrow_phase import near
 from .query_shape import grow

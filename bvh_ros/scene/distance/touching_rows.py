@@ -8,14 +8,20 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from ...tree.checks import BOOL, INT64, UINT32
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.nodes import CHANGES
-from ...tree.nodes import COUNT as COUNTED
-from ...tree.rays.raycasting import of_row
-from ...tree.rays.slab import is_finite
-from ...tree.store.turns import IS_CHANGED, NOT_FINITE, begin_query, end_query
+from ...tree.access import (
+    BOOL,
+    CHANGES,
+    INT64,
+    IS_CHANGED,
+    NOT_FINITE,
+    UINT32,
+    begin_query,
+    end_query,
+    is_finite,
+    of_row,
+)
+from ...tree.access import COUNT as COUNTED
+from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from ..geometry.canonical import FINE
 from ..results import NO_NODE
 from ..store.columns import Bodies, Columns

@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.jit.compiling import entry_point, inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
-from ...tree.rays.raycasting import of_row
+from ...tree.access import of_row
+from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from .meshes import Mesh
 from .records import GEOMETRY, Records
 from .rotation import fill_rotation

@@ -17,8 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.jit.compiling import lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import lean_kernel, stack_array
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from numba import types
 
-from ...tree.jit.compiling import chosen_by_types
+from ...tree.compiler import chosen_by_types
 from .shapes import MESH
 
 

@@ -4,7 +4,7 @@
 
 import math
 
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.compiler import inlined, lean_kernel
 
 LARGE, SMALL = 2.0**200, 2.0**-200  # between them lengths may be multiplied four times
 

@@ -11,8 +11,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree import checks
-from ...tree.dynamic_bvh import DynamicBVH
+from ...tree.access import DynamicBVH, checks
 from .farthest import arranged, discs
 from .outline import convex_polygon
 from .surface import surface_of

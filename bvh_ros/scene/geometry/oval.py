@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.compiler import inlined, lean_kernel
 
 MOST_STEPS = 64
 STILL = 1e-150  # a way along an axis that leads nowhere

@@ -8,7 +8,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.nodes import node_dtype
+from ...tree.access import node_dtype
 from .canonical import FINE, Canonical
 from .farthest import LANES, NUMBERS
 from .meshes import Floats, Mesh, digest

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.jit.compiling import inlined, lean_kernel
-from ...tree.jit.intrinsics import stack_array
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from .oval import measure_oval, to_oval
 
 # What of a shape's surface a ray enters: below are the axes of flat faces, see `slab.INSIDE`.

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rotations by unit quaternions in kernels."""
 
-from ...tree.jit.compiling import lean_kernel
+from ...tree.compiler import lean_kernel
 
 
 @lean_kernel

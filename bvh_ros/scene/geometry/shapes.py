@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree import checks
-from ...tree.checks import FLOAT64
+from ...tree.access import FLOAT64, checks
 from .meshes import Mesh
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.jit.compiling import entry_point, lean_kernel
-from ...tree.store.memory import copy_bytes, touch
+from ...tree.access import copy_bytes, touch
+from ...tree.compiler import entry_point, lean_kernel
 from ..geometry.footprint import FOOTPRINT, footprints
 from ..geometry.records import GEOMETRY, UNTURNED
 from ..geometry.shapes import MESH, shapes_of

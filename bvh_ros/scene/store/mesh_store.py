@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.nodes import node_dtype
+from ...tree.access import node_dtype
 from ..geometry.farthest import LANES, NUMBERS
 from ..geometry.meshes import Floats, Mesh
 from ..geometry.polygon import Polygon

@@ -7,7 +7,7 @@ two arrays beside it. An entry is taken out by moving later ones of its cluster 
 of Computer Programming, vol. 3, 6.4, algorithm R), so that the table never fills with tombstones.
 """
 
-from ...tree.jit.compiling import inlined, lean_kernel
+from ...tree.compiler import inlined, lean_kernel
 
 EMPTY = -1
 

@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.checks import INT64
-from ...tree.jit.compiling import lean_kernel
+from ...tree.access import INT64
+from ...tree.compiler import lean_kernel
 
 Integers: TypeAlias = NDArray[np.int64]
 

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree import checks
-from ...tree.dynamic_bvh import DynamicBVH
-from ...tree.nodes import SLOT_MASK
+from ...tree.access import SLOT_MASK, DynamicBVH, checks
 from ..geometry.shapes import Floats
 from ..results import LAST_NODE_HANDLE, SceneHit
 from .beside import beside

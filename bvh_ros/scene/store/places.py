@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...tree.moving import LARGEST
-from ...tree.nodes import CHANGES
+from ...tree.access import CHANGES, LARGEST
 from ..geometry.shapes import Floats
 from .obstacles import Obstacles
 from .registry import Slots

@@ -10,9 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.checks import INT64
-from ...tree.jit.compiling import entry_point
-from ...tree.store.memory import touch
+from ...tree.access import INT64, touch
+from ...tree.compiler import entry_point
 from .groups import tally
 from .name_hash import EMPTY, add_slots, discard_slots, find_slots
 from .names import BARE, Families, split

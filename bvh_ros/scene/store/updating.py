@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree.checks import INT64
-from ...tree.jit.compiling import entry_point, lean_kernel
-from ...tree.nodes import ALL
+from ...tree.access import ALL, INT64
+from ...tree.compiler import entry_point, lean_kernel
 from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
 from ..geometry.polygon import outlined
 from ..geometry.records import GEOMETRY, Records

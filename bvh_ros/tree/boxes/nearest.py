@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
 from ..rays.raycasting import of_row
 from ..rays.slab import PAD, TINY

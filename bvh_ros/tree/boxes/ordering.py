@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import Floats
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
+from ..compiler import inlined, lean_kernel, stack_array
 from ..nodes import ROOT
 
 CELL_BITS = 5  # of a point on each axis

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import INT64
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box, next_node
 from ..rays.raycasting import of_row
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import entry_point, inlined, lean_kernel, stack_array, trailing_zeros
 from ..entries import entry_points
-from ..jit.compiling import entry_point, inlined, lean_kernel
-from ..jit.float64x8 import EIGHT, touching8
-from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box, next_node
+from ..simd.float64x8 import EIGHT, touching8
 from ..store.turns import REFUSED, begin_query, end_query
 
 ALL_LANES = np.uint32((1 << EIGHT) - 1)

@@ -17,9 +17,18 @@ import math
 
 import numpy as np
 
-from ..jit.box_rows import SIDES, UNITS, enclose, write_item
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x8 import (
+from ..compiler import (
+    LANES,
+    clear8,
+    inlined,
+    largest8,
+    largest_difference8,
+    lean_kernel,
+    stack_array,
+    swap8,
+)
+from ..simd.box_rows import SIDES, UNITS, enclose, write_item
+from ..simd.float32x8 import (
     NO_COST,
     NUMBER,
     add_dealt,
@@ -28,7 +37,6 @@ from ..jit.float32x8 import (
     join_sides,
     rank_bins,
 )
-from ..jit.intrinsics import LANES, clear8, largest8, largest_difference8, stack_array, swap8
 
 BINS = 16  # of an axis
 

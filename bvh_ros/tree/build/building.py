@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import area_scale, area_unit, half_area, node_area, tree_cost
-from ..jit.closest_pairs import pair_up
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import LANES, copy8, prefetch, stack_array
+from ..compiler import LANES, copy8, inlined, lean_kernel, prefetch, stack_array
 from ..nodes import DEEPEST, NONE, is_leaf, next_node, refit_node, take_inner
+from ..simd.closest_pairs import pair_up
 from .binning import (
     BIN_FLOATS,
     NO_SPLIT,

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import LANES, stack_array
+from ..compiler import LANES, inlined, lean_kernel, stack_array
 from ..nodes import (
     BUILT_COST,
     BUILT_COUNT,

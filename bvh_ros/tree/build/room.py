@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit.intrinsics import LANES
+from ..compiler import LANES
 from ..nodes import aligned_empty
 
 TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches

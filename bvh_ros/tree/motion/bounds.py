@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import half_area, node_area
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import CACHE_LINE, prefetch, stack_array
-from ..jit.moving_sides import HALF, enter_sides
+from ..compiler import CACHE_LINE, inlined, lean_kernel, prefetch, stack_array
 from ..nodes import ASKS, DEEPEST, NONE, ROOT, is_leaf, next_node
 from ..rays.slab import PAD, TINY
+from ..simd.moving_sides import HALF, enter_sides
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
 from .meeting import box_of
 

@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import FRONTS
 from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, is_leaf
 from ..rays.raycasting import ANY, CLOSEST, Asked, Found, of_row
 from ..rays.slab import DIRECTION, EXACT, INSIDE, ORIGIN, PAD, RAY_ROWS, TINY, UPPER, set_swept_box
+from ..simd.moving_sides import FRONTS
 from ..store.turns import NOT_FINITE, count_rays, end_query
 from . import velocities
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, moving_dtype, set_fronts

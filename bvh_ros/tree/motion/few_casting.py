@@ -6,14 +6,13 @@ where all of them go at the same time.
 
 import numpy as np
 
+from ..compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x16 import stream16
-from ..jit.intrinsics import WIDTH, stack_array
 from ..nodes import NONE
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import CLOSEST
 from ..rays.slab import EXACT, RAY_ROWS, set_ray
+from ..simd.float32x16 import stream16
 from ..store.turns import REFUSED, begin_query, count_rays, end_query
 from ..wide.few_rays import cast_one
 from ..wide.ray_piles import write_miss

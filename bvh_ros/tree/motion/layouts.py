@@ -7,8 +7,8 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import WIDTH
 from ..dynamic_bvh import DynamicBVH
-from ..jit.intrinsics import WIDTH
 from ..nodes import CHANGES, NONE, ROOT, TURN, View, empty_tree
 from ..store.turns import IS_CHANGED
 from ..wide.snapshot import Snapshot, take_snapshot

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit.compiling import inlined
-from ..jit.intrinsics import CACHE_LINE
+from ..compiler import CACHE_LINE, inlined
 from .bounds import LEAST, WIDER
 from .meeting import moves
 from .rounded import FASTEST, LEAST_32

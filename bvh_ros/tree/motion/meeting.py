@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import prefetch, stack_array
+from ..compiler import inlined, lean_kernel, prefetch, stack_array
 from ..nodes import leaf_box
 from ..rays.exact_sign import LIMBS
 from ..rays.slab import CLEAR, DIRECTION, EXACT, INSIDE, ORIGIN, TINY, UPPER

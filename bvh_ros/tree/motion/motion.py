@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import CACHE_LINE
 from ..entries import entry_points
-from ..jit.intrinsics import CACHE_LINE
 from ..nodes import ASKS, COUNT, NONE, RAYS, TURN, Tree, View, aligned_empty
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
 from . import velocities

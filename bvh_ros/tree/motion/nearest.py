@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..boxes.nearest import insert_candidate, name_row, pruning_limit
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import FRONTS, square_beside
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..rays.raycasting import of_row
+from ..simd.moving_sides import FRONTS, square_beside
 from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
 from .casting import is_sound, no_motion

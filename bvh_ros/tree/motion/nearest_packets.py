@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..boxes.nearest_packets import descend, load, no_packet
+from ..compiler import inlined, lean_kernel, stack_array, trailing_zeros
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.float64x8 import EIGHT, WHEN, moving_squares8
-from ..jit.intrinsics import stack_array, trailing_zeros
 from ..nodes import ROOT
 from ..rays.raycasting import of_row
+from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
 from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children
 from .casting import no_motion

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..boxes.overlapping import FIRST, fill_rows
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
-from ..jit.moving_sides import FRONTS, is_behind, is_beside
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
 from ..rays.raycasting import of_row
 from ..rays.slab import RAY_ROWS, set_swept_box
+from ..simd.moving_sides import FRONTS, is_behind, is_beside
 from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, set_fronts
 from .casting import is_sound, no_motion

@@ -6,10 +6,9 @@
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array, trailing_zeros
-from ..jit.moving_leaf import moving_slabs
+from ..compiler import inlined, lean_kernel, stack_array, trailing_zeros
 from ..rays.slab import INSIDE, PAD, TINY
+from ..simd.moving_leaf import moving_slabs
 from ..wide.best_hit import ASK, MEETS, MISSES
 from .meeting import box_of
 from .stopping import STOPPED

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import time_checks
-from ..jit.compiling import entry_point, lean_kernel
+from ..compiler import entry_point, lean_kernel
 from ..rays.raycasting import of_row
 from .bounds import LONGEST
 

@@ -11,7 +11,7 @@ zero: boxes are widened by a 2**-48 of both, see `sweeping`.
 
 import math
 
-from ..jit.compiling import inlined, lean_kernel
+from ..compiler import inlined, lean_kernel
 from ..rays.raycasting import of_row
 from ..wide.filtering import octant_of, start_ray
 

@@ -10,7 +10,7 @@ place, so a box that stands is met on its second part only if not on its first.
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
+from ..compiler import inlined, lean_kernel
 from ..rays.slab import INSIDE
 from .meeting import Course, box_of, compare, meet, moves, quotient_of, side_of
 from .sums import A_NANOSECOND

@@ -24,8 +24,7 @@ import math
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
+from ..compiler import inlined, lean_kernel, stack_array
 from ..rays.exact_sign import LIMBS, add_product
 from ..unrounded import two_product, two_sum
 from .wide_numbers import clear, leading, magnitude

@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import WIDTH, stack_array
 from ..nodes import Tree, aligned_empty
 from ..store.turns import REFUSED, accepted, begin_query, end_query
 from ..wide.snapshot import (

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import lean_kernel
 from ..entries import entry_points
-from ..jit.compiling import lean_kernel
 from ..nodes import NONE, SLOT_MASK
 from ..store.turns import begin_change, end_change
 

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiler import inlined, lean_kernel, prefetch, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import prefetch, stack_array
 from ..nodes import NONE, Tree
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import ANY, of_row

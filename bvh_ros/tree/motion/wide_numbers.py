@@ -4,8 +4,7 @@
 
 import numpy as np
 
-from ..jit.compiling import lean_kernel
-from ..jit.intrinsics import stack_array
+from ..compiler import lean_kernel, stack_array
 from ..rays.exact_sign import LIMB_BITS, LIMB_MASK, LIMBS, LOWEST_BIT
 from ..unrounded import two_sum
 

@@ -4,9 +4,8 @@
 
 import numpy as np
 
+from ..compiler import lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import lean_kernel
-from ..jit.intrinsics import stack_array
 from ..nodes import EXACT_RAYS, NONE, RAYS, leaf_box
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
 from .ray_hits import locate

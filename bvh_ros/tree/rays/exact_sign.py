@@ -12,8 +12,7 @@ import math
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
+from ..compiler import inlined, lean_kernel, stack_array
 
 LOWEST_BIT = 2148
 LIMBS = 136

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from .. import checks
 from ..checks import INT64
+from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import stack_array
 from ..nodes import CHANGES, DEEPEST, NONE, ROOT, View, is_leaf, leaf_box
 from ..store.turns import NOT_FINITE, REFUSED, accepted, begin_query, count_rays, end_query
 from .slab import (

@@ -30,7 +30,7 @@ import math
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
+from ..compiler import inlined, lean_kernel
 from .exact_sign import sign_of_four_products
 
 PAD = 1.0 + 16 * 2.0**-53

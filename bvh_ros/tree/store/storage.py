@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..compiler import entry_point, lean_kernel
 from ..entries import entry_points
-from ..jit.compiling import entry_point, lean_kernel
 from ..nodes import (
     ALL_PLACES,
     CHANGES,

@@ -16,8 +16,7 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic
 
-from ..jit.compiling import inlined
-from ..jit.intrinsics import elements_at, index
+from ..compiler import elements_at, index, inlined
 from ..nodes import CHANGES, EXACT_RAYS, RAYS, TURN
 
 ANY_VERSION = -1

@@ -8,7 +8,7 @@ The order in which boxes are looked at has no part in the answer.
 
 import numpy as np
 
-from ..jit.compiling import inlined, lean_kernel
+from ..compiler import inlined, lean_kernel
 from ..nodes import NONE, leaf_box
 from ..rays.raycasting import is_before
 from ..rays.slab import (

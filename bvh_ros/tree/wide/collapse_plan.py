@@ -6,9 +6,8 @@ import numpy as np
 
 from ..area import longest_edge, node_area, unit_scale
 from ..build.building import post_order
+from ..compiler import WIDTH, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import lean_kernel
-from ..jit.intrinsics import WIDTH, stack_array
 from ..nodes import DEEPEST, ROOT, is_leaf
 from ..store.turns import begin_query, end_query
 

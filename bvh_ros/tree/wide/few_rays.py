@@ -8,15 +8,14 @@ or some hundreds far apart, no list is long enough for that, and to make them ta
 
 import numpy as np
 
+from ..compiler import WIDTH, bits_of, inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x16 import seen16, stream16
-from ..jit.float64x4 import look_ahead
-from ..jit.intrinsics import WIDTH, bits_of, stack_array
 from ..nodes import NONE
 from ..rays.ray_hits import NO_HITS, raycast_row
 from ..rays.raycasting import ANY, NO_RAYS, Found, Rays, of_row
 from ..rays.slab import EXACT, INSIDE, RAY_ROWS
+from ..simd.float32x16 import seen16, stream16
+from ..simd.float64x4 import look_ahead
 from ..store.turns import REFUSED, count_rays, end_query
 from .best_hit import is_better
 from .filtering import CORNERS, fill_whole, limit32, start_ray

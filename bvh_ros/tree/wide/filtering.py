@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ..jit.compiling import inlined
-from ..jit.float64x4 import FOUR, set_slopes
+from ..compiler import inlined
 from ..nodes import NONE, ROOT
 from ..rays.slab import INSIDE
+from ..simd.float64x4 import FOUR, set_slopes
 
 PAD32 = 2.0**-22
 FARTHEST_ORIGIN = 2.0**10

@@ -9,12 +9,11 @@ in the processor core's own cache, and so is, for the most part, what is written
 
 import numpy as np
 
-from ..jit.compiling import inlined
-from ..jit.float64x4 import look_ahead
-from ..jit.intrinsics import stack_array
+from ..compiler import inlined, stack_array
 from ..nodes import NONE
 from ..rays.ray_hits import raycast_row
 from ..rays.raycasting import ANY, Found, of_row
+from ..simd.float64x4 import look_ahead
 from .filtering import CORNERS, fill_whole, start_ray
 from .ray_streams import BAD, DECIDED_EXACTLY, RAYS_AT_ONCE
 

@@ -7,9 +7,8 @@ An entry is a node or ~slot of a leaf, and above that the bits of a float32: whe
 
 import numpy as np
 
-from ..jit.compiling import inlined
-from ..jit.float32x16 import seen16
-from ..jit.intrinsics import WIDTH, trailing_zeros
+from ..compiler import WIDTH, inlined, trailing_zeros
+from ..simd.float32x16 import seen16
 from .collapse_plan import DEEPEST_WIDE
 from .ray_streams import without_lowest
 from .raycasting import ALL32

@@ -19,11 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit.compiling import inlined
-from ..jit.int32x8 import AT_ONCE
-from ..jit.intrinsics import WIDTH, trailing_zeros
+from ..compiler import WIDTH, inlined, trailing_zeros
 from ..nodes import aligned_empty
 from ..rays.slab import RAY_ROWS
+from ..simd.int32x8 import AT_ONCE
 from .filtering import ray_dtype
 from .snapshot import LOOSE_NODES
 

@@ -6,11 +6,8 @@
 
 import numpy as np
 
+from ..compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.float32x16 import seen16, stream16
-from ..jit.int32x8 import AT_ONCE, list_met8
-from ..jit.intrinsics import WIDTH, prefetch, stack_array
 from ..nodes import ALL, NONE, leaf_box
 from ..rays.ray_hits import NO_HITS
 from ..rays.raycasting import ANY, NO_RAYS, of_row
@@ -24,6 +21,8 @@ from ..rays.slab import (
     plane_distance,
     set_ray,
 )
+from ..simd.float32x16 import seen16, stream16
+from ..simd.int32x8 import AT_ONCE, list_met8
 from ..store.turns import REFUSED, count_rays, end_query
 from .best_hit import exact_entry_axis, is_better
 from .filtering import NOWHERE, limit32

@@ -6,12 +6,11 @@ caches: while the memory that one of them is to visit is on its way, the others 
 
 import numpy as np
 
-from ..jit.compiling import inlined
-from ..jit.float32x16 import seen16, stream16
-from ..jit.intrinsics import WIDTH, bits_of, stack_array
+from ..compiler import WIDTH, bits_of, inlined, stack_array
 from ..nodes import NONE
 from ..rays.raycasting import ANY, of_row
 from ..rays.slab import EXACT, RAY_ROWS
+from ..simd.float32x16 import seen16, stream16
 from .best_hit import is_better
 from .filtering import limit32
 from .ray_stacks import ABREAST, STACK, child_of, push_children, push_root

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from ..area import longest_edge
 from ..build.rebuilding import count_leaves
+from ..compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..jit.compiling import inlined, lean_kernel
-from ..jit.intrinsics import WIDTH, stack_array
 from ..nodes import (
     COUNT,
     DEEPEST,

@@ -12,7 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 from bvh_ros.ros.config.option import ConfigurationError
 from bvh_ros.ros.server import BvhServer

@@ -8,9 +8,9 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.jit import box_rows, closest_pairs
-from bvh_ros.tree.jit import float32x8 as split_vectors
 from bvh_ros.tree.nodes import node_dtype
+from bvh_ros.tree.simd import box_rows, closest_pairs
+from bvh_ros.tree.simd import float32x8 as split_vectors
 
 BINS = 16
 

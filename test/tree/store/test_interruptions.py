@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tree.compiler.alone import run_alone
 from tree.interrupting import InterruptError, interrupted
-from tree.jit.alone import run_alone
 from tree.reference import LONG, effort, snapshot
 
 from bvh_ros import DynamicBVH

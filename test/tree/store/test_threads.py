@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 from bvh_ros import DynamicBVH
 

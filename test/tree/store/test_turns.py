@@ -9,7 +9,7 @@ import threading
 
 import numpy as np
 import pytest
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 from tree.reference import effort
 
 from bvh_ros import DynamicBVH

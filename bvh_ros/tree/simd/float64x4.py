@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, operation, pick, splat
+from ..compiler.intrinsics import elements_at, index, operation, pick, splat
 
 FOUR = 4
 

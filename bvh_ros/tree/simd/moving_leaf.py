@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, operation, pick, record_at, splat
+from ..compiler.intrinsics import elements_at, index, operation, pick, record_at, splat
 
 _BIT, _INT, _LONG, _DOUBLE = ir.IntType(1), ir.IntType(32), ir.IntType(64), ir.DoubleType()
 

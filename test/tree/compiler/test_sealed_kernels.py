@@ -15,10 +15,10 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from numba.core import config
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 from bvh_ros.tree import box_checks, checks, handle_checks
-from bvh_ros.tree.jit import compiling, kernel_cache, kernel_files, private_folder
+from bvh_ros.tree.compiler import compiling, kernel_cache, kernel_files, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
 

@@ -23,7 +23,7 @@ MOST = 8  # processes, of some 300 MB
 START = """
 import sys
 sys.path[:] = {}
-from bvh_ros.tree.jit.worker import main
+from bvh_ros.tree.compiler.worker import main
 main(sys.stdin, sys.stdout)
 """
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 import bvh_ros
 
@@ -99,7 +99,7 @@ import json, numba
 
 numba.version_info = numba.version_info._replace(short=(0, 999))
 from bvh_ros.tree import checks
-from bvh_ros.tree.jit import kernel_cache
+from bvh_ros.tree.compiler import kernel_cache
 
 folder = kernel_cache.cache_folder()
 print(json.dumps([type(checks.first_not_finite).__name__, folder, kernel_cache.is_noted('')]))
@@ -130,7 +130,7 @@ def imported(source: Path) -> Iterator[tuple[str, bool]]:
 def test_private_names_are_imported_in_one_place():
     behind = 0
     for source in sorted(PACKAGE.rglob('*.py')):
-        inside = source.parent == PACKAGE / 'tree' / 'jit'
+        inside = source.parent in (PACKAGE / 'tree' / 'compiler', PACKAGE / 'tree' / 'simd')
         for name, at_once in imported(source):
             if name.split('.')[0] not in ('numba', 'llvmlite') or name in PUBLIC:
                 continue

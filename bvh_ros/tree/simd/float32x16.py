@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import (
+from ..compiler.intrinsics import (
     WIDTH,
     each,
     elements_at,

@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, operation, pick, record_at, splat
+from ..compiler.intrinsics import elements_at, index, operation, pick, record_at, splat
 
 EIGHT = 8
 WHEN = 3  # the row of times in a packet of points

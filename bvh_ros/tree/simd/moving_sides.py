@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import elements_at, index, operation, pick, record_at, splat
+from ..compiler.intrinsics import elements_at, index, operation, pick, record_at, splat
 
 HALF = 4
 FRONTS = 4 * HALF

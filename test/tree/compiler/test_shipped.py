@@ -10,10 +10,10 @@ import warnings
 import numpy as np
 import pytest
 from numba.core import config
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 from bvh_ros.tree import checks
-from bvh_ros.tree.jit import compiling, kernel_cache, shipped
+from bvh_ros.tree.compiler import compiling, kernel_cache, shipped
 
 CALL = """
 import json, sys, warnings
@@ -24,10 +24,10 @@ with warnings.catch_warnings(record=True) as said:
     assert checks.first_not_finite(np.array([[0.0, 1.0], [2.0, np.nan]])) == 1
 kernel = checks.first_not_finite
 if sys.argv[1:] == ['ship']:
-    from bvh_ros.tree.jit import kernel_cache
+    from bvh_ros.tree.compiler import kernel_cache
     kernel_cache.note('a job')
     kernel_cache.ship()
-from bvh_ros.tree.jit import kernel_cache
+from bvh_ros.tree.compiler import kernel_cache
 print(json.dumps([
     sum(kernel.stats.cache_misses.values()),
     kernel_cache.is_noted('a job'),

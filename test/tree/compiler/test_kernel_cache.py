@@ -7,17 +7,17 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 import bvh_ros
-from bvh_ros.tree.jit.workers import processors
+from bvh_ros.tree.compiler.workers import processors
 
 START = """
 import gc, json, sys
 import numpy as np
 import bvh_ros
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.jit.kernel_parts import Kernel
+from bvh_ros.tree.compiler.kernel_parts import Kernel
 
 assert bvh_ros.__path__[0] == sys.argv[1]
 tree = DynamicBVH()
@@ -62,7 +62,7 @@ def test_a_kernel_is_compiled_for_one_signature():
 
 
 PROBE = """
-from bvh_ros.tree.jit.compiling import kernel
+from bvh_ros.tree.compiler.compiling import kernel
 from bvh_ros.tree.insertion import refit_ancestors
 
 

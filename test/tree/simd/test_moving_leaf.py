@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.jit.moving_leaf import moving_slabs
 from bvh_ros.tree.motion.leaves import leaf_dtype
+from bvh_ros.tree.simd.moving_leaf import moving_slabs
 
 SLOWEST = 0.75
 

@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import LANES, WIDTH, elements_at, index, operation, pick, splat
+from ..compiler.intrinsics import LANES, WIDTH, elements_at, index, operation, pick, splat
 
 NO_COST = np.uint32(0x7F800000)  # the bits of inf; those of NaN are above
 NUMBER = np.uint32(63)  # the bits of a rank that are the candidate's number

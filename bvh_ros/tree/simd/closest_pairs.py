@@ -10,8 +10,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from ..compiler.intrinsics import LANES, each, index, on_stack, operation, splat, variable
 from .float32x8 import BOUNDS, areas, boxes_from, ints, joined_by_halves, larger, place_at
-from .intrinsics import LANES, each, index, on_stack, operation, splat, variable
 
 _NAME = 511  # the bits of an area that give way to which two boxes it is of
 

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .intrinsics import each, elements_at, index, operation, splat, variable
+from ..compiler.intrinsics import each, elements_at, index, operation, splat, variable
 
 AT_ONCE = 8
 

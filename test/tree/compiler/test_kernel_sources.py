@@ -8,9 +8,9 @@ import types
 
 import pytest
 
-from bvh_ros.tree.jit import kernel_sources
-from bvh_ros.tree.jit.kernel_parts import Kernel
-from bvh_ros.tree.jit.kernel_sources import PACKAGE, depends_on
+from bvh_ros.tree.compiler import kernel_sources
+from bvh_ros.tree.compiler.kernel_parts import Kernel
+from bvh_ros.tree.compiler.kernel_sources import PACKAGE, depends_on
 
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 ROOMS = 'tree', 'scene', 'ros/cdr'  # where kernels are

@@ -9,7 +9,8 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.jit.moving_sides import (
+from bvh_ros.tree.motion.bounds import moving_dtype
+from bvh_ros.tree.simd.moving_sides import (
     FRONTS,
     HALF,
     enter_sides,
@@ -17,7 +18,6 @@ from bvh_ros.tree.jit.moving_sides import (
     is_beside,
     square_beside,
 )
-from bvh_ros.tree.motion.bounds import moving_dtype
 
 
 @numba.njit(error_model='numpy')

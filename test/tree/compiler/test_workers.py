@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from bvh_ros.tree.jit import worker
-from bvh_ros.tree.jit.entry_lock import EntryLock
-from bvh_ros.tree.jit.workers import MOST, Workers, fork_ahead, processors, run_beside
+from bvh_ros.tree.compiler import worker
+from bvh_ros.tree.compiler.entry_lock import EntryLock
+from bvh_ros.tree.compiler.workers import MOST, Workers, fork_ahead, processors, run_beside
 
 PATIENCE = 60.0  # seconds
 
@@ -68,7 +68,7 @@ def test_where_every_worker_ends_the_rest_is_told():
 @pytest.mark.filterwarnings('ignore:.*fork')
 def test_what_was_imported_here_is_there_in_processes_that_were_forked_ahead(monkeypatch):
     monkeypatch.setattr(worker, 'mark', 'made here', raising=False)
-    look = partial(exec, 'from bvh_ros.tree.jit import worker; worker.mark', {})
+    look = partial(exec, 'from bvh_ros.tree.compiler import worker; worker.mark', {})
     fork_ahead()
     calls = [look] * min(processors(), MOST)
     assert {*results(Workers(calls), len(calls)).values()} == {''}
@@ -122,7 +122,7 @@ def test_ending_ends_all_at_once(tmp_path, ahead):
 
 PARENT = """
 import pickle, sys, time
-from bvh_ros.tree.jit.workers import Workers, fork_ahead
+from bvh_ros.tree.compiler.workers import Workers, fork_ahead
 
 if len(sys.argv) > 1:
     fork_ahead()
@@ -149,7 +149,7 @@ def test_no_worker_outlives_who_started_it(tmp_path, how, ahead):
 HOLD = """
 import sys, time
 from pathlib import Path
-from bvh_ros.tree.jit.entry_lock import EntryLock
+from bvh_ros.tree.compiler.entry_lock import EntryLock
 
 lock = EntryLock()
 print('here', flush=True)

@@ -10,8 +10,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+from ..compiler.intrinsics import index, operation, record_at, splat
 from .float32x8 import boxes_from, ints, place_at
-from .intrinsics import index, operation, record_at, splat
 
 SIDES = 4  # places of a vector
 UNITS = SIDES + 1  # a centre, and what a unit of length is multiplied by

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.jit.int32x8 import AT_ONCE, list_met8
+from bvh_ros.tree.simd.int32x8 import AT_ONCE, list_met8
 
 LANES = 16
 UNTOUCHED = -77

@@ -7,8 +7,8 @@ import pytest
 
 from bvh_ros.scene.cast.mesh import shear
 from bvh_ros.tree import checks
-from bvh_ros.tree.jit import inside
-from bvh_ros.tree.jit.compiling import entry_point, inlined, kernel, lean_kernel
+from bvh_ros.tree.compiler import inside
+from bvh_ros.tree.compiler.compiling import entry_point, inlined, kernel, lean_kernel
 
 
 def test_what_a_kernel_returns_is_made_without_python():

@@ -9,13 +9,13 @@ from pathlib import Path
 import llvmlite.binding as llvm
 import pytest
 from numba.core.registry import cpu_target
-from tree.jit.alone import run_alone
+from tree.compiler.alone import run_alone
 
 import bvh_ros
-from bvh_ros.tree.jit import kernel_files
+from bvh_ros.tree.compiler import kernel_files
 
 PROBE = """
-from bvh_ros.tree.jit.compiling import lean_kernel
+from bvh_ros.tree.compiler.compiling import lean_kernel
 
 
 @lean_kernel
@@ -58,7 +58,7 @@ CALL = """
 import json, sys
 import numba
 import numpy as np
-from bvh_ros.tree.jit import kernel_parts
+from bvh_ros.tree.compiler import kernel_parts
 from bvh_ros.tree import probe
 
 compiled = []

@@ -1,3 +1,3 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The one door to numba: compiling, caching, intrinsics."""
+"""Vector operations of the kernels, written in LLVM."""

@@ -1,0 +1,84 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the rest of the package uses of the tree; all else is private to it."""
+
+from . import box_checks, checks, plotting
+from .boxes.nearest import nearest
+from .boxes.nearest_packets import are_dense
+from .boxes.ordering import order_of
+from .boxes.overlapping import overlap
+from .boxes.within import boxes_within
+from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
+from .dynamic_bvh import DynamicBVH
+from .entries import entry_points
+from .moving import LARGEST
+from .nodes import (
+    ALL,
+    CHANGES,
+    COUNT,
+    DEEPEST,
+    NONE,
+    ROOT,
+    SLOT_MASK,
+    Tree,
+    View,
+    empty_tree,
+    is_leaf,
+    leaf_box,
+    node_dtype,
+    slot_of,
+)
+from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
+from .rays.ray_batches import cast, rows_of
+from .rays.ray_hits import NO_HITS, locate, raycast_one
+from .rays.raycasting import CLOSEST, EVERY, NO_RAYS, Rays, descend, every_hit, of_row
+from .rays.slab import (
+    DIRECTION,
+    INSIDE,
+    ORIGIN,
+    PAD,
+    RAY_FLOATS,
+    RAY_ROWS,
+    TINY,
+    compare_hits,
+    intersect_exact,
+    intersect_node,
+    is_finite,
+    prepare_ray,
+    set_ray,
+    set_swept_box,
+    traversal_distance,
+)
+from .results import RayHits
+from .simd.float32x16 import seen16, stream16
+from .simd.int32x8 import AT_ONCE
+from .store import mapped
+from .store.arrays import Floats, Ids
+from .store.memory import copy_bytes, touch
+from .store.storage import inherit_entry
+from .store.turns import (
+    ANY_VERSION,
+    IS_CHANGED,
+    NOT_FINITE,
+    REFUSED,
+    accepted,
+    begin_query,
+    count_rays,
+    end_query,
+)
+from .store.workers import in_threads
+from .unrounded import two_product, two_sum
+from .wide.collapse_plan import planning_entry
+from .wide.few_rays import cast_few, few_entry
+from .wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
+from .wide.ray_stacks import STACK, child_of, push_children, push_loose
+from .wide.ray_streams import FOUND, make_scratch, scratch_for
+from .wide.raycasting import ALL32, MIXED, cast_entry, traverse
+from .wide.snapshot import (
+    LOOSE_NODES,
+    Snapshot,
+    begin_batch,
+    blurred_entry,
+    collapse_entry,
+    no_snapshot,
+)

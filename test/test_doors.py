@@ -1,0 +1,47 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The tree is imported through its doors, and the doors offer nothing that nobody uses."""
+
+import ast
+from pathlib import Path
+
+import bvh_ros
+
+PACKAGE = Path(bvh_ros.__file__).parent
+DOORS = 'tree', 'tree.access', 'tree.motion.access', 'tree.compiler'
+# They measure the inside of the tree: they replace parts of kernels, or count kernels.
+INSIDERS = {f'report/{name}.py' for name in ('error/plain', 'speed/policies', 'speed/entries')}
+
+
+def imports(path):
+    """(module below the package, name) of each name that a file imports from the package."""
+    folder = path.relative_to(PACKAGE).parts[:-1]
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            module = (node.module or '').split('.') if node.module else []
+            if node.level:
+                module = [*folder[: len(folder) - node.level + 1], *module]
+            elif module[:1] == ['bvh_ros']:
+                module = module[1:]
+            else:
+                continue
+            for name in node.names:
+                yield '.'.join(module), name.name
+
+
+def test_the_tree_is_imported_through_its_doors():
+    wrong, used = [], set()
+    for path in PACKAGE.rglob('*.py'):
+        place = path.relative_to(PACKAGE).as_posix()
+        if place.startswith('tree/') or place in INSIDERS:
+            continue
+        for module, name in imports(path):
+            if module.split('.')[0] == 'tree':
+                used.add((module, name))
+                if module not in DOORS:
+                    wrong.append(f'{place} imports {name} from {module}')
+    assert not wrong
+    for door in DOORS[1:3]:
+        path = PACKAGE / f'{door.replace(".", "/")}.py'
+        offered = {(door, name) for _, name in imports(path)}
+        assert offered <= used, f'nobody uses {sorted(offered - used)}'
