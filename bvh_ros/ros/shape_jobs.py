@@ -16,10 +16,9 @@ import numpy as np
 from bvh_ros.ros.job_scenes import ABOUT_Z, CORNERS, FAR, GOAL, RADIUS, START, scenes, with_shapes
 from bvh_ros.scene import ShapeKind
 from bvh_ros.scene.cast.arguments import Rays
+from bvh_ros.scene.cast.batch import first_hits, first_of_one
 from bvh_ros.scene.distance.hull_gap import hull_gap
 from bvh_ros.scene.geometry.hull import Hull
-from bvh_ros.scene.moments import Moments
-from bvh_ros.scene.ray_batches import RayBatches
 from bvh_ros.scene.store.obstacles import Obstacles
 from bvh_ros.tree.compiler import prepare
 
@@ -60,23 +59,21 @@ def _overlaps(needs: Needs) -> None:
 
 
 def _rays(needs: Needs) -> None:
-    held, ray = _no_shapes(needs)
-    RayBatches(held, Moments(held)).cast(ray, False, False)
+    held = _no_shapes(needs)
+    ends = np.zeros(3), np.zeros(3)
+    first_of_one(held.tree, held.columns, ends, (0.0, np.uint32(1), False))
     scene = with_shapes(needs)
     scene.raycast(START, GOAL)
     scene.raycast_all(START, GOAL)
 
 
 def _batches_of_rays(needs: Needs) -> None:
-    from bvh_ros.scene.cast.batch import first_hits_of_rays
-
-    held, ray = _no_shapes(needs)
-    first_hits_of_rays(held.tree, held.columns, tuple(ray), (False, False), 1)
+    held, row = _no_shapes(needs), np.zeros((1, 3))
+    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False)
+    first_hits(held.tree, held.columns, rays)
     with_shapes(needs).raycast_many([START], [GOAL])
 
 
-def _no_shapes(needs: Needs) -> tuple[Obstacles, Rays]:
-    """What would hold shapes, and a ray: where there are none, a scene asks its tree."""
-    held = Obstacles(needs.planar, needs.margin, ShapeKind.MESH in needs.kinds, 1)
-    way = np.zeros((1, 3))
-    return held, Rays(way, way, np.ones(1), np.ones(1, np.uint32))
+def _no_shapes(needs: Needs) -> Obstacles:
+    """What would hold shapes: where there are none, a scene asks its tree."""
+    return Obstacles(needs.planar, needs.margin, ShapeKind.MESH in needs.kinds, 1)

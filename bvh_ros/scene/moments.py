@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..tree.access import checks, in_threads
-from .cast.arguments import WHOLE_WAY, Rays, every_row, refuse_infinite, row_by_row, ways_of
+from ..tree import checks
+from ..tree.access import in_threads
+from .cast.arguments import RayRows, Rays, refuse_infinite
 from .cast.boxes import segment
 from .geometry.shapes import Floats
 from .results import CastHits, SceneHit, require_few
@@ -152,7 +153,7 @@ class Moments:
         """What a ray, or ball, meets, in order."""
         origin, direction, radius = way
         masks = np.full(1, checks.mask(mask))
-        rays = Rays(origin[None], direction[None], np.ones(1), masks)
+        rays = RayRows(origin[None], direction[None], np.ones(1), masks)
         times = self._times(at, until, 1)
         met = self._courses_then().motion_batch.cast_then(
             self._held, rays, np.full(1, radius), bool(skip), times
@@ -162,13 +163,12 @@ class Moments:
         hits = [self._held.hit(*row) for row in zip(*columns, strict=True)]
         return self._held.each_once(hits)
 
-    def few(
-        self, rays: tuple[Any, ...], radii: Floats, skip: bool, at: Any, until: Any, to_goals: bool
-    ) -> Any:
+    def few(self, given: Rays, at: Any, until: Any) -> Any:
         """`first_of_many` with as little Python as can be, in a solid scene; else None, as where
-        at and until are not the most common, or `moving_boxes.few_first` says so. No ball without
-        an end may be asked for.
+        at and until are not the most common, or `moving_boxes.few_first` says so.
         """
+        rays, skip, to_goals = given[:4], given.skip_inside, given.to_goals
+        radii = checks.NOTHING if given.radii is None else given.radii
         held, last, t_max = self._held, at if until is None else until, rays[2]
         tree: Any = held.tree
         if held.planar or held.uncertainty or not held.moves:
@@ -225,22 +225,21 @@ class Moments:
         fits, first, last = fill(*rows, t_max, epoch, within, starts, paces)
         return (starts, paces) if fits else None, first, last
 
-    def first_of_many(
-        self, rays: Rays, radii: Floats, skip: bool, when: tuple[Any, Any], threads: int
-    ) -> CastHits:
+    def first_of_many(self, given: Rays, when: tuple[Any, Any], threads: int) -> CastHits:
         """What n rays, or balls, meet first; when = (at, until)."""
-        held, thick = self._held, radii is not checks.NOTHING and is_any(radii)
-        count, times = len(rays.origins), self._times(*when, len(rays.origins))
-        if thick and rays.t_max is not WHOLE_WAY:
-            ways_of(row_by_row(rays), every_row(radii, count))  # refuses balls without an end
+        held, skip, radii = self._held, given.skip_inside, given.radii
+        radii, thick = (checks.NOTHING, False) if radii is None else (radii, True)
+        count, times = len(given.origins), self._times(*when, len(given.origins))
+        if thick or given.to_goals or held.planar or held.columns.shaped:
+            refuse_infinite(given)  # else a kernel looks
+        directions = given.directions - given.origins if given.to_goals else given.directions
+        rays = RayRows(given.origins, directions, given.t_max, given.masks)
         batch = self._courses_then().motion_batch
         if not (held.columns.shaped or held.uncertainty or thick):
             return batch.first_boxes(held, rays, skip, times, threads)
-        if not (thick or held.columns.shaped):  # else somebody has looked
-            refuse_infinite(rays)
         sweep = batch.sweep_for(held, rays, times)
 
-        def first(some: Rays, balls: Floats, when: 'Times') -> CastHits:
+        def first(some: RayRows, balls: Floats, when: 'Times') -> CastHits:
             asked = held, sweep, some, balls, bool(skip), when
             hits, handles, points, normals = batch.first_then(*asked)
             return tuple.__new__(CastHits, (handles, hits.ts, points, normals))
@@ -253,7 +252,7 @@ class Moments:
             *some, balls, begin, pace = (
                 one[start:stop] if len(one) == count else one for one in columns
             )
-            return first(Rays(*some), balls, times._replace(at=begin, pace=pace))
+            return first(RayRows(*some), balls, times._replace(at=begin, pace=pace))
 
         parts = in_threads(work, count, threads)
         if len(parts) == 1:

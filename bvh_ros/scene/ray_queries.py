@@ -2,16 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """What rays and swept balls meet in a scene. Each method checks its input and asks a kernel."""
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree.access import ALL, EVERYTHING, checks
-from .cast import boxes, exact_ball
-from .cast.arguments import WHOLE_WAY, Rays, ways_entry
-from .geometry.shapes import Floats
+from ..tree import checks
+from ..tree.access import ALL, EVERYTHING
+from .cast import batch, boxes, exact_ball, query
+from .cast.arguments import WHOLE_WAY, Rays, Sweep, refuse_infinite
 from .moments import Moments
-from .ray_batches import RayBatches
-from .results import CastHits, SceneHit, require_few
+from .results import CastHits, SceneHit
 from .store.obstacles import Obstacles
 
 
@@ -20,7 +22,6 @@ class RayQueries:
 
     _held: Obstacles
     _moments: Moments
-    _batches: RayBatches
 
     def raycast(
         self,
@@ -71,13 +72,16 @@ class RayQueries:
         if self._moments.meant(at, until, 1):
             return self._moments.first((start, goal, radius), mask, skip_inside, at, until)
         held, radius = self._held, checks.limit('radius', radius)
+        ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+        seen = checks.mask(mask)
         if radius == 0.0 and not held.columns.shaped:
-            start, goal = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
-            hit = boxes.first(held.tree, start, goal, checks.mask(mask), bool(skip_inside))
-            return None if hit is None else held.hit(*hit)
-        origin, direction, radius = boxes.segment(start, goal, radius)
-        hits = self._cast_one(origin, direction, radius, mask, skip_inside, False)
-        return hits[0] if hits else None
+            hit = boxes.first(held.tree, *ends, seen, bool(skip_inside))
+        elif radius == math.inf:
+            raise ValueError('radius must be finite')
+        else:
+            ball = radius, seen, bool(skip_inside)
+            hit = batch.first_of_one(held.tree, held.columns, ends, ball)
+        return None if hit is None else held.hit(*hit)
 
     def raycast_all(
         self,
@@ -102,14 +106,15 @@ class RayQueries:
         if self._moments.meant(at, until, 1):
             way = origin, direction, radius
             return self._moments.every(way, mask, skip_inside, at, until, most)
-        if radius == 0.0 and not self._held.columns.shaped:
-            hits = boxes.every(
-                self._held.tree, origin, direction, checks.mask(mask), bool(skip_inside), most
-            )
-            return self._held.each_once([self._held.hit(*hit) for hit in hits])
-        return self._held.each_once(
-            self._cast_one(origin, direction, radius, mask, skip_inside, True, most)
-        )
+        held, seen, skip = self._held, checks.mask(mask), bool(skip_inside)
+        sweep = Sweep(origin, direction, radius, seen, skip, True)
+        if radius > 0.0:
+            found = exact_ball.cast_ball(held.tree, held.columns, sweep, most)
+        elif held.columns.shaped:
+            found = query.cast_every(held.tree, held.columns, sweep, most)
+        else:
+            found = boxes.every(held.tree, origin, direction, seen, skip, most)
+        return held.each_once([held.hit(*hit) for hit in found])
 
     def raycast_many(
         self,
@@ -145,28 +150,9 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origins, directions = checks.both(checks.WAYS, origins, directions, 3)
-        count, skip = len(origins), bool(skip_inside)
-        limits = checks.limits_or_one('t_max', t_max, count)
-        masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
-        asked = origins, directions, limits, masks
-        if type(threads) is not int or threads != 1:
-            threads = checks.whole('threads', threads, 1)
-        radii, held = checks.NOTHING, self._held
-        timed = at is not None or until is not None
-        if at is not None and threads == 1 and radius is None:
-            found = self._moments.few(asked, radii, skip, at, until, False)
-            if found is not None:
-                return found
-        if timed and (radius is not None or held.planar or held.columns.shaped):
-            checks.finite('origins', origins)  # else a kernel looks
-            checks.finite('directions', directions)
-        if radius is not None:
-            radii = checks.lengths_or_one('radius', radius, count)
-        if not timed:
-            found = self._batches.now(asked, radii, (False, skip), threads)
-            if found is not None:
-                return found
-        return self._batches.first(Rays(*asked), radii, skip, (at, until), threads)
+        limits = checks.limits_or_one('t_max', t_max, len(origins))
+        rays = origins, directions, limits, mask, radius, False, bool(skip_inside)
+        return self._first_hits(Rays(*rays), threads, at, until)
 
     def sweep_many(
         self,
@@ -202,52 +188,35 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
-        count, skip = len(origins), bool(skip_inside)
+        rays = origins, ends, WHOLE_WAY, mask, radius, True, bool(skip_inside)
+        return self._first_hits(Rays(*rays), threads, at, until)
+
+    def _first_hits(self, rays: Rays, threads: int, at: Any, until: Any) -> CastHits:
+        """First hits of rays whose masks and radii are still to be checked."""
+        origins, directions, limits, mask, radius, to_goals, skip = rays
+        held, count, radii = self._held, len(origins), None
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        radii, found = checks.lengths_or_one('radius', radius, count), None
-        asked = origins, ends, WHOLE_WAY, masks
-        if at is None and until is None:
-            found = self._batches.now(asked, radii, (True, skip), threads)
-        elif at is not None and threads == 1:
-            found = self._moments.few(asked, radii, skip, at, until, True)
-        if found is not None:
-            return found
-        ways = np.empty((count, 3))
-        far = ways_entry()(origins, ends, ways)
-        if far >= 0:
-            checks.finite('starts', origins)
-            checks.finite('goals', ends)
-            raise ValueError(f'the segment of row {far} is longer than the largest double')
-        rays = Rays(origins, ways, WHOLE_WAY, masks)
-        return self._batches.first(rays, radii, skip, (at, until), threads)
-
-    def _cast_one(
-        self,
-        origin: Floats,
-        direction: Floats,
-        radius: float,
-        mask: int,
-        skip_inside: bool,
-        every: bool,
-        most: int | None = None,
-    ) -> list[SceneHit]:
-        held, skip = self._held, bool(skip_inside)
-        if radius > 0.0:
-            asked = exact_ball.Sweep(origin, direction, radius, checks.mask(mask), skip, every)
-            rows = exact_ball.cast_ball(held.tree, held.columns, asked, most)
+        if radius is not None:
+            radii = checks.lengths_or_one('radius', radius, count)
+            if radii is checks.NOTHING or not radii.any():
+                radii = None
+        # As Rays(...), which would take one more call of a function of Python's.
+        parts = origins, directions, limits, masks, radii, to_goals, skip
+        rays = tuple.__new__(Rays, parts)
+        if at is not None or until is not None:
+            if at is not None and threads == 1 and (radii is None or to_goals):
+                found = self._moments.few(rays, at, until)
+                if found is not None:
+                    return found
+            if self._moments.meant(at, until, count):
+                return self._moments.first_of_many(rays, (at, until), threads)
+        if radii is None and not held.columns.shaped:
+            hits = boxes.first_hits(held.tree, held.columns.node_handle, rays, threads)
         else:
-            masks = np.full(1, checks.mask(mask))
-            rays = Rays(origin[None], direction[None], np.ones(1), masks)
-            found = self._batches.cast(rays, skip, every)
-            hits, points, normals = found.hits, found.points, found.normals
-            require_few(len(points), most)
-            order = np.lexsort((held.columns.node_handle[hits.slots], hits.ts)).tolist()
-            slots, ts = hits.slots.tolist(), hits.ts.tolist()
-            rows = ((slots[i], ts[i], points[i], normals[i]) for i in order)
-        hits_in_order = [held.hit(*row) for row in rows]
-        if held.planar:
-            for hit in hits_in_order:
-                hit.point[2] = origin[2]
-        return hits_in_order
+            hits = batch.first_hits(held.tree, held.columns, rays, threads)
+        if hits is None:
+            refuse_infinite(rays)
+        assert hits is not None
+        return hits

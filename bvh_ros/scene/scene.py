@@ -18,7 +18,6 @@ from .geometry.shapes import Floats
 from .inspection import Inspection
 from .moments import Moments
 from .overlap_queries import OverlapQueries
-from .ray_batches import RayBatches
 from .ray_queries import RayQueries
 from .region import as_region
 from .removals import Removals
@@ -101,7 +100,6 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
 
     def _begin(self, held: Obstacles, updates: Updates) -> None:
         self._held, self._moments = held, Moments(held)
-        self._batches = RayBatches(held, self._moments)
         self._touching = Overlaps(held.tree, held.columns)
         self._nearness = Nearness(held.tree, held.columns)
         self._clearances = Clearances(held.tree, held.columns)

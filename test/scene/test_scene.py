@@ -184,7 +184,7 @@ assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
 from bvh_ros.scene.cast import query
 from bvh_ros.scene.distance import touching
-assert not query.cast_rays.signatures and len(touching.touching.signatures) == 1
+assert not query.every_hit.signatures and len(touching.touching.signatures) == 1
 scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 1]]), stamp=1)
 assert scene.overlap([0, 0, 8], [1, 1, 9]) and len(touching.touching.signatures) == 2
 assert 'fcl' not in sys.modules

@@ -22,6 +22,7 @@ from ..store.columns import Columns
 
 SCRATCH = RAY_FLOATS + 21 + 2 * DEEPEST  # floats of a `Scratch`
 WHOLE_WAY = np.ones(1)  # where t goes no farther than the directions
+BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
 
 class CastWorld(NamedTuple):
@@ -35,35 +36,19 @@ class CastWorld(NamedTuple):
     footprints: Any
 
 
-class Ball(NamedTuple):
-    """What goes along a ray: a point has radius 0."""
-
-    radius: Any
-    slack: Any
-    """By which it is larger for axis-aligned boxes."""
-
-
-class Asked(NamedTuple):
-    """Which hits are asked for."""
-
-    t_max: Any
-    latest: Any
-    """No hit is left out that is not after this t."""
-    mask: Any
-    skip_inside: Any
-    every: Any
-    """Not only the first."""
-
-
 class Rays(NamedTuple):
-    """n rays."""
+    """n rays, or balls that go along them. A column of one row is one for all."""
 
     origins: Any
+    """(n, 3), as the directions."""
     directions: Any
+    """Or the goals, as `to_goals` says: then t_max is 1."""
     t_max: Any
-    """One for all, or (n,)."""
     masks: Any
-    """The same."""
+    radii: Any
+    """None for thin rays: then no kernel compiles anything of balls."""
+    to_goals: Any
+    skip_inside: Any
 
 
 class Hits(NamedTuple):
@@ -74,13 +59,15 @@ class Hits(NamedTuple):
     features: Any
 
 
-class Found(NamedTuple):
-    """What n rays hit: ray i the rows [offsets[i], offsets[i + 1]) of the others."""
+class Sweep(NamedTuple):
+    """One thin ray, or ball."""
 
-    offsets: Any
-    hits: Hits
-    points: Any
-    normals: Any
+    origin: Floats
+    direction: Floats
+    radius: float
+    mask: np.uint32
+    skip_inside: bool
+    every: bool
 
 
 class Scratch(NamedTuple):
@@ -98,29 +85,36 @@ def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
     return values if len(values) == count else np.full(count, values[0])
 
 
-def row_by_row(rays: Rays) -> Rays:
-    """The same rays, each with its t_max and mask."""
-    count = len(rays.origins)
-    t_max, masks = every_row(rays.t_max, count), every_row(rays.masks, count)
-    return Rays(rays.origins, rays.directions, t_max, masks)
+class RayRows(NamedTuple):
+    """n rays at a time."""
+
+    origins: Any
+    directions: Any
+    t_max: Any
+    masks: Any
 
 
 def refuse_infinite(rays: Rays) -> None:
-    """ValueError if a ray is not finite."""
-    checks.finite('origins', rays.origins)
-    checks.finite('directions', rays.directions)
-
-
-def ways_of(rays: Rays, radii: Floats) -> Floats:
-    """The way of each ray to its end; ValueError where that of a ball has none."""
+    """ValueError if a ray is not finite, or the path of a ball has no end."""
+    names = ('starts', 'goals') if rays.to_goals else checks.WAYS
+    checks.finite(names[0], rays.origins)
+    checks.finite(names[1], rays.directions)
+    count = len(rays.origins)
     with np.errstate(over='ignore', invalid='ignore'):
-        ways = rays.directions * rays.t_max[:, None]
-    if checks.first_not_finite(ways) < 0:
-        return np.asarray(ways)
-    endless = np.flatnonzero((radii > 0.0) & ~np.isfinite(ways).all(axis=1))
-    if len(endless):
-        raise ValueError(f't_max must end the way of a ball: row {endless[0]} has none')
-    return np.asarray(ways)
+        if rays.to_goals:
+            finite = np.isfinite(rays.directions - rays.origins).all(axis=1)
+        elif rays.radii is None:
+            return
+        else:
+            lengths = every_row(rays.t_max, count)[:, None]
+            finite = np.isfinite(rays.directions * lengths).all(axis=1)
+            finite |= every_row(rays.radii, count) == 0.0
+    if finite.all():
+        return
+    row = np.flatnonzero(~finite)[0]
+    if rays.to_goals:
+        raise ValueError(f'the segment of row {row} is longer than the largest double')
+    raise ValueError(f't_max must end the way of a ball: row {row} has none')
 
 
 @lean_kernel
@@ -150,15 +144,17 @@ def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
     return tuple.__new__(CastWorld, parts)
 
 
-_codes: dict[tuple[Any, bool, bool], Any] = {}
+_codes: dict[tuple[Any, bool, bool, bool], Any] = {}
 
 
-def code_for(kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...]) -> Any:
+def code_for(
+    kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], thin: bool = False
+) -> Any:
     """The machine code of a kernel that takes a world, or `Columns.shapes`, and always the same
-    types besides: numba would look at every array of it.
+    types besides, but for what is None of thin rays: numba would look at every array of it.
     """
     solid, flat = shapes
-    variant = kernel, flat is None, (solid or flat)[1] is None
+    variant = kernel, flat is None, (solid or flat)[1] is None, thin
     code = _codes.get(variant)
     if code is None:
         code = _codes[variant] = entry_point(kernel, *given)
@@ -194,3 +190,10 @@ def scratch_in(memory, ndim):
         memory[stack:entries].view(np.int64),
         memory[entries : entries + DEEPEST],
     )
+
+
+def too_long(start: Floats, goal: Floats) -> ValueError:
+    """What is raised where the segment between two points is not finite."""
+    checks.point('start', start, 3)
+    checks.point('goal', goal, 3)
+    return ValueError('the segment from start to goal is longer than the largest double')

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...tree import checks
 from ...tree.access import (
     CLOSEST,
     EVERY,
@@ -29,8 +30,8 @@ from ...tree.access import (
     DynamicBVH,
     RayHits,
     accepted,
+    cast,
     cast_few,
-    checks,
     empty_tree,
     entry_points,
     every_hit,
@@ -39,16 +40,16 @@ from ...tree.access import (
     raycast_one,
     slot_of,
 )
-from ...tree.access import Rays as ThinRays
-from ...tree.access import cast as cast_rays
+from ...tree.access import Rays as TreeRays
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
-from .arguments import WHOLE_WAY, Rays, fill_ways, ways_entry
+from .arguments import WHOLE_WAY, BoxHit, Rays, fill_ways, too_long, ways_entry
 
 RAYS_ON_STACK = 1024  # rays whose hits lie on the stack of a kernel
+# So many rays go one by one, whatever they are: of lists a second kernel tells points and normals.
+FEW = 200
 _NO_IDS = np.empty(0, np.int64)
-BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
 
 def first(
@@ -63,13 +64,6 @@ def first(
     if slot == REFUSED:
         raise RuntimeError(IS_CHANGED)
     return None if slot < 0 else (slot, t, place[0], place[1])
-
-
-def too_long(start: Floats, goal: Floats) -> ValueError:
-    """What is raised where the way between two points is not finite."""
-    checks.point('start', start, 3)
-    checks.point('goal', goal, 3)
-    return ValueError('the segment from start to goal is longer than the largest double')
 
 
 def segment(start: ArrayLike, goal: ArrayLike, radius: float) -> tuple[Floats, Floats, float]:
@@ -139,7 +133,7 @@ def every(
 
 
 def few_first(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: ThinRays, to_goals: bool
+    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: TreeRays, to_goals: bool
 ) -> CastHits | None:
     """`first_of_many` of few rays, with as little Python as can be; None if a ray is not finite.
     `to_goals`: what is called directions are the goals of the ways.
@@ -167,7 +161,7 @@ def few_first(
 def cast_without_snapshot(
     tree: DynamicBVH,
     node_handles: NDArray[np.int64],
-    rays: ThinRays,
+    rays: TreeRays,
     to_goals: bool,
     room: tuple[NDArray[np.int64], Floats | None],
     told: CastHits,
@@ -193,26 +187,37 @@ def cast_without_snapshot(
         normals = np.empty((count, 2))
         rays = rays._replace(origins=along_axes(some[0], 2), directions=along_axes(some[1], 2))
     hits = RayHits(np.empty(count, INT64), told.t, normals)
-    done = cast_rays(*view, None, rays, hits)
+    done = cast(*view, None, rays, hits)
     if done >= 0:
         _describe_entry(ndim)(view.tree, node_handles, *some, hits, told)
     return done
 
 
-def first_of_many(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, skip_inside: bool, threads: int
-) -> CastHits:
-    """First hits of n rays."""
+def first_hits(
+    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, threads: int
+) -> CastHits | None:
+    """First hits of n thin rays; None if a ray is not finite."""
     ndim, count = tree.ndim, len(rays.origins)
-    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    asked = *flat, rays.t_max, rays.masks, skip_inside, CLOSEST, threads == 1
+    if threads == 1:
+        # As Rays(...), which would take one more call of a function of Python's.
+        asked = *rays[:4], rays.skip_inside, CLOSEST, True
+        few = tuple.__new__(TreeRays, asked)
+        if count <= FEW or tree.few_rays(few):
+            return few_first(tree, node_handles, few, rays.to_goals)
+    origins, directions = rays[:2]
+    if rays.to_goals:
+        directions = np.empty((count, 3))
+        if ways_entry()(*rays[:2], directions) >= 0:
+            return None
+    elif ndim == 2 and max(map(checks.first_not_finite, (origins, directions))) >= 0:
+        return None  # of others the tree's kernel looks
+    flat = along_axes(origins, ndim), along_axes(directions, ndim)
+    asked = *flat, rays.t_max, rays.masks, rays.skip_inside, CLOSEST, threads == 1
     hits = tree.first_hits(asked, threads)
     normals = hits.normals if ndim == 3 else np.empty((count, 3))
     columns = np.empty(count, UINT32), hits.t, np.empty((count, 3)), normals
     told = tuple.__new__(CastHits, columns)
-    _describe_entry(ndim)(
-        tree.view().tree, node_handles, rays.origins, rays.directions, hits, told
-    )
+    _describe_entry(ndim)(tree.view().tree, node_handles, origins, directions, hits, told)
     return told
 
 

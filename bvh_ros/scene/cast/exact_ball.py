@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import DIRECTION, INSIDE, NONE, ORIGIN, DynamicBVH, set_ray
+from ...tree.access import INSIDE, DynamicBVH, set_ray
 from ...tree.compiler import lean_kernel, stack_array
 from ..distance import overlaps
 from ..geometry.rim import ROUND
@@ -42,8 +42,19 @@ from ..geometry.shapes import Floats
 from ..results import require_few
 from ..store.columns import Columns
 from ..store.registry import Slots
-from .arguments import SCRATCH, Asked, Ball, Hits, call, scratch_in, world_of
-from .query import AT, EARLY, LATE, cast, course_of, enter_thrice, touch
+from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
+from .query import (
+    AT,
+    EARLY,
+    LATE,
+    MINUTE,
+    SWEEP_SLACK,
+    Candidates,
+    Query,
+    candidates,
+    slack_of,
+    touch_rows,
+)
 
 # ---- the exact time of contact
 
@@ -165,149 +176,70 @@ def _square_root(x: Fraction) -> Fraction:
 # ---- balls among boxes: brackets of the times, and what exact arithmetic decides
 
 
-SWEEP_SLACK = 2.0**-46
 FEW = 64  # boxes whose roots are asked for one by one
-LARGE, SMALL = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
 
 
 @lean_kernel
-def slack_of(world, ray, radius):
-    """By how much a larger ball is surely early, and a smaller one late."""
-    here, extent, way = world.nodes[world.root], radius, 0.0
-    for axis in range(ray.shape[1]):
-        above = abs(here.hi[axis] - ray[ORIGIN, axis])
-        below = abs(here.lo[axis] - ray[ORIGIN, axis])
-        extent += max(above, below)
-        way += abs(ray[DIRECTION, axis])
-    total = extent + min(way, extent)
-    return SWEEP_SLACK * total if SMALL < total < LARGE else np.inf
-
-
-@lean_kernel
-def find(world, ball, mask, skip_inside, every, scratch, hits):
-    """Write what may be the first hit, or a hit, in no order; return how many there are, which may
-    be more than fit.
-    """
-    latest = 1.0
-    if not every and not skip_inside and ball.slack < ball.radius:
-        smaller = Ball(ball.radius, -ball.slack)
-        if cast(world, smaller, Asked(1.0, 1.0, mask, False, False), scratch, hits, 0) > 0:
-            latest = min(hits.ts[0] * (1.0 + SWEEP_SLACK) + SMALL, 1.0)
-    return cast(world, ball, Asked(1.0, latest, mask, False, True), scratch, hits, 0)
-
-
-@lean_kernel
-def bracket(world, ball, course, scratch, slots, brackets):
-    """Fill in the times and features, shape (3, n), of larger, right and smaller balls."""
-    times, features = brackets
-    for i in range(times.shape[1]):
-        found = times[:, i], features[:, i]
-        enter_thrice(world, slots[i], scratch.ray, course, ball, scratch.work, found)
-
-
-@lean_kernel
-def sweep_ball(world, radius, way, asked, hits, brackets, place):
-    """`find` and `bracket`; way = (origin, direction), asked = (mask, skip_inside, every),
-    brackets = (times, features), shape (3, n). Returns how many may be hit, and whether that is
-    but one and surely is: its point and normal are place[:, 0] then. Without room in the brackets,
-    fill in those of all `hits`, shape (2, n, 3).
-    """
-    mask, skip_inside, every = asked
-    times, features = brackets
-    scratch = scratch_in(stack_array(SCRATCH, np.float64), way[0].shape[0])
-    set_ray(scratch.ray, way[0], way[1])
-    met, count, sure = hits, place.shape[1], True
-    if times.shape[1] > 0:
-        slack = slack_of(world, scratch.ray, radius) if world.root != NONE else 0.0
-        larger = Ball(radius, slack)
-        count = find(world, larger, mask, skip_inside, every, scratch, hits)
-        if 0 < count <= hits.slots.shape[0]:
-            course = course_of(world, scratch.ray, radius, stack_array(3, np.float64))
-            some = times[:, :count], features[:, :count]
-            bracket(world, larger, course, scratch, hits.slots, some)
-        sure = count == 1 and is_sure(times, features)
-        met = Hits(hits.slots, times[AT], features[AT])
-    if sure:
-        for j in range(count):
-            touch(world, scratch, radius, met, j, place[0, j], place[1, j])
-    return count, sure
-
-
-@lean_kernel
-def is_sure(times, features):
-    """Whether the first is surely met, and surely inside at the start, or not."""
-    doubtful = features[EARLY, 0] == INSIDE and features[LATE, 0] != INSIDE
-    return times[LATE, 0] < np.inf and not doubtful
-
-
-class Sweep(NamedTuple):
-    """What is asked for."""
-
-    origin: Floats
-    direction: Floats
-    radius: float
-    mask: np.uint32
-    skip_inside: bool
-    every: bool
+def find_candidates(world, segment, query, room):
+    """`candidates` of one ball, segment = (origin, direction)."""
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
+    set_ray(scratch.ray, *segment)
+    query = Query(query.radius, slack_of(world, scratch.ray, query.radius), *query[2:])
+    return candidates(world, None, segment, query, scratch, room)
 
 
 def cast_ball(
     tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
-) -> Iterable[tuple[int, float, Floats, Floats]]:
+) -> Iterable[BoxHit]:
     """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
     ties by handle: slot, t, point and normal of each. TooManyHitsError if it may touch more than
     `most`.
     """
-    ndim = tree.ndim
-    world, place = world_of(tree, columns), np.zeros((2, 1, 3))
-    if ndim == 2:
-        sweep = sweep._replace(origin=sweep.origin[:2], direction=sweep.direction[:2])
-    way, asked = (sweep.origin, sweep.direction), (sweep.mask, sweep.skip_inside, sweep.every)
-    count, room = 16, 0
-    while count > room:
-        room = count
-        hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
-        brackets = np.empty((3, room)), np.empty((3, room), np.int64)
-        count, sure = call(sweep_ball, world, sweep.radius, way, asked, hits, brackets, place)
-    if sweep.every:
+    world, ndim = world_of(tree, columns), tree.ndim
+    origin, direction, radius, mask, skip_inside, every = sweep
+    segment = origin[:ndim], direction[:ndim]
+    query = Query(radius, 0.0, 1.0, mask, skip_inside, every, False)
+    count, room = FEW, Candidates(*(np.empty(0),) * 3)
+    while count > len(room.slots):
+        times, features = np.empty((3, count)), np.empty((3, count), np.int64)
+        room = Candidates(np.empty(count, np.int64), times, features)
+        count = call(find_candidates, world, segment, query, room)
+    if every:
         require_few(count, most)
     if count == 0:
         return ()
-    if sure:
-        if sweep.skip_inside and brackets[1].item(AT, 0) == INSIDE:
-            return ()
-        return ((hits.slots.item(0), brackets[0].item(AT, 0), place[0, 0], place[1, 0]),)
-    slots, times, features = hits.slots[:count], brackets[0][:, :count], brackets[1][:, :count]
-    ts, met = times[AT], features[AT]
-    slots, ts, met = _in_order(columns, slots, times, features, sweep)
-    if sweep.skip_inside:
-        slots, ts, met = slots[met != INSIDE], ts[met != INSIDE], met[met != INSIDE]
-    if not sweep.every:
-        slots, ts, met = slots[:1], ts[:1], met[:1]
-    place = np.zeros((2, len(slots), 3))
+    sweep = sweep._replace(origin=segment[0], direction=segment[1])
+    found = Candidates(room.slots[:count], room.times[:, :count], room.features[:, :count])
+    slots, ts, features = _in_order(columns, found, sweep)
+    if skip_inside:
+        outside = features != INSIDE
+        slots, ts, features = slots[outside], ts[outside], features[outside]
+    if not every:
+        slots, ts, features = slots[:1], ts[:1], features[:1]
+    points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
     # Of one type, however many there are: rows of one column are contiguous, others are not.
-    hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(met))
-    none = np.empty((3, 0)), np.empty((3, 0), np.int64)
-    call(sweep_ball, world, sweep.radius, way, asked, hits, none, place)
-    return zip(slots.tolist(), ts.tolist(), *place, strict=True)
+    hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(features))
+    call(touch_rows, world, segment, radius, hits, points, normals)
+    if ndim == 2:
+        points[:, 2] = origin[2]
+    return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
 
 
-def _in_order(
-    columns: Columns, slots: Slots, times: Floats, features: NDArray[np.int64], sweep: Sweep
-) -> tuple[Slots, Floats, NDArray[np.int64]]:
-    """Those that are met, in order of their exact times, then handles: slots, t, features."""
+def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
+    """Those that are met, in order of their exact times, then handles."""
+    slots, times, features = found
     order = np.lexsort((columns.node_handle[slots], times[AT]))
     slots, times, features = slots[order], times[:, order], features[:, order]
     ts, met = times[AT], features[AT]
     open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
     if not len(open_ones):
-        return slots, ts, met
+        return Hits(slots, ts, met)
     roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
     order = _sorted(columns.node_handle[slots], ts, roots)
     for row, root in roots.items():
         if root is not None:
             ts[row], met[row] = float(root), INSIDE if root is START else ROUND
-    return slots[order], np.maximum.accumulate(ts[order]), met[order]
+    return Hits(slots[order], np.maximum.accumulate(ts[order]), met[order])
 
 
 def _shaped(columns: Columns) -> NDArray[np.bool_]:
@@ -368,7 +300,7 @@ def _near(lows: Floats, highs: Floats, sweep: Sweep) -> Slots:
     latest = np.inf
     if not sweep.every and not sweep.skip_inside:
         latest = DynamicBVH.from_boxes(lows, highs).raycast_many(*way).t[0]
-    return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + SMALL])
+    return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + MINUTE])
 
 
 def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:

@@ -71,9 +71,9 @@ from ..store.obstacles import EXACT, Obstacles
 from ..store.places import most_growth
 from ..store.registry import Slots
 from ..store.spare import Spare
-from .arguments import Hits, call, new_scratch, world_of
-from .boxes import BoxHit, too_long, way_between
-from .query import Best, enter_obstacle, no_hit, plain, touch
+from .arguments import BoxHit, Hits, call, new_scratch, too_long, world_of
+from .boxes import way_between
+from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch
 from .shapes import COORDINATES, FRAME_SLACK
 
 # ---- times, and hits in order
@@ -155,19 +155,19 @@ def update_first_hit(world, tree, moving, ways, i, asked, tools, thin, slot, fou
     (box, other, stood), (node_handles, scratch), t_max = found, tools, of_row(ways.t_max, i)
     (skip, rate), there = asked, box_of(tree, moving, slot)
     radius = radius_of(ways, i, there, rate)
-    if radius == 0.0 and plain(world.geometry, world.footprints, slot):
+    if radius == 0.0 and is_plain_box(world.geometry, world.footprints, slot):
         hit, t, face = meet_box(there, thin, t_max)
         if hit and not (skip and face == INSIDE):
             was = box.slot, box.t, box.feature
             if was[0] == NONE or is_before(tree, moving, thin, (slot, t, face), was):
-                box = Best(slot, t, face)
+                box = Hit(slot, t, face)
     else:
         t, feature, stands = _enter(world, ways, i, there, radius, skip, scratch, thin, slot)
         nearer = t < other.t
         if t < np.inf and t == other.t:
             nearer = node_handles[slot] < node_handles[other.slot]
         if nearer:
-            other, stood = Best(slot, t, np.int64(feature)), stands
+            other, stood = Hit(slot, t, np.int64(feature)), stands
     return box, other, stood
 
 
@@ -411,7 +411,7 @@ def write_first(best, i, node_handles, told):
 @lean_kernel
 def _tell(world, tree, moving, ways, i, asked, found, told, place):
     """Write where an obstacle is met."""
-    (scratch, best, stood), (point, normal), hits = found, place, told.hits
+    (scratch, best, stood), (point, normal) = found, place
     at, pace = of_row(ways.at, i), of_row(ways.pace, i)
     box = box_of(tree, moving, best.slot)
     grown = growth_of(box, asked[1], at, pace, of_row(ways.t_max, i))
@@ -420,7 +420,7 @@ def _tell(world, tree, moving, ways, i, asked, found, told, place):
     if stood:
         ray_in_stopped_frame(ways, i, box, moving.left, scratch.ray)
         then = moving.left
-    touch(world, scratch, of_row(ways.radii, i) + grown, hits, i, point, normal)
+    touch(world, scratch, of_row(ways.radii, i) + grown, best, point, normal)
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * then
     for axis in range(3):

@@ -4,7 +4,7 @@
 is swept together, as `tree.motion.wide_casting`, and `update_first_hit` says how one is met.
 
 
-Rays and swept balls at a time, or while it passes, among obstacles that have velocities.
+RayRows and swept balls at a time, or while it passes, among obstacles that have velocities.
 
 Seen from an obstacle that moves on a straight line, a ray is another ray. So the tree says whose
 boxes may be met, and each of these obstacles is asked by the ray that it sees. Among axis-aligned
@@ -97,7 +97,7 @@ from .arguments import (
     SCRATCH,
     CastWorld,
     Hits,
-    Rays,
+    RayRows,
     call,
     code_for,
     fill_ways,
@@ -105,7 +105,6 @@ from .arguments import (
     scratch_in,
     world_of,
 )
-from .batch import widen
 from .boxes import RAYS_ON_STACK
 from .motion import (
     First,
@@ -120,7 +119,7 @@ from .motion import (
     update_first_hit,
     write_first_hit,
 )
-from .query import Best, no_hit, write
+from .query import Hit, no_hit, widen, write
 
 # ---- through what is swept
 
@@ -283,8 +282,8 @@ def _course(ray, ways, i, moving):
 def met_by(group, place):
     """What the way at a place has met so far, as of `update_first_hit`."""
     boxes, others = group.boxes, group.others
-    box = Best(boxes.slots[place], boxes.ts[place], boxes.features[place])
-    other = Best(others.slots[place], others.ts[place], others.features[place])
+    box = Hit(boxes.slots[place], boxes.ts[place], boxes.features[place])
+    other = Hit(others.slots[place], others.ts[place], others.features[place])
     return box, other, group.stood[place] != 0
 
 
@@ -341,7 +340,7 @@ _NO_ROOM = np.empty((0, 3))
 PAIRS = 1 << 17  # that are looked at in one go
 
 
-def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> HitTable:
+def cast_then(held: Obstacles, rays: RayRows, radii: Floats, skip: bool, times: Times) -> HitTable:
     """All that rays, or balls, meet; `rays` as Scene.raycast_many has them."""
     ndim, count = held.tree.ndim, len(rays.origins)
     require_ends(held, rays)
@@ -364,7 +363,7 @@ def cast_then(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Tim
 
 
 def first_then(
-    held: Obstacles, sweep: Sweep | None, rays: Rays, radii: Floats, skip: bool, times: Times
+    held: Obstacles, sweep: Sweep | None, rays: RayRows, radii: Floats, skip: bool, times: Times
 ) -> First:
     """First hits of rays, or balls, their columns one for all or (n,); as of `cast_then`. `sweep`:
     what `sweep_for` says, of these and more rays.
@@ -437,7 +436,7 @@ def few_then(
     return tuple.__new__(CastHits, (handles, ts, points, normals))
 
 
-def sweep_for(held: Obstacles, rays: Rays, times: Times) -> Sweep | None:
+def sweep_for(held: Obstacles, rays: RayRows, times: Times) -> Sweep | None:
     """What is swept for the rays of a batch, if that pays."""
     span, every = times_of(*times, rays.t_max)
     if not every or not len(rays.origins):
@@ -458,14 +457,14 @@ def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
         column[others] = part
 
 
-def require_ends(held: Obstacles, rays: Rays) -> None:
+def require_ends(held: Obstacles, rays: RayRows) -> None:
     """ValueError if a ray has no end, where obstacles grow."""
     if held.uncertainty and np.isinf(rays.t_max).any():
         row = np.flatnonzero(np.isinf(rays.t_max))[0]
         raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
 
 
-def reaches(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Floats:
+def reaches(held: Obstacles, rays: RayRows, radii: Floats, times: Times) -> Floats:
     """By how much rays may pass boxes of obstacles that their balls touch, (n,)."""
     axes = np.abs(rays.origins[:, : held.tree.ndim]).T
     largest = functools.reduce(np.maximum, axes)  # `max` of short rows takes ten times as long
@@ -485,10 +484,10 @@ def _keep_exact_order(order: NDArray[np.int64], first: int) -> None:
 
 
 def _plain(
-    held: Obstacles, rays: Rays, rows: NDArray[np.int64], skip: bool, times: Times
+    held: Obstacles, rays: RayRows, rows: NDArray[np.int64], skip: bool, times: Times
 ) -> HitTable:
     """Thin rays of these rows against axis-aligned boxes, decided exactly."""
-    some = Rays(*(np.ascontiguousarray(column[rows]) for column in rays))
+    some = RayRows(*(np.ascontiguousarray(column[rows]) for column in rays))
     asked = some.t_max, some.masks, times.at[rows], times.pace[rows], skip, EVERY
     casts = Casts(some.origins, some.origins, some.directions, *asked)
     offsets, handles, found, places = _motion_of(held).every(held.tree, casts)
@@ -502,7 +501,7 @@ def _plain(
     return HitTable(of, slots, found.ts, points, normals).take(plain)
 
 
-def _casts(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Casts:
+def _casts(held: Obstacles, rays: RayRows, radii: Floats, times: Times) -> Casts:
     """What rays may meet: every box that balls touch with what has grown in it."""
     more = reaches(held, rays, radii, times)[:, None]
     with np.errstate(over='ignore'):  # as far as there are doubles
@@ -511,7 +510,7 @@ def _casts(held: Obstacles, rays: Rays, radii: Floats, times: Times) -> Casts:
     return Casts(*ways, rays.masks, *times, False, EVERY)
 
 
-def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times) -> HitTable:
+def _shaped(held: Obstacles, rays: RayRows, radii: Floats, skip: bool, times: Times) -> HitTable:
     """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
     ends, casts = times.ends(rays.t_max), _casts(held, rays, radii, times)
     offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
@@ -528,16 +527,16 @@ def _shaped(held: Obstacles, rays: Rays, radii: Floats, skip: bool, times: Times
 
 def _of_pairs(
     held: Obstacles,
-    rays: Rays,
+    rays: RayRows,
     radii: Floats,
     skip: bool,
     times: Times,
     rows: NDArray[np.int64],
     slots: NDArray[np.int64],
 ) -> HitTable:
-    """Rays, or balls, of some rows, each against one obstacle."""
+    """RayRows, or balls, of some rows, each against one obstacle."""
     count, columns, tree = len(rows), held.columns, held.tree
-    some = Rays(*(column[rows] for column in rays))
+    some = RayRows(*(column[rows] for column in rays))
     ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
     hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
     told = First(hits, np.empty(count, UINT32), np.empty((count, 3)), np.empty((count, 3)))
@@ -571,7 +570,9 @@ class Told(NamedTuple):
     """Shape (n, 3); what is beyond the tree's axes stays as it is where a ray hits."""
 
 
-def first_boxes(held: Obstacles, rays: Rays, skip: bool, times: Times, threads: int) -> CastHits:
+def first_boxes(
+    held: Obstacles, rays: RayRows, skip: bool, times: Times, threads: int
+) -> CastHits:
     """First hits of rays."""
     tree: Any = held.tree
     count, ndim, motion, view = len(rays.origins), tree.ndim, tree.motion, tree.view()

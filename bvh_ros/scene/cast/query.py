@@ -1,41 +1,323 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays and swept balls through the tree to the true shapes.
+"""One ray, or one swept ball, among true shapes: which leaves it may meet, and which hits count.
 
-Only scenes with other shapes than axis-aligned boxes, and balls (from `exact_ball`), come here:
-thin rays among boxes are the tree's own. A ball of radius r can touch an obstacle only where its
-centre is in the obstacle's box grown by r, so every node is grown by r on the way.
+Two walks lead to the leaves, nearest first: `walk_tree` through the nodes of the tree, and
+`walk_snapshot` through the wide snapshot of batches. Each hands every leaf to a visitor, which
+says how far the walk has to go on:
+
+    visit_first      the first hit of a thin ray
+    visit_every      all hits of a thin ray
+    visit_candidate  the obstacles that a ball may touch first, or at all, see `exact_ball`
+
+A ball of radius r touches an obstacle only where its centre is in the obstacle's box grown by r.
+So the walk grows every node by r, and by what rounding cannot tell apart from touching.
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.access import (
+    ALL32,
+    DIRECTION,
+    FARTHEST_ORIGIN,
     INSIDE,
     NONE,
     ORIGIN,
     PAD,
+    STACK,
     TINY,
     DynamicBVH,
+    child_of,
     compare_hits,
     intersect_node,
     is_leaf,
     leaf_box,
+    limit32,
+    octant_of,
     prepare_ray,
+    push_children,
+    push_loose,
+    seen16,
     set_ray,
+    start_ray,
+    stream16,
     traversal_distance,
 )
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..geometry.lengths import LARGE, SMALL
 from ..geometry.rim import ROUND
+from ..results import require_few
 from ..store.columns import Columns
-from .arguments import Asked, Ball, Found, Hits, Rays, call, new_scratch, world_of
+from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
 from .contact import contact, enter_shape
 from .footprint import enter_footprint, touch_footprint
 from .shapes import COORDINATES, FRAME_SLACK, RayAndBox, enter_rounded_boxes, point_along, time_of
 
-EARLY, AT, LATE = range(3)  # of a ball that is larger, itself, smaller, see `exact_ball`
+EARLY, AT, LATE = range(3)  # rows: of a ball that is larger, of itself, of a smaller one
+SWEEP_SLACK = 2.0**-46
+HUGE, MINUTE = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
+PAD32 = 2.0**-20  # far above the rounding of a float32
+
+
+class Query(NamedTuple):
+    """One ray or ball; its origin and direction are in the scratch."""
+
+    radius: Any
+    """0 for a thin ray."""
+    slack: Any
+    """A ball larger by this is surely early among axis-aligned boxes, a smaller one late."""
+    t_max: Any
+    mask: Any
+    skip_inside: Any
+    every: Any
+    """All hits, not only the first."""
+    patched: Any
+    """Whether a leaf may be visited twice: in a snapshot that was patched."""
+
+
+class Hit(NamedTuple):
+    """A hit; slot NONE without any."""
+
+    slot: Any
+    t: Any
+    feature: Any
+
+
+class Candidates(NamedTuple):
+    """Room for the obstacles that a ball may touch."""
+
+    slots: Any
+    """(n,)"""
+    times: Any
+    """(3, n): rows EARLY, AT and LATE."""
+    features: Any
+    """The same."""
+
+
+class BallPath(NamedTuple):
+    """The path of a ball where no length needs a scale, see `shapes`: the same for all boxes."""
+
+    unit: Any
+    """(3,)"""
+    pace: Any
+    """Negative before it is computed."""
+    simple: Any
+    """Whether no length needs a scale."""
+
+
+# ---- one obstacle
+
+
+@lean_kernel
+def is_plain_box(geometry, footprints, slot):
+    """Whether an obstacle is an axis-aligned box."""
+    if geometry is not None:
+        return not geometry[0][slot].shaped
+    if footprints is not None:
+        return not footprints[0][slot].shaped
+    return True
+
+
+@lean_kernel
+def enter_obstacle(world, slot, ray, radius, t_max, work):
+    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
+    lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+    met = RayAndBox(ray, lo, hi)
+    return enter_any(world.geometry, world.footprints, slot, met, radius, t_max, work)
+
+
+@lean_kernel
+def enter_any(geometry, footprints, slot, met, radius, t_max, work):
+    t, feature = np.inf, np.int64(INSIDE)
+    if geometry is not None:
+        t, feature = enter_shape(geometry[0][slot], geometry[1], met, radius, t_max, work)
+    if footprints is not None:
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], met, radius, t_max, work)
+    return t, feature
+
+
+@lean_kernel
+def touch(world, scratch, radius, hit, point, normal):
+    """Fill in where a ray or ball meets an obstacle, and the outward normal there."""
+    lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
+    met, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
+    at = hit.t, hit.feature
+    touch_any(world.geometry, world.footprints, hit.slot, met, at, radius, scratch.work, out)
+
+
+@lean_kernel
+def touch_any(geometry, footprints, slot, met, hit, radius, work, out):
+    point, normal = out
+    if geometry is not None:
+        contact(geometry[0][slot], geometry[1], met, hit, radius, work, point, normal)
+    if footprints is not None:
+        touch_footprint(footprints[0][slot], footprints[1], met, hit, radius, work, point, normal)
+
+
+@inlined
+def ball_path(world, ray, radius, unit):
+    """The `BallPath` of a ray; `unit` is filled in."""
+    largest, here = radius, world.nodes[world.root]
+    for axis in range(ray.shape[1]):
+        largest = max(largest, abs(ray[ORIGIN, axis]), abs(here.lo[axis]), abs(here.hi[axis]))
+    pace = point_along(ray, 1.0, unit[: ray.shape[1]])
+    return BallPath(unit, pace, radius > SMALL and largest < LARGE)
+
+
+@lean_kernel
+def enter_thrice(world, slot, ray, path, query, work, found):
+    """When a ball that is larger by its slack, the ball itself and a smaller one meet an obstacle
+    up to t = 1, to the rows EARLY, AT and LATE of `found`, (ts, features). Only axis-aligned boxes
+    tell them apart.
+    """
+    ts, features = found
+    is_plain = is_plain_box(world.geometry, world.footprints, slot)
+    slack = query.slack if is_plain else 0.0
+    radii = stack_array(3, np.float64)
+    radii[EARLY], radii[AT], radii[LATE] = query.radius + slack, query.radius, query.radius - slack
+    if is_plain and world.geometry is not None and path.simple:
+        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+        enter_rounded_boxes(ray[ORIGIN], path.unit, lo, hi, radii, path.pace, found)
+        for i in range(3):
+            ts[i] = time_of(ts[i], path.pace, 1.0)
+        return
+    for i in range(3):
+        ts[i], features[i] = np.inf, np.int64(ROUND)
+        if i > 0 and not is_plain:
+            ts[i], features[i] = ts[0], features[0]
+        elif radii[i] > 0.0:
+            ts[i], features[i] = enter_obstacle(world, slot, ray, radii[i], 1.0, work)
+
+
+# ---- which of two hits is the first
+
+
+@inlined
+def no_hit():
+    return Hit(np.int64(NONE), np.inf, np.int64(INSIDE))
+
+
+@inlined
+def no_hits():
+    """The first hits before any: one of axis-aligned boxes and one of other shapes. Each kind is
+    compared by itself: exactly, a box may be before another though its t is not, with a shape
+    between.
+    """
+    return no_hit(), no_hit()
+
+
+@lean_kernel
+def precedes(world, ray, hit, other):
+    """Whether a hit of a thin ray comes before another; ties by handle. Between axis-aligned boxes
+    as real arithmetic says.
+    """
+    if hit.slot == NONE or other.slot == NONE:
+        return hit.slot != NONE
+    order = -1 if hit.t < other.t else (1 if hit.t > other.t else 0)
+    if is_plain_box(world.geometry, world.footprints, hit.slot) and is_plain_box(
+        world.geometry, world.footprints, other.slot
+    ):
+        lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
+        other_lo, other_hi = leaf_box(world.nodes, world.tight, 2 * other.slot)
+        one, another = (hit.t, hit.feature), (other.t, other.feature)
+        order = compare_hits(ray, lo, hi, one, other_lo, other_hi, another)
+    return order < 0 or (order == 0 and world.handles[hit.slot] < world.handles[other.slot])
+
+
+# ---- visitors: (what is kept so far, how far the walk goes on) after one more leaf
+
+
+@inlined
+def visit_first(world, query, scratch, room, slot, first):
+    """The first hits of a thin ray, as of `no_hits`."""
+    box, other = first
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    if t < np.inf and not (query.skip_inside and feature == INSIDE):
+        hit = Hit(slot, t, np.int64(feature))
+        if is_plain_box(world.geometry, world.footprints, slot):
+            box = hit if precedes(world, scratch.ray, hit, box) else box
+        else:
+            other = hit if precedes(world, scratch.ray, hit, other) else other
+    return (box, other), min(box.t, other.t, query.t_max)
+
+
+@inlined
+def visit_every(world, query, scratch, room, slot, count):
+    """How many hits of a thin ray there are; those that `room`, `Hits`, has place for are written
+    there, in no order.
+    """
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    if t < np.inf and not (query.skip_inside and feature == INSIDE):
+        write(Hit(slot, t, np.int64(feature)), room, count)
+        count += 1
+    return count, query.t_max
+
+
+@inlined
+def write(hit, hits, place):
+    """Write a hit if there is room."""
+    if place < hits.slots.shape[0]:
+        hits.slots[place], hits.ts[place], hits.features[place] = hit
+
+
+class Reached(NamedTuple):
+    """What is known of the candidates of a ball."""
+
+    count: Any
+    soonest: Any
+    """When the larger ball touches the first of them."""
+    latest: Any
+    """By then the ball has surely touched one."""
+    path: Any
+
+
+@inlined
+def visit_candidate(world, query, scratch, room, slot, reached):
+    """The `Reached` of a ball; `room` are `Candidates`."""
+    count, soonest, latest, path = reached
+    if path.pace < 0.0:  # many balls meet no leaf
+        path = ball_path(world, scratch.ray, query.radius, path.unit)
+    ts, features = stack_array(3, np.float64), stack_array(3, np.int64)
+    known = False
+    if query.patched:
+        for j in range(min(count, room.slots.shape[0])):
+            known |= room.slots[j] == slot
+    if not known:
+        enter_thrice(world, slot, scratch.ray, path, query, scratch.work, (ts, features))
+        if ts[EARLY] <= latest:
+            if count < room.slots.shape[0]:
+                room.slots[count] = slot
+                for i in range(3):
+                    room.times[i, count], room.features[i, count] = ts[i], features[i]
+            count += 1
+            inside = query.skip_inside and features[EARLY] == INSIDE
+            if not query.every and ts[EARLY] < soonest and not inside:
+                soonest = ts[EARLY]
+                latest = min(ts[LATE] * (1.0 + SWEEP_SLACK) + MINUTE, latest)
+    return Reached(count, soonest, latest, path), latest
+
+
+# ---- walks
+
+
+@lean_kernel
+def doubt_of(ray, radius):
+    """By how much a ray may pass a shape's box and yet touch the shape, within its frame's slack:
+    the ray's own share. That of the shape is in its box.
+    """
+    largest = 0.0
+    for axis in range(ray.shape[1]):
+        largest = max(largest, abs(ray[ORIGIN, axis]))
+    return FRAME_SLACK * radius + (FRAME_SLACK + COORDINATES) * largest
+
+
+@inlined
+def reach_of(query, ray):
+    """By how much nodes are grown for a ray or ball."""
+    return query.radius + query.slack + doubt_of(ray, query.radius)
 
 
 @lean_kernel
@@ -50,19 +332,33 @@ def grow(node, radius, box):
             box[1, axis] += abs(box[1, axis]) * 2.0**-52
 
 
-@lean_kernel
-def doubt_of(ray, radius):
-    """By how much a ray may pass a shape's box and yet touch the shape, within its frame's slack:
-    the ray's own share. That of the shape is in its box.
-    """
-    largest = 0.0
-    for axis in range(ray.shape[1]):
-        largest = max(largest, abs(ray[ORIGIN, axis]))
-    return FRAME_SLACK * radius + (FRAME_SLACK + COORDINATES) * largest
+@inlined
+def walk_tree(world, query, scratch, room, kept, visit):
+    """Hand the leaves to a visitor that a ray may meet; return what it keeps, `kept` at first."""
+    nodes, root, ray, bounds = world.nodes, world.root, scratch.ray, scratch.box
+    stack, entries, top = scratch.stack, scratch.entries, 0
+    reach, scale, limit, wide = reach_of(query, ray), 1.0, 0.0, False
+    if root != NONE and nodes[root].mask & query.mask != 0:
+        grow(nodes[root], reach, bounds)
+        scale, wide = prepare_ray(ray, bounds[0], bounds[1])
+        limit = traversal_distance(query.t_max, scale)
+        stack[0], entries[0] = root, intersect_node(bounds[0], bounds[1], ray, limit, wide)
+        top = 1
+    while top > 0:
+        top -= 1
+        node, entry = stack[top], entries[top]
+        if entry > limit * PAD + TINY or entry == np.inf:
+            continue
+        if is_leaf(node):
+            kept, t = visit(world, query, scratch, room, np.int64(node >> 1), kept)
+            limit = traversal_distance(t, scale)
+        else:
+            top = push_nodes(nodes, node, query.mask, reach, limit, wide, scratch, top)
+    return kept
 
 
 @lean_kernel
-def push_children(nodes, node, mask, radius, limit, wide, scratch, top):
+def push_nodes(nodes, node, mask, radius, limit, wide, scratch, top):
     """Put the children that the ray may enter on the stack, the nearer on top."""
     box, stack, entries, bottom = scratch.box, scratch.stack, scratch.entries, top
     for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
@@ -78,225 +374,211 @@ def push_children(nodes, node, mask, radius, limit, wide, scratch, top):
     return top
 
 
-@lean_kernel
-def plain(geometry, footprints, slot):
-    """Whether an obstacle is an axis-aligned box."""
-    if geometry is not None:
-        return not geometry[0][slot].shaped
-    if footprints is not None:
-        return not footprints[0][slot].shaped
-    return True
-
-
-class Best(NamedTuple):
-    """The first hit so far; slot NONE without any."""
-
-    slot: Any
-    t: Any
-    feature: Any
+@inlined
+def walk_snapshot(world, snapshot, segment, query, scratch, room, kept, visit):
+    """`walk_tree` through the snapshot, segment = (origin, direction): (what the visitor keeps,
+    whether the ray is suited to the snapshot).
+    """
+    origin, direction = segment
+    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
+    record, limits = records[0], stack_array(1, np.float32)
+    reach, top = reach_of(query, scratch.ray) * snapshot.per_length, 0
+    units = snapshot.center, snapshot.per_length
+    suited = start_ray(record, origin, direction, *units, query.t_max) and reach < FARTHEST_ORIGIN
+    octant = octant_of(direction)
+    if suited:
+        widen(record, reach)
+        limits[0] = record.limit
+        stack[0] = 0
+        top = push_loose(snapshot, stack, 1)
+    while top > 0:
+        slot, top = next_leaf(snapshot, records, octant, query.mask, limits, stack, top)
+        # What was written since is removed, or has another mask now.
+        if slot == NONE or (snapshot.loose > 0 and world.nodes[2 * slot].mask & query.mask == 0):
+            continue
+        kept, t = visit(world, query, scratch, room, slot, kept)
+        record.limit = limits[0] = limit32(t, record.unit)
+    return kept, suited
 
 
 @inlined
-def no_hit():
-    return Best(np.int64(NONE), np.inf, np.int64(INSIDE))
-
-
-@lean_kernel
-def precedes(world, ray, radius, one, another):
-    """Whether a hit comes before another, each a `Best`; ties by handle.
-
-    Between thin hits of axis-aligned boxes as real arithmetic says.
+def widen(record, reach):
+    """Let a ray meet boxes as if they were larger by `reach`, in the snapshot's units. Numbers
+    that may be as large as reach * slope are rounded once more here, so there is a pad of more
+    than that.
     """
-    slot, t, feature = one
-    other, other_t, other_feature = another
-    if slot == NONE or other == NONE:
-        return slot != NONE
-    order = -1 if t < other_t else (1 if t > other_t else 0)
-    if radius == 0.0 and (
-        plain(world.geometry, world.footprints, slot)
-        and plain(world.geometry, world.footprints, other)
-    ):
-        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-        other_lo, other_hi = leaf_box(world.nodes, world.tight, 2 * other)
-        order = compare_hits(
-            ray, lo, hi, (t, feature), other_lo, other_hi, (other_t, other_feature)
+    for axis in range(record.slope.shape[0]):
+        slope, shift = (
+            abs(np.float64(record.slope[axis])),
+            abs(np.float64(record.near_shift[axis])),
         )
-    return order < 0 or (order == 0 and world.handles[slot] < world.handles[other])
+        more = slope * (reach * (1.0 + PAD32) + PAD32) + shift * PAD32
+        record.near_shift[axis] = np.float32(record.near_shift[axis] - more)
+        record.far_shift[axis] = np.float32(record.far_shift[axis] + more)
 
 
 @inlined
-def with_one_more(world, ray, radius, hit, box, other):
-    """The first hits so far, of axis-aligned boxes and of other shapes, after one more. Each kind
-    by itself: exactly, a box may be before another though its t is not, with a shape between.
-    """
-    hit = Best(*hit)
-    if plain(world.geometry, world.footprints, hit.slot):
-        return (hit if precedes(world, ray, radius, hit, box) else box), other
-    return box, (hit if precedes(world, ray, radius, hit, other) else other)
-
-
-@inlined
-def first_of(world, ray, radius, box, other):
-    return box if precedes(world, ray, radius, box, other) else other
-
-
-@lean_kernel
-def enter_obstacle(world, slot, ray, radius, t_max, work):
-    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
-    lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    return enter_any(
-        world.geometry, world.footprints, slot, RayAndBox(ray, lo, hi), radius, t_max, work
-    )
-
-
-class Course(NamedTuple):
-    """A ball's way, where no length needs a scale, see `shapes`: the same for all boxes."""
-
-    unit: Any
-    """(3,)"""
-    pace: Any
-    simple: Any
-    """Whether it is so."""
-
-
-@lean_kernel
-def course_of(world, ray, radius, unit):
-    """The `Course` of a ray; `unit` is filled in."""
-    largest, here = radius, world.nodes[world.root]
-    for axis in range(ray.shape[1]):
-        largest = max(largest, abs(ray[ORIGIN, axis]), abs(here.lo[axis]), abs(here.hi[axis]))
-    pace = point_along(ray, 1.0, unit[: ray.shape[1]])
-    return Course(unit, pace, radius > SMALL and largest < LARGE)
-
-
-@lean_kernel
-def enter_thrice(world, slot, ray, course, ball, work, found):
-    """When a ball that is larger by its slack, the ball itself and a smaller one meet an obstacle
-    up to t = 1, to the rows EARLY, AT and LATE of `found`, (ts, features). Only axis-aligned boxes
-    tell them apart.
-    """
-    ts, features = found
-    is_plain = plain(world.geometry, world.footprints, slot)
-    slack = ball.slack if is_plain else 0.0
-    radii = stack_array(3, np.float64)
-    radii[EARLY], radii[AT], radii[LATE] = ball.radius + slack, ball.radius, ball.radius - slack
-    if is_plain and world.geometry is not None and course.simple:
-        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-        enter_rounded_boxes(ray[ORIGIN], course.unit, lo, hi, radii, course.pace, found)
-        for i in range(3):
-            ts[i] = time_of(ts[i], course.pace, 1.0)
-        return
-    for i in range(3):
-        ts[i], features[i] = np.inf, np.int64(ROUND)
-        if i > 0 and not is_plain:
-            ts[i], features[i] = ts[0], features[0]
-        elif radii[i] > 0.0:
-            ts[i], features[i] = enter_obstacle(world, slot, ray, radii[i], 1.0, work)
-
-
-@lean_kernel
-def enter_any(geometry, footprints, slot, met, radius, t_max, work):
-    t, feature = np.inf, np.int64(INSIDE)
-    if geometry is not None:
-        t, feature = enter_shape(geometry[0][slot], geometry[1], met, radius, t_max, work)
-    if footprints is not None:
-        t, feature = enter_footprint(footprints[0][slot], footprints[1], met, radius, t_max, work)
-    return t, feature
-
-
-@lean_kernel
-def cast(world, ball, asked, scratch, hits, filled):
-    """Write the first hit, or every hit in no order, into hits from `filled` on. Return where the
-    next would go: beyond the arrays' end, hits are counted, not written.
-    """
-    nodes, root, ray, bounds = world.nodes, world.root, scratch.ray, scratch.box
-    stack, entries = scratch.stack, scratch.entries
-    if root == NONE or nodes[root].mask & asked.mask == 0:
-        return filled
-    box, other = no_hit(), no_hit()
-    grown = ball.radius + max(ball.slack, 0.0) + doubt_of(ray, ball.radius)
-    grow(nodes[root], grown, bounds)
-    scale, wide = prepare_ray(ray, bounds[0], bounds[1])
-    limit = traversal_distance(min(asked.t_max, asked.latest), scale)
-    stack[0], entries[0], top = root, intersect_node(bounds[0], bounds[1], ray, limit, wide), 1
+def next_leaf(snapshot, records, octant, mask, limits, stack, top):
+    """(slot of the next leaf that the ray may meet before its limit, or NONE; the new top)."""
+    nearest, met = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
+    first = stack_array(1, np.int32)
+    first[0] = 0
     while top > 0:
         top -= 1
-        node, entry = stack[top], entries[top]
-        if entry > limit * PAD + TINY or entry == np.inf:
+        if stack[top] >> 32 > limits.view(np.int32)[0]:
             continue
-        if not is_leaf(node):
-            top = push_children(nodes, node, asked.mask, grown, limit, wide, scratch, top)
-            continue
-        slot, radius = node >> 1, ball.radius
-        if plain(world.geometry, world.footprints, slot):
-            radius += ball.slack
-        t, feature = enter_obstacle(world, slot, ray, radius, asked.t_max, scratch.work)
-        if t == np.inf or (asked.skip_inside and feature == INSIDE):
-            continue
-        hit = slot, t, np.int64(feature)
-        if asked.every:
-            filled = write(hit, hits, filled)
-            continue
-        box, other = with_one_more(world, ray, ball.radius, hit, box, other)
-        limit = traversal_distance(min(box.t, other.t), scale)
-    first = first_of(world, ray, ball.radius, box, other)
-    return filled if first.slot == NONE else write(first, hits, filled)
+        node = child_of(stack[top])
+        if node < 0:
+            return ~node, top
+        lanes = stream16(snapshot.planes, node, np.uint64(octant), records, first, met, nearest)
+        if mask != ALL32:
+            lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
+        top = push_children(snapshot, node, lanes, nearest, stack, top)
+    return np.int64(NONE), top
 
 
 @inlined
-def write(hit, hits, place):
-    """Write a hit, if there is room; return where the next would go."""
-    if place < hits.slots.shape[0]:
-        hits.slots[place], hits.ts[place], hits.features[place] = hit
-    return place + 1
-
-
-@lean_kernel
-def touch(world, scratch, radius, hits, j, point, normal):
-    """Fill in where hit j meets its obstacle, and the outward normal there."""
-    slot, hit = hits.slots[j], (hits.ts[j], hits.features[j])
-    lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    met, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
-    touch_any(world.geometry, world.footprints, slot, met, hit, radius, scratch.work, out)
-
-
-@lean_kernel
-def touch_any(geometry, footprints, slot, met, hit, radius, work, out):
-    point, normal = out
-    if geometry is not None:
-        contact(geometry[0][slot], geometry[1], met, hit, radius, work, point, normal)
-    if footprints is not None:
-        touch_footprint(footprints[0][slot], footprints[1], met, hit, radius, work, point, normal)
-
-
-@lean_kernel
-def cast_rays(world, rays, skip_inside, every, scratch, found):
-    """First hits, or every hit in no order, of many rays, as far as there is room; return how many
-    there are.
+def walk(world, snapshot, segment, query, scratch, room, kept, visit):
+    """What a visitor keeps of a ray, by the snapshot if the ray is suited to it. `snapshot`: None
+    if there never is one.
     """
-    offsets, room, point = found.offsets, found.hits.slots.shape[0], Ball(0.0, 0.0)
-    offsets[0] = 0
-    for i in range(rays.origins.shape[0]):
-        set_ray(scratch.ray, rays.origins[i], rays.directions[i])
-        asked = Asked(rays.t_max[i], rays.t_max[i], rays.masks[i], skip_inside, every)
-        filled = cast(world, point, asked, scratch, found.hits, offsets[i])
-        for j in range(offsets[i], min(filled, room)):
-            touch(world, scratch, 0.0, found.hits, j, found.points[j], found.normals[j])
-        offsets[i + 1] = filled
-    return offsets[-1]
+    if snapshot is None:
+        return walk_tree(world, query, scratch, room, kept, visit)
+    if snapshot.size > 0:
+        found, suited = walk_snapshot(world, snapshot, segment, query, scratch, room, kept, visit)
+        if suited:
+            return found
+    return walk_tree(world, query, scratch, room, kept, visit)
 
 
-def cast_all(
-    tree: DynamicBVH, columns: Columns, rays: Rays, skip_inside: bool, every: bool
-) -> Found:
-    """`cast_rays` with room for what it finds."""
-    world, scratch = world_of(tree, columns), new_scratch(tree.ndim)
-    count = len(rays.origins)
-    offsets, total, room = np.empty(count + 1, np.int64), max(count, 16), 0
-    while total > room:
-        room = total
+# ---- the answers of one ray
+
+
+@inlined
+def first_hit(world, snapshot, segment, query, scratch):
+    """The first `Hit` of a thin ray."""
+    box, other = walk(world, snapshot, segment, query, scratch, 0, no_hits(), visit_first)
+    return box if precedes(world, scratch.ray, box, other) else other
+
+
+@inlined
+def candidates(world, snapshot, segment, query, scratch, room):
+    """Fill `room` with the obstacles that a ball may touch first, or at all if the query is for
+    every hit; return how many there are, which may be more than fit.
+    """
+    unit = stack_array(3, np.float64)
+    nothing = Reached(np.int64(0), np.inf, 1.0, BallPath(unit, -1.0, False))
+    reached = walk(world, snapshot, segment, query, scratch, room, nothing, visit_candidate)
+    if reached.count > room.slots.shape[0]:
+        return reached.count
+    kept = np.int64(0)
+    for j in range(reached.count):
+        if room.times[EARLY, j] <= reached.latest:
+            room.slots[kept] = room.slots[j]
+            for i in range(3):
+                room.times[i, kept] = room.times[i, j]
+                room.features[i, kept] = room.features[i, j]
+            kept += 1
+    return kept
+
+
+@lean_kernel
+def slack_of(world, ray, radius):
+    """By how much a larger ball is surely early, and a smaller one late."""
+    if world.root == NONE:
+        return 0.0
+    here, extent, length = world.nodes[world.root], radius, 0.0
+    for axis in range(ray.shape[1]):
+        above = abs(here.hi[axis] - ray[ORIGIN, axis])
+        below = abs(here.lo[axis] - ray[ORIGIN, axis])
+        extent += max(above, below)
+        length += abs(ray[DIRECTION, axis])
+    total = extent + min(length, extent)
+    return SWEEP_SLACK * total if MINUTE < total < HUGE else np.inf
+
+
+@inlined
+def comes_before(times, node_handles, slots, one, other):
+    if times[one] != times[other]:
+        return times[one] < times[other]
+    return node_handles[slots[one]] < node_handles[slots[other]]
+
+
+@inlined
+def first_candidate(world, node_handles, found, count, skip_inside):
+    """(which of `count` `Candidates` is touched first, NONE without any; whether that is sure)."""
+    slots, times, features = found
+    first = np.int64(NONE)
+    for j in range(count):
+        inside = features[LATE, j] == INSIDE
+        if features[EARLY, j] == INSIDE and not inside:
+            return np.int64(NONE), False
+        if skip_inside and inside:
+            continue
+        if first == NONE or comes_before(times[AT], node_handles, slots, j, first):
+            first = np.int64(j)
+    if first == NONE:
+        return first, True
+    slot, latest = slots[first], times[LATE, first]
+    for j in range(count):
+        other = slots[j]
+        if j == first:
+            if np.isinf(latest):
+                return first, False
+        elif features[LATE, j] == INSIDE and (skip_inside or features[LATE, first] == INSIDE):
+            # Tied at zero; but an obstacle may stand at two places, see slicing.py.
+            if not skip_inside and node_handles[other] == node_handles[slot]:
+                return first, False
+        elif times[EARLY, j] <= latest and (
+            is_plain_box(world.geometry, world.footprints, slot)
+            or is_plain_box(world.geometry, world.footprints, other)
+            or node_handles[other] == node_handles[slot]
+        ):
+            return first, False
+    return first, True
+
+
+# ---- all hits of one ray
+
+
+@lean_kernel
+def every_hit(world, segment, query, hits):
+    """Write all hits of a thin ray, segment = (origin, direction), to `Hits`, in no order; return
+    how many there are, which may be more than fit.
+    """
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
+    set_ray(scratch.ray, *segment)
+    return walk_tree(world, query, scratch, hits, np.int64(0), visit_every)
+
+
+@lean_kernel
+def touch_rows(world, segment, radius, hits, points, normals):
+    """Fill in where hits of a thin ray, or ball, meet their obstacles, and the normals there."""
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
+    set_ray(scratch.ray, *segment)
+    for j in range(hits.slots.shape[0]):
+        hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
+        touch(world, scratch, radius, hit, points[j], normals[j])
+
+
+def cast_every(
+    tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
+) -> Iterable[BoxHit]:
+    """All hits of a thin ray, nearest first, ties by handle; TooManyHitsError if there are more
+    than `most`.
+    """
+    world, count, room = world_of(tree, columns), 16, 0
+    segment = sweep.origin[: tree.ndim], sweep.direction[: tree.ndim]
+    query = Query(0.0, 0.0, 1.0, sweep.mask, sweep.skip_inside, True, False)
+    while count > room:
+        room = count
         hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
-        found = Found(offsets, hits, np.zeros((room, 3)), np.zeros((room, 3)))
-        total = call(cast_rays, world, rays, skip_inside, every, scratch, found)
-    hits = Hits(*(column[:total] for column in hits))
-    return Found(offsets, hits, found.points[:total], found.normals[:total])
+        count = call(every_hit, world, segment, query, hits)
+    require_few(count, most)
+    order = np.lexsort((columns.node_handle[hits.slots[:count]], hits.ts[:count]))
+    hits = Hits(*(column[order] for column in hits))
+    points, normals = np.zeros((count, 3)), np.zeros((count, 3))
+    call(touch_rows, world, segment, 0.0, hits, points, normals)
+    if tree.ndim == 2:
+        points[:, 2] = sweep.origin[2]
+    return zip(hits.slots.tolist(), hits.ts.tolist(), points, normals, strict=True)
