@@ -230,7 +230,7 @@ class Moments:
         held, skip, radii = self._held, given.skip_inside, given.radii
         radii, thick = (checks.NOTHING, False) if radii is None else (radii, True)
         count, times = len(given.origins), self._times(*when, len(given.origins))
-        if thick or given.to_goals or held.planar or held.columns.shaped:
+        if thick or given.to_goals or held.planar or held.columns.shaped or held.uncertainty:
             refuse_infinite(given)  # else a kernel looks
         directions = given.directions - given.origins if given.to_goals else given.directions
         rays = RayRows(given.origins, directions, given.t_max, given.masks)
