@@ -24,7 +24,9 @@ from bvh_ros.client.errors import BvhError
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Rays
 from bvh_ros.ros.qos import DEPTH
 
-JITTER = 1_000_000  # ns
+JITTER = 1_000_000  # ns, of a stamp near the clock
+TIME_JITTER = 1_000_000_000  # ns, of a stamp near the times of the rows: clients may share these
+LAST_STAMP = 2**31 * 10**9  # ns
 NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
@@ -86,13 +88,21 @@ class Channel:
             if other is answer:
                 self._waiting.pop(key, None)
 
-    def stamp(self) -> int:
-        """Now, or up to a millisecond ago: clients that ask in one tick of a simulated clock must
-        not take each other's answers for their own.
+    def forget_contact(self) -> None:
+        """Make sure of the node again before the next question: it did not answer the last one."""
+        self.has_answered = False
+
+    def stamp(self, near: int | None = None) -> int:
+        """A stamp (ns) that no other question has, just before `near`, or before now.
+
+        Answers bear the stamp of their question, so it is random: two clients that ask in one
+        tick of a simulated clock must tell their answers apart. Rows count seconds from it, as
+        doubles, so a stamp near their times keeps their nanoseconds.
         """
-        now = self._node.get_clock().now().nanoseconds
+        jitter = JITTER if near is None else TIME_JITTER
+        latest = self._node.get_clock().now().nanoseconds if near is None else near
         while True:
-            stamp = max(now, JITTER) - random.randrange(JITTER)
+            stamp = max(latest, jitter) - random.randrange(jitter)
             if divmod(stamp, 1_000_000_000) not in self._waiting:
                 return int(stamp)
 
@@ -194,6 +204,14 @@ def with_times(rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp:
         raise ValueError('t_max must end a ray that takes time')
     durations = np.where(takes > 0, takes / 1e9 * np.where(takes > 0, rays.t_max, 0.0), 0.0)
     return given._replace(durations=durations)
+
+
+def earliest(at: ArrayLike | None, count: int) -> int | None:
+    """Return the first of the times of `count` rows, ns; None where a stamp cannot be near it."""
+    if at is None or not count:
+        return None
+    first = int(times('at', at, count).min())
+    return first if 0 <= first < LAST_STAMP else None
 
 
 def since(at: ArrayLike, stamp: int, count: int) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import volumes
-from bvh_ros.client.batch import as_rays, since, with_times
+from bvh_ros.client.batch import as_rays, earliest, since, with_times
 from bvh_ros.client.channels import Channels
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
@@ -77,7 +77,7 @@ class BatchCalls:
             If the arrays do not fit together.
         """
         rays, stamp = self._timed(
-            as_rays(origins, directions, t_max, mask, radius), at, until, stamp
+            as_rays(origins, directions, t_max, mask, radius), at, until, frame_id, stamp
         )
         return self._ask('rays', ray_clouds.rays_cloud(rays), frame_id, stamp, timeout)
 
@@ -198,19 +198,30 @@ class BatchCalls:
         `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
         """
         rays, stamp = self._timed(
-            as_rays(origins, directions, t_max, mask, radius), at, until, stamp
+            as_rays(origins, directions, t_max, mask, radius), at, until, frame_id, stamp
         )
         cloud = ray_clouds.rays_cloud(rays)
         return self.channels.open('rays').ask(cloud, frame_id, stamp, self.node.executor)
 
     def _timed(
-        self, rays: Rays, at: ArrayLike | None, until: ArrayLike | None, stamp: int | None
+        self,
+        rays: Rays,
+        at: ArrayLike | None,
+        until: ArrayLike | None,
+        frame_id: str,
+        stamp: int | None,
     ) -> tuple[Rays, int | None]:
         """Rays with their times, and the stamp of their cloud, which these count from."""
         if at is None and until is None:
             return rays, stamp
-        stamp = self.channels.open('rays').stamp() if stamp is None else stamp
+        stamp = self._stamp('rays', at, len(rays.t_max), frame_id) if stamp is None else stamp
         return with_times(rays, at, until, stamp), stamp
+
+    def _stamp(self, what: str, at: ArrayLike | None, count: int, frame_id: str) -> int:
+        """The stamp of rows with times: near these, to keep their nanoseconds, but near the clock
+        in another frame, which is transformed at the stamp.
+        """
+        return self.channels.open(what).stamp(None if frame_id else earliest(at, count))
 
     def _at(
         self, what: str, asked: Points | Boxes, at: ArrayLike | None, frame_id: str
@@ -220,7 +231,7 @@ class BatchCalls:
         """
         if at is None:
             return volumes.cloud(asked), frame_id, None
-        stamp = self.channels.open(what).stamp()
+        stamp = self._stamp(what, at, len(asked.places), frame_id)
         given = asked._replace(since=since(at, stamp, len(asked.places)))
         return volumes.cloud(given), frame_id, stamp
 

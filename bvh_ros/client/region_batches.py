@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -12,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from bvh_ros.client import region_rows, volumes
 from bvh_ros.client.batch import as_rays
-from bvh_ros.client.errors import BvhError
+from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.client.layout import LEAVES, Layout
 from bvh_ros.client.merging import Nearest
 from bvh_ros.client.region_rows import Rows
-from bvh_ros.client.waiting import left, results
+from bvh_ros.client.waiting import Pending, left
 from bvh_ros.ros.conversions.query_clouds import Near, Touched
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
 
@@ -24,12 +25,17 @@ if TYPE_CHECKING:
     from bvh_ros.client.client import BvhClient
 
 NAMES_PATIENCE = 2.0  # seconds; names are told once a second
+SLICE = 0.05  # seconds that one node is waited for while others may answer
+SILENT = 5.0  # seconds for which a node that did not answer is remembered, ...
+PROBE = 0.3  # ... and meanwhile has this many seconds to answer
 
 
 class RegionBatches:
     """`raycast_many` and its kin, asked of several nodes."""
 
     clients: list[BvhClient]
+    silent: dict[int, float]
+    """By number of a node that did not answer: until when that is remembered."""
     names: Callable[..., dict[int, str]]
     ask: Callable[..., Any]
 
@@ -102,36 +108,87 @@ class RegionBatches:
 
         def work(layout: Layout, deadline: float) -> Any:
             rows, coverage = ask(layout), layout.coverage
-            told = Nearest(rows.answer, rows.bad, coverage)
+            nearest = Nearest(rows.answer, rows.bad, coverage)
             count = len(rows.bad)
-            done = np.zeros((count, len(self.clients)), np.bool_)
-            reach = np.zeros(count)
-            for _ in range(2):
-                told.unknown |= ~coverage.covers(rows.around(np.zeros(count)))
-                asked = coverage.asked(rows.around(reach)) & ~done
-                asked[told.unknown] = False
-                self._add(told, rows, asked, deadline)
-                done |= asked
-                reach = np.clip(told.distances, 0.0, rows.most)  # a depth reaches no farther
-            told.unknown |= ~coverage.covers(rows.around(reach))
-            if count and told.unknown.all():
-                raise BvhError(f'no row can be answered: NaN, or {LEAVES}')
-            if tied := told.tied():
-                told.settle(self.names(tied, timeout=min(left(deadline), NAMES_PATIENCE)))
-            return told.answer()
+            answered = np.zeros((count, len(self.clients)), np.bool_)
+            waiting = answered.copy()
+            questions: list[_Question] = []
+            failure: BvhError | None = None
+            nearest.unknown |= ~coverage.covers(rows.around(np.zeros(count)))
+            while True:
+                # At first the place where a row begins, then all that is as near as its answer.
+                found = np.clip(nearest.distances, 0.0, rows.most)  # a depth reaches no farther
+                reach = np.where(answered.any(axis=1), found, 0.0)
+                asked = coverage.asked(rows.around(reach)) & ~answered
+                asked[nearest.unknown | waiting.any(axis=1)] = False
+                waiting |= asked
+                for region in np.flatnonzero(asked.any(axis=0)).tolist():
+                    end = min(deadline, self._end_of_probe(region))
+                    some = np.flatnonzero(asked[:, region])
+                    questions.append(_Question(self.clients[region], region, rows, some, end))
+                if not questions:
+                    break
+                for question in [*questions]:
+                    if not question.is_over():
+                        continue
+                    questions.remove(question)
+                    waiting[question.some, question.region] = False
+                    answered[question.some, question.region] = True
+                    if question.failure is None:
+                        self.silent.pop(question.region, None)
+                        nearest.add(question.some, question.region, question.answer)
+                        continue
+                    nearest.unknown[question.some] = True
+                    failure = failure or question.failure
+                    if isinstance(question.failure, BvhTimeoutError):
+                        self.silent[question.region] = time.monotonic() + SILENT
+            nearest.unknown |= ~coverage.covers(rows.around(reach))
+            if count and nearest.unknown.all():
+                raise failure or BvhError(f'no row can be answered: NaN, or {LEAVES}')
+            if tied := nearest.tied():
+                nearest.settle(self.names(tied, timeout=min(left(deadline), NAMES_PATIENCE)))
+            return nearest.answer()
 
         return self.ask(work, timeout)
 
-    def _add(self, told: Nearest, rows: Rows, asked: NDArray[np.bool_], deadline: float) -> None:
-        """Ask regions about rows, (n, regions), all at once."""
-        regions = np.flatnonzero(asked.any(axis=0)).tolist()
-        some = [np.flatnonzero(asked[:, region]) for region in regions]
-        pending = []
-        for region, which in zip(regions, some, strict=True):
-            channels = self.clients[region].channels
-            stamp = channels.open(rows.topic).stamp()
-            message = rows.message(which, stamp)
-            pending.append(channels.begin(rows.topic, message, left(deadline), '', stamp))
-        answers = results(pending, deadline)
-        for region, which, answer in zip(regions, some, answers, strict=True):
-            told.add(which, region, answer)
+    def _end_of_probe(self, region: int) -> float:
+        """Until when a node is waited for: not long if it did not answer a moment ago."""
+        now = time.monotonic()
+        return now + PROBE if self.silent.get(region, 0.0) > now else np.inf
+
+
+class _Question:
+    """Some rows that one node is asked, once it is found, until a time of `time.monotonic`."""
+
+    def __init__(
+        self, client: BvhClient, region: int, rows: Rows, some: NDArray[np.int64], end: float
+    ) -> None:
+        self.region, self.some = region, some
+        self.answer: Any = None
+        self.failure: BvhError | None = None
+        self._channels, self._rows, self._end = client.channels, rows, end
+        self._pending: Pending | None = None
+
+    def is_over(self) -> bool:
+        """Whether there is an answer, or a failure, after waiting for a moment."""
+        rest = left(self._end)
+        try:
+            if self._pending is None:
+                channel = self._channels.open(self._rows.topic)
+                self._channels.until_answered(channel, min(rest, SLICE))
+                stamp = channel.stamp(self._rows.begin)
+                message = self._rows.message(self.some, stamp)
+                self._pending = self._channels.begin(self._rows.topic, message, rest, '', stamp)
+            if not self._pending.is_done(min(left(self._end), SLICE)):
+                raise BvhTimeoutError(f'no answer from {self._pending.whom}')
+            self.answer = self._pending.result(0.0)
+        except BvhTimeoutError as error:
+            if rest > 0.0:
+                return False
+            if self._pending is not None:
+                self._pending.forget()
+                self._channels.open(self._rows.topic).forget_contact()
+            self.failure = error
+        except BvhError as error:
+            self.failure = error
+        return True

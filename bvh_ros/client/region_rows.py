@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bvh_ros.client import volumes
-from bvh_ros.client.batch import since, times, with_times
+from bvh_ros.client.batch import earliest, since, times, with_times
 from bvh_ros.client.coverage import Box, Floats, grown, ways
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Question, Touched
@@ -31,6 +31,8 @@ class Rows(NamedTuple):
     """Bounds of all places that are as near as some distances (n,): who knows what touches them
     knows whether there is anything so near.
     """
+    begin: int | None
+    """ns: the earliest time of the rows; None: now."""
     message: Callable[[NDArray[np.int64], int], Any]
     """Asks some of the rows, in a message with this stamp, ns."""
 
@@ -49,7 +51,8 @@ def of_rays(rays: Rays, at: ArrayLike | None, until: ArrayLike | None) -> Rows:
         return ways(rays.origins, rays.directions, t, radii)
 
     timed(0)  # what are no times is refused at once
-    return Rows('rays', Hits, rays.fault()[0], rays.t_max, around, message)
+    begin = earliest(at, len(rays.t_max))
+    return Rows('rays', Hits, rays.fault()[0], rays.t_max, around, begin, message)
 
 
 def of_points(asked: Points, at: ArrayLike | None) -> Rows:
@@ -59,7 +62,8 @@ def of_points(asked: Points, at: ArrayLike | None) -> Rows:
         return grown((asked.places, asked.places), distances)
 
     bad = query_clouds.fault(asked, 0)[0]
-    return Rows('points', Near, bad, asked.reaches, around, _cloud_of(asked, at))
+    begin = earliest(at, len(asked.places))
+    return Rows('points', Near, bad, asked.reaches, around, begin, _cloud_of(asked, at))
 
 
 def of_boxes(asked: Boxes, at: ArrayLike | None) -> Rows:
@@ -70,7 +74,10 @@ def of_boxes(asked: Boxes, at: ArrayLike | None) -> Rows:
         half = np.where((asked.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
         box = grown(grown((asked.places, asked.places), half), asked.tolerances)
     bad = query_clouds.fault(asked, 0)[0]
-    return Rows('boxes', Touched, bad, np.zeros(count), lambda _: box, _cloud_of(asked, at))
+    return Rows(
+        *('boxes', Touched, bad, np.zeros(count), lambda _: box),
+        *(earliest(at, count), _cloud_of(asked, at)),
+    )
 
 
 def of_poses(
@@ -88,7 +95,7 @@ def of_poses(
     def message(some: NDArray[np.int64], _: int) -> Any:
         return volumes.path(places[some], turns[some], None if when is None else when[some])
 
-    return Rows('paths', Near, bad, np.full(len(places), np.inf), around, message)
+    return Rows('paths', Near, bad, np.full(len(places), np.inf), around, None, message)
 
 
 def _cloud_of(asked: Question, at: ArrayLike | None) -> Callable[[NDArray[np.int64], int], Any]:

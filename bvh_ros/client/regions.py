@@ -50,6 +50,7 @@ class RegionClient(RegionBatches):
         self.node = node
         self.timeout = timeout
         self.clients = [client.BvhClient(node, name, timeout=timeout) for name in names]
+        self.silent = {}
         self._layout: Layout | None = None
 
     def wait_until_ready(self, timeout: float = 60.0) -> None:

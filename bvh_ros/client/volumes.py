@@ -12,12 +12,11 @@ from nav_msgs.msg import Path
 from numpy.typing import ArrayLike, NDArray
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.client.batch import as_rows, column, times
+from bvh_ros.client.batch import LAST_STAMP, as_rows, column, times
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Points
 
 REAL = np.dtype(np.float64)
-LAST_STAMP = 2**31 * 10**9  # ns
 
 
 def points(places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike) -> Points:

@@ -131,14 +131,18 @@ class Pending:
     ) -> None:
         self._waiting = waiting
         self._answer = answer
-        self._whom = whom
+        self.whom = whom
         self._forget = forget
+
+    def is_done(self, timeout: float) -> bool:
+        """Return whether the answer came within `timeout` seconds; BvhError if it never can."""
+        return self._waiting.until_done(self._answer, timeout)
 
     def result(self, timeout: float) -> Any:
         """Wait for the answer; BvhTimeoutError if it does not come within `timeout` seconds."""
         try:
-            if not self._waiting.until_done(self._answer, timeout):
-                raise BvhTimeoutError(f'{self._whom} did not answer within {timeout:g} s')
+            if not self.is_done(timeout):
+                raise BvhTimeoutError(f'{self.whom} did not answer within {timeout:g} s')
             return self._answer.result()
         finally:
             self.forget()

@@ -250,8 +250,36 @@ def test_what_nobody_knows_is_not_free(nodes):
         missing.raycast((0, 0, 0), (1, 1, 0))
     hasty = BvhClient(whole.node, names, timeout=60.0)
     hasty.regions()
+    # A row in each region, and one in two of them: those of the node that is killed are unknown.
+    rays = (
+        np.array([[-9, -9, 0], [9, -9, 0], [-9, 9, 0], [9, 9, 0], [-9, 1, 0]]),
+        np.eye(3)[[2] * 4 + [0]],
+    )
+    boxes = rays[0] + 0.5, [1.0, 1.0, 1.0]
+    alive = (
+        hasty.raycast_many(*rays, 18.0),
+        hasty.overlap_many(*boxes),
+        hasty.nearest_many(rays[0], 1.0),
+    )
+    assert all((told.obstacles != UNANSWERED).all() for told in alive)
     parts[3].process.kill()
     parts[3].process.wait()
+    for turn in range(2):
+        began = time.monotonic()
+        told = (
+            hasty.raycast_many(*rays, 18.0, timeout=3.0),
+            hasty.overlap_many(*boxes, timeout=3.0),
+            hasty.nearest_many(rays[0], 1.0, timeout=3.0),
+        )
+        # The first waits until it times out; the others remember that the node is silent.
+        assert time.monotonic() - began < (6.0 if turn == 0 else 3.0)
+        for answer, before in zip(told, alive, strict=True):
+            assert answer.obstacles[:3].tolist() == before.obstacles[:3].tolist()
+            assert answer.obstacles[3] == UNANSWERED
+            assert answer.obstacles[4] in (UNANSWERED, before.obstacles[4])
+        assert np.isnan(told[0].t[3])
+    with pytest.raises(BvhTimeoutError):  # no row at all can be answered
+        hasty.raycast_many(rays[0][3:4], rays[1][3:4], 18.0, timeout=1.0)
     with pytest.raises(BvhTimeoutError):
         hasty.raycast((1, 1, 0), (2, 2, 0), timeout=2.0)
     with pytest.raises(BvhTimeoutError):

@@ -426,3 +426,19 @@ def test_a_clock_that_is_set_back(start_node):
     tell(world, [[1, 0, 0, 0, 4, 0, 0]], 10 * SECOND)
     assert ask(world, 'raycast', *way, at=11 * SECOND)[0].pose.position.x == pytest.approx(3.5)
     world.node.destroy_publisher(clock)
+
+
+def test_a_client_asks_old_data_to_the_nanosecond(clean):
+    from bvh_ros.client import BvhClient
+    from bvh_ros.scene import Scene, Shapes
+
+    then = time.time_ns() - 25 * 365 * 86_400 * SECOND  # 25 years before the client's clock
+    speed, rays = [1.3, 0.0, 0.0], ([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 100.0)
+    tell(clean, [[0, 5, 0, 0, *speed]], then)
+    scene, client = Scene(), BvhClient(clean.node, clean.name, timeout=60.0)
+    scene.update('tracks', ['0'], Shapes.boxes([[5, 0, 0]], [1, 1, 1]), then, velocities=[speed])
+    for later in (0, 123_456_789, 876_543_211):
+        hits, wanted = (
+            ask(*rays, at=then + later) for ask in (client.raycast_many, scene.raycast_many)
+        )
+        assert hits.t.tolist() == wanted.t.tolist()
