@@ -10,14 +10,14 @@ import os
 import sys
 from collections import Counter
 
-from bvh_ros.report.speed import entries
+from bvh_ros.report import compiled_kernels
 
 MOST = 39  # kernels that Python calls
 TWICE = {'scene.distance.touching.touching'}  # for boxes alone, and for all shapes
 
 
 def main() -> int:
-    found = entries.measure()
+    found = compiled_kernels.measure()
     for entry in found:
         print(f'{entry.seconds:7.2f} s  (LLVM {entry.llvm:5.2f})  {entry.name}')
     total = sum(entry.seconds for entry in found)

@@ -11,9 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from . import error, features, intake, peers, planner, soak, speed, stability
-from .page import Page
-from .progress import bar, say
+from . import error, features, peers, planner, soak, speed, stability
+from .page import Page, bar, say
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
 # A part is a module with an INTRODUCTION and SECTIONS: by name, functions of the page and of
@@ -51,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _sections(options: argparse.Namespace) -> list[Section]:
     if options.part == 'soak':
         return [Section('soak', lambda page, _brief: soak.run(page, options.minutes))]
-    chosen = {'intake': intake, **PARTS}
+    chosen = PARTS
     names = list(PARTS) if options.part == 'all' else [options.part]
     found = []
     for name in names:
@@ -68,14 +67,13 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
     parser.add_argument(
         'part',
-        choices=[*PARTS, 'all', 'intake', 'soak'],
+        choices=[*PARTS, 'all', 'soak'],
         help='error: how wrong each way of answering is, against its time; '
         'features: what each part costs when it is on, and when it is off; '
         'peers: other libraries on the same work; '
         'planner: batches of swept balls, turned boxes, points and distances; '
         'speed: growth, calls, policies, searches, cold start; '
         'stability: extreme and stiff cases; exits with 1 if one fails; '
-        'intake: from a published message to the first answer, over ROS 2; '
         'soak: a node under load over ROS 2, exits with 1 if an answer is wrong or memory grows',
     )
     parser.add_argument(

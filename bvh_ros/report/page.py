@@ -1,14 +1,108 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page that a run of the report writes, section by section."""
+"""The page that a report writes: text, tables and plots, under a progress bar."""
 
+import csv
 import os
 import platform
-from collections.abc import Callable, Iterable
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-from .tables import Table
+# ---- A table, as text for the terminal, as Markdown for the page and as CSV for other programs.
+
+
+Cell = str | int | float | None
+
+
+class Table(NamedTuple):
+    """Rows under a header; None is an empty cell."""
+
+    name: str
+    """Name of the CSV file, and of the table on the page."""
+    header: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+
+    def write_csv(self, folder: Path) -> None:
+        """Write `<name>.csv` with all digits."""
+        with open(folder / f'{self.name}.csv', 'w', newline='', encoding='utf-8') as file:
+            writer = csv.writer(file)
+            writer.writerow(self.header)
+            writer.writerows(self.rows)
+
+    def markdown(self) -> str:
+        """Return the table in Markdown, its columns padded so that it can be read as text, too."""
+        body = [[show(cell) for cell in row] for row in self.rows]
+        widths = [max(map(len, column)) for column in zip(self.header, *body, strict=True)]
+        numeric = [all(_is_number(row[k]) for row in self.rows) for k in range(len(self.header))]
+        rule = [
+            ('-' * (w - 1) + ':') if n else '-' * w for w, n in zip(widths, numeric, strict=True)
+        ]
+        padded = [_pad(line, widths, numeric) for line in (self.header, *body)]
+        return '\n'.join(map(_bar, (padded[0], rule, *padded[1:])))
+
+
+def show(cell: Cell) -> str:
+    """Text of a cell: three significant digits, thousands grouped."""
+    if cell is None:
+        return ''
+    if isinstance(cell, float) and abs(cell) >= 1e7:
+        return f'{cell:.3g}'
+    if isinstance(cell, float):
+        return f'{cell:,.0f}' if abs(cell) >= 100 else f'{cell:.3g}'
+    return f'{cell:,}' if isinstance(cell, int) else cell
+
+
+def _is_number(cell: Cell) -> bool:
+    return cell is None or not isinstance(cell, str)
+
+
+def _pad(line: Iterable[str], widths: list[int], numeric: list[bool]) -> list[str]:
+    return [
+        text.rjust(width) if right else text.ljust(width)
+        for text, width, right in zip(line, widths, numeric, strict=True)
+    ]
+
+
+def _bar(cells: Iterable[str]) -> str:
+    return '| ' + ' | '.join(cells) + ' |'
+
+
+# ---- The progress bar: on a terminal as it goes, elsewhere a line a minute at most.
+
+
+Item = TypeVar('Item')
+
+
+def bar(items: Sequence[Item], name: Callable[[Item], str]) -> Iterator[Item]:
+    """Go through the items under a bar that says what is being done; silent without tqdm."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        yield from items
+        return
+    interval = 0.1 if sys.stderr.isatty() else 60.0
+    with tqdm(total=len(items), mininterval=interval, dynamic_ncols=True, leave=False) as shown:
+        for item in items:
+            shown.set_description(name(item), refresh=sys.stderr.isatty())
+            yield item
+            shown.update()
+
+
+def say(text: str) -> None:
+    """Print above the bar."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        print(text)
+    else:
+        tqdm.write(text)
+
+
+# ---- The page that a run of the report writes, section by section.
+
 
 LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'scipy')
 

@@ -12,12 +12,10 @@ from scipy.optimize import lsq_linear
 from ..scene import Scene, Shapes
 from ..scene.cast import exact_ball
 from ..scene.geometry.shapes import rotations, unit_quaternions
-from .batches import many_times
-from .libraries.fcl import Coal, Fcl, centers
-from .page import Page
-from .peers import one_processor
+from .libraries import Coal, Fcl, centers
+from .page import Cell, Page, Table
+from .peers import many_times, one_processor
 from .scenes import Boxes, Floats, spread, uniform_boxes
-from .tables import Cell, Table
 from .timing import Job, interleaved
 
 BOXES, ROWS, REPEATS = 10_000, (1, 100, 10_000), 7

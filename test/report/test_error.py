@@ -10,13 +10,11 @@ import pytest
 from tree.reference import exact_hits
 
 from bvh_ros import DynamicBVH
-from bvh_ros.report.error import plain, recordings
-from bvh_ros.report.error.box_scenes import corner_rays
-from bvh_ros.report.error.picture import front
-from bvh_ros.report.error.scoring import Answer, score
+from bvh_ros.report.error import plain, worlds
 from bvh_ros.report.error.traffic import Observer, moments_of, traffic_truth, world_at
-from bvh_ros.report.error.truth import NOTHING, boxes_truth, shapes_truth
-from bvh_ros.report.error.ways import rounded_answer, tree_answer
+from bvh_ros.report.error.truth import NOTHING, Answer, boxes_truth, score, shapes_truth
+from bvh_ros.report.error.ways import front, rounded_answer, tree_answer
+from bvh_ros.report.error.worlds import corner_rays
 from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -125,7 +123,7 @@ def test_front(points, expected):
 @pytest.mark.slow
 def test_a_world_that_is_refreshed_at_once_is_right(shared_data):
     path = shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
-    traffic = recordings.tracks(path)
+    traffic = worlds.tracks(path)
     assert len(traffic) == 22
     moments = moments_of(traffic, 0.2, np.random.default_rng(1))
     truth = traffic_truth(traffic, moments)
@@ -136,7 +134,7 @@ def test_a_world_that_is_refreshed_at_once_is_right(shared_data):
 
 def test_vehicles_are_between_their_frames(shared_data):
     path = shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
-    traffic = recordings.tracks(path)
+    traffic = worlds.tracks(path)
     world = world_at(traffic, 0.25)
     for number, place in zip(world.ids.tolist(), world.shapes.position, strict=True):
         track = traffic[number]

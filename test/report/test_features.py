@@ -4,8 +4,8 @@
 
 import pytest
 
-from bvh_ros.report.features.parts import random_field
-from bvh_ros.report.features.running import Job, run_apart
+from bvh_ros.report.features import Configuration as Job
+from bvh_ros.report.features import random_field, run_apart
 from bvh_ros.scene import ShapeKind
 
 BOXES = 200

@@ -15,9 +15,8 @@ pytest.importorskip('matplotlib')
 from rclpy.serialization import deserialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.report.soak import asking, publisher
-from bvh_ros.report.soak.asking import Found
-from bvh_ros.report.soak.scene import BOXES, HALF, scene_at
+from bvh_ros.report import soak_world
+from bvh_ros.report.soak_world import BOXES, HALF, Found, scene_at
 from bvh_ros.scene import Scene, ShapeKind, Shapes
 
 MINUTES = 1.0 if os.environ.get('BVH_ROS_LONG_TESTS') else 0.25  # `bvh_report soak` lasts 30
@@ -30,7 +29,7 @@ def turns(scene):
 
 
 def test_a_published_frame_is_that_of_the_scene():
-    message = deserialize_message(publisher.Frames().message(FRAME), MarkerArray)
+    message = deserialize_message(soak_world.Frames().message(FRAME), MarkerArray)
     scene, turn = scene_at(FRAME), turns(scene_at(FRAME))
     assert sorted(marker.id for marker in message.markers) == list(range(BOXES))
     for marker in message.markers:
@@ -104,7 +103,7 @@ def test_right_answers_pass_and_wrong_ones_do_not(told, kind):
         else:
             answer = found(told.overlap(start, start, tolerance=4.0))
             given = {'centre': start, 'radius': 4.0}
-        fault = getattr(asking, f'{kind}_fault')
+        fault = getattr(soak_world, f'{kind}_fault')
         assert fault(scene, answer, **given) == ''
         if len(answer.boxes) > 1:
             several += 1
@@ -121,13 +120,14 @@ def test_the_first_hit(told):
         start, goal = rng.uniform(0, 40, (2, 3))
         given = {'start': start, 'goal': goal, 'first': True}
         hits = told.raycast_all(start, goal)
-        assert asking.ray_fault(scene, found(hits[:1]), **given) == ''
+        assert soak_world.ray_fault(scene, found(hits[:1]), **given) == ''
         if len(hits) > 1:
             several += 1
             assert (
-                asking.ray_fault(scene, found(hits[1:2]), **given) == 'something else comes first'
+                soak_world.ray_fault(scene, found(hits[1:2]), **given)
+                == 'something else comes first'
             )
-            assert asking.ray_fault(scene, found([]), **given).startswith('free')
+            assert soak_world.ray_fault(scene, found([]), **given).startswith('free')
     assert several > 20
 
 

@@ -10,8 +10,7 @@ import pytest
 
 from bvh_ros import DynamicBVH
 from bvh_ros.report import cli, stability
-from bvh_ros.report.stability import rays
-from bvh_ros.report.stability.case import LARGEST, Case, rounded, within_2_ulp
+from bvh_ros.report.stability import LARGEST, Case, rounded, within_2_ulp
 
 
 @pytest.mark.parametrize(
@@ -38,14 +37,14 @@ def test_rounding_beyond_the_doubles():
     assert rounded(Fraction(1, 3)) == 1 / 3
 
 
-@pytest.mark.parametrize('case', rays.ray_cases(), ids=lambda case: case.name)
+@pytest.mark.parametrize('case', stability.ray_cases(), ids=lambda case: case.name)
 def test_rays(case):
     assert case.passed, case
 
 
 def test_a_wrong_answer_fails(monkeypatch):
     monkeypatch.setattr(DynamicBVH, 'raycast', lambda *_, **__: None)
-    assert not all(case.passed for case in rays.ray_cases())
+    assert not all(case.passed for case in stability.ray_cases())
 
 
 def test_a_wrong_distance_fails(monkeypatch):
@@ -56,7 +55,7 @@ def test_a_wrong_distance_fails(monkeypatch):
         return hits._replace(t=hits.t * (1 + 1e-15))
 
     monkeypatch.setattr(DynamicBVH, 'raycast_many', off)
-    assert not all(case.passed for case in rays.ray_cases())
+    assert not all(case.passed for case in stability.ray_cases())
 
 
 @pytest.mark.parametrize('passed', [True, False])

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 from scene.distance.widest_gap import widest_gap
 
-from bvh_ros.report.error import recordings
+from bvh_ros.report.error import worlds
 from bvh_ros.report.error.pairs import fcl_objects
-from bvh_ros.report.error.scoring import score
-from bvh_ros.report.error.shape_scenes import rays_round, scene_answer, scene_of
-from bvh_ros.report.error.truth import NOTHING, shapes_truth
+from bvh_ros.report.error.truth import NOTHING, score, shapes_truth
+from bvh_ros.report.error.worlds import rays_round, scene_answer, scene_of
 
 RAYS = 10_000 if os.environ.get('BVH_ROS_LONG_TESTS') == '1' else 200
 GRAZED = 1e-11  # m: rounding over the slope of the surface that a ray enters
@@ -27,7 +26,7 @@ FLUSH = 1e-9  # m: boards that are to share a face, in numbers of few digits
 
 @pytest.fixture(scope='module')
 def recorded(shared_data):
-    scenes = recordings.shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
+    scenes = worlds.shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
     assert len(scenes) == 17
     return scenes
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`bvh_report error`: how wrong each way of answering is, against how long it takes."""
 
-from . import box_scenes, pairs, shape_scenes, traffic
+from . import pairs, traffic, worlds
 
 INTRODUCTION = """## Error against run time
 
@@ -12,11 +12,11 @@ object is met, but not the first; of objects entered at exactly the same distanc
 The ways take turns, each after an untimed run; medians. In the pictures the front joins what no
 cheaper way betters by more than a tenth."""
 SECTIONS = {
-    'random boxes': box_scenes.random_scene,
-    'adversarial rays': box_scenes.adversarial_scene,
-    'building': box_scenes.building_scene,
-    'random shapes': shape_scenes.random_shapes,
-    'shelves': shape_scenes.shelves,
+    'random boxes': worlds.random_scene,
+    'adversarial rays': worlds.adversarial_scene,
+    'building': worlds.building_scene,
+    'random shapes': worlds.random_shapes,
+    'shelves': worlds.shelves,
     'traffic': traffic.stale_traffic,
     'pairs': pairs.against_fcl,
 }

@@ -15,11 +15,9 @@ from ...scene import NO_NODE, Numbered, Scene, Shapes
 from ...scene.tracking import Tracks
 from ..page import Page
 from ..scenes import Rays
-from .recordings import Track, tracks
-from .scoring import Answer
-from .shape_scenes import joined_truth
-from .truth import NOTHING, Rows, Truth, shapes_truth
+from .truth import NOTHING, Answer, Rows, Truth, shapes_truth
 from .ways import MEAN, WRONG, Way, compare, show
+from .worlds import Track, joined_truth, tracks
 
 RATES = (1, 2, 5, 10, 20)  # Hz
 MOMENTS_PER_SECOND, RAYS_PER_MOMENT = 25, 40

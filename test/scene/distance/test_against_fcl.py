@@ -13,8 +13,7 @@ import pytest
 from scene.distance.widest_gap import widest_gap
 from scene.reference import random_shapes
 
-from bvh_ros.report.error.contacts import contacts
-from bvh_ros.report.error.pairs import fcl_objects
+from bvh_ros.report.error.pairs import contacts, fcl_objects
 from bvh_ros.scene.distance.narrow_phase import near_pairs
 from bvh_ros.scene.geometry.canonical import canonicalise
 from bvh_ros.scene.geometry.shapes import as_shapes

@@ -1,18 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a soak has seen, and its verdict."""
+"""`bvh_report soak`: a node under load; every answer is checked, memory is watched."""
 
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..page import Page
-from ..tables import Cell, Table
-from ..timing import memory
+from .page import Cell, Page, Table, bar
+from .timing import memory
 
 if TYPE_CHECKING:
-    from .asking import Answer
+    from rclpy.node import Node
+
+    from .soak_world import Answer
+
+# ---- What a soak has seen, and its verdict.
+
 
 FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
 WARM_UP = 0.5  # of the run: what is allocated once is not growth
@@ -102,3 +110,47 @@ class Record:
         leak = growth * minutes[-1] / 60.0 > FLAT * settled
         page.add(f'**{len(self.faults)} wrong answers; memory {"grows" if leak else "is flat"}.**')
         return len(self.faults) + leak
+
+
+ASKED = 100.0  # questions a second
+STEP = 5.0  # seconds between two moves of the progress bar
+
+
+def run(page: Page, minutes: float) -> int:
+    """Soak; returns how many answers were wrong, and one more if memory grew."""
+    from ..ros import running
+
+    with (
+        (page.folder / 'soak_node.log').open('wb') as log,
+        running.served('soak', log=log) as (client, process),
+    ):
+        record = Record(process.pid)
+        with publishing(client.node.get_namespace()):
+            ask_on(client.node, record, max(1, int(60.0 * minutes / STEP)))
+    return record.write(page)
+
+
+def ask_on(node: 'Node', record: Record, steps: int) -> None:
+    """Ask at an even pace."""
+    from .soak_world import Asker
+
+    asker = Asker(node, record.hear)
+    began = now = time.monotonic()
+    for step in bar(range(1, steps + 1), lambda _: record.in_short()):
+        while now < began + step * STEP:
+            record.add(asker.ask(), now)
+            time.sleep(max(0.0, now + 1.0 / ASKED - time.monotonic()))
+            now = time.monotonic()
+
+
+@contextmanager
+def publishing(namespace: str) -> Iterator[None]:
+    """Publish the soak's world in a process of its own."""
+    from .soak_world import __name__ as module
+
+    process = subprocess.Popen([sys.executable, '-m', module, namespace], start_new_session=True)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()

@@ -1,11 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node without configuration compiles, kernel by kernel, and how long that takes.
-
-`main`, in a process with an empty cache, compiles it, and prints a line of JSON for each signature
-of a kernel that Python calls. What such a kernel calls is compiled as part of it, unless that came
-before.
-"""
+"""Timing: jobs take turns and the median counts, so that what else the machine does hits all."""
 
 import gc
 import json
@@ -15,10 +10,10 @@ import sys
 from functools import partial
 from typing import NamedTuple
 
-from ...ros.cdr import marker_array
-from ...ros.compile_jobs import Job, Needs, jobs
-from ...ros.sources import SOURCE_TYPES
-from ...tree.compiler.kernel_parts import Kernel
+from ..ros.cdr import marker_array
+from ..ros.compile_jobs import Job, Needs, jobs
+from ..ros.sources import SOURCE_TYPES
+from ..tree.compiler.kernel_parts import Kernel
 
 
 class Entry(NamedTuple):

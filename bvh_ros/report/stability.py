@@ -1,0 +1,548 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`bvh_report stability`: extreme and stiff cases, each with its verdict."""
+
+import math
+import pickle
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .. import DynamicBVH
+from .error.truth import bits_below_the_point, brute_force, enter_slabs, whole
+from .page import Page, Table
+from .scenes import Boxes, Floats, Rays
+
+# ---- One row of the table of stability: what was asked, what is right, and what was answered.
+
+
+LARGEST = 1.7976931348623157e308
+NOT_ASKED = '-'
+
+HEADER = ('case', 'input', 'expected', 'got', 'verdict', 'float64 slab')
+
+
+class Case(NamedTuple):
+    """A case and its verdict."""
+
+    name: str
+    asked: str
+    expected: str
+    """By exact arithmetic, or the bound that is promised."""
+    got: str
+    passed: bool
+    slab: str = NOT_ASKED
+    """What the usual float64 slab test says."""
+
+    def cells(self) -> list[str]:
+        """The row under `HEADER`."""
+        verdict = 'PASS' if self.passed else 'FAIL'
+        return [self.name, self.asked, self.expected, self.got, verdict, self.slab]
+
+
+def rounded(exact: Fraction) -> float:
+    """The nearest double; inf where the largest is exceeded."""
+    try:
+        return float(exact)
+    except OverflowError:
+        return math.inf
+
+
+def within_2_ulp(t: float, exact: Fraction) -> bool:
+    """Whether a distance is as near to the exact one as the tree promises."""
+    nearest = rounded(exact)
+    if math.isinf(t) or math.isinf(nearest):
+        return max(t, nearest) == math.inf and min(t, nearest) >= math.nextafter(LARGEST, 0.0)
+    slack = 1e-323 if nearest < 2.3e-308 else 2 * math.ulp(nearest)
+    return abs(Fraction(t) - exact) <= Fraction(slack)
+
+
+# ---- Rays at one box, that may move: in the plane of a face, through corners, with zeros, and
+# at the ends of the range of doubles.
+
+
+Vector = Sequence[float]
+TINIEST = 5e-324
+COPIES = 64  # of a ray, so that a batch goes through the wide snapshot
+UNIT = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+class Motion(NamedTuple):
+    """How a box moves, and when the ray starts."""
+
+    velocity: Vector
+    at: float = 0.0
+    pace: float = 1.0
+    reference: float = 0.0
+
+
+class Question(NamedTuple):
+    """One box and one ray."""
+
+    name: str
+    lo: Vector
+    hi: Vector
+    origin: Vector
+    direction: Vector
+    t_max: float = math.inf
+    motion: Motion | None = None
+
+
+THIRD, SOON = 1 / 3, math.nextafter(1.5, 0.0)
+TENTHS, MOST = ((0.1,) * 3, (0.3,) * 3), (LARGEST,) * 3
+ALONG, TOWARDS, SLOWLY = Motion((3, 0, 0)), Motion((-1, 0, 0)), Motion((1e-9, 0, 0))
+UP, BACK, LONG_AGO = Motion((0, 0, 0.1)), Motion((-0.1, 0, 0)), Motion((3, 0, 0), 1.6e9)
+QUESTIONS = (
+    Question('ray in the plane of a face', *UNIT, (-1, 0.5, 1), (1, 0, 0)),
+    Question('ray in the plane of two faces: along an edge', *UNIT, (-1, 1, 1), (1, 0, 0)),
+    Question('along an edge, zeros of either sign', *UNIT, (-1, 1, 0), (1, -0.0, 0.0)),
+    Question('box at signed zeros', (-1, -0.0, 0.0), (1, 0.0, -0.0), (-3, 0, -0.0), (1, -0.0, 0)),
+    Question('in a plane one ulp beside the face', *UNIT, (-1, 0.5, 1 + 2**-52), (1, 0, 0)),
+    Question('through a corner only', *UNIT, (-1, 0, 2), (1, 1, -1)),
+    Question('through an edge only', *UNIT, (-3, 3, 0.5), (1, -0.5, 0.0)),
+    Question('diagonal of thirds', *UNIT, (-1, -1, -1), (THIRD, THIRD, THIRD)),
+    Question('corner of tenths, from tenths', *TENTHS, (-0.2, 0.6, 0.0), (0.1, -0.1, 0.1)),
+    Question('corner of tenths, barely missed', (0.1,) * 3, (0.7,) * 3, (0, 0.8, 0.1), (1, -1, 0)),
+    Question('starts in a corner and leaves', *UNIT, (1, 1, 1), (1, 1, 1)),
+    Question('starts on a face and goes along', *UNIT, (0.5, 1, 0.5), (1, 0, 0)),
+    Question('flat box, seen from the side', (0, 0, 1), (1, 1, 1), (-1, 0.5, 1), (1, 0, 0)),
+    Question('flat box, met from above', (0, 0, 1), (1, 1, 1), (0.5, 0.5, 3), (0, 0, -1)),
+    Question('point', (1, 2, 3), (1, 2, 3), (0, 0, 0), (1, 2, 3)),
+    Question('point of thirds', (THIRD, 2 / 3, 1), (THIRD, 2 / 3, 1), (0, 0, 0), (1, 2, 3)),
+    Question('zero direction inside', *UNIT, (0.5, 1, 0), (0, 0, 0)),
+    Question('zero direction outside', *UNIT, (0.5, 1 + 2**-52, 0), (0, 0, -0.0)),
+    Question('t_max is the entry', *UNIT, (-0.3, 0.5, 0.5), (0.1, 0, 0), math.nextafter(3, 0)),
+    Question('t_max is the entry, exactly', *UNIT, (-3, 0.5, 0.5), (1, 0, 0), 3.0),
+    Question('t_max one ulp below', *UNIT, (-3, 0.5, 0.5), (1, 0, 0), math.nextafter(3, 0)),
+    Question('t_max rounds to the entry', *UNIT, (-1, 0.5, 0.5), (3, 0, 0), THIRD),
+    Question('t_max zero, on the face', *UNIT, (0, 0.5, 0.5), (1, 0, 0), 0.0),
+    Question('tiny direction', *UNIT, (-1, 0.5, 0.5), (TINIEST, 0, 0)),
+    Question('tiny direction, t beyond doubles', *UNIT, (-1e9, 0.5, 0.5), (TINIEST, 0, 0)),
+    Question('huge direction', *UNIT, (-1, 0.5, 0.5), (LARGEST, 0, 0)),
+    Question('huge and tiny components', *UNIT, (-1, 0.5, 0.5), (LARGEST, TINIEST, -TINIEST)),
+    Question('smallest box', (0,) * 3, (TINIEST,) * 3, (-TINIEST,) * 3, (TINIEST,) * 3),
+    Question('smallest box, unit direction', (0,) * 3, (TINIEST,) * 3, (-1, 0, 0), (1, 0, 0)),
+    Question('largest box, from its corner', (-LARGEST,) * 3, MOST, MOST, UNIT[1]),
+    Question('across the whole range', MOST, MOST, (-LARGEST,) * 3, UNIT[1]),
+    Question('far origin: 1e30 box edges away', *UNIT, (-1e30, 0.5, 0.5), (1, 0, 0)),
+    Question('far origin, barely beside', *UNIT, (-1e30, -1e30, 0.5), (1, 1 + 2**-52, 0)),
+    Question('moves with the ray, touches', *UNIT, (-0.0, 0.5, 1), (3, 0, 0), 9.0, ALONG),
+    Question('moves with it, an ulp beside', *UNIT, (-TINIEST, 0.5, 1), (3, 0, 0), 9, ALONG),
+    Question('parallel, 1e-9 m/s apart', *UNIT, (-1, 0.5, 1), (3 + 1e-9, 0, 0), 1e12, ALONG),
+    Question('grazes a corner that moves', *UNIT, (-1, 0, 2), (1, 1, -1), 9, Motion((0, 0, 0.5))),
+    Question('corner of tenths that moves', *TENTHS, (-0.2, -0.6, -0.2), (0.1, 0.3, 0.2), 9, UP),
+    Question('barely missed, moving', *TENTHS, (-0.1, 0.5, -0.3), (0.1, -0.1, 0.3), 9, BACK),
+    Question('contact at the end', (3, 0, 0), (4, 1, 1), (0, 1, 0), (1, 0, 0), 1.5, TOWARDS),
+    Question('contact an ulp after it', (3, 0, 0), (4, 1, 1), (0, 1, 0), (1, 0, 0), SOON, TOWARDS),
+    Question('1e4 m/s, met by who stands', *UNIT, (1e4, 1, 0), (0, 0, 0), 1, Motion((1e4, 0, 0))),
+    Question('1e-9 m/s, met by who stands', *UNIT, (2, 1, 0), (0, 0, 0), 1e10, SLOWLY),
+    Question('fifty years later', *UNIT, (4.8e9 + 99, 1, 1), (-9, 0, 0), 9, LONG_AGO),
+)
+
+
+def ray_cases() -> list[Case]:
+    """Ask every question one by one, in a batch, and whether anything is met at all."""
+    return [_ask(question) for question in QUESTIONS]
+
+
+def exact_entry(
+    lo: Vector, hi: Vector, origin: Vector, direction: Vector, motion: Motion | None = None
+) -> Fraction | None:
+    """Where a ray enters a closed box, in whole numbers."""
+    velocity, *times = motion or Motion((0.0,) * len(lo))
+    rows = [[float(x) for x in row] for row in (lo, hi, origin, direction, velocity, times)]
+    bits = bits_below_the_point(x for row in rows for x in row)
+    low, high, start, way, speed, (at, pace, reference) = (whole(row, bits) for row in rows)
+    gone = [v * (at - reference) for v in speed]
+    near = [((plane - o) << bits) + g for plane, o, g in zip(low, start, gone, strict=True)]
+    far = [((plane - o) << bits) + g for plane, o, g in zip(high, start, gone, strict=True)]
+    rates = [(d << bits) - v * pace for d, v in zip(way, speed, strict=True)]
+    return enter_slabs(near, far, rates)
+
+
+def _ask(question: Question) -> Case:
+    lo, hi, t_max = question.lo, question.hi, question.t_max
+    origin, direction = question.origin, question.direction
+    motion = question.motion
+    exact = exact_entry(lo, hi, origin, direction, motion)
+    if exact is not None and not math.isinf(t_max) and exact > Fraction(t_max):
+        exact = None
+    tree = DynamicBVH()
+    box, when = tree.insert(lo, hi), dict[str, Any]()
+    if motion:
+        tree.set_velocities([box], [motion.velocity], motion.reference)
+        when = {'at': motion.at, 'pace': motion.pace}
+    for corner in (lo, hi):  # a box beside it, so that there is a wide snapshot
+        tree.insert(corner, corner, mask=2)
+    hit = tree.raycast(origin, direction, t_max, mask=1, **when)
+    rays = np.tile(origin, (COPIES, 1)), np.tile(direction, (COPIES, 1))
+    batch = tree.raycast_many(*rays, t_max, mask=1, **when)
+    answers = {hit.t if hit else None}
+    answers |= {t if i >= 0 else None for i, t in zip(batch.ids, batch.t.tolist(), strict=True)}
+    met = {hit is not None, tree.occluded(origin, direction, t_max, mask=1, **when)}
+    right = met == {exact is not None} and all(_agrees(t, exact) for t in answers)
+    asked = f'box {_text(lo)} to {_text(hi)}; ray {_text(origin)} + t {_text(direction)}'
+    if not math.isinf(t_max):
+        asked += f', t <= {t_max!r}'
+    if motion:
+        asked += f'; {_text(motion.velocity)} m/s since {motion.reference!r} s, at {motion.at!r} s'
+    expected, got = (
+        _met(None if exact is None else rounded(exact)),
+        ' or '.join(sorted(map(_met, answers))),
+    )
+    return Case(question.name, asked, expected, got, right, _slab(question, exact))
+
+
+def _agrees(t: float | None, exact: Fraction | None) -> bool:
+    if t is None or exact is None:
+        return t is None and exact is None
+    return within_2_ulp(t, exact)
+
+
+def _met(t: float | None) -> str:
+    return 'miss' if t is None else f'hit, t = {t!r}'
+
+
+def _text(vector: Vector) -> str:
+    return '(' + ', '.join(f'{float(x)!r}'.removesuffix('.0') for x in vector) + ')'
+
+
+def _slab(question: Question, exact: Fraction | None) -> str:
+    """What the usual test says, and whether that is right."""
+    velocity, at, pace, reference = question.motion or Motion((0.0,) * 3)
+    speed, since = np.array([velocity], float), at - reference
+    boxes = Boxes(*(np.array([side], float) + speed * since for side in question[1:3]))
+    rays = Rays(np.array([question.origin], float), np.array([question.direction]) - speed * pace)
+    rows, ts = brute_force(boxes, rays)
+    t = float(ts[0]) if rows[0] >= 0 and ts[0] <= question.t_max else None
+    return _met(t) if _agrees(t, exact) else f'{_met(t)} (wrong)'
+
+
+# ---- Many boxes at every scale and speed, and rays at their corners, against whole numbers.
+
+
+SCALES = (5e-324, 1e-300, 1e-160, 1e-3, 1.0, 1e8, 1e15, 1e150, 1e307)
+BOXES, MANY, RAYS, RAYS_QUICK = 24, 250, 400, 70
+Entries = list[Fraction | None]
+
+
+def scale_cases(brief: bool) -> Iterable[Case]:
+    """One case a scale, then scales mixed in one scene."""
+    count = RAYS_QUICK if brief else RAYS
+    for scale in SCALES:
+        boxes, rays = corner_scene(np.random.default_rng(1), np.full((BOXES, 1), scale), count)
+        yield _compare(f'corner rays at scale {scale:g}', boxes, rays)
+    ratio = 10.0 ** np.linspace(-15, 15, BOXES)[:, None]
+    boxes, rays = corner_scene(np.random.default_rng(2), ratio, count)
+    yield _compare('scales 1e-15 to 1e15 in one scene', boxes, rays)
+    ends = np.resize([5e-324, 1e-308, 1e-150, 1.0, 1e150, 1e307], BOXES)[:, None]
+    boxes, rays = corner_scene(np.random.default_rng(3), ends, count)
+    yield _compare('5e-324 to 1.7e308 in one scene', boxes, rays)
+    yield _at_all_speeds(BOXES if brief else MANY, RAYS_QUICK if brief else 10 * RAYS)
+
+
+def _at_all_speeds(count: int, asked: int) -> Case:
+    rng = np.random.default_rng(4)
+    boxes, rays = corner_scene(rng, np.ones((count, 1)), asked)
+    speeds = rng.integers(-2, 3, (count, 3)) * np.geomspace(1e-9, 1e4, count)[:, None]
+    times = rng.choice([0.0, 1.0, -0.5], asked), rng.choice([0.0, 1.0, 0.5], asked)
+    return _compare('1e-9 to 1e4 m/s in one scene', boxes, rays, speeds, times)
+
+
+def corner_scene(rng: np.random.Generator, scales: Floats, count: int) -> tuple[Boxes, Rays]:
+    """Boxes on a lattice of their own scale, some flat, and rays at their corners from lattice
+    points before them.
+    """
+    low = rng.integers(-6, 6, (len(scales), 3))
+    high = low + rng.integers(0, 4, low.shape)
+    lo, hi = low * scales, high * scales
+    rows = rng.integers(0, len(scales), count)
+    corners = np.where(rng.random((count, 3)) < 0.5, low[rows], high[rows])
+    steps = rng.integers(-2, 3, (count, 3))
+    steps[~steps.any(axis=1)] = (1, 1, 2)
+    origins = (corners - steps * rng.integers(1, 4, (count, 1))) * scales[rows]
+    lengths = np.where(rng.random((count, 1)) < 0.5, scales[rows], 1.0)
+    directions = steps.astype(np.float64) * lengths
+    return Boxes(lo, hi), Rays(origins, directions)
+
+
+def _compare(
+    name: str,
+    boxes: Boxes,
+    rays: Rays,
+    velocities: Floats | None = None,
+    times: tuple[Floats, Floats] | None = None,
+) -> Case:
+    """Cast one by one and in a batch; times = (at, pace)."""
+    tree, count = DynamicBVH.from_boxes(*boxes), len(rays.origins)
+    if velocities is None:
+        velocities = np.zeros_like(boxes.lo)
+    else:
+        tree.set_velocities(tree.ids(), velocities)
+    at, pace = times or np.zeros((2, count))
+    tree.validate()
+    slots = {handle: row for row, handle in enumerate(tree.ids().tolist())}
+    rows = list(zip(*(x.tolist() for x in (*rays, at, pace)), strict=True))
+    sides = list(zip(*(x.tolist() for x in (*boxes, velocities)), strict=True))
+    firsts = [_first([_entry(box, row) for box in sides]) for row in rows]
+    batch, wrong = tree.raycast_many(*rays, at=at, pace=pace), 0
+    for ray, (first, row) in enumerate(zip(firsts, rows, strict=True)):
+        hit = tree.raycast(row[0], row[1], at=row[2], pace=row[3])
+        singly = (slots[hit.id], hit.t) if hit else None
+        handle = int(batch.ids[ray])
+        together = (slots[handle], float(batch.t[ray])) if handle >= 0 else None
+        wrong += not (_right(singly, first) and _right(together, first))
+    hits = sum(first is not None for first in firsts)
+    asked = f'{len(boxes.lo)} boxes, {count:,} rays: {len(boxes.lo) * count:,} exact entries'
+    got = f'{int((batch.ids >= 0).sum())} hits, {wrong} wrong'
+    return Case(name, asked, f'{hits} hits, 0 wrong', got, wrong == 0)
+
+
+def _entry(box: tuple[Any, ...], row: tuple[Any, ...]) -> Fraction | None:
+    (lo, hi, velocity), (origin, direction, *times) = box, row
+    return exact_entry(lo, hi, origin, direction, Motion(velocity, *times))
+
+
+def _first(entries: Entries) -> tuple[Fraction, int] | None:
+    met = [(t, row) for row, t in enumerate(entries) if t is not None]
+    return min(met) if met else None
+
+
+def _right(answer: tuple[int, float] | None, first: tuple[Fraction, int] | None) -> bool:
+    if answer is None or first is None:
+        return answer is None and first is None
+    return answer[0] == first[1] and within_2_ulp(answer[1], first[0])
+
+
+# ---- Overlaps and distances of boxes; order of insertion and cost.
+
+
+ULP_UP, FAR = 1 + 2**-52, 1e9
+# name, one box, another
+PAIRS: tuple[tuple[str, tuple[Vector, Vector], tuple[Vector, Vector]], ...] = (
+    ('faces touch', ((0, 0, 0), (1, 1, 1)), ((1, 0, 0), (2, 1, 1))),
+    ('one ulp apart', ((0, 0, 0), (1, 1, 1)), ((ULP_UP, 0, 0), (2, 1, 1))),
+    ('corners touch', ((0, 0, 0), (1, 1, 1)), ((1, 1, 1), (2, 2, 2))),
+    ('faces at signed zeros', ((-1, -1, -1), (-0.0, 1, 1)), ((0.0, -1, -1), (1, 1, 1))),
+    ('a flat box in a face', ((0, 0, 0), (1, 1, 1)), ((0.2, 0.2, 1), (0.4, 0.4, 1))),
+    ('a point in a corner', ((0, 0, 0), (1, 1, 1)), ((1, 1, 1), (1, 1, 1))),
+    ('coincident', ((0, 0, 0), (1, 1, 1)), ((0, 0, 0), (1, 1, 1))),
+    ('smallest boxes, a step apart', ((0,) * 3, (TINIEST,) * 3), ((1e-323,) * 3, (1e-322,) * 3)),
+    ('largest boxes that touch', ((-LARGEST,) * 3, (0,) * 3), ((0,) * 3, (LARGEST,) * 3)),
+    ('a grain of 1e-15 on a block of 1e15', ((0,) * 3, (1e15,) * 3), ((1e15,) * 3, (2e15,) * 3)),
+    ('1 mm apart, 1e9 m away', ((FAR,) * 3, (FAR + 1,) * 3), ((FAR + 1.001,) * 3, (FAR + 2,) * 3)),
+)
+POINTS: tuple[tuple[str, Vector], ...] = (
+    ('nearest: from an edge', (2.0, 2.0, 0.5)),
+    ('nearest: inside', (0.5, 0.5, 0.5)),
+    ('nearest: 1e-160 off, whose square vanishes', (-1e-160, 0.5, 0.5)),
+    ('nearest: 1e200 off, whose square overflows', (1e200, 1e200, 0.5)),
+)
+
+
+def pair_cases() -> Iterable[Case]:
+    """Whether two boxes touch, by comparisons, and by the tree."""
+    for name, (lo, hi), (low, high) in PAIRS:
+        tree = DynamicBVH()
+        tree.insert(lo, hi)
+        met = len(tree.overlap(low, high)) == 1
+        sides = list(zip(lo, hi, low, high, strict=True))
+        expected = all(a <= d and c <= b for a, b, c, d in sides)
+        both = len(tree.overlap_many([low], [high])[1]) == 1
+        words, asked = {True: 'touch', False: 'apart'}, f'{lo} to {hi}; {low} to {high}'
+        told = words[expected], words[met], met == both == expected
+        yield Case(f'two boxes: {name}', asked, *told)
+
+
+def nearest_cases() -> Iterable[Case]:
+    """Distance of a point from the unit box."""
+    tree = DynamicBVH()
+    tree.insert((0, 0, 0), (1, 1, 1))
+    for name, point in POINTS:
+        gaps = [max(-Fraction(x), Fraction(0), Fraction(x) - 1) for x in point]
+        square = sum((gap * gap for gap in gaps), Fraction(0))
+        bits = 2600  # below the point, so that the square root of anything is exact to a double
+        exact = Fraction(math.isqrt(int(square * 4**bits)), 2**bits)
+        distance = float(tree.nearest(point)[1][0])
+        right = abs(Fraction(distance) - exact) <= Fraction(4 * math.ulp(rounded(exact)))
+        with np.errstate(all='ignore'):
+            apart = np.maximum(np.maximum(-np.array(point), np.array(point) - 1), 0.0)
+            plain = float(np.sqrt((apart * apart).sum()))
+        good = abs(plain - rounded(exact)) <= 4 * math.ulp(rounded(exact))
+        told = repr(rounded(exact)), repr(distance), right, _marked(repr(plain), good)
+        yield Case(name, f'{point}', *told)
+
+
+def _marked(text: str, right: bool) -> str:
+    return text if right else f'{text} (wrong)'
+
+
+def height_cases(brief: bool) -> Iterable[Case]:
+    """Inputs that make lists of naive trees: heights and costs."""
+    count = 500 if brief else 10_000
+    row = np.arange(count, dtype=float)
+    doubles = 10.0 ** np.linspace(-323, 308, count)
+    scenes = {
+        'sorted input, one by one': row,
+        'sorted backwards, one by one': row[::-1],
+        'all boxes the same, one by one': np.zeros(count),
+        'each box twice as large as the last': 2.0 ** np.linspace(-1000, 1000, count),
+        '5e-324 to 1e308, one by one': doubles,
+        '1e308 to 5e-324, one by one': doubles[::-1],
+    }
+    for name, places in scenes.items():
+        yield _height(name, places, not name.startswith('each'))
+    yield _height('5e-324 to 1e308, built at once', doubles, False, at_once=True)
+
+
+def _height(name: str, places: Floats, shifted: bool, at_once: bool = False) -> Case:
+    """Boxes from the place (or from zero) to one edge beyond."""
+    hi = np.tile(places[:, None] * (1.5 if places.max() > 1e300 else 1.0), (1, 3))
+    hi = hi + (1.0 if places.max() < 1e300 else 0.0)
+    lo = np.tile(places[:, None], (1, 3)) if shifted else np.zeros_like(hi)
+    tree = DynamicBVH.from_boxes(lo, hi) if at_once else DynamicBVH()
+    for low, high in () if at_once else zip(lo, hi, strict=True):
+        tree.insert(low, high)
+    tree.validate()
+    bound, cost = 4 * math.log2(len(lo)) + 4, tree.cost()
+    said = f'height <= {bound:.1f}; cost finite, above 0', f'height {tree.height}; cost {cost:.3g}'
+    kept = tree.height <= bound and 0 < cost < math.inf
+    return Case(name, f'{len(lo):,} boxes', *said, kept)
+
+
+# ---- Long and stiff runs: a million moves, speeds thirteen decades apart, teleports, margins
+# and predictions.
+
+
+WORST_COST = 1.25  # of a new build
+TICK = 0.01  # s
+
+
+def motion_cases(brief: bool) -> Iterable[Case]:
+    """All of them."""
+    yield _many_moves(20_000 if brief else 1_000_000)
+    for margin in (0.0, 0.05):
+        for ahead in (False, True):
+            yield _stiff(60 if brief else 1_000, margin, ahead)
+    yield _teleports(20 if brief else 500)
+
+
+def over_new_build(tree: DynamicBVH) -> float:
+    """Cost of a tree over that of a new one of the same boxes, fat as they are."""
+    copy = pickle.loads(pickle.dumps(tree))
+    copy.rebuild()
+    return float(tree.cost() / copy.cost())
+
+
+def _bounds(tree: DynamicBVH) -> tuple[str, str, bool]:
+    """What is promised of cost and height, what there is, and whether it is kept."""
+    tree.validate()
+    bound, cost = 4 * math.log2(len(tree)) + 4, over_new_build(tree)
+    return (
+        f'cost <= {WORST_COST} of a new build, height <= {bound:.1f}',
+        f'cost {cost:.2f}, height {tree.height}',
+        cost <= WORST_COST and tree.height <= bound,
+    )
+
+
+def _many_moves(total: int) -> Case:
+    rng = np.random.default_rng(1)
+    count, at_once = 2_000, 50
+    lo = rng.uniform(0, 100, (count, 3))
+    size = rng.uniform(0.5, 3, lo.shape)
+    tree = DynamicBVH.from_boxes(lo, lo + size)
+    handles, before = tree.ids(), tree.stats()['bytes']
+    for _ in range(total // at_once):
+        rows = rng.choice(count, at_once, replace=False)
+        lo[rows] = rng.uniform(0, 100, (at_once, 3))
+        tree.move_many(handles[rows], lo[rows], lo[rows] + size[rows])
+    expected, got, kept = _bounds(tree)
+    grown = tree.stats()['bytes'] - before
+    right = np.array_equal(tree.boxes(handles)[0], lo)
+    told = f'{expected}, 0 bytes more', f'{got}, {grown} bytes more', kept and grown == 0 and right
+    return Case(f'{total:,} moves to anywhere', f'{count:,} boxes, {at_once} a call', *told)
+
+
+def _wrong_boxes(tree: DynamicBVH, lo: Floats, hi: Floats, rng: np.random.Generator) -> int:
+    """How many of the overlaps around some boxes differ from those by comparisons."""
+    wrong, handles = 0, tree.ids()
+    for row in rng.integers(0, len(lo), 10):
+        low, high = lo[row] - 5, hi[row] + 5
+        rows = np.flatnonzero(((lo <= high) & (low <= hi)).all(axis=1))
+        wrong += tree.overlap(low, high).tolist() != handles[rows].tolist()
+    return wrong
+
+
+def _stiff(ticks: int, margin: float, ahead: bool) -> Case:
+    """1e4 m/s at every tick, 1e-9 m/s at every twentieth."""
+    rng = np.random.default_rng(2)
+    count = 400
+    lo = rng.uniform(0, 1000, (count, 3))
+    way = rng.normal(size=lo.shape)
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    fast = np.arange(count) % 2 == 0
+    speed = way * np.where(fast, 1e4, 1e-9)[:, None]
+    tree = DynamicBVH.from_boxes(lo, lo + 1, margin=margin)
+    handles = tree.ids()
+    wrong = 0
+    for tick in range(ticks):
+        rows = np.flatnonzero(fast if tick % 20 else fast | True)
+        speed = np.where((lo < 0) & (speed < 0) | (lo > 1000) & (speed > 0), -speed, speed)
+        lo[rows] += speed[rows] * np.where(fast[rows], TICK, 20 * TICK)[:, None]
+        step = speed[rows] * TICK if ahead else None
+        tree.move_many(handles[rows], lo[rows], lo[rows] + 1, step)
+        if tick % 20 == 0:
+            wrong += _wrong_boxes(tree, lo, lo + 1, rng)
+    name = f'1e4 and 1e-9 m/s, margin {margin:g} m' + (', predicted' if ahead else '')
+    return _judged_run(tree, name, f'{count} boxes, {ticks} ticks of {TICK} s', wrong)
+
+
+def _teleports(times: int) -> Case:
+    """One box goes 1e15 m away and comes back, again and again."""
+    rng = np.random.default_rng(3)
+    lo = rng.uniform(0, 100, (500, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1, margin=0.1)
+    handles, home = tree.ids(), lo[0].copy()
+    wrong = 0
+    for _ in range(times):
+        for place in (home + 1e15, home):
+            lo[0] = place
+            tree.move(handles[0], lo[0], lo[0] + 1)
+            wrong += handles[0] not in tree.overlap(lo[0], lo[0])
+    wrong += _wrong_boxes(tree, lo, lo + 1, rng)
+    return _judged_run(tree, 'teleports by 1e15 m and back', f'500 boxes, {times} returns', wrong)
+
+
+def _judged_run(tree: DynamicBVH, name: str, asked: str, wrong: int) -> Case:
+    expected, got, kept = _bounds(tree)
+    told = f'{expected}, 0 wrong overlaps', f'{got}, {wrong} wrong overlaps'
+    return Case(name, asked, *told, kept and wrong == 0)
+
+
+INTRODUCTION = """## Stability
+
+What is expected is computed in whole numbers. A ray is asked one by one, in a batch and whether
+it meets anything; a distance may be 2 ulp off. *float64 slab* is the usual test (numpy, 0 * inf
+bounds nothing)."""
+
+
+def judge(title: str, cases: Callable[[bool], Iterable[Case]], page: Page, brief: bool) -> int:
+    """Add a table of cases; return how many failed."""
+    found = list(cases(brief))
+    failed = sum(not case.passed for case in found)
+    page.add(f'### {title}')
+    page.table(Table(f'stability_{title.lower()}', HEADER, [case.cells() for case in found]))
+    page.add(f'**{len(found) - failed} of {len(found)} cases passed.**')
+    return failed
+
+
+SECTIONS = {
+    'rays': partial(judge, 'Rays', lambda brief: ray_cases()),
+    'scales': partial(judge, 'Scales', scale_cases),
+    'boxes': partial(judge, 'Boxes', lambda brief: (*pair_cases(), *nearest_cases())),
+    'order': partial(judge, 'Order', height_cases),
+    'motion': partial(judge, 'Motion', motion_cases),
+}
