@@ -177,7 +177,7 @@ def _run(options: argparse.Namespace, namespace: str) -> Table:
 @contextlib.contextmanager
 def _view(name: str) -> Iterator[None]:
     """Open a view of the node in a process of its own, and say where it is."""
-    from bvh_ros.view.beside import running_view
+    from .view.main import running_view
 
     with running_view(name) as address:
         print(f'the view: {address}; Ctrl-C ends it', flush=True)

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from bvh_ros import scenarios
-from bvh_ros.view import beside
+from bvh_ros.view import main as beside
 
 ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+/\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
 

@@ -10,18 +10,297 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import LaserScan, PointCloud2
+from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
-from bvh_ros.ros.config.part_settings import scan_settings
+from bvh_ros.ros.cdr import marker_array
+from bvh_ros.ros.config.part_settings import LASER_SCAN, ScanSettings, scan_settings
+from bvh_ros.ros.conversions import ray_clouds, rotations
+from bvh_ros.ros.conversions.marker_table import MarkerTable
+from bvh_ros.ros.conversions.outlines import TRIANGLES
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.maintenance import Maintenance
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.view.topics import Topics
-from bvh_ros.view.worlds import Answer, Floats, Frame, Group, Integers, Overlay, ShownWorld, Wanted
+from bvh_ros.ros.world.frames import FrameError, Frames, Transform
+from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.view.worlds import (
+    NO_POINTS,
+    Answer,
+    Floats,
+    Frame,
+    Group,
+    Integers,
+    Overlay,
+    ShownWorld,
+    Wanted,
+)
+
+# ---- What the node draws for RViz on `~/scene`, `~/tree` and `~/queries`, read back as arrays.
+
+
+NO_BOXES = (NO_POINTS, NO_POINTS, np.empty(0, np.int64))
+LISTS = {Marker.CUBE_LIST: ShapeKind.BOX, Marker.SPHERE_LIST: ShapeKind.SPHERE}
+SINGLES = {Marker.SPHERE: ShapeKind.SPHERE, Marker.CYLINDER: ShapeKind.CYLINDER}
+CORNERS_A_BOX = len(TRIANGLES)
+# Where, among the corners of a box's triangles, each of its eight corners comes first.
+FIRST = np.array([int(np.flatnonzero(corner == TRIANGLES)[0]) for corner in range(8)])
+
+
+def obstacles(message: bytes) -> dict[str, Shapes]:
+    """Return the shapes of each source that `~/scene` shows."""
+    table = marker_array.read(message)
+    found: dict[str, list[Shapes]] = {}
+    for row, kind in enumerate(table.type.tolist()):
+        drawn = None
+        if kind in LISTS:
+            drawn = _of_list(table, row, LISTS[kind])
+        elif kind in SINGLES:
+            places = table.position[row : row + 1], table.orientation[row : row + 1]
+            drawn = _shapes(SINGLES[kind], *places, table.scale[row : row + 1])
+        elif kind == Marker.TRIANGLE_LIST:
+            drawn = _of_triangles(table.points(row))
+        if drawn is not None:
+            source = table.namespaces[int(table.namespace[row])]
+            found.setdefault(source, []).append(drawn)
+    return {source: _joined(several) for source, several in found.items()}
+
+
+def tree(message: bytes, first_depth: int, planar: bool) -> tuple[Floats, Floats, Integers]:
+    """Return the boxes (n, 3) that `~/tree` shows, lo and hi, and their depths.
+
+    They come depth by depth, each in another colour than the one before.
+    """
+    table = marker_array.read(message)
+    for row in np.flatnonzero(table.type == Marker.LINE_LIST).tolist():
+        ends, colours = table.points(row), table.colours(row)
+        each = 8 if planar else 24
+        boxes = ends.reshape(-1, each, 3)
+        news = np.any(np.diff(colours[::each], axis=0) != 0.0, axis=1)
+        depths = first_depth + np.concatenate(([0], np.cumsum(news)))
+        return boxes.min(axis=1), boxes.max(axis=1), depths
+    return NO_BOXES
+
+
+def queries(message: bytes) -> tuple[Floats, Floats, Floats]:
+    """Return the lines (n, 2, 3) of `~/queries`, their colours (n, 3) and the hits (m, 3)."""
+    table = marker_array.read(message)
+    lines, colours, spots = np.empty((0, 2, 3)), np.empty((0, 3)), NO_POINTS
+    for row, kind in enumerate(table.type.tolist()):
+        if kind == Marker.LINE_LIST:
+            lines, colours = table.points(row).reshape(-1, 2, 3), table.colours(row)[::2, :3]
+        elif kind == Marker.SPHERE_LIST:
+            spots = table.points(row)
+    return lines, colours, spots
+
+
+def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
+    turn = rotations.normalised(table.orientation[row])
+    places = rotations.rotate(turn, table.points(row)) + table.position[row]
+    count = len(places)
+    return _shapes(kind, places, np.tile(turn, (count, 1)), np.tile(table.scale[row], (count, 1)))
+
+
+def _of_triangles(points: Floats) -> Shapes:
+    """Boxes, each told by its twelve triangles."""
+    corners = points.reshape(-1, CORNERS_A_BOX, 3)[:, FIRST]
+    axes = corners[:, (1, 2, 4)] - corners[:, :1]  # (n, 3, 3): the edges along x, y and z
+    sizes = np.linalg.norm(axes, axis=2)
+    middle = 0.5 * (corners[:, 0] + corners[:, 7])
+    units = np.where(sizes[..., None] > 0.0, axes / np.maximum(sizes, 5e-324)[..., None], 0.0)
+    return _shapes(ShapeKind.BOX, middle, _quaternions(units), sizes)
+
+
+def _quaternions(axes: Floats) -> Floats:
+    """Unit quaternions (n, 4) of three unit axes (n, 3, 3); an axis may be missing (zero)."""
+    x, y, z = axes[:, 0], axes[:, 1], axes[:, 2]
+    x = np.where((x == 0.0).all(axis=1, keepdims=True), np.cross(y, z), x)
+    y = np.where((y == 0.0).all(axis=1, keepdims=True), np.cross(z, x), y)
+    z = np.where((z == 0.0).all(axis=1, keepdims=True), np.cross(x, y), z)
+    from scipy.spatial.transform import Rotation
+
+    matrices = np.stack((x, y, z), axis=2)
+    sound = np.abs(np.linalg.det(matrices)) > 0.5  # else two axes are missing: any turn will do
+    matrices[~sound] = np.eye(3)
+    quaternions: Floats = Rotation.from_matrix(matrices).as_quat()
+    return quaternions
+
+
+def _shapes(kind: ShapeKind, position: Floats, orientation: Floats, size: Floats) -> Shapes:
+    return Shapes(np.full(len(position), kind, np.uint8), position, orientation, size)
+
+
+def _joined(several: list[Shapes]) -> Shapes:
+    return Shapes(*(np.concatenate([one[column] for one in several]) for column in range(4)))
+
+
+# ---- What a node tells everybody: its diagnostics, and the pictures that RViz shows, too.
+
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+POSES_KEPT = 100
+WORLD_FIGURES = {'height': 'height of the tree', 'cost': 'cost', 'expired': 'expired'}
+RATES = {
+    'updates a second': 'updates a second',
+    'answers a second': 'answers a second',
+    'p50 [ms]': 'median [ms]',
+    'p99 [ms]': 'p99 [ms]',
+}
+
+
+class Topics:
+    """Listens to a node's topics; to pictures only while somebody wants them.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Ours.
+    name : str
+        Of the other node, with its namespace.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node, self._name = node, name
+        self.figures: dict[str, str] = {}
+        self.drawn: dict[str, Shapes] = {}  # what `~/scene` shows of each source
+        self.scenes = 0  # how often it was told
+        self.boxes: tuple[Floats, Floats, Integers] = NO_BOXES
+        self.overlay = Overlay()
+        self._source_topics: dict[str, str] = {}
+        self._wanted: dict[str, Subscription] = {}
+        self._poses: dict[int, PoseStamped] = {}
+        self._frames = Frames('')
+        self._scan: ScanSettings | None = None
+        self._pose_subscription: Subscription | None = None
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._note, 10)
+        self._listen('scene', MarkerArray, self._draw, raw=True)
+
+    def sources(self) -> dict[str, str]:
+        """The node's sources, and the topics that they listen to; empty until it told."""
+        return self._source_topics
+
+    def place_scans_with(self, frames: Frames, settings: ScanSettings) -> None:
+        """Tell where the node's scanner is."""
+        self._frames, self._scan = frames, settings
+
+    def want(self, wanted: Wanted) -> None:
+        """Listen to these topics, and to no other picture."""
+        self._switch('tree', wanted.tree, MarkerArray, self._draw_tree, raw=True)
+        self._switch('queries', wanted.queries, MarkerArray, self._draw_queries, raw=True)
+        if not wanted.queries:
+            self.overlay = Overlay(scan=self.overlay.scan)
+        if self._scan is not None and self._scan.pose_topic:
+            kind = LaserScan if self._scan.type == LASER_SCAN else PointCloud2
+            if wanted.scan and self._pose_subscription is None:
+                topic = self._scan.pose_topic.replace('~', self._name, 1)
+                self._pose_subscription = self._node.create_subscription(
+                    PoseStamped, topic, self._keep_pose, 10
+                )
+            self._switch('virtual_scan', wanted.scan, kind, self._draw_scan)
+            if not wanted.scan:
+                self.overlay = self.overlay._replace(scan=NO_POINTS)
+
+    def _switch(
+        self, topic: str, on: bool, kind: type, callback: Callable[[Any], None], raw: bool = False
+    ) -> None:
+        if on and topic not in self._wanted:
+            self._listen(topic, kind, callback, raw)
+        elif not on and topic in self._wanted:
+            self._node.destroy_subscription(self._wanted.pop(topic))
+
+    def _listen(
+        self, topic: str, kind: type, callback: Callable[[Any], None], raw: bool = False
+    ) -> None:
+        qos = 5 if topic == 'virtual_scan' else LATCHED
+        self._wanted[topic] = self._node.create_subscription(
+            kind, f'{self._name}/{topic}', callback, qos, raw=raw
+        )
+
+    def _note(self, message: DiagnosticArray) -> None:
+        """Take the figures of our node out of everybody's."""
+        beginning = f'{self._name.lstrip("/")}: '
+        mine = {
+            status.name.removeprefix(beginning): {pair.key: pair.value for pair in status.values}
+            for status in message.status
+            if status.name.startswith(beginning)
+        }
+        if not mine:
+            return
+        figures: dict[str, str] = {}
+        for part, values in mine.items():
+            if part.startswith('source ') and 'topic' in values:
+                self._source_topics[part.removeprefix('source ')] = values['topic']
+            wanted = WORLD_FIGURES if part == 'world' else RATES
+            shown = {new: values[old] for old, new in wanted.items() if old in values}
+            where = '' if part == 'world' else f'{part}: '
+            figures |= {f'{where}{key}': value for key, value in shown.items()}
+        self.figures = figures
+
+    def _draw(self, message: bytes) -> None:
+        self.drawn = obstacles(message)
+        self.scenes += 1
+
+    def _draw_tree(self, message: bytes) -> None:
+        first, planar = (
+            self._node.get_parameter(name).value for name in ('draw.first_depth', 'planar')
+        )
+        self.boxes = tree(message, first, planar)
+
+    def _draw_queries(self, message: bytes) -> None:
+        lines, colours, spots = queries(message)
+        self.overlay = Overlay(lines, colours, spots, self.overlay.scan)
+
+    def _keep_pose(self, pose: PoseStamped) -> None:
+        self._poses[nanoseconds(pose.header.stamp)] = pose
+        if len(self._poses) > POSES_KEPT:
+            del self._poses[next(iter(self._poses))]
+
+    def _draw_scan(self, scan: Any) -> None:
+        if not self._poses:
+            return
+        stamp = nanoseconds(scan.header.stamp)
+        pose = self._poses.get(stamp, self._poses[next(reversed(self._poses))])
+        try:
+            place = self._place_of(pose)
+        except FrameError:
+            return  # the node says so itself
+        if isinstance(scan, LaserScan):
+            points = place.points(_points_of(scan))
+        elif scan.header.frame_id == self._frames.frame_id:
+            points = ray_clouds.hits(scan).points
+        else:
+            points = place.points(ray_clouds.hits(scan).points)
+        self.overlay = self.overlay._replace(scan=points[np.isfinite(points).all(axis=1)])
+
+    def _place_of(self, stamped: PoseStamped) -> Transform:
+        at, turn = stamped.pose.position, stamped.pose.orientation
+        place = Transform(
+            np.array((at.x, at.y, at.z)), rotations.normalised((turn.x, turn.y, turn.z, turn.w))
+        )
+        header = stamped.header
+        into = self._frames.into_node(header.frame_id, nanoseconds(header.stamp))
+        return place if into is None else into.after(place)
+
+
+def _points_of(scan: LaserScan) -> Floats:
+    """Where the beams end, in the scanner's frame."""
+    ranges = np.array(scan.ranges, np.float64)
+    ranges[~np.isfinite(ranges)] = np.nan
+    angles = scan.angle_min + np.arange(len(ranges)) * scan.angle_increment
+    return np.stack((ranges * np.cos(angles), ranges * np.sin(angles), 0.0 * ranges), axis=1)
+
+
+# ---- A node that runs: its sources are heard and decoded here, questions go to its services.
+
 
 PATIENCE = 30.0  # seconds for parameters and diagnostics
 LOOK_EVERY = 1.0

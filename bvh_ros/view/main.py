@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import argparse
 import html
+import importlib.util
 import ipaddress
 import signal
+import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,7 +90,7 @@ def main(args: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: ended.set())
     try:
         from bvh_ros.view.page import Page
-        from bvh_ros.view.server import LocalServer
+        from bvh_ros.view.stage import LocalServer
     except ModuleNotFoundError as error:
         if error.name not in ('viser', 'trimesh'):
             raise
@@ -125,6 +128,38 @@ def _end_ros() -> None:
         import rclpy
 
         rclpy.try_shutdown()
+
+
+# ---- `bvh_view` in a process of its own, beside a program that brings the node.
+
+
+@contextmanager
+def running_view(name: str) -> Iterator[str]:
+    """Show a node, which need not run yet; give the address of the page.
+
+    Raises
+    ------
+    RuntimeError
+        Without viser, or if the view does not start.
+    """
+    from bvh_ros.ros.running import end, signals_waiting
+
+    if importlib.util.find_spec('viser') is None:
+        raise RuntimeError(GET_IT)
+    command = [sys.executable, '-m', 'bvh_ros.view.main', name]
+    process = None
+    try:
+        with signals_waiting():
+            # A session of its own: Ctrl-C reaches us alone, and we end it.
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+        assert process.stdout is not None
+        address = process.stdout.readline().decode().partition('http://')[2].strip()
+        if not address:
+            raise RuntimeError('the view did not start')
+        yield f'http://{address}'
+    finally:
+        if process is not None:
+            end(process)
 
 
 if __name__ == '__main__':

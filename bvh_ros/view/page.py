@@ -16,15 +16,11 @@ import viser
 from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene import Shapes
 from bvh_ros.tree.access import PALETTE
-from bvh_ros.view.drawing import Lines, Obstacles, Overlays
-from bvh_ros.view.grouping import Namespaces
-from bvh_ros.view.panel import BY_NAMESPACE, Panel
+from bvh_ros.view.drawing import Lines, Obstacles, Overlays, Placing
+from bvh_ros.view.panel import BY_NAMESPACE, Panel, Probe
 from bvh_ros.view.picking import Picking
-from bvh_ros.view.placing import Placing
-from bvh_ros.view.probe import Probe
-from bvh_ros.view.server import LocalServer
-from bvh_ros.view.stage import Stage
-from bvh_ros.view.worlds import Floats, ShownWorld, Wanted
+from bvh_ros.view.stage import LocalServer, Stage
+from bvh_ros.view.worlds import Floats, Namespaces, ShownWorld, Wanted
 
 RATE = 20.0  # pictures a second
 FIGURES_EVERY = 0.5  # seconds

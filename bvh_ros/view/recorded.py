@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from bvh_ros import bags, replay, scenarios
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.scene import Scene
-from bvh_ros.view.playing import Moment, Recording
+from bvh_ros.view.worlds import Moment, Recording
 
 
 class Tracks(Recording):

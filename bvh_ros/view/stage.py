@@ -4,14 +4,41 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from collections.abc import Sequence
 
 import numpy as np
+import viser
 
+from bvh_ros.view.drawing import Placing
 from bvh_ros.view.panel import Panel
-from bvh_ros.view.placing import Placing
-from bvh_ros.view.server import LocalServer
 from bvh_ros.view.worlds import Floats, ShownWorld
+
+# ---- Viser's server, as this package uses it.
+
+
+class LocalServer(viser.ViserServer):
+    """A server that tells nobody else: viser's tunnel to the outside stays shut."""
+
+    def __init__(self, host: str, port: int) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):  # viser prints a box of its own
+            super().__init__(host=host, port=port, label='bvh_view', verbose=False)
+        self.gui.main_panel.dock_right()  # beside the picture: nothing is hidden behind it
+        self.theme(dark=False)
+
+    def theme(self, *, dark: bool) -> None:
+        """Light or dark."""
+        self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+
+    def request_share_url(self, verbose: bool = True) -> str | None:
+        """Refuse: no data leaves the machine."""
+        del verbose
+        return None
+
+
+# ---- What surrounds the obstacles: camera, light, grid and frames.
+
 
 LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
 GROWN = 1.5  # times its size as last seen: then the world has another one

@@ -14,8 +14,8 @@ from bvh_ros import replay, scenarios
 from bvh_ros.extent import Extent
 from bvh_ros.questions import Question
 from bvh_ros.scene import Scene
-from bvh_ros.view.playing import Recording
 from bvh_ros.view.recorded import Tracks, open_recording
+from bvh_ros.view.worlds import Recording
 
 
 class Asked:

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
@@ -14,6 +15,9 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.tree import DynamicBVH
+
+# ---- What can be looked at: a scene, what is drawn over it, and who answers questions about it.
+
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -241,3 +245,134 @@ class SavedTree(ShownWorld):
 def _upright(corners: Floats) -> Floats:
     """Corners (n, 3), those of a planar tree at z = 0."""
     return np.pad(corners, ((0, 0), (0, 3 - corners.shape[1])))
+
+
+# ---- Obstacles by the beginning of their names.
+
+
+class Namespaces:
+    """Knows the namespace of each handle; only newcomers are looked at."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+        self._handles = np.empty(0, np.int64)  # ascending
+        self._of = np.empty(0, np.int64)  # their namespaces' numbers
+
+    def split(self, scene: Scene, groups: Sequence[Group]) -> list[tuple[str, Shapes]]:
+        """Return namespaces and shapes; those of a group without handles go by their source."""
+        self._learn(scene)
+        found = []
+        names = list(self._numbers)
+        for source, shapes, handles in groups:
+            if len(handles) != len(shapes.kind):
+                found.append((source, shapes))
+                continue
+            numbers = self._of[np.searchsorted(self._handles, handles)]
+            for number in np.unique(numbers).tolist():
+                found.append((names[number], shapes.take(numbers == number)))
+        return found
+
+    def _learn(self, scene: Scene) -> None:
+        present = np.isin(self._handles, scene.handles())
+        self._handles, self._of = self._handles[present], self._of[present]
+        new = scene.names(int(self._handles[-1]) if len(self._handles) else 0)
+        numbers = [
+            self._numbers.setdefault(namespace_of(name), len(self._numbers)) for _, name in new
+        ]
+        handles = np.array([handle for handle, _ in new], np.int64)
+        self._handles = np.concatenate((self._handles, handles))
+        self._of = np.concatenate((self._of, np.array(numbers, np.int64)))
+
+
+def namespace_of(name: str) -> str:
+    """`ns` of `ns/id` and of `ns/id#k`; `source` of `source#k`."""
+    marker = name.partition('#')[0]
+    return marker.rpartition('/')[0] or marker
+
+
+# ---- A world by a clock of its own: it can be played, paused and stepped through.
+
+
+SECOND = 1_000_000_000  # ns
+MOST_PASSED = 0.5  # seconds: what takes longer to show is not caught up with
+
+Moment = tuple[float, Callable[[int], object]]  # s, and what happens then; takes that time in ns
+
+
+class Recording(ShownWorld):
+    """A world that goes on as it was recorded, by its own clock.
+
+    Attributes
+    ----------
+    t : float
+        Seconds since the beginning.
+    seconds : float
+        How long it is.
+    playing : bool
+        At the end it begins anew.
+    speed : float
+        Times real time.
+    """
+
+    def __init__(self, title: str, scene: Scene, seconds: float) -> None:
+        super().__init__(title, scene)
+        self.t, self.seconds = 0.0, seconds
+        self.playing, self.speed = True, 1.0
+        self._happened = 0  # moments
+        self._began = 0  # times
+        self._shown_at = time.monotonic()
+        self._next: Moment | None = None
+        self._moments: Iterator[Moment] = iter(())
+
+    @abstractmethod
+    def moments(self) -> Iterator[Moment]:
+        """Yield what happens, from the beginning, when the world is empty."""
+
+    @abstractmethod
+    def clear(self) -> None:
+        """Empty the world."""
+
+    def restart(self) -> None:
+        """Go to the first moment."""
+        self.clear()
+        self._began += 1
+        self.t, self._moments = 0.0, self.moments()
+        self._next = next(self._moments, None)
+        self.seek(0.0)
+
+    def seek(self, t: float) -> None:
+        """Go to a time; backwards means from the beginning."""
+        if t < self.t:
+            self.restart()
+        self.t = t
+        while self._next is not None and self._next[0] <= t:
+            when, happen = self._next
+            happen(round(when * SECOND))
+            self._happened += 1
+            self._next = next(self._moments, None)
+        self.scene.expire(round(t * SECOND))
+
+    def step(self) -> None:
+        """Pause, and go to the next moment, from the last to the first."""
+        self.playing = False
+        if self._next is None:
+            self.restart()
+        else:
+            self.seek(self._next[0])
+
+    def advance(self, until: float) -> None:
+        """Play on."""
+        super().advance(until)
+        passed, self._shown_at = time.monotonic() - self._shown_at, time.monotonic()
+        if self.playing and self._next is None:
+            self.restart()
+        elif self.playing:
+            self.seek(self.t + self.speed * min(passed, MOST_PASSED))
+
+    def version(self) -> Hashable:
+        """Another one after each moment."""
+        return self._began, self._happened, self.scene.expired
+
+    def now(self) -> int:
+        """Return the time in the recording."""
+        return round(self.t * SECOND)

@@ -17,7 +17,7 @@ import numpy as np
 from bvh_ros.scene.geometry.shapes import rotations
 from bvh_ros.tree.plotting import PALETTE
 from bvh_ros.view.page import Page
-from bvh_ros.view.server import LocalServer
+from bvh_ros.view.stage import LocalServer
 from bvh_ros.view.worlds import ShownWorld
 
 TIMEOUT = 90.0  # seconds: WebGL without a graphics card is slow

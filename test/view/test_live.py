@@ -17,9 +17,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bvh_ros.client import BvhClient
 from bvh_ros.ros.running import running_node, wait_until_ready
 from bvh_ros.scene import ShapeKind
-from bvh_ros.view.grouping import Namespaces
 from bvh_ros.view.live import Live
-from bvh_ros.view.worlds import Wanted
+from bvh_ros.view.worlds import Namespaces, Wanted
 
 SPACE = f'/view{os.getpid()}'
 TIMEOUT = 30.0

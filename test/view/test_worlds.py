@@ -11,10 +11,9 @@ import pytest
 
 from bvh_ros import DynamicBVH
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.view.grouping import Namespaces, namespace_of
+from bvh_ros.view.drawing import Placing
 from bvh_ros.view.main import _is_local, _open, main
-from bvh_ros.view.placing import Placing
-from bvh_ros.view.worlds import SavedTree, ShownWorld
+from bvh_ros.view.worlds import Namespaces, SavedTree, ShownWorld, namespace_of
 
 RNG = np.random.default_rng(4)
 
