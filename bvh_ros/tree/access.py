@@ -3,6 +3,21 @@
 """What the rest of the package uses of the tree; all else is private to it."""
 
 from . import box_checks, checks, plotting
+from .batch.single import STACK, cast_few, child_of, few_entry, push_children, push_loose
+from .batch.snapshot import (
+    FARTHEST_ORIGIN,
+    LOOSE_NODES,
+    Snapshot,
+    begin_batch,
+    blurred_entry,
+    collapse_entry,
+    limit32,
+    no_snapshot,
+    octant_of,
+    planning_entry,
+    start_ray,
+)
+from .batch.streams import ALL32, FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
 from .boxes.nearest import nearest
 from .boxes.nearest_packets import are_dense
 from .boxes.ordering import order_of
@@ -29,10 +44,20 @@ from .nodes import (
     slot_of,
 )
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
-from .rays.ray_batches import cast, rows_of
-from .rays.ray_hits import NO_HITS, locate, raycast_one
-from .rays.raycasting import CLOSEST, EVERY, NO_RAYS, Rays, descend, every_hit, of_row
-from .rays.slab import (
+from .query.ray import (
+    CLOSEST,
+    EVERY,
+    NO_HITS,
+    NO_RAYS,
+    Rays,
+    descend,
+    every_hit,
+    locate,
+    of_row,
+    raycast_one,
+)
+from .query.ray_queries import answer_rays, rows_of
+from .query.slab import (
     DIRECTION,
     INSIDE,
     ORIGIN,
@@ -68,17 +93,3 @@ from .store.turns import (
 )
 from .store.workers import in_threads
 from .unrounded import two_product, two_sum
-from .wide.collapse_plan import planning_entry
-from .wide.few_rays import cast_few, few_entry
-from .wide.filtering import FARTHEST_ORIGIN, limit32, octant_of, start_ray
-from .wide.ray_stacks import STACK, child_of, push_children, push_loose
-from .wide.ray_streams import FOUND, make_scratch, scratch_for
-from .wide.raycasting import ALL32, MIXED, cast_entry, traverse
-from .wide.snapshot import (
-    LOOSE_NODES,
-    Snapshot,
-    begin_batch,
-    blurred_entry,
-    collapse_entry,
-    no_snapshot,
-)

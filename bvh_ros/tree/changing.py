@@ -246,7 +246,7 @@ def _settle(nodes, heights, handles, state, room):
 
 def compile_ray(ndim: int) -> None:
     """What a tree that gets its first box is nearly always asked next."""
-    from .rays.ray_hits import one_entry
+    from .query.ray import one_entry
 
     one_entry(ndim)
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from . import box_checks, changing, checks, handle_checks
 from .boxes.predicates import Predicates
-from .rays.ray_queries import RayQueries
+from .query.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
 from .store.storage import clear_entry, new_storage

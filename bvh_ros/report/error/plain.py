@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 
 from ... import DynamicBVH, RayHits
+from ...tree.batch import streams as best_hit
+from ...tree.batch import streams as wide_raycasting
 from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
-from ...tree.rays import ray_batches, ray_hits, raycasting, slab
-from ...tree.wide import best_hit
-from ...tree.wide import raycasting as wide_raycasting
+from ...tree.query import ray as ray_hits
+from ...tree.query import ray as raycasting
+from ...tree.query import ray_queries as ray_batches
+from ...tree.query import slab as slab
 from ..scenes import Boxes, Rays
 
 

@@ -30,7 +30,7 @@ from ...tree.access import (
     DynamicBVH,
     RayHits,
     accepted,
-    cast,
+    answer_rays,
     cast_few,
     empty_tree,
     entry_points,
@@ -187,7 +187,7 @@ def cast_without_snapshot(
         normals = np.empty((count, 2))
         rays = rays._replace(origins=along_axes(some[0], 2), directions=along_axes(some[1], 2))
     hits = RayHits(np.empty(count, INT64), told.t, normals)
-    done = cast(*view, None, rays, hits)
+    done = answer_rays(*view, None, rays, hits)
     if done >= 0:
         _describe_entry(ndim)(view.tree, node_handles, *some, hits, told)
     return done

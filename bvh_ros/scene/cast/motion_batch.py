@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """The first obstacles that many rays, or balls, meet among those that move: they go through what
-is swept together, as `tree.motion.wide_casting`, and `update_first_hit` says how one is met.
+is swept together, as `tree.motion.sweep`, and `update_first_hit` says how one is met.
 
 
 RayRows and swept balls at a time, or while it passes, among obstacles that have velocities.
@@ -182,7 +182,7 @@ def lists_for(depth: int) -> NDArray[np.int32]:
 
 @lean_kernel
 def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, goals):
-    """`motion.first_rows` through a `tree.motion.sweeping.Sweep`: ways that are not for it
+    """`motion.first_rows` through a `tree.motion.sweep.Sweep`: ways that are not for it
     become UNSUITED. Returns how many; 1 if one is not finite; REFUSED if the tree is not what was
     swept. shapes as of `Columns.shapes`, ways what a `Ways` holds, tools = (node_handles, what
     `lists_for` says), told = (slots and features, (2, n) or more, ts, handles, points, normals),

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 from .. import box_checks, checks
 from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, aligned_empty
-from ..rays import boxcasting
-from ..rays.raycasting import CLOSEST
+from ..query.ray import CLOSEST, boxcast_entry
 from ..results import RayHit
 from ..store.arrays import Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
@@ -168,7 +167,7 @@ class BoxQueries(Timed):
             asked = 1.0, seen, False, CLOSEST
             handle, t = motion.cast(self, (low, high, translation), asked, (at, pace), place)
         else:
-            handle, t = boxcasting.entry(ndim)(
+            handle, t = boxcast_entry(ndim)(
                 self._settled().tree, low, high, translation, seen, place
             )
         if handle >= 0:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box
-from ..rays.raycasting import of_row
-from ..rays.slab import PAD, TINY
+from ..query.ray import of_row
+from ..query.slab import PAD, TINY
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
 
 

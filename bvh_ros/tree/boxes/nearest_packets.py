@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..compiler import inlined, lean_kernel, stack_array, trailing_zeros
 from ..entries import entry_points
 from ..nodes import DEEPEST, ROOT, is_leaf, leaf_box
-from ..rays.raycasting import of_row
+from ..query.ray import of_row
 from ..simd.float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from ..store.turns import REFUSED, begin_query, end_query
 from .nearest import NO_POINTS, distance, insert_candidate, name_row, pruning_limit

@@ -15,7 +15,7 @@ from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box, next_node
-from ..rays.raycasting import of_row
+from ..query.ray import of_row
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query
 from ..store.workers import in_threads
 

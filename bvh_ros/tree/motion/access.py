@@ -3,27 +3,40 @@
 """What the rest of the package uses of moving boxes: imported with the first velocity."""
 
 from ..simd.moving_sides import FRONTS
-from .asked_then import AS_ARRAYS, NO_RAYS, RaysThen, told_once
-from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, set_fronts
-from .casting import Casts, cast_one, descend, locate, no_motion
-from .few_casting import FEW, NO_FEW, cast_few
-from .meeting import box_of, course_of, fetch_box, moves
+from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, no_motion, set_fronts
+from .entries import Casts, cast_one, descend, locate
+from .exact_contact import (
+    box_of,
+    course_of,
+    elapsed,
+    face_met,
+    fetch_box,
+    is_before,
+    may_meet,
+    meet_box,
+    moves,
+)
 from .nearest import Near, at_least, nearest_bounds
 from .nearest_packets import Bounded
 from .overlapping import overlap_then
-from .rounded import may_meet
-from .spans import span_of, times_of
-from .starting import start_seen
-from .stopping import face_met, is_before, meet_box
-from .sums import elapsed
-from .sweeping import Sweep, no_sweep
-from .wide_casting import (
+from .state import span_of, times_of
+from .sweep import (
     AHEAD,
+    AS_ARRAYS,
+    FEW,
     MOST_WAITING,
+    NO_FEW,
+    NO_RAYS,
     PLACES,
     UNSUITED,
     WAITING,
     WAITING_SHARE,
+    RaysThen,
+    Sweep,
+    cast_few,
     cast_rows,
+    no_sweep,
     not_yet,
+    start_seen,
+    told_once,
 )

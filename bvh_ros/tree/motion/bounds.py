@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from ..area import half_area, node_area
 from ..compiler import CACHE_LINE, inlined, lean_kernel, prefetch, stack_array
 from ..nodes import ASKS, DEEPEST, NONE, ROOT, is_leaf, next_node
-from ..rays.slab import PAD, TINY
+from ..query.slab import PAD, TINY
 from ..simd.moving_sides import HALF, enter_sides
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
-from .meeting import box_of
+from .exact_contact import Moving, box_of, velocity_records
 
 WIDER = 2.0**-48
 LEAST = 1e-280
@@ -282,3 +282,9 @@ def enter_node(nodes, node, fronts, ahead, pace, limit):
     if not entry < np.inf:
         return 0.0
     return entry if entry <= min(leave, limit) * PAD + TINY else np.inf
+
+
+def no_motion(ndim: int) -> Moving:
+    """To tell a compiler the types."""
+    nodes = np.empty(0, moving_dtype(ndim))
+    return Moving(velocity_records(0, ndim), nodes, 0.0, 0.0, 0, False, np.inf)

@@ -16,14 +16,12 @@ from ..boxes.nearest import insert_candidate, name_row, pruning_limit
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
 from ..nodes import DEEPEST, ROOT, is_leaf
-from ..rays.raycasting import of_row
+from ..query.ray import of_row
 from ..simd.moving_sides import FRONTS, square_beside
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children, set_fronts
-from .casting import is_sound, no_motion
-from .meeting import box_of, fetch_box
-from .stopping import moment_of
-from .sums import elapsed, gap, quick_gap, surely_below
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, no_motion, set_fronts
+from .entries import is_sound
+from .exact_contact import box_of, elapsed, fetch_box, gap, moment_of, quick_gap, surely_below
 
 # Squares whose root says something, and by how much it is rounded down.
 LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49

@@ -11,12 +11,11 @@ from ..boxes.nearest_packets import descend, load, no_packet
 from ..compiler import inlined, lean_kernel, stack_array, trailing_zeros
 from ..entries import entry_points
 from ..nodes import ROOT
-from ..rays.raycasting import of_row
+from ..query.ray import of_row
 from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children
-from .casting import no_motion
-from .meeting import fetch_box
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, no_motion
+from .exact_contact import fetch_box
 from .nearest import NO_POINTS, decide, keep_bound
 
 

@@ -11,15 +11,13 @@ from ..boxes.overlapping import FIRST, fill_rows
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
 from ..nodes import DEEPEST, NONE, ROOT, is_leaf
-from ..rays.raycasting import of_row
-from ..rays.slab import RAY_ROWS, set_swept_box
+from ..query.ray import of_row
+from ..query.slab import RAY_ROWS, set_swept_box
 from ..simd.moving_sides import FRONTS, is_behind, is_beside
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, set_fronts
-from .casting import is_sound, no_motion
-from .meeting import box_of, course_of, meet
-from .stopping import moment_of
-from .sums import elapsed, surely_below
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, no_motion, set_fronts
+from .entries import is_sound
+from .exact_contact import box_of, course_of, elapsed, meet, moment_of, surely_below
 
 
 class QueriesThen(NamedTuple):

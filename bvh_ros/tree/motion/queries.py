@@ -20,11 +20,10 @@ from ..nodes import ALL, COUNT
 from ..store.turns import NOT_FINITE
 from . import nearest, nearest_packets, overlapping
 from .bounds import LONGEST
-from .motion import rows_were_changed
+from .entries import MotionRays
 from .nearest import Near
 from .nearest_packets import Bounded
-from .ray_queries import MotionRays
-from .spans import span_of, times_of
+from .state import rows_were_changed, span_of, times_of
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]

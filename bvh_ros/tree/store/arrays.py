@@ -12,6 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import changing, handle_checks
+from ..batch.snapshot import (
+    LEAST_RAYS,
+    LOOSE_VISITS_PER_BOX,
+    RAYS_PER_BOX,
+    Snapshot,
+    patched,
+    take_snapshot,
+)
 from ..build.room import Room, leave_room, spare_room
 from ..moving import Change, Policy
 from ..nodes import (
@@ -28,7 +36,6 @@ from ..nodes import (
     Tree,
     View,
 )
-from ..wide import snapshot as wide
 from .memory import touch
 from .storage import READ_ONLY, Storage, allocate, inherit_entry
 from .turns import ANY_VERSION, CHANGED, IS_CHANGED, IS_QUERIED, QUERIED
@@ -62,7 +69,7 @@ class Arrays:
     # `state[WRITTEN]` when it was last looked at; the snapshot if there is one, and rays cast
     # without one, or how often rays visited its loose nodes; the arrays that it was taken of. All
     # are written together.
-    _wide: tuple[int, int, wide.Snapshot | None, Tree | None]
+    _wide: tuple[int, int, Snapshot | None, Tree | None]
     _room: Room | None  # written to by who has the turn, and by few changes at all
 
     @property
@@ -262,7 +269,7 @@ class Arrays:
 
     # ---- the snapshot
 
-    def snapshot_for(self, count: int, view: View) -> wide.Snapshot | None:
+    def snapshot_for(self, count: int, view: View) -> Snapshot | None:
         """The wide snapshot of the tree as it is, if the rays since it was last outdated, `count`
         more now, are worth building it. Few changes are patched, as long as what that costs the
         rays is not worth building it again.
@@ -279,18 +286,18 @@ class Arrays:
             of, rays, snapshot = written, 0, None
         if of != written:
             if snapshot is not None:
-                snapshot = wide.patched(snapshot, view)
+                snapshot = patched(snapshot, view)
                 rays = rays if snapshot else 0
             elif rays < 0 or written - of > RECENT_PLACES:
                 rays = 0
         if snapshot is None:
             rays += count
-            enough = max(wide.RAYS_PER_BOX * boxes, wide.LEAST_RAYS)
+            enough = max(RAYS_PER_BOX * boxes, LEAST_RAYS)
         else:
             rays += count * snapshot.loose
-            enough = wide.LOOSE_VISITS_PER_BOX * boxes
+            enough = LOOSE_VISITS_PER_BOX * boxes
         if rays >= enough and boxes > 1 and (snapshot is None or snapshot.loose):
-            rays, snapshot = 0, wide.take_snapshot(view)
+            rays, snapshot = 0, take_snapshot(view)
             if snapshot is None:  # nor will there be one before the tree changes
                 rays = -(2**62)
         self._wide = written, rays, snapshot, view.tree

@@ -14,7 +14,7 @@ from tree.motion.worlds import worlds
 from tree.reference import LARGEST, effort
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.motion import motion
+from bvh_ros.tree.motion import state as motion
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ tree.overlap([0, 0], [1, 1]), tree.nearest([0, 0]), tree.boxcast([0, 0], [1, 1],
 assert tree.stats()['motion_bytes'] == 0
 assert not [name for name in sys.modules if name.startswith('bvh_ros.tree.motion')]
 tree.set_velocities(tree.ids(), [[1, 0], [0, 1]])
-assert 'bvh_ros.tree.motion.casting' in sys.modules
+assert 'bvh_ros.tree.motion.entries' in sys.modules
 """
 
 

@@ -12,7 +12,7 @@ from tree.motion.worlds import Random, worlds
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.motion.few_casting import FEW
+from bvh_ros.tree.motion.sweep import FEW
 
 pytestmark = pytest.mark.slow  # kernels of its own
 RAYS = 64  # as many are worth a snapshot of few boxes

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from bvh_ros.tree.motion.leaves import leaf_dtype
+from bvh_ros.tree.motion.sweep import leaf_dtype
 from bvh_ros.tree.simd.moving_leaf import moving_slabs
 
 SLOWEST = 0.75

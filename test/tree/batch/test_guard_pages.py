@@ -14,8 +14,8 @@ import numpy.ma  # before its `empty` is another one
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.wide import ray_streams
-from bvh_ros.tree.wide import snapshot as wide
+from bvh_ros.tree.batch import snapshot as wide
+from bvh_ros.tree.batch import streams as ray_streams
 
 PAGE = mmap.PAGESIZE
 
@@ -69,7 +69,7 @@ def ask_everything(ndim: int, boxes: int, rays: int, decade: int) -> None:
 
 def run() -> None:
     ray_streams_made, snapshot_taken = ray_streams.make_scratch, wide.take_snapshot
-    from bvh_ros.tree.rays import ray_batches
+    from bvh_ros.tree.query import ray_queries as ray_batches
 
     ray_batches.scratch_for = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
 

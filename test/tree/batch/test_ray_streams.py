@@ -14,11 +14,10 @@ from hypothesis.extra.numpy import arrays
 from tree.reference import Floats, Ids, exact_hits, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.rays import ray_batches
-from bvh_ros.tree.rays.ray_batches import FEW_TOGETHER
-from bvh_ros.tree.wide.ray_piles import MIXED_RAYS
-from bvh_ros.tree.wide.ray_streams import KEPT_RAYS, RAYS_SORTED, Scratch, make_scratch
-from bvh_ros.tree.wide.snapshot import LEAST_RAYS
+from bvh_ros.tree.batch.snapshot import LEAST_RAYS
+from bvh_ros.tree.batch.streams import KEPT_RAYS, MIXED_RAYS, RAYS_SORTED, Scratch, make_scratch
+from bvh_ros.tree.query import ray_queries as ray_batches
+from bvh_ros.tree.query.ray_queries import FEW_TOGETHER
 
 OCTANTS: dict[str, tuple[int, ...]] = {
     'one octant': (1, 1, 1),

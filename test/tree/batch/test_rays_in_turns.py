@@ -4,10 +4,10 @@
 
 import numpy as np
 import pytest
-from tree.wide.test_few_rays import check_one_by_one
+from tree.batch.test_few_rays import check_one_by_one
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.wide.rays_in_turns import FAR_NODES
+from bvh_ros.tree.batch.single import FAR_NODES
 
 BOXES, RAYS = 50_000, 71
 

@@ -31,7 +31,7 @@ import math
 import numpy as np
 
 from ..compiler import inlined, lean_kernel
-from .exact_sign import sign_of_four_products
+from .exact import sign_of_four_products
 
 PAD = 1.0 + 16 * 2.0**-53
 CLEAR = 1.0 + 8 * 2.0**-53

@@ -28,7 +28,7 @@ from tree.reference import (
     seen,
 )
 
-from bvh_ros.tree.rays.slab import (
+from bvh_ros.tree.query.slab import (
     RAY_ROWS,
     compare_distances,
     compare_hits,

@@ -11,7 +11,7 @@ import pytest
 from tree.adversary import MIXED, coordinates
 from tree.reference import LARGEST, SMALLEST
 
-from bvh_ros.tree.rays.exact_sign import sign_of_four_products
+from bvh_ros.tree.query.exact import sign_of_four_products
 
 UP = np.nextafter(1.0, 2.0)
 

@@ -7,10 +7,10 @@ import pytest
 from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.batch.snapshot import LOOSE_VISITS_PER_BOX
 from bvh_ros.tree.nodes import RECENT_PLACES
-from bvh_ros.tree.rays import ray_batches
+from bvh_ros.tree.query import ray_queries as ray_batches
 from bvh_ros.tree.results import RayHits
-from bvh_ros.tree.wide.snapshot import LOOSE_VISITS_PER_BOX
 
 BOXES, RAYS = 300, 200
 

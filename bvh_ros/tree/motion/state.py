@@ -4,6 +4,7 @@
 asked for.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,29 +12,185 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiler import CACHE_LINE
+from .. import time_checks
+from ..batch.snapshot import Snapshot, take_snapshot
+from ..compiler import CACHE_LINE, WIDTH, entry_point, lean_kernel
+from ..dynamic_bvh import DynamicBVH
 from ..entries import entry_points
-from ..nodes import ASKS, COUNT, NONE, RAYS, TURN, Tree, View, aligned_empty
-from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED
-from . import velocities
+from ..nodes import (
+    ASKS,
+    CHANGES,
+    COUNT,
+    NONE,
+    RAYS,
+    ROOT,
+    SLOT_MASK,
+    TURN,
+    Tree,
+    View,
+    aligned_empty,
+    empty_tree,
+)
+from ..query.ray import of_row
+from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, begin_change, end_change
 from .bounds import (
     AT_REST,
     AT_START,
     AT_STOP,
     EVER_SO_MANY,
+    LONGEST,
     LOOKED,
     OUTSIDE,
     Layout,
     fit_nodes,
     moving_dtype,
+    no_motion,
 )
-from .casting import no_motion
-from .few_casting import FEW
-from .layouts import lay_out, layout_of_tree, snapshot_then
-from .meeting import Moving
-from .sweeping import Sweep, swept
+from .exact_contact import Moving, velocity_dtype, velocity_records
+from .sweep import FEW, Sweep, swept
+
+
+@lean_kernel
+def write_velocities(tree, version, kept, handles, velocities, references):
+    """Write velocities, (n, ndim), and references, (n,) or one for all, of the boxes of `handles`;
+    0, or why not.
+    """
+    refused = begin_change(tree.state, version)
+    if refused != 0:
+        return np.int64(refused)
+    for i in range(handles.shape[0]):
+        slot = handles[i] & SLOT_MASK
+        here = kept[slot]
+        here.owner, here.reference = handles[i], references[i if references.shape[0] > 1 else 0]
+        for axis in range(velocities.shape[1]):
+            here.velocity[axis] = velocities[i, axis]
+    end_change(tree.state, True)
+    return np.int64(0)
+
+
+def velocities_of(
+    kept: NDArray[Any], handles: NDArray[np.int64], slots: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(velocities, references) of the boxes of slots; zeros where a box has none."""
+    rows = kept[np.minimum(slots, len(kept) - 1)]
+    told = rows['owner'] == handles[slots]
+    return np.where(told[:, None], rows['velocity'], 0.0), np.where(told, rows['reference'], 0.0)
+
+
+def packed_velocities(kept: NDArray[Any], handles: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """What a file holds: those of living boxes."""
+    count = min(len(kept) - 1, len(handles))
+    owners = kept['owner'][:count]
+    live = kept[np.flatnonzero((owners == handles[:count]) & (owners >= 0))]
+    names = {'moving': 'owner', 'velocities': 'velocity', 'references': 'reference'}
+    return {name: np.ascontiguousarray(live[field]) for name, field in names.items()}
+
+
+_IDS, _ROWS = np.empty(0, np.int64), np.empty((0, 3))
+write_entry = entry_points(
+    *(
+        write_velocities,
+        0,
+        lambda ndim: np.empty(0, velocity_dtype(ndim)),
+        _IDS,
+        _ROWS,
+        np.empty(0),
+    )
+)
+
+
+FARTHEST = 1e300  # m: a tree takes finite boxes
+
+
+@functools.cache
+def layout_of_tree(ndim: int) -> Layout:
+    """To leave boxes in the nodes of the tree."""
+    return Layout(empty_tree(ndim).nodes, NONE, np.empty(0, np.int64))
+
+
+def lay_out(view: View, kept: NDArray[np.void], at: float, left: float) -> Layout:
+    """Nodes built over the places of all boxes at a time, rounded, which go on for `left` s:
+    `bounds` are fitted to them.
+    """
+    (tree, _), slots = _built(view, kept, at, left)
+    return Layout(tree.nodes, tree.state.item(ROOT), slots)
+
+
+def snapshot_then(view: View, kept: NDArray[np.void], at: float, left: float) -> Snapshot | None:
+    """A snapshot of such nodes, for `sweeping`."""
+    built, slots = _built(view, kept, at, left)
+    snapshot = take_snapshot(built)
+    if snapshot is None:
+        return None
+    children = snapshot.children[: snapshot.size * WIDTH]
+    children[children < 0] = ~slots[~children[children < 0]]
+    return snapshot
+
+
+def _built(
+    view: View, kept: NDArray[np.void], at: float, left: float
+) -> tuple[View, NDArray[np.int64]]:
+    """A tree of all boxes at a time, and their slots in the other tree, in its order of slots;
+    RuntimeError if that is being changed.
+    """
+    (nodes, _, tight, handles, state), version = view
+    slots = np.flatnonzero(handles >= 0)
+    boxes, masks = tight[slots] if len(tight) else nodes[2 * slots], nodes['mask'][2 * slots]
+    velocities, references = velocities_of(kept, handles, slots)
+    if state.item(TURN) < 0 or state.item(CHANGES) != version:
+        raise RuntimeError(IS_CHANGED)
+    with np.errstate(over='ignore'):
+        ways = velocities * np.minimum(at - references, left)[:, None]
+        lo, hi = (np.clip(boxes[side] + ways, -FARTHEST, FARTHEST) for side in ('lo', 'hi'))
+    return DynamicBVH.from_boxes(lo, hi, mask=masks).view(), slots
+
 
 Floats = NDArray[np.float64]
+
+
+def both_times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
+    """`at` and `pace`: each one for all or (n,), finite."""
+    at, pace = times
+    return time_checks.moments('at', at, count), time_checks.moments('pace', pace, count)
+
+
+def span_of(at: float, pace: float, t_max: float) -> tuple[float, float]:
+    """First and last time of a ray; both now where it is too long for bounds."""
+    last = at if pace == 0.0 else at + t_max * pace
+    if -LONGEST < at < LONGEST and -LONGEST < last < LONGEST:
+        return (at, last) if at <= last else (last, at)
+    return 0.0, 0.0
+
+
+def times_of(at: Floats, pace: Floats, t_max: Floats) -> tuple[tuple[float, float], bool]:
+    """`span_of` of all rows for which there can be bounds, and whether that is all rows."""
+    first, last, every = _entry()(at, pace, t_max)
+    return (first, last), every
+
+
+@lean_kernel
+def span_of_rows(at, pace, t_max):
+    """First and last time of all rows for which there can be bounds, (n,) or one for all, and
+    whether that is all rows.
+    """
+    first, last, every = np.inf, -np.inf, True
+    counts = at.shape[0], pace.shape[0], t_max.shape[0]
+    for i in range(max(counts) if min(counts) > 0 else 0):
+        begin, going = of_row(at, i), of_row(pace, i)
+        end = begin if going == 0.0 else begin + of_row(t_max, i) * going
+        if abs(begin) < LONGEST and abs(end) < LONGEST:
+            first, last = min(first, begin, end), max(last, begin, end)
+        else:
+            every = False
+    return (first, last, every) if first <= last else (0.0, 0.0, every)
+
+
+@functools.cache
+def _entry() -> Callable[..., Any]:
+    """The machine code of `span_of_rows`."""
+    return entry_point(span_of_rows, *(np.empty(0),) * 3)
+
+
 Ids = NDArray[np.int64]
 
 NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
@@ -84,7 +241,7 @@ class Motion:
     """The velocities of a tree, and bounds of its nodes over the times that are asked for."""
 
     def __init__(self, ndim: int, nanoseconds: bool = False, left: float = math.inf) -> None:
-        self.kept = velocities.room_for(0, ndim)
+        self.kept = velocity_records(0, ndim)
         known = no_motion(ndim)._replace(version=NOT_FITTED)
         self.moving = known._replace(nanoseconds=nanoseconds, left=left)
         self._no_nodes = self.moving.nodes
@@ -97,22 +254,22 @@ class Motion:
         self._parted, self._asks = (0.0, 0.0), EVER_SO_MANY
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
-        """Call `velocities.write`, with room for all slots."""
+        """Call `write_velocities`, with room for all slots."""
         capacity = len(tree.handles)
         if len(self.kept) <= capacity:
-            self.kept = velocities.room_for(capacity, rows.shape[1], self.kept)
-        kernel = velocities.write_entry(rows.shape[1])
+            self.kept = velocity_records(capacity, rows.shape[1], self.kept)
+        kernel = write_entry(rows.shape[1])
         done: int = kernel(tree, version, self.kept, handles, rows, times)
         return done
 
     def packed(self, handles: Ids) -> dict[str, Any]:
-        """`velocities.packed`; and `left`, where times are whole nanoseconds."""
-        told = velocities.packed(self.kept, handles)
+        """`packed_velocities`; and `left`, where times are whole nanoseconds."""
+        told = packed_velocities(self.kept, handles)
         return told | {'left': self.moving.left} if self.moving.nanoseconds else told
 
     def told_to(self, handles: Ids, slots: Ids) -> tuple[Floats, Floats]:
-        """`velocities.told_to`."""
-        return velocities.told_to(self.kept, handles, slots)
+        """`velocities_of`."""
+        return velocities_of(self.kept, handles, slots)
 
     # ---- bounds
 
