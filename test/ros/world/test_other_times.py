@@ -436,7 +436,8 @@ def test_a_client_asks_old_data_to_the_nanosecond(clean):
     speed, rays = [1.3, 0.0, 0.0], ([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 100.0)
     tell(clean, [[0, 5, 0, 0, *speed]], then)
     scene, client = Scene(), BvhClient(clean.node, clean.name, timeout=60.0)
-    scene.update('tracks', ['0'], Shapes.boxes([[5, 0, 0]], [1, 1, 1]), then, velocities=[speed])
+    shapes = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
+    scene.update('tracks', ['0'], shapes, stamp=then, velocities=[speed])
     for later in (0, 123_456_789, 876_543_211):
         hits, wanted = (
             ask(*rays, at=then + later) for ask in (client.raycast_many, scene.raycast_many)
