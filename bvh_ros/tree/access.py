@@ -18,11 +18,6 @@ from .batch.snapshot import (
     start_ray,
 )
 from .batch.streams import ALL32, FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
-from .boxes.nearest import nearest
-from .boxes.nearest_packets import are_dense
-from .boxes.ordering import order_of
-from .boxes.overlapping import overlap
-from .boxes.within import boxes_within
 from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
 from .dynamic_bvh import DynamicBVH
 from .entries import entry_points
@@ -44,6 +39,8 @@ from .nodes import (
     slot_of,
 )
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
+from .query.nearest import PointQueries, are_dense, nearest, order_of
+from .query.overlap import overlap
 from .query.ray import (
     CLOSEST,
     EVERY,
@@ -74,6 +71,7 @@ from .query.slab import (
     set_swept_box,
     traversal_distance,
 )
+from .query.within import boxes_within
 from .results import RayHits
 from .simd.float32x16 import seen16, stream16
 from .simd.int32x8 import AT_ONCE

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import box_checks, changing, checks, handle_checks
-from .boxes.predicates import Predicates
+from .query.predicates import Predicates
 from .query.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids

@@ -15,7 +15,7 @@ from scene.reference import geometry_arrays, random_shapes, widest_gap
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.tree.boxes import within
+from bvh_ros.tree.query import within
 
 lattice = st.integers(-6, 6).map(lambda i: i * 0.1)
 points = st.tuples(lattice, lattice, lattice)

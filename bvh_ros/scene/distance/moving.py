@@ -12,15 +12,7 @@ import numpy as np
 
 from ...tree.access import end_query, of_row
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ...tree.motion.access import (
-    OUTSIDE,
-    begin_asking,
-    box_of,
-    covers,
-    elapsed,
-    moves,
-    overlap_then,
-)
+from ...tree.motion.access import OUTSIDE, begin_asking, box_of, covers, elapsed, moves, overlap_at
 from ..geometry.canonical import FINE
 from ..store.places import WIDER
 from .narrow_phase import near
@@ -134,8 +126,8 @@ def touch_rows(tree, moving, then, queries, asked, memory, answers):
             needed = np.int64(FAULTY)
             break
         grow(QueryShape(record, bounds, False, tolerance + most_growth(then, at), 0.0), grown)
-        corners = grown[0, :ndim], grown[1, :ndim], at
-        needed = overlap_then(tree, moving, corners, of_row(masks, row), room.slots, 0)
+        low, high, mask = grown[0, :ndim], grown[1, :ndim], of_row(masks, row)
+        needed = overlap_at(tree, moving, at, low, high, mask, room.slots, 0)
         if needed > fit or (wanted == ALL and written + needed > answers[2].shape[0]):
             break
         some = record[0], tolerance, at, wanted == ANY

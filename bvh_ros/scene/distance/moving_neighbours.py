@@ -17,6 +17,7 @@ from ...tree.motion.access import (
     covers,
     elapsed,
     fetch_box,
+    near_at,
     nearest_bounds,
 )
 from ..geometry.canonical import FINE
@@ -33,27 +34,26 @@ PLACES = 4
 
 
 @inlined
-def _nearest_bounds(tree, moving, near_by, known, row, slots, gaps):
+def _nearest_bounds(tree, near_by, known, row, slots, gaps):
     """`nearest_bounds`, of a row for which as many are known without another look."""
     if known is None:
-        return nearest_bounds(tree, moving, near_by, slots, gaps)
+        return nearest_bounds(tree, near_by, slots, gaps)
     if known.slots.shape[1] != slots.shape[0]:
-        return nearest_bounds(tree, moving, near_by, slots, gaps)
+        return nearest_bounds(tree, near_by, slots, gaps)
     for i in range(known.counts[row]):
         slots[i] = known.slots[row, i]
     return known.counts[row], known.left_out[row]
 
 
 @inlined
-def neighbours(tree, moving, near_by, room, known, row):
-    """Slots of the boxes nearest to near_by = (low, high, at, wanted, limit, mask): (whether there
-    may be more, how far those are at least, how many).
-    `known`: see `near_rows`.
+def neighbours(tree, near_by, room, known, row):
+    """Slots of the boxes nearest to `near_by`, a `NearAt`: (whether there may be more, how far
+    those are at least, how many). `known`: see `near_rows`.
     """
-    wanted = near_by[3]
+    wanted = near_by.k
     places = max(wanted, PLACES) if known is None else wanted
     slots, gaps = room.slots, room.gaps[:places]
-    total, left_out = _nearest_bounds(tree, moving, near_by, known, row, slots[:places], gaps)
+    total, left_out = _nearest_bounds(tree, near_by, known, row, slots[:places], gaps)
     more, last = total >= wanted, at_least(left_out)
     return more, last, total
 
@@ -83,8 +83,8 @@ def near_rows(tree, moving, then, points, known, asked, memory, told):
         limit, kept = max(reach * ROUNDED, reach) + more, 0
         wanted = min(k + 1 if some_more else k, everybody + 1)
         while wanted <= found.slots.shape[0]:
-            near_by = point, point, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, near_by, room, known, row)
+            near_by = near_at(moving, at, point, point, wanted, limit, mask)
+            others, last, total = neighbours(tree, near_by, room, known, row)
             _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
             kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
@@ -147,8 +147,8 @@ def clear_rows(tree, moving, then, queries, asked, memory, told):
         exact = more == 0.0 and not record[0].shaped
         limit, wanted = max(reach * clearance.ROUNDED, reach) + more, 1 if exact and alike else 2
         while wanted <= room.gaps.shape[0]:
-            near_by = low, high, at, wanted, limit, mask
-            others, last, total = neighbours(tree, moving, near_by, room, None, row)
+            near_by = near_at(moving, at, low, high, wanted, limit, mask)
+            others, last, total = neighbours(tree, near_by, room, None, row)
             clearance.tell_nobody(told, row)
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:

@@ -93,7 +93,7 @@ class Nearness:
 
     def order_of(self, points: Floats) -> NDArray[np.int64]:
         """The order in which many points are asked: neighbours load the same nodes."""
-        return order_of(self._tree, along_axes(points, self._tree.ndim))
+        return order_of(self._tree.view().tree, along_axes(points, self._tree.ndim))
 
     def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near | None:
         """The k obstacles nearest to each of n points, as `find` has them; None if one is not

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ...tree.access import COUNT, NONE, Tree, are_dense, in_threads, order_of
-from ...tree.motion.access import Bounded, Near
+from ...tree.access import COUNT, NONE, PointQueries, Tree, are_dense, in_threads, order_of
+from ...tree.motion.access import Bounded
 from ..geometry.shapes import Floats, along_axes
 from ..store.mesh_store import Hulls
 from .clearance import NOT_ASKED, Neighbours, room_for
@@ -131,14 +131,15 @@ class TimedDistances(OneTimed):
         """The same, in parts; whether all points are finite."""
         signed, count, tree = asked[-1], len(points.points), self._held.tree
         view = tree.view()
-        near, known = self._in_packets(points, asked, at)
+        near, known = self._in_packets(points, asked)
         variant: Any = signed if known is None else (signed, Bounded)
         if near is not None:
             points = points._replace(order=near.order)
 
         def work(start: int, stop: int) -> bool:
             if near is not None and known is not None and tree.motion is not None:
-                tree.motion.bound_many(tree, near._replace(order=near.order[start:stop]), known)
+                rows = near._replace(order=near.order[start:stop])
+                tree.motion.bound_many(tree, np.atleast_1d(at), rows, known)
             scratch = self._spare.take()
             while start < stop:
                 then, memory = self._known(scratch, view.tree, at, None)
@@ -156,8 +157,8 @@ class TimedDistances(OneTimed):
         return finite
 
     def _in_packets(
-        self, points: Points, asked: tuple[int, bool, int, bool, Signed], at: Any
-    ) -> tuple[Near, Bounded] | tuple[None, None]:
+        self, points: Points, asked: tuple[int, bool, int, bool, Signed]
+    ) -> tuple[PointQueries, Bounded] | tuple[None, None]:
         """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
         asks for the rest itself, as where obstacles grow.
         """
@@ -168,10 +169,9 @@ class TimedDistances(OneTimed):
             return None, None
         where, order = along_axes(points.points, ndim), points.order
         if not len(order):
-            order = order_of(self._held.tree, where)
+            order = order_of(self._held.tree.view().tree, where)
         limits = np.maximum(points.reaches * ROUNDED, points.reaches)
-        times = np.array([at]) if type(at) is float else at
-        near = Near(where, limits, points.masks, times, wanted, order)
+        near = PointQueries(where, wanted, limits, points.masks, order)
         slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
         return near, Bounded(slots, counts, np.empty(count))
 

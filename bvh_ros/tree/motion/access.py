@@ -16,9 +16,8 @@ from .exact_contact import (
     meet_box,
     moves,
 )
-from .nearest import Near, at_least, nearest_bounds
-from .nearest_packets import Bounded
-from .overlapping import overlap_then
+from .nearest import Bounded, at_least, near_at, nearest_bounds
+from .overlap import overlap_at
 from .state import span_of, times_of
 from .sweep import (
     AHEAD,

@@ -1,9 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The k boxes nearest to a point or box at some time: `boxes.nearest` with bounds that move.
+"""The k boxes nearest to a point or box at a time: the traversals of `query.nearest` among moving
+nodes.
 
-Gaps are within a rounding of the exact ones (see `sums`), so distances are as good as those of
-boxes at rest. They decide, ties by the smaller handle.
+The traversal looks for the boxes whose bounds are nearest. Their distances decide, ties by the
+smaller handle, unless a box that was left out may be nearer: then a second traversal looks at the
+distances of all boxes in reach. Gaps are within a rounding of the exact ones (see `sums`), so
+distances are as good as those of boxes at rest.
 """
 
 import math
@@ -12,16 +15,27 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..boxes.nearest import insert_candidate, name_row, pruning_limit
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import DEEPEST, ROOT, is_leaf
+from ..query.nearest import (
+    NO_POINTS,
+    Best,
+    keep_if_near,
+    load,
+    name_row,
+    no_packet,
+    pruning_limit,
+    visit_nearest,
+    visit_packet,
+)
 from ..query.ray import of_row
-from ..simd.moving_sides import FRONTS, square_beside
+from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
+from ..simd.moving_sides import square_beside
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children, no_motion, set_fronts
+from .bounds import OUTSIDE, begin_asking, covers, fetch_children, no_motion
 from .entries import is_sound
 from .exact_contact import box_of, elapsed, fetch_box, gap, moment_of, quick_gap, surely_below
+from .overlap import BoxAt, box_at
 
 # Squares whose root says something, and by how much it is rounded down.
 LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
@@ -29,18 +43,41 @@ LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
 FARTHER = 1.0 + 2.0**-28
 
 
-class Near(NamedTuple):
-    """What is asked for."""
+class NearAt(NamedTuple):
+    """A query at a time, among moving boxes."""
 
-    points: NDArray[np.float64]
-    """Shape (n, ndim)."""
-    reaches: NDArray[np.float64]
-    """The largest distance, a row or one for all, as of masks and times."""
-    masks: NDArray[np.uint32]
-    at: NDArray[np.float64]
+    box: BoxAt
     k: int
-    order: NDArray[np.int64]
-    """In which rows are asked; as they stand where it is empty."""
+    reach: float
+    """The largest distance."""
+    mask: np.uint32
+
+
+class Bounds(NamedTuple):
+    """The boxes whose bounds are nearest so far, nearest first."""
+
+    slots: NDArray[np.int64]
+    """Room for k, or for more: then for those that are as near as the k-th, as far as bounds
+    tell.
+    """
+    squares: NDArray[np.float64]
+    """The squared distances of their bounds."""
+    left_out: NDArray[np.float64]
+    """Shape (1,): the least square of a box for which there was no room."""
+
+
+class Bounded(NamedTuple):
+    """The boxes whose bounds are nearest to n points."""
+
+    slots: NDArray[np.int64]
+    """(n, k)"""
+    counts: NDArray[np.int64]
+    """How many there are."""
+    left_out: NDArray[np.float64]
+    """Where those are k, the least square of the distance of others."""
+
+
+# ---- distances
 
 
 @inlined
@@ -78,7 +115,7 @@ def _gap_now(plane, front, velocity, when, reference):
 
 
 @inlined
-def distance_then(box, low, high, when):
+def distance_at(box, low, high, when):
     """Distance of a box at a time from the one from low to high, 0 where they touch; when = (at,
     nanoseconds).
     """
@@ -115,50 +152,26 @@ def _any_distance(box, low, high, when):
     return math.ldexp(math.sqrt(total), exponent)
 
 
-@inlined
-def _walk(tree, moving, near, limit, kept, keep):
-    """Let keep(tree, moving, near, leaf, square, kept, count, limit) look at the leaves whose
-    squared distance, computed, is within a limit, and say how many are kept, and the limit from
-    then on: what it said last.
-    """
-    (low, high, at, _, _, mask), nodes, root = near, moving.nodes, tree.state[ROOT]
-    bounded, ahead = covers(moving, at, 0.0, 0.0) > 0, at - moving.start
-    stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], squares[0], top = root, 0.0, (0 if root < 0 else 1)
-    count, fronts = np.int64(0), stack_array(FRONTS, np.float64)
-    set_fronts(fronts, moving, low, high, low)
-    while top > 0:
-        top -= 1
-        node, square = stack[top], squares[top]
-        if square > limit or nodes[node].mask & mask == 0:
-            continue
-        while not is_leaf(node):
-            first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-            square, other = 0.0, 0.0
-            fetch_children(nodes, first)
-            fetch_children(nodes, second)
-            if bounded:
-                square = square_beside(nodes, first, fronts, ahead)
-                other = square_beside(nodes, second, fronts, ahead)
-            if other < square:
-                first, second, square, other = second, first, other, square
-            if other <= limit:
-                stack[top], squares[top] = second, other
-                top += 1
-            node = first
-            if square > limit or nodes[first].mask & mask == 0:
-                break
-        if is_leaf(node) and square <= limit and nodes[node].mask & mask != 0:
-            count, limit = keep(tree, moving, near, node, square, kept, count, limit)
-    return count, limit
+# ---- one query
 
 
 @inlined
-def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
-    """By what is known of all: kept = (slots, squares, [least square that is left out]). There may
-    be room for more than k: then for those that are as near as the k-th, as far as bounds tell.
-    """
-    (slots, squares, left_out), k = kept, near[3]
+def near_at(moving, at, low, high, k, reach, mask):
+    """The query of a box, or point, at a time."""
+    return NearAt(box_at(moving, at, low, high), k, reach, mask)
+
+
+@inlined
+def _square(nodes, node, query):
+    fetch_children(nodes, node)
+    if not query.box.bounded:
+        return 0.0
+    return square_beside(nodes, node, query.box.fronts, query.box.ahead)
+
+
+@inlined
+def _look_at_bounds(tree, query, leaf, square, bounds, count, limit):
+    slots, squares, left_out = bounds
     if count == slots.shape[0]:
         left_out[0] = min(left_out[0], max(square, squares[count - 1]))
         if square >= squares[count - 1]:
@@ -169,83 +182,63 @@ def keep_bound(tree, moving, near, leaf, square, kept, count, limit):
         slots[place], squares[place] = slots[place - 1], squares[place - 1]
         place -= 1
     slots[place], squares[place] = leaf >> 1, square
-    if count + 1 >= k:
-        limit = min(limit, squares[k - 1] * FARTHER + 2.0 * LEAST_SQUARE)
+    if count + 1 >= query.k:
+        limit = min(limit, squares[query.k - 1] * FARTHER + 2.0 * LEAST_SQUARE)
     return count + 1, limit
 
 
+@lean_kernel
+def nearest_bounds(tree, query, slots, squares):
+    """Write the boxes whose bounds are nearest, nearest first, and the squares of how far those
+    are, see `Bounds`. Return how many there are, and, if they are k or more, the least such square
+    of others. Bounds may be within `reach` where the box is not.
+    """
+    bounds = Bounds(slots, squares, stack_array(1, np.float64))
+    bounds.left_out[0] = np.inf
+    limit, nodes = pruning_limit(query.reach), query.box.moving.nodes
+    count, limit = visit_nearest(tree, nodes, query, bounds, limit, _square, _look_at_bounds)
+    while count > query.k and squares[count - 1] > limit:
+        count -= 1
+    return count, min(bounds.left_out[0], limit)
+
+
 @inlined
-def _keep_distance(tree, moving, near, leaf, square, kept, count, limit):
-    """By its distance: kept = (slots, distances)."""
-    (slots, distances), (low, high, at, k, reach, _) = kept, near
-    box = box_of(tree, moving, leaf >> 1)
-    at = moment_of(box, at, moving.left)
-    apart = distance_then(box, low, high, (at, moving.nanoseconds))
-    if apart <= reach:
-        count = insert_candidate(slots, distances, tree.handles, count, k, leaf >> 1, apart)
-        if count == k:
-            limit = pruning_limit(distances[k - 1])
+def _keep(tree, query, slot, best, count, limit):
+    """Put a box among the best, if its distance is within reach: (count, limit, distance)."""
+    asked, box = query.box, box_of(tree, query.box.moving, slot)
+    when = moment_of(box, asked.at, asked.moving.left), asked.moving.nanoseconds
+    apart = distance_at(box, asked.lo, asked.hi, when)
+    count, limit = keep_if_near(tree, query, slot, apart, best, count, limit)
+    return count, limit, apart
+
+
+@inlined
+def _look_at(tree, query, leaf, square, best, count, limit):
+    count, limit, _ = _keep(tree, query, leaf >> 1, best, count, limit)
     return count, limit
 
 
 @lean_kernel
-def nearest_bounds(tree, moving, near, slots, squares):
-    """Write the k boxes to arrays (k,), or longer ones, whose bounds are nearest, near = (low,
-    high, at, k, reach, mask), nearest first, and the squares of how far those are: (how many,
-    where they are k or more the least such square of others). Bounds may be within `reach` where
-    the box is not.
-    """
-    left_out, limit = stack_array(1, np.float64), pruning_limit(near[4])
-    left_out[0] = np.inf
-    kept = slots, squares, left_out
-    count, limit = _walk(tree, moving, near, limit, kept, keep_bound)
-    while count > near[3] and squares[count - 1] > limit:
-        count -= 1
-    return count, min(left_out[0], limit)
-
-
-@lean_kernel
-def _nearest_among_all(tree, moving, near, limit, slots, distances):
-    """Write slots and distances of the nearest within a limit of their square: how many."""
-    return _walk(tree, moving, near, limit, (slots, distances), _keep_distance)[0]
-
-
-@lean_kernel
-def nearest_then(tree, moving, near, found, distances):
-    """Write handles of the nearest, near = (low, high, at, k, reach, mask), and distances, to
-    arrays (k,), nearest first; return how many there are. NOT_FINITE if it is no box or time,
-    OUTSIDE if the bounds do not hold for the time.
-
-    Bounds say whose distances are worth being computed; and whether those are sure to be less than
-    all others.
-    """
-    low, high, at, _, _, _ = near
-    if not is_sound(low, high, low, (at, 0.0)):
-        return np.int64(NOT_FINITE)
-    if covers(moving, at, 0.0, 0.0) == 0:
-        return np.int64(OUTSIDE)
-    candidates, left_out = nearest_bounds(tree, moving, near, found, distances)
-    return decide(tree, moving, near, (candidates, left_out), found, distances)
+def _nearest_of_all(tree, query, limit, found, distances):
+    """Write slots and distances of the nearest boxes within a limit; return how many there are."""
+    nodes, best = query.box.moving.nodes, Best(found, distances)
+    return visit_nearest(tree, nodes, query, best, limit, _square, _look_at)[0]
 
 
 @inlined
-def decide(tree, moving, near, bounded, found, distances):
-    """`nearest_then`, from what `nearest_bounds` said and wrote."""
-    (low, high, at, k, reach, _), (candidates, left_out) = near, bounded
-    count, farthest = np.int64(0), 0.0
+def _decide(tree, query, candidates, left_out, found, distances):
+    """Write handles and distances of the nearest boxes, padded with NONE and inf, given what
+    `nearest_bounds` returned, and wrote to `found`. Return how many there are.
+    """
+    best, count, limit, farthest = Best(found, distances), np.int64(0), np.inf, 0.0
     for i in range(candidates):
-        fetch_box(tree, moving, found[i])
+        fetch_box(tree, query.box.moving, found[i])
     for i in range(candidates):
-        slot = found[i]
-        box = box_of(tree, moving, slot)
-        then = moment_of(box, at, moving.left)
-        apart = distance_then(box, low, high, (then, moving.nanoseconds))
+        count, limit, apart = _keep(tree, query, found[i], best, count, limit)
         farthest = max(farthest, apart)
-        if apart <= reach:
-            count = insert_candidate(found, distances, tree.handles, count, k, slot, apart)
-    if candidates == k and not farthest < at_least(left_out):
-        limit = pruning_limit(min(reach, farthest))
-        count = _nearest_among_all(tree, moving, near, limit, found, distances)
+    if candidates == query.k and not farthest < at_least(left_out):
+        limit = pruning_limit(min(query.reach, farthest))
+        count = _nearest_of_all(tree, query, limit, found, distances)
     name_row(tree.handles, found, distances, count)
     return count
 
@@ -257,36 +250,164 @@ def at_least(square):
 
 
 @lean_kernel
-def nearest_one(tree, moving, near, found, distances):
-    """`nearest_then`; REFUSED if the tree is of another version."""
+def _nearest(tree, moving, at, low, high, k, reach, mask, found, distances):
+    """`query.nearest.nearest_one` at a time, once the query is begun; OUTSIDE if the bounds do not
+    hold for the time.
+    """
+    if not is_sound(low, high, low, (at, 0.0)):
+        return np.int64(NOT_FINITE)
+    if covers(moving, at, 0.0, 0.0) == 0:
+        return np.int64(OUTSIDE)
+    query = near_at(moving, at, low, high, k, reach, mask)
+    candidates, left_out = nearest_bounds(tree, query, found, distances)
+    return _decide(tree, query, candidates, left_out, found, distances)
+
+
+@lean_kernel
+def nearest_one(tree, moving, at, low, high, k, reach, mask, found, distances):
+    """`query.nearest.nearest_one` at a time; OUTSIDE if the bounds do not hold for it."""
     why = begin_asking(tree, moving, 1)
     if why != 0:
         return why
-    count = nearest_then(tree, moving, near, found, distances)
+    count = _nearest(tree, moving, at, low, high, k, reach, mask, found, distances)
     end_query(tree.state)
     return np.int64(count)
 
 
+# ---- many points
+
+
 @lean_kernel
-def nearest_rows(tree, moving, rows, found, distances):
-    """Row by row, to `found` and `distances`, (n, k), padded with NONE and inf: 0, or why not."""
-    why = begin_asking(tree, moving, rows.points.shape[0])
-    if why != 0:
-        return why
-    for row in range(rows.points.shape[0]):
-        i = rows.order[row] if rows.order.shape[0] > 0 else row
-        point, reach, mask = rows.points[i], of_row(rows.reaches, i), of_row(rows.masks, i)
-        near = point, point, of_row(rows.at, i), rows.k, reach, mask
-        why = min(nearest_then(tree, moving, near, found[i], distances[i]), np.int64(0))
+def _nearest_of_rows(tree, moving, at, asked, start, stop, found, distances):
+    """Answer the rows [start, stop) in their order, one by one: 0, or why not."""
+    why = np.int64(0)
+    for i in range(start, stop):
+        row = asked.order[i] if asked.order.shape[0] > 0 else i
+        point, reach, mask = (
+            asked.points[row],
+            of_row(asked.reaches, row),
+            of_row(asked.masks, row),
+        )
+        count = _nearest(
+            *(tree, moving, of_row(at, row), point, point, asked.k, reach, mask),
+            *(found[row], distances[row]),
+        )
+        why = min(count, np.int64(0))
         if why < 0:
             break
+    return why
+
+
+@lean_kernel
+def nearest_rows(tree, moving, at, asked, found, distances):
+    """`query.nearest.nearest_rows` at times, one for all or one a row."""
+    why = begin_asking(tree, moving, asked.points.shape[0])
+    if why != 0:
+        return why
+    count = asked.points.shape[0]
+    why = _nearest_of_rows(tree, moving, at, asked, 0, count, found, distances)
     end_query(tree.state)
     return why
 
 
-_ROW, _ROWS, _IDS = np.empty(0), np.empty((0, 3)), np.empty(0, np.int64)
+@inlined
+def _row_at(asked, row, moving, at):
+    """The query of a row."""
+    point, reach, mask = asked.points[row], of_row(asked.reaches, row), of_row(asked.masks, row)
+    return near_at(moving, of_row(at, row), point, point, asked.k, reach, mask)
+
+
+@inlined
+def _squares(nodes, node, packet, at):
+    fetch_children(nodes, node)
+    moving_squares8(nodes, node, packet.points, packet.both, at)
+
+
+@inlined
+def _look_at_row(tree, asked, row, lane, leaf, square, best, count, limit):
+    bounds = Bounds(best.slots[row], best.squares[row], best.left_out[lane : lane + 1])
+    return _look_at_bounds(tree, asked, leaf, square, bounds, count, limit)
+
+
+@inlined
+def _load_times(moving, at, rows, packet):
+    """Fill in the times of a packet: 0, or why not."""
+    for lane in range(EIGHT):
+        time = of_row(at, rows[min(lane, rows.shape[0] - 1)])
+        covered = covers(moving, time, 0.0, 0.0)
+        if covered <= 0:
+            return np.int64(OUTSIDE if covered == 0 else NOT_FINITE)
+        packet.points[WHEN * EIGHT + lane] = time - moving.start
+    return np.int64(0)
+
+
+@inlined
+def _bound_packet(tree, moving, at, asked, rows, packet, best):
+    """Write `nearest_bounds` of eight rows to `best` and to the packet's counts: 0, or why not."""
+    mask = load(asked, rows, packet)
+    why = _load_times(moving, at, rows, packet)
+    best.left_out[:] = np.inf
+    if why == 0:
+        visit_packet(tree, moving.nodes, asked, rows, mask, packet, best, _squares, _look_at_row)
+    for lane in range(EIGHT):
+        best.left_out[lane] = min(best.left_out[lane], packet.limits[lane])
+    return why
+
+
+@lean_kernel
+def nearest_packets(tree, moving, at, asked, found, distances):
+    """`nearest_rows` of finite points, eight rows of `order` at a time; one by one where bounds do
+    not hold for all eight times.
+    """
+    why, count = begin_asking(tree, moving, asked.order.shape[0]), asked.order.shape[0]
+    if why != 0:
+        return why
+    packet, best = no_packet(), Bounds(found, distances, stack_array(EIGHT, np.float64))
+    for first in range(0, count, EIGHT):
+        rows = asked.order[first : first + EIGHT]
+        if _bound_packet(tree, moving, at, asked, rows, packet, best) != 0:
+            stop = min(first + EIGHT, count)
+            why = _nearest_of_rows(tree, moving, at, asked, first, stop, found, distances)
+            if why < 0:
+                break
+            continue
+        for lane in range(rows.shape[0]):
+            for i in range(packet.counts[lane]):
+                fetch_box(tree, moving, found[rows[lane], i])
+        for lane in range(rows.shape[0]):
+            row, boxes, left_out = rows[lane], packet.counts[lane], best.left_out[lane]
+            query = _row_at(asked, row, moving, at)
+            _decide(tree, query, boxes, left_out, found[row], distances[row])
+    end_query(tree.state)
+    return why
+
+
+@lean_kernel
+def bound_packets(tree, moving, at, asked, bounded, squares):
+    """Write `nearest_bounds` of such rows to `bounded` and `squares`, (n, k): 0, or why not."""
+    why = begin_asking(tree, moving, asked.order.shape[0])
+    if why != 0:
+        return why
+    packet = no_packet()
+    best = Bounds(bounded.slots, squares, stack_array(EIGHT, np.float64))
+    for first in range(0, asked.order.shape[0], EIGHT):
+        rows = asked.order[first : first + EIGHT]
+        why = _bound_packet(tree, moving, at, asked, rows, packet, best)
+        if why < 0:
+            break
+        for lane in range(rows.shape[0]):
+            bounded.counts[rows[lane]] = packet.counts[lane]
+            bounded.left_out[rows[lane]] = best.left_out[lane]
+    end_query(tree.state)
+    return why
+
+
+_ROW, _ROWS, _IDS = np.empty(0), np.empty((0, 3)), np.empty((0, 1), np.int64)
+_BOUNDED = Bounded(_IDS, np.empty(0, np.int64), _ROW)
 one_entry = entry_points(
-    *(nearest_one, no_motion, (_ROW, _ROW, 0.0, 1, 0.0, np.uint32(0)), _IDS, _ROW)
+    *(nearest_one, no_motion, 0.0, _ROW, _ROW, 1, 0.0, np.uint32(0)),
+    *(np.empty(0, np.int64), _ROW),
 )
-NO_POINTS = Near(_ROWS, _ROW, np.empty(0, np.uint32), _ROW, 1, _IDS)
-rows_entry = entry_points(nearest_rows, no_motion, NO_POINTS, np.empty((0, 1), np.int64), _ROWS)
+rows_entry = entry_points(nearest_rows, no_motion, _ROW, NO_POINTS, _IDS, _ROWS)
+packets_entry = entry_points(nearest_packets, no_motion, _ROW, NO_POINTS, _IDS, _ROWS)
+bounds_entry = entry_points(bound_packets, no_motion, _ROW, NO_POINTS, _BOUNDED, _ROWS)

@@ -1,8 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What touches a box, which boxes touch each other, what a box meets on its way, and which boxes
-are nearest to a point.
-"""
+"""Overlaps, pairs, swept boxes, nearest boxes. Each method checks its input and calls a kernel."""
+
+import functools
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,19 +10,18 @@ from numpy.typing import ArrayLike
 from .. import box_checks, checks
 from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, aligned_empty
-from ..query.ray import CLOSEST, boxcast_entry
 from ..results import RayHit
 from ..store.arrays import Floats, Ids
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..timed import NOW, Timed
-from . import nearest, nearest_packets, ordering, overlapping, pairs
+from . import nearest, overlap, pairs
+from .ray import CLOSEST, boxcast_entry
 
-# Boxes that there is room for at first.
-FEW_OVERLAPS, FEW_NEAREST = 64, 64
+FEW_NEAREST = 64  # up to so many there is room for k, more or fewer boxes than there are
 
 
 class BoxQueries(Timed):
-    """What touches, what comes to touch, and what is near."""
+    """Overlaps, pairs, swept boxes and nearest boxes."""
 
     def overlap(
         self, lo: ArrayLike, hi: ArrayLike, mask: int = ALL, at: float | None = NOW
@@ -30,22 +29,22 @@ class BoxQueries(Timed):
         """Handles of the boxes that touch the closed box from `lo` to `hi`, shape (ndim,) each;
         ascending. `at`: when, s, of boxes that have velocities.
         """
-        ndim, room = self._ndim, FEW_OVERLAPS
+        ndim, found = self._ndim, np.empty(overlap.FEW, np.int64)
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
-        seen = checks.mask(mask)
+        bits = checks.mask(mask)
         motion = self._motion
         if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at)
-        if motion is not None:
-            return motion.overlap(self, (low, high), seen, at)
-        kernel = overlapping.one_entry(ndim)
+        kernel = (overlap if motion is None else motion.overlap).one_entry(ndim)
         while True:
-            found = np.empty(room, np.int64)
-            count = kernel(self._settled().tree, low, high, seen, found)
-            if 0 <= count <= room:
+            if motion is None:
+                count = kernel(self._settled().tree, low, high, bits, found)
+            else:
+                count = motion.ask_one(self, kernel, at, low, high, bits, found)
+            if 0 <= count <= len(found):
                 break
             _refuse(count, low, high, ndim)
-            room = count
+            found = np.empty(count, np.int64)
         handles = found[:count]
         if count > 1:
             handles.sort()
@@ -73,11 +72,14 @@ class BoxQueries(Timed):
         motion = self._motion
         if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at, count=count)
-        if motion is not None:
-            found = motion.overlap_many(self, (low, high), masks, at, threads)
+        kernel = (overlap if motion is None else motion.overlap).rows_entry(ndim)
+        # As Queries(...), which would take one more call of a Python function.
+        queries = tuple.__new__(overlap.Queries, (low, high, masks))
+        ask = functools.partial(overlap.overlap_many, kernel, queries, threads)
+        if motion is None:
+            found = ask(*self.view())
         else:
-            queries = overlapping.Queries(low, high, masks)
-            found = overlapping.overlap_many(self.view(), queries, threads)
+            found = motion.ask_rows(self, ask, at, count)
         if isinstance(found, tuple):
             return found
         if found == NOT_FINITE:
@@ -201,16 +203,16 @@ class BoxQueries(Timed):
         k = checks.capacity('k', k)
         if k > FEW_NEAREST:  # not more room than for all
             k = min(k, max(len(self), 1))
-        limit, seen = checks.limit('max_distance', max_distance), checks.mask(mask)
+        limit, bits = checks.limit('max_distance', max_distance), checks.mask(mask)
         motion = self._motion
         if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at)
-        if motion is not None:
-            return motion.nearest(self, (low, high, at, k, limit, seen))
         ids, distances = np.empty(k, np.int64), np.empty(k)
-        count = nearest.one_entry(ndim)(
-            self._settled().tree, low, high, k, limit, seen, ids, distances
-        )
+        kernel = (nearest if motion is None else motion.nearest).one_entry(ndim)
+        if motion is None:
+            count = kernel(self._settled().tree, low, high, k, limit, bits, ids, distances)
+        else:
+            count = motion.ask_one(self, kernel, at, low, high, k, limit, bits, ids, distances)
         if count == k:
             return ids, distances
         if count == NOT_FINITE:
@@ -234,18 +236,25 @@ class BoxQueries(Timed):
         motion = self._motion
         if at is None or (motion is None and at is not NOW):
             motion = self._motion_at(at, count=count)
-        if motion is not None:
-            return motion.nearest_many(self, where, k, (max_distance, mask), at)
         reaches = checks.limits_or_one('max_distance', max_distance, count)
-        asked = nearest.Points(where, k, reaches, checks.masks_or_one(mask, count))
-        ids, distances = np.empty((count, k), INT64), np.empty((count, k))
-        view = self.view()
-        if nearest_packets.are_dense(count, view.tree.state.item(COUNT)):
+        masks, order = checks.masks_or_one(mask, count), nearest.NO_ORDER
+        kernels = nearest if motion is None else motion.nearest
+        kernel = kernels.rows_entry(ndim)
+        if count >= nearest.FEW:
             checks.finite('points', where)
-            order = ordering.order_of(self, where)
-            done = nearest_packets.entry(ndim)(*view, asked, order, ids, distances)
+            tree = self._settled().tree
+            dense = nearest.are_dense(count, tree.state.item(COUNT))
+            if dense or count >= nearest.MANY:
+                order = nearest.order_of(tree, where)
+            if dense:
+                kernel = kernels.packets_entry(ndim)
+        # As PointQueries(...), which would take one more call of a Python function.
+        asked = tuple.__new__(nearest.PointQueries, (where, k, reaches, masks, order))
+        ids, distances = np.empty((count, k), INT64), np.empty((count, k))
+        if motion is None:
+            done = kernel(*self.view(), asked, ids, distances)
         else:
-            done = nearest.many_entry(ndim)(*view, asked, ids, distances)
+            done = motion.ask_rows(self, kernel, at, count, asked, ids, distances)
         if done == NOT_FINITE:
             checks.finite('points', where)
         accepted(done)
