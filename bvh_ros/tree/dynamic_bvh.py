@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import box_checks, changing, checks, handle_checks
-from .query.predicates import Predicates
+from .query.box_queries import BoxQueries
 from .query.ray_queries import RayQueries
 from .store import files
 from .store.arrays import Floats, Ids
@@ -30,7 +30,7 @@ REBUILD_SHARE = 0.3
 SHARES = REFIT_SHARE, REBUILD_SHARE
 
 
-class DynamicBVH(RayQueries, Predicates):
+class DynamicBVH(RayQueries, BoxQueries):
     """A bounding volume hierarchy of axis-aligned boxes that can be inserted, moved and removed at
     any time.
 

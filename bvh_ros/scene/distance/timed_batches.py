@@ -139,7 +139,7 @@ class TimedDistances(OneTimed):
         def work(start: int, stop: int) -> bool:
             if near is not None and known is not None and tree.motion is not None:
                 rows = near._replace(order=near.order[start:stop])
-                tree.motion.bound_many(tree, np.atleast_1d(at), rows, known)
+                tree.motion.bound_many(tree, at, rows, known)
             scratch = self._spare.take()
             while start < stop:
                 then, memory = self._known(scratch, view.tree, at, None)

@@ -205,9 +205,10 @@ def nearest_bounds(tree, query, slots, squares):
 @inlined
 def _keep(tree, query, slot, best, count, limit):
     """Put a box among the best, if its distance is within reach: (count, limit, distance)."""
-    asked, box = query.box, box_of(tree, query.box.moving, slot)
-    when = moment_of(box, asked.at, asked.moving.left), asked.moving.nanoseconds
-    apart = distance_at(box, asked.lo, asked.hi, when)
+    here, moving = query.box, query.box.moving
+    box = box_of(tree, moving, slot)
+    when = moment_of(box, here.at, moving.left), moving.nanoseconds
+    apart = distance_at(box, here.lo, here.hi, when)
     count, limit = keep_if_near(tree, query, slot, apart, best, count, limit)
     return count, limit, apart
 
@@ -250,15 +251,13 @@ def at_least(square):
 
 
 @lean_kernel
-def _nearest(tree, moving, at, low, high, k, reach, mask, found, distances):
-    """`query.nearest.nearest_one` at a time, once the query is begun; OUTSIDE if the bounds do not
-    hold for the time.
-    """
-    if not is_sound(low, high, low, (at, 0.0)):
+def _nearest(tree, query, found, distances):
+    """`query.nearest.nearest_one` at a time, once the query is begun."""
+    box = query.box
+    if not is_sound(box.lo, box.hi, box.lo, (box.at, 0.0)):
         return np.int64(NOT_FINITE)
-    if covers(moving, at, 0.0, 0.0) == 0:
+    if covers(box.moving, box.at, 0.0, 0.0) == 0:
         return np.int64(OUTSIDE)
-    query = near_at(moving, at, low, high, k, reach, mask)
     candidates, left_out = nearest_bounds(tree, query, found, distances)
     return _decide(tree, query, candidates, left_out, found, distances)
 
@@ -269,7 +268,8 @@ def nearest_one(tree, moving, at, low, high, k, reach, mask, found, distances):
     why = begin_asking(tree, moving, 1)
     if why != 0:
         return why
-    count = _nearest(tree, moving, at, low, high, k, reach, mask, found, distances)
+    query = near_at(moving, at, low, high, k, reach, mask)
+    count = _nearest(tree, query, found, distances)
     end_query(tree.state)
     return np.int64(count)
 
@@ -277,44 +277,34 @@ def nearest_one(tree, moving, at, low, high, k, reach, mask, found, distances):
 # ---- many points
 
 
+@inlined
+def _query_of(points, row, moving, at):
+    point, reach, mask = points.points[row], of_row(points.reaches, row), of_row(points.masks, row)
+    return near_at(moving, of_row(at, row), point, point, points.k, reach, mask)
+
+
 @lean_kernel
-def _nearest_of_rows(tree, moving, at, asked, start, stop, found, distances):
+def _nearest_of_rows(tree, moving, at, points, start, stop, found, distances):
     """Answer the rows [start, stop) in their order, one by one: 0, or why not."""
-    why = np.int64(0)
     for i in range(start, stop):
-        row = asked.order[i] if asked.order.shape[0] > 0 else i
-        point, reach, mask = (
-            asked.points[row],
-            of_row(asked.reaches, row),
-            of_row(asked.masks, row),
-        )
-        count = _nearest(
-            *(tree, moving, of_row(at, row), point, point, asked.k, reach, mask),
-            *(found[row], distances[row]),
-        )
-        why = min(count, np.int64(0))
-        if why < 0:
-            break
-    return why
+        row = points.order[i] if points.order.shape[0] > 0 else i
+        query = _query_of(points, row, moving, at)
+        count = _nearest(tree, query, found[row], distances[row])
+        if count < 0:
+            return np.int64(count)
+    return np.int64(0)
 
 
 @lean_kernel
-def nearest_rows(tree, moving, at, asked, found, distances):
+def nearest_rows(tree, moving, at, points, found, distances):
     """`query.nearest.nearest_rows` at times, one for all or one a row."""
-    why = begin_asking(tree, moving, asked.points.shape[0])
+    count = points.points.shape[0]
+    why = begin_asking(tree, moving, count)
     if why != 0:
         return why
-    count = asked.points.shape[0]
-    why = _nearest_of_rows(tree, moving, at, asked, 0, count, found, distances)
+    why = _nearest_of_rows(tree, moving, at, points, 0, count, found, distances)
     end_query(tree.state)
     return why
-
-
-@inlined
-def _row_at(asked, row, moving, at):
-    """The query of a row."""
-    point, reach, mask = asked.points[row], of_row(asked.reaches, row), of_row(asked.masks, row)
-    return near_at(moving, of_row(at, row), point, point, asked.k, reach, mask)
 
 
 @inlined
@@ -324,9 +314,9 @@ def _squares(nodes, node, packet, at):
 
 
 @inlined
-def _look_at_row(tree, asked, row, lane, leaf, square, best, count, limit):
+def _look_at_row(tree, points, row, lane, leaf, square, best, count, limit):
     bounds = Bounds(best.slots[row], best.squares[row], best.left_out[lane : lane + 1])
-    return _look_at_bounds(tree, asked, leaf, square, bounds, count, limit)
+    return _look_at_bounds(tree, points, leaf, square, bounds, count, limit)
 
 
 @inlined
@@ -342,32 +332,32 @@ def _load_times(moving, at, rows, packet):
 
 
 @inlined
-def _bound_packet(tree, moving, at, asked, rows, packet, best):
+def _bound_packet(tree, moving, at, points, rows, packet, best):
     """Write `nearest_bounds` of eight rows to `best` and to the packet's counts: 0, or why not."""
-    mask = load(asked, rows, packet)
+    mask = load(points, rows, packet)
     why = _load_times(moving, at, rows, packet)
     best.left_out[:] = np.inf
     if why == 0:
-        visit_packet(tree, moving.nodes, asked, rows, mask, packet, best, _squares, _look_at_row)
+        visit_packet(tree, moving.nodes, points, rows, mask, packet, best, _squares, _look_at_row)
     for lane in range(EIGHT):
         best.left_out[lane] = min(best.left_out[lane], packet.limits[lane])
     return why
 
 
 @lean_kernel
-def nearest_packets(tree, moving, at, asked, found, distances):
+def nearest_packets(tree, moving, at, points, found, distances):
     """`nearest_rows` of finite points, eight rows of `order` at a time; one by one where bounds do
     not hold for all eight times.
     """
-    why, count = begin_asking(tree, moving, asked.order.shape[0]), asked.order.shape[0]
+    why, count = begin_asking(tree, moving, points.order.shape[0]), points.order.shape[0]
     if why != 0:
         return why
     packet, best = no_packet(), Bounds(found, distances, stack_array(EIGHT, np.float64))
     for first in range(0, count, EIGHT):
-        rows = asked.order[first : first + EIGHT]
-        if _bound_packet(tree, moving, at, asked, rows, packet, best) != 0:
+        rows = points.order[first : first + EIGHT]
+        if _bound_packet(tree, moving, at, points, rows, packet, best) != 0:
             stop = min(first + EIGHT, count)
-            why = _nearest_of_rows(tree, moving, at, asked, first, stop, found, distances)
+            why = _nearest_of_rows(tree, moving, at, points, first, stop, found, distances)
             if why < 0:
                 break
             continue
@@ -376,23 +366,23 @@ def nearest_packets(tree, moving, at, asked, found, distances):
                 fetch_box(tree, moving, found[rows[lane], i])
         for lane in range(rows.shape[0]):
             row, boxes, left_out = rows[lane], packet.counts[lane], best.left_out[lane]
-            query = _row_at(asked, row, moving, at)
+            query = _query_of(points, row, moving, at)
             _decide(tree, query, boxes, left_out, found[row], distances[row])
     end_query(tree.state)
     return why
 
 
 @lean_kernel
-def bound_packets(tree, moving, at, asked, bounded, squares):
+def bound_packets(tree, moving, at, points, bounded, squares):
     """Write `nearest_bounds` of such rows to `bounded` and `squares`, (n, k): 0, or why not."""
-    why = begin_asking(tree, moving, asked.order.shape[0])
+    why = begin_asking(tree, moving, points.order.shape[0])
     if why != 0:
         return why
     packet = no_packet()
     best = Bounds(bounded.slots, squares, stack_array(EIGHT, np.float64))
-    for first in range(0, asked.order.shape[0], EIGHT):
-        rows = asked.order[first : first + EIGHT]
-        why = _bound_packet(tree, moving, at, asked, rows, packet, best)
+    for first in range(0, points.order.shape[0], EIGHT):
+        rows = points.order[first : first + EIGHT]
+        why = _bound_packet(tree, moving, at, points, rows, packet, best)
         if why < 0:
             break
         for lane in range(rows.shape[0]):

@@ -4,19 +4,17 @@
 checked by the tree's methods of the same names.
 """
 
-import functools
 from typing import Any
 
 import numpy as np
 
 from .. import time_checks
 from ..query.nearest import PointQueries
-from ..store.arrays import Floats
 from ..store.turns import NOT_FINITE
 from . import nearest, overlap
 from .entries import MotionRays
 from .nearest import Bounded
-from .state import span_of, times_of
+from .state import rows_were_changed, span_of, times_of
 
 STILL = np.zeros(1)
 
@@ -56,12 +54,10 @@ class MotionQueries(MotionRays):
                 return found
             moving = self.others(tree, moving, found, times_of(times, STILL, STILL)[0])
 
-    def bound_many(self, tree: Any, at: Floats, asked: PointQueries, bounded: Bounded) -> None:
+    def bound_many(self, tree: Any, at: Any, points: PointQueries, bounded: Bounded) -> None:
         """Fill in the boxes whose bounds are nearest to the rows of `order`, for callers that
         decide by other distances.
         """
         kernel, squares = nearest.bounds_entry(tree.ndim), np.empty(bounded.slots.shape)
-        spans = functools.partial(times_of, at, STILL, STILL)
-        self.ask(
-            tree, spans, lambda tree, moving: kernel(tree, moving, at, asked, bounded, squares)
-        )
+        if self.ask_rows(tree, kernel, at, len(points.points), points, bounded, squares) < 0:
+            raise rows_were_changed()

@@ -24,6 +24,7 @@ from ..entries import entry_points
 from ..nodes import DEEPEST, NONE, ROOT, Tree, is_leaf, leaf_box
 from ..simd.float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
+from .overlap import is_box
 from .ray import of_row
 from .slab import PAD, TINY
 
@@ -179,15 +180,18 @@ def _look_at(tree, query, leaf, square, best, count, limit):
     return keep_if_near(tree, query, leaf >> 1, gap, best, count, limit)
 
 
+@inlined
+def _nearest(tree, query, slots, distances):
+    best, limit = Best(slots, distances), pruning_limit(query.reach)
+    return visit_nearest(tree, tree.nodes, query, best, limit, _square, _look_at)[0]
+
+
 @lean_kernel
-def nearest(tree, low, high, k, max_distance, mask, slots, distances):
-    """Write the k nearest to a box, or point, within `max_distance`, nearest first; return how
-    many there are.
+def nearest(tree, low, high, k, reach, mask, slots, distances):
+    """Write the k nearest to a box, or point, within `reach`, nearest first; return how many there
+    are.
     """
-    query, limit = Near(low, high, k, max_distance, mask), pruning_limit(max_distance)
-    return visit_nearest(
-        tree, tree.nodes, query, Best(slots, distances), limit, _square, _look_at
-    )[0]
+    return _nearest(tree, Near(low, high, k, reach, mask), slots, distances)
 
 
 @inlined
@@ -205,9 +209,8 @@ def nearest_one(tree, low, high, k, max_distance, mask, found, distances):
     """Write handles and distances of the k nearest to a box or point, nearest first; return how
     many there are. NOT_FINITE if it is no box, REFUSED if the tree is being changed.
     """
-    for axis in range(low.shape[0]):
-        if not (-np.inf < low[axis] <= high[axis] < np.inf):
-            return np.int64(NOT_FINITE)
+    if not is_box(low, high):
+        return np.int64(NOT_FINITE)
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
     count = nearest(tree, low, high, k, max_distance, mask, found, distances)
@@ -219,25 +222,26 @@ def nearest_one(tree, low, high, k, max_distance, mask, found, distances):
 # ---- many points
 
 
+@inlined
+def _query_of(points, row):
+    point = points.points[row]
+    return Near(point, point, points.k, of_row(points.reaches, row), of_row(points.masks, row))
+
+
 @lean_kernel
-def nearest_rows(tree, version, asked, found, distances):
+def nearest_rows(tree, version, points, found, distances):
     """Write handles and distances row by row, padded with NONE and inf. Return 0; NOT_FINITE if a
     point is not, REFUSED if the tree is changed meanwhile.
     """
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
-    for i in range(asked.points.shape[0]):
-        row = asked.order[i] if asked.order.shape[0] > 0 else i
-        point, reach, mask = (
-            asked.points[row],
-            of_row(asked.reaches, row),
-            of_row(asked.masks, row),
-        )
-        for axis in range(point.shape[0]):
-            if not np.isfinite(point[axis]):
-                end_query(tree.state)
-                return np.int64(NOT_FINITE)
-        count = nearest(tree, point, point, asked.k, reach, mask, found[row], distances[row])
+    for i in range(points.points.shape[0]):
+        row = points.order[i] if points.order.shape[0] > 0 else i
+        query = _query_of(points, row)
+        if not is_box(query.low, query.high):
+            end_query(tree.state)
+            return np.int64(NOT_FINITE)
+        count = _nearest(tree, query, found[row], distances[row])
         name_row(tree.handles, found[row], distances[row], count)
     end_query(tree.state)
     return np.int64(0)
@@ -278,16 +282,18 @@ def no_packet():
 
 
 @inlined
-def load(asked, rows, packet):
+def load(queries, rows, packet):
     """Fill the lanes; those beyond the last row reach nothing. Returns the union of the masks."""
-    union, points, limits = np.uint32(0), asked.points, packet.limits
+    union, points, limits = np.uint32(0), queries.points, packet.limits
     for lane in range(EIGHT):
         row = rows[min(lane, rows.shape[0] - 1)]
         for axis in range(points.shape[1]):
             packet.points[axis * EIGHT + lane] = points[row, axis]
-        limits[lane] = pruning_limit(of_row(asked.reaches, row)) if lane < rows.shape[0] else -1.0
+        limits[lane] = (
+            pruning_limit(of_row(queries.reaches, row)) if lane < rows.shape[0] else -1.0
+        )
         packet.counts[lane], packet.squares[lane] = 0, 0.0
-        union |= of_row(asked.masks, row)
+        union |= of_row(queries.masks, row)
     return union
 
 
@@ -322,10 +328,10 @@ def _descend(nodes, top, mask, packet, squares):
 
 
 @inlined
-def visit_packet(tree, nodes, asked, rows, mask, packet, best, squares, look_at_row):
+def visit_packet(tree, nodes, points, rows, mask, packet, best, squares, look_at_row):
     """Visit the leaves that are within the limit of any lane of a packet of rows that is loaded.
 
-    look_at_row(tree, asked, row, lane, leaf, square, best, count, limit) does what `look_at` of
+    look_at_row(tree, points, row, lane, leaf, square, best, count, limit) does what `look_at` of
     `visit_nearest` does. squares(nodes, node, packet, at) writes the squared distances of a node
     to packet.both[at : at + 8].
     """
@@ -336,9 +342,9 @@ def visit_packet(tree, nodes, asked, rows, mask, packet, best, squares, look_at_
             lane = np.int64(trailing_zeros(bits))
             bits = np.uint32(bits & np.uint32(bits - np.uint32(1)))
             row, square = rows[lane], packet.both[at + lane]
-            if nodes[leaf].mask & of_row(asked.masks, row) != 0:
+            if nodes[leaf].mask & of_row(points.masks, row) != 0:
                 packet.counts[lane], packet.limits[lane] = look_at_row(
-                    *(tree, asked, row, lane, leaf, square, best),
+                    *(tree, points, row, lane, leaf, square, best),
                     *(packet.counts[lane], packet.limits[lane]),
                 )
 
@@ -349,25 +355,21 @@ def _squares(nodes, node, packet, at):
 
 
 @inlined
-def _look_at_row(tree, asked, row, lane, leaf, square, best, count, limit):
-    point, reach, mask = asked.points[row], of_row(asked.reaches, row), of_row(asked.masks, row)
-    query, of_row_ = (
-        Near(point, point, asked.k, reach, mask),
-        Best(best.slots[row], best.distances[row]),
-    )
-    return _look_at(tree, query, leaf, square, of_row_, count, limit)
+def _look_at_row(tree, points, row, lane, leaf, square, best, count, limit):
+    best_of_row = Best(best.slots[row], best.distances[row])
+    return _look_at(tree, _query_of(points, row), leaf, square, best_of_row, count, limit)
 
 
 @lean_kernel
-def nearest_packets(tree, version, asked, found, distances):
+def nearest_packets(tree, version, points, found, distances):
     """`nearest_rows` of finite points, eight rows of `order` at a time."""
     if not begin_query(tree.state, version):
         return np.int64(REFUSED)
     packet, best = no_packet(), Best(found, distances)
-    for first in range(0, asked.order.shape[0], EIGHT):
-        rows = asked.order[first : first + EIGHT]
-        mask = load(asked, rows, packet)
-        visit_packet(tree, tree.nodes, asked, rows, mask, packet, best, _squares, _look_at_row)
+    for first in range(0, points.order.shape[0], EIGHT):
+        rows = points.order[first : first + EIGHT]
+        mask = load(points, rows, packet)
+        visit_packet(tree, tree.nodes, points, rows, mask, packet, best, _squares, _look_at_row)
         for lane in range(rows.shape[0]):
             row = rows[lane]
             name_row(tree.handles, found[row], distances[row], packet.counts[lane])

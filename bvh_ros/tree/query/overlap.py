@@ -67,6 +67,15 @@ def find_touching(tree, nodes, query, mask, found, count, node_may_touch, leaf_t
 
 
 @inlined
+def is_box(lo, hi):
+    """Whether it is finite and not turned inside out."""
+    sound = True
+    for axis in range(lo.shape[0]):
+        sound &= -np.inf < lo[axis] <= hi[axis] < np.inf
+    return sound
+
+
+@inlined
 def touch(lo, hi, other_lo, other_hi):
     for axis in range(lo.shape[0]):
         if lo[axis] > other_hi[axis] or other_lo[axis] > hi[axis]:
@@ -109,9 +118,8 @@ def overlap_one(tree, lo, hi, mask, found):
     many there are, which may be more than fit; NOT_FINITE if it is no box, REFUSED if the tree is
     being changed.
     """
-    for axis in range(lo.shape[0]):
-        if not (-np.inf < lo[axis] <= hi[axis] < np.inf):
-            return np.int64(NOT_FINITE)
+    if not is_box(lo, hi):
+        return np.int64(NOT_FINITE)
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
     count = overlap(tree, lo, hi, mask, found, 0)
@@ -150,11 +158,9 @@ def fill_rows(tree, version, queries, start, stop, found, offsets, overlap_row, 
     if done == 0:
         offsets[0] = 0
     while done < stop:
-        lo, hi = queries.lo[done], queries.hi[done]
-        for axis in range(lo.shape[0]):
-            if not (-np.inf < lo[axis] <= hi[axis] < np.inf):
-                end_query(tree.state)
-                return np.int64(NOT_FINITE), np.int64(0), np.int64(0)
+        if not is_box(queries.lo[done], queries.hi[done]):
+            end_query(tree.state)
+            return np.int64(NOT_FINITE), np.int64(0), np.int64(0)
         end = overlap_row(tree, queries, done, when, found, count)
         if end > found.shape[0]:
             break
