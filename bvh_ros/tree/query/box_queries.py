@@ -94,11 +94,11 @@ class BoxQueries(Introspection):
         """All pairs of touching boxes, shape (m, 2): each once, the smaller handle first,
         sorted.
         """
-        ndim, seen = self._ndim, checks.mask(mask)
+        ndim, bits = self._ndim, checks.mask(mask)
         view = self.view()
         boxes = view.tree.state.item(COUNT)
         packed = aligned_empty(pairs.blocks_needed(boxes), pairs.block_dtype(ndim))
-        top = pairs.pack_entry(ndim)(*view, seen, packed)
+        top = pairs.pack_entry(ndim)(*view, bits, packed)
         if top == REFUSED:
             raise RuntimeError(IS_CHANGED)
         if top == NONE:
@@ -134,7 +134,7 @@ class BoxQueries(Introspection):
         translation : array_like, shape (ndim,)
             How far it goes, m. Zero asks what the box touches where it is.
         mask : int
-            Only boxes with ``box_mask & mask != 0`` are seen.
+            Only boxes with ``box_mask & mask != 0`` count.
         at, pace : float
             Of boxes that have velocities: when it starts, and how long it takes, s.
 
@@ -142,7 +142,7 @@ class BoxQueries(Introspection):
         -------
         RayHit or None
             `t` is the share of the translation until they touch, from 0 to 1; touching at the very
-            end counts. `normal` is that of the face of the other box that is met, zero where they
+            end counts. `normal` is that of the face of the other box that is hit, zero where they
             touch at the start. `point` is, of all points in which the two then touch, the closest
             to the swept box's centre; it lies in the other box, on that face. Whether they touch,
             and which box is first, is decided exactly, ties by the smaller handle.
@@ -164,16 +164,16 @@ class BoxQueries(Introspection):
         ndim = self._ndim
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         translation, place = checks.vector('translation', translation, ndim), np.empty((2, ndim))
-        seen = checks.mask(mask)
+        bits = checks.mask(mask)
         motion = self._motion
         if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace)
         if motion is not None:
-            asked = 1.0, seen, False, CLOSEST
-            handle, t = motion.cast(self, (low, high, translation), asked, (at, pace), place)
+            query = 1.0, bits, False, CLOSEST
+            handle, t = motion.cast(self, (low, high, translation), query, (at, pace), place)
         else:
             handle, t = boxcast_entry(ndim)(
-                self._settled().tree, low, high, translation, seen, place
+                self._settled().tree, low, high, translation, bits, place
             )
         if handle >= 0:
             return RayHit(handle, t, place[0], place[1])
@@ -252,12 +252,12 @@ class BoxQueries(Introspection):
             if dense:
                 kernel = kernels.packets_entry(ndim)
         # As PointQueries(...), which would take one more call of a Python function.
-        asked = tuple.__new__(nearest.PointQueries, (where, k, reaches, masks, order))
+        queries = tuple.__new__(nearest.PointQueries, (where, k, reaches, masks, order))
         ids, distances = np.empty((count, k), INT64), np.empty((count, k))
         if motion is None:
-            done = kernel(*self.view(), asked, ids, distances)
+            done = kernel(*self.view(), queries, ids, distances)
         else:
-            done = motion.ask_rows(self, kernel, at, count, asked, ids, distances)
+            done = motion.ask_rows(self, kernel, at, count, queries, ids, distances)
         if done == NOT_FINITE:
             checks.finite('points', where)
         accepted(done)
@@ -309,12 +309,12 @@ class BoxQueries(Introspection):
         of = np.repeat(np.arange(len(centres)), np.diff(offsets))
         with np.errstate(over='ignore', invalid='ignore'):
             near = boxes_within(lo, hi, centres[of], centres[of], radii[of])
-        kept = np.bincount(of[near], minlength=len(centres))
-        return np.concatenate(([0], np.cumsum(kept))), handles[near]
+        counts = np.bincount(of[near], minlength=len(centres))
+        return np.concatenate(([0], np.cumsum(counts))), handles[near]
 
     def pairs_with(self, other: 'BoxQueries', mask: int = ALL) -> Ids:
         """All pairs of a box of this tree and one of another that touch, shape (m, 2): handles of
-        this, handles of that; sorted. `mask`: only boxes with ``box_mask & mask != 0`` are seen.
+        this, handles of that; sorted. `mask`: only boxes with ``box_mask & mask != 0`` count.
         """
         if not isinstance(other, BoxQueries) or other.ndim != self.ndim:
             raise ValueError(f'other must be a tree of {self.ndim} dimensions')
@@ -341,20 +341,21 @@ class BoxQueries(Introspection):
             it exceeds the largest double; NaN where the id is -1.
         """
         starts = checks.points('origins', origins, self.ndim)
-        ways = checks.points('directions', directions, self.ndim, len(starts))
+        rays = checks.points('directions', directions, self.ndim, len(starts))
         handles = handle_checks.numbers('ids', ids)
         if handles.shape != (len(starts),):
             raise ValueError(f'ids must have shape ({len(starts)},), not {handles.shape}')
-        met = np.flatnonzero(handles != NONE)
-        lo, hi = self.boxes(handles[met])
-        start, way = starts[met], ways[met]
+        rows = np.flatnonzero(handles != NONE)
+        lo, hi = self.boxes(handles[rows])
+        start, direction = starts[rows], rays[rows]
         with np.errstate(all='ignore'):
-            planes = np.where(way > 0.0, hi, lo)
-            times, halves = (planes - start) / way, (planes * 0.5 - start * 0.5) / way * 2.0
+            planes = np.where(direction > 0.0, hi, lo)
+            times = (planes - start) / direction
+            halves = (planes * 0.5 - start * 0.5) / direction * 2.0
         times = np.where(np.isfinite(planes - start), times, halves)
-        found = np.full(len(starts), np.nan)
-        found[met] = np.where(way == 0.0, np.inf, times).min(axis=1)
-        return found
+        exits = np.full(len(starts), np.nan)
+        exits[rows] = np.where(direction == 0.0, np.inf, times).min(axis=1)
+        return exits
 
 
 def _refuse(reason: int, low: Floats, high: Floats, ndim: int) -> None:

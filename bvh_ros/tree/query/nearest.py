@@ -392,9 +392,7 @@ packets_entry = entry_points(nearest_packets, 0, NO_POINTS, _IDS, _ROWS)
 # share most nodes. Chosen, not tuned: with 1/10 a box packets were slower than one by one.
 PER_BOX, FEW = 1 / 4, 64
 MANY, NO_ORDER = 512, np.empty(0, np.int64)  # from so many points on their order pays
-CELL_BITS = 5  # of a point on each axis
-DIGIT_BITS = 8  # two digits hold a key of 3 * CELL_BITS
-DIGITS = 1 << DIGIT_BITS
+CELL_BITS = 5  # of a point on each axis: a key of three axes fits an int16
 
 
 def are_dense(points: int, boxes: int) -> bool:
@@ -415,10 +413,9 @@ def _cell(points, i, center, per_length):
 
 
 @lean_kernel
-def neighbour_order(points, lo, hi, keys, order, spare):
-    """Fill `order`, (n,) int64, with the rows of `points`, (n, ndim), so that consecutive rows are
-    near each other: sorted by the cells of a grid over the intersection of the points' bounds and
-    the box from `lo` to `hi`. keys, spare: scratch, (n,) int64.
+def cell_keys(points, lo, hi, keys):
+    """Fill in the cells of `points`, (n, ndim), in a grid over the intersection of their bounds
+    and the box from `lo` to `hi`.
     """
     center, half = stack_array(3, np.float64), 1e-300
     for axis in range(points.shape[1]):
@@ -430,39 +427,15 @@ def neighbour_order(points, lo, hi, keys, order, spare):
         half = max(half, largest * 0.5 - least * 0.5)
     for i in range(points.shape[0]):
         keys[i] = _cell(points, i, center, 1.0 / half)
-    _sort(keys, order, spare)
-
-
-@lean_kernel
-def _sort(keys, order, spare):
-    """Fill `order` with the rows by ascending key: a stable radix sort in two passes."""
-    starts = stack_array(DIGITS, np.int64)
-    count = keys.shape[0]
-    for i in range(count):
-        order[i] = i
-    for shift in (0, DIGIT_BITS):
-        before, after = (order, spare) if shift == 0 else (spare, order)
-        for digit in range(DIGITS):
-            starts[digit] = 0
-        for i in range(count):
-            starts[(keys[i] >> shift) & (DIGITS - 1)] += 1
-        total = 0
-        for digit in range(DIGITS):
-            starts[digit], total = total, total + starts[digit]
-        for i in before:
-            digit = (keys[i] >> shift) & (DIGITS - 1)
-            after[starts[digit]] = i
-            starts[digit] += 1
 
 
 def order_of(tree: Tree, points: Floats) -> Ids:
-    """The order in which points, finite and of shape (n, ndim), are answered; empty if the tree
-    is.
+    """The order in which points, finite and of shape (n, ndim), are answered: sorted by their
+    cells, so that consecutive ones are near each other. Empty if the tree is.
     """
-    keys, order, spare = np.empty((3, len(points)), np.int64)
-    root = tree.state.item(ROOT)
+    root, keys = tree.state.item(ROOT), np.empty(len(points), np.int16)
     if root < 0:
         return NO_ORDER
     bounds = tree.nodes[root]
-    neighbour_order(points, bounds['lo'], bounds['hi'], keys, order, spare)
-    return order
+    cell_keys(points, bounds['lo'], bounds['hi'], keys)
+    return np.argsort(keys, kind='stable')  # a radix sort

@@ -4,8 +4,8 @@
 
 The leaves are packed in the tree's order, so those of a block are neighbours. The boxes around the
 blocks are packed in blocks of eight in turn, and so on up to one: a tree of eight children a node
-that is made in one pass, holds the very doubles of the boxes, and is forgotten after the call. It
-is walked against itself, two blocks at a time.
+made in one pass for this call, of the exact boxes. It is traversed against itself, two blocks at a
+time.
 """
 
 import functools
@@ -33,7 +33,7 @@ def block_dtype(ndim: int) -> np.dtype[Any]:
     """Record of a block: whole cache lines."""
     rows = (ndim, EIGHT)
     return np.dtype(
-        [('lo', np.float64, rows), ('hi', np.float64, rows), ('kids', np.int64, (EIGHT,))]
+        [('lo', np.float64, rows), ('hi', np.float64, rows), ('children', np.int64, (EIGHT,))]
     )
 
 
@@ -47,24 +47,24 @@ def blocks_needed(leaves: int) -> int:
 
 
 @inlined
-def _place(blocks, number, lo, hi, kid):
+def _place(blocks, number, lo, hi, child):
     block, lane = blocks[number // EIGHT], number % EIGHT
     for axis in range(lo.shape[0]):
         block.lo[axis, lane], block.hi[axis, lane] = lo[axis], hi[axis]
-    block.kids[lane] = kid
+    block.children[lane] = child
 
 
 @lean_kernel
 def _pack_leaves(nodes, tight, root, mask, blocks):
-    """Fill the blocks of the lowest level with the leaves that the mask sees; return how many."""
+    """Fill the blocks of the lowest level with the leaves of the mask; return how many."""
     stack, top, node, count = stack_array(DEEPEST, np.int64), 0, np.int64(root), 0
     while node != NONE:
-        seen = nodes[node].mask & mask != 0
-        if seen and is_leaf(node):
+        selected = nodes[node].mask & mask != 0
+        if selected and is_leaf(node):
             lo, hi = leaf_box(nodes, tight, node)
             _place(blocks, count, lo, hi, ~(node >> 1))
             count += 1
-        node, top = next_node(nodes, node, seen and not is_leaf(node), stack, top)
+        node, top = next_node(nodes, node, selected and not is_leaf(node), stack, top)
     return count
 
 
@@ -86,7 +86,7 @@ def _pack_above(blocks, first, last, above):
 
 @lean_kernel
 def pack(tree, version, mask, blocks):
-    """Fill `blocks` level by level; return the topmost block, NONE if the mask sees nothing,
+    """Fill `blocks` level by level; return the topmost block, NONE if the mask selects no box,
     REFUSED if the tree is changed meanwhile.
     """
     if not begin_query(tree.state, version):
@@ -123,7 +123,7 @@ def touching_pairs(blocks, root, found):
         # The block b is the child in one lane of the level above: its bounds are there.
         a, b, bounds = stack[top], stack[top + 1], stack[top + 2]
         lanes = ALL_LANES if a == b else touching8(blocks, a, blocks, bounds // 8, bounds % 8)
-        lowest = blocks[a].kids[0] < 0
+        lowest = blocks[a].children[0] < 0
         while lanes != np.uint32(0):
             i = np.int64(trailing_zeros(lanes))
             lanes = np.uint32(lanes & np.uint32(lanes - np.uint32(1)))
@@ -133,13 +133,13 @@ def touching_pairs(blocks, root, found):
             while touched != np.uint32(0):
                 j = np.int64(trailing_zeros(touched))
                 touched = np.uint32(touched & np.uint32(touched - np.uint32(1)))
-                kid, other = blocks[a].kids[i], blocks[b].kids[j]
+                child, other = blocks[a].children[i], blocks[b].children[j]
                 if not lowest:
-                    stack[top], stack[top + 1], stack[top + 2] = kid, other, b * EIGHT + j
+                    stack[top], stack[top + 1], stack[top + 2] = child, other, b * EIGHT + j
                     top += _ENTRY
                     continue
                 if count + 2 <= found.shape[0]:
-                    found[count], found[count + 1] = ~kid, ~other
+                    found[count], found[count + 1] = ~child, ~other
                 count += 2
     return np.int64(count)
 

@@ -6,8 +6,9 @@ import math
 from fractions import Fraction
 
 import numpy as np
-from tree.motion.exact import Course, World, meetings, squared_distances
-from tree.motion.worlds import worlds
+import pytest
+from tree.motion.exact import Course, World, meetings, meetings_until, squared_distances
+from tree.motion.worlds import stopping, worlds
 from tree.reference import INSIDE, LARGEST, effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
@@ -81,42 +82,52 @@ def test_swept_boxes_meet_what_exact_arithmetic_says():
             assert hit.normal.tolist() == normal_of(hits[0].axis, tree.ndim)
 
 
-def test_overlaps_at_a_time():
-    for world, course, _ in worlds(3, effort(150, 5000)):
-        tree, still = tree_of(world), course._replace(direction=0 * course.low, pace=0.0)
-        ids = tree.ids()
-        touched = sorted(ids[hit.row] for hit in meetings(world, still))
-        assert tree.overlap(course.low, course.high, at=course.at).tolist() == touched
+@pytest.mark.parametrize('left', ['at rest', 'for ever', 'stopping'])
+def test_overlaps_and_nearest(left):
+    """Of boxes at rest, of boxes that go on for ever, and of boxes that stop."""
+    for world, course, until, _ in stopping(3, effort(150, 5000)):
+        until = until if left == 'stopping' else math.inf
+        still = course._replace(direction=0 * course.low, pace=0.0)
+        if left == 'at rest':
+            world = world._replace(velocities=0 * world.velocities)
+            tree = DynamicBVH.from_boxes(world.lo, world.hi)
+        else:
+            tree = tree_of(world, left=until)
+        ids = tree.ids().tolist()
+        touching = sorted(ids[hit.row] for hit in meetings_until(world, still, until))
+        assert tree.overlap(course.low, course.high, at=course.at).tolist() == touching
         lo, hi = [course.low] * 3, [course.high] * 3
         offsets, found = tree.overlap_many(lo, hi, at=[course.at] * 3, threads=2)
-        assert found.tolist() == touched * 3
-        assert offsets.tolist() == [len(touched) * i for i in range(4)]
-
-
-def test_nearest_at_a_time():
-    for world, course, _ in worlds(4, effort(150, 5000)):
-        tree = tree_of(world)
-        ids = tree.ids().tolist()
-        exact = squared_distances(world, course.low, course.high, course.at)
-        near, gaps = tree.nearest(np.array(course[:2]), k=len(ids), at=course.at)
-        assert sorted(near.tolist()) == ids
-        for handle, gap in zip(near.tolist(), gaps.tolist(), strict=True):
-            square = exact[ids.index(handle)]
-            if math.isfinite(gap):
-                slack = Fraction(gap) * Fraction(2) ** -51 + Fraction(2, 10**322)
-                assert (Fraction(gap) - slack) ** 2 <= square or Fraction(gap) <= slack
-                assert square <= (Fraction(gap) + slack) ** 2
-            else:
-                assert square * (1 + Fraction(2) ** -50) >= Fraction(LARGEST) ** 2
-        assert near.tolist() == [
-            h for _, h in sorted(zip(gaps.tolist(), near.tolist(), strict=True))
+        assert found.tolist() == touching * 3
+        assert offsets.tolist() == [len(touching) * i for i in range(4)]
+        squares = [  # each at its own time
+            squared_distances(World(*(x[i : i + 1] for x in world)), *course[:2], at)[0]
+            for i, at in enumerate(np.minimum(course.at, world.references + until).tolist())
         ]
-        first, gap = tree.nearest(np.array(course[:2]), at=course.at)
-        assert (first[0], gap[0]) == (near[0], gaps[0])
-        if (course.low == course.high).all():
-            many = tree.nearest_many([course.low] * 2, k=3, at=course.at)
-            assert many[0][1].tolist() == near[:3].tolist()
-            assert many[1][1].tolist() == gaps[:3].tolist()
+        check_nearest(tree, course, squares)
+
+
+def check_nearest(tree: DynamicBVH, course: Course, squares: list[Fraction]) -> None:
+    """Check the boxes nearest to where a course starts; squares of exact distances by row."""
+    ids, at = tree.ids().tolist(), course.at
+    near, gaps = tree.nearest(np.array(course[:2]), k=len(ids), at=at)
+    assert sorted(near.tolist()) == ids
+    for handle, gap in zip(near.tolist(), gaps.tolist(), strict=True):
+        square = squares[ids.index(handle)]
+        if math.isfinite(gap):
+            slack = Fraction(gap) * Fraction(2) ** -51 + Fraction(2, 10**322)
+            assert (Fraction(gap) - slack) ** 2 <= square or Fraction(gap) <= slack
+            assert square <= (Fraction(gap) + slack) ** 2
+        else:
+            assert square * (1 + Fraction(2) ** -50) >= Fraction(LARGEST) ** 2
+    in_order = sorted(zip(gaps.tolist(), near.tolist(), strict=True))
+    assert near.tolist() == [handle for _, handle in in_order]
+    first, gap = tree.nearest(np.array(course[:2]), at=at)
+    assert (first[0], gap[0]) == (near[0], gaps[0])
+    if (course.low == course.high).all():
+        many = tree.nearest_many([course.low] * 2, k=3, at=at)
+        assert many[0][1].tolist() == near[:3].tolist()
+        assert many[1][1].tolist() == gaps[:3].tolist()
 
 
 def test_nearest_at_a_time_to_many_points_is_that_of_each():

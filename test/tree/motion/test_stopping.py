@@ -3,30 +3,17 @@
 """Boxes that stop some time after they were told to go, against exact rationals."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from tree.motion.exact import Course, World, meetings, meetings_until, squared_distances
+from tree.motion.exact import World, meetings_until
 from tree.motion.test_moving_boxes import normal_of, tree_of
 from tree.motion.test_wide_casting import is_swept
-from tree.motion.worlds import Random, worlds
+from tree.motion.worlds import stopping
 from tree.reference import LARGEST, effort, is_within_2_ulp, seen
 
 pytestmark = pytest.mark.slow  # kernels of its own
 RAYS = 64  # as many are worth a snapshot of few boxes
-
-
-def stopping(seed: int, count: int) -> Iterator[tuple[World, Course, float, Random]]:
-    """`worlds`, and how long boxes go on: often until one is met, but for the rounding of it."""
-    for world, course, rng in worlds(seed, count):
-        course = course._replace(pace=abs(course.pace))
-        with np.errstate(all='ignore'):
-            ts = [float(hit.t) for hit in meetings(world, course) if hit.t <= LARGEST]
-            then = course.at + course.pace * float(rng.choice([0.0, 0.5, 1.0, *ts]))
-            left = then - float(rng.choice(world.references))
-        left = float(rng.choice([left, np.nextafter(left, np.inf), 0.5 * left, 0.0]))
-        yield world, course, max(left if math.isfinite(left) else 1.0, 0.0), rng
 
 
 def check_row(hits, row: int, exact, ids, limit: float, skip: bool) -> None:
@@ -58,31 +45,6 @@ def test_courses():
                 assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
                 checked += len(world.lo)
     assert checked > 5000
-
-
-def test_moments():
-    for world, course, left, _ in stopping(12, effort(200, 5000)):
-        tree, at = tree_of(world, 0.0, left), course.at
-        ids, still = tree.ids().tolist(), course._replace(direction=0 * course.low, pace=0.0)
-        exact = meetings_until(world, still, left)
-        touched = sorted(ids[hit.row] for hit in exact)
-        assert tree.overlap(course.low, course.high, at=at).tolist() == touched
-        _, found = tree.overlap_many([course.low] * 3, [course.high] * 3, at=[at] * 3)
-        assert found.tolist() == touched * 3
-        near, gaps = tree.nearest(np.array(course[:2]), k=len(ids), at=at)
-        squares = []
-        for row in range(len(ids)):  # each at its own time
-            one = World(*(array[row : row + 1] for array in world))
-            then = min(at, float(world.references[row] + left))
-            squares += squared_distances(one, course.low, course.high, then)
-        for handle, gap in zip(near.tolist(), gaps.tolist(), strict=True):
-            if 1e-100 < gap < 1e100:
-                assert gap * gap == pytest.approx(float(squares[ids.index(handle)]), rel=1e-14)
-        assert sorted(near.tolist()) == ids
-        if (course.low == course.high).all():
-            many = tree.nearest_many([course.low] * 2, k=3, at=at)
-            assert many[0][1].tolist() == near[:3].tolist()
-            assert many[1][1].tolist() == gaps[:3].tolist()
 
 
 def test_batches():

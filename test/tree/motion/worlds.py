@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Worlds of moving boxes that are hard to decide about, and courses through them."""
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
-from tree.motion.exact import Course, Floats, World
+from tree.motion.exact import Course, Floats, World, meetings
+from tree.reference import LARGEST
 
 Random = np.random.Generator
 
@@ -122,3 +124,15 @@ def worlds(seed: int, count: int) -> Iterator[tuple[World, Course, Random]]:
         kind = KINDS[number % len(KINDS)]
         with np.errstate(all='ignore'):
             yield *kind(rng, 2 + number // len(KINDS) % 2), rng
+
+
+def stopping(seed: int, count: int) -> Iterator[tuple[World, Course, float, Random]]:
+    """`worlds`, and how long boxes go on: often until one is met, but for the rounding of it."""
+    for world, course, rng in worlds(seed, count):
+        course = course._replace(pace=abs(course.pace))
+        with np.errstate(all='ignore'):
+            ts = [float(hit.t) for hit in meetings(world, course) if hit.t <= LARGEST]
+            then = course.at + course.pace * float(rng.choice([0.0, 0.5, 1.0, *ts]))
+            left = then - float(rng.choice(world.references))
+        left = float(rng.choice([left, np.nextafter(left, np.inf), 0.5 * left, 0.0]))
+        yield world, course, max(left if math.isfinite(left) else 1.0, 0.0), rng
