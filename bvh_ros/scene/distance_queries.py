@@ -14,16 +14,16 @@ from .distance.query_rows import NO_GIVEN, given_rows, number_of, query_rows
 from .distance.touching_rows import Near, Points, Signed
 from .geometry.records import GEOMETRY
 from .geometry.shapes import Floats, Shapes, as_shapes
-from .moments import Moments
 from .results import NO_NODE, Clearance, SceneHit
 from .store.obstacles import Obstacles
+from .timed_queries import TimedQueries
 
 
 class DistanceQueries:
     """How far things are. Any number of threads may ask while none changes the scene."""
 
     _held: Obstacles
-    _moments: Moments
+    _timed: TimedQueries
     _nearness: nearness.Nearness
     _clearances: clearance.Clearances
 
@@ -74,9 +74,9 @@ class DistanceQueries:
         where = checks.point('point', point, 3)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
-        if self._moments.meant(at, None, 1):
-            asked = where, many, limits, sign_of(signed), self._moments.second(at)
-            return self._moments.distances().find_near(*asked)
+        if self._timed.time_matters(at, None, 1):
+            asked = where, many, limits, sign_of(signed), self._timed.second(at)
+            return self._timed.distances().find_near(*asked)
         room, rows = self._nearness.find(where, many, limits, sign_of(signed))
         hits = self._held.hits(room.found, rows)
         self._nearness.spare.give(room)
@@ -100,7 +100,7 @@ class DistanceQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         slot = self._held.slot(name)
-        timed = self._moments.meant(at, None, 1)
+        timed = self._timed.time_matters(at, None, 1)
         slots, handles = [slot], self._held.columns.node_handle
         if self._held.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
@@ -124,10 +124,10 @@ class DistanceQueries:
 
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
-        times, asked = self._moments.seconds(at, 1), (checks.FOREVER, slot, signed)
+        times, asked = self._timed.seconds(at, 1), (checks.FOREVER, slot, signed)
         hulls, room = self._held.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
         rows = *room, np.zeros(1), checks.EVERYTHING, NO_GIVEN  # a kernel fills them in
-        found = self._moments.distances().clearances(rows, hulls, asked, times, 1)
+        found = self._timed.distances().clearances(rows, hulls, asked, times, 1)
         assert found is not None
         return found
 
@@ -186,12 +186,12 @@ class DistanceQueries:
         sign: Signed = sign_of(signed)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        times = None if at is None else self._moments.seconds(at, count)
+        times = None if at is None else self._timed.seconds(at, count)
         if times is None:
             near = self._nearness.find_rows(asked, many, sign, threads)
         else:
             most = 1 if many == 1 else min(many, max(len(self._held.tree), 1))
-            near = self._moments.distances().nearest(asked, most, sign, times, threads)
+            near = self._timed.distances().nearest(asked, most, sign, times, threads)
         if near is None:
             checks.finite('points', where)
             raise RuntimeError(IS_CHANGED)
@@ -265,10 +265,10 @@ class DistanceQueries:
         self, rows: tuple[Any, ...], hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
     ) -> Neighbours | None:
         """What is nearest to shapes at times; None if a row that is `given` is not legal."""
-        times = None if at is None else self._moments.seconds(at, number_of(rows))
+        times = None if at is None else self._timed.seconds(at, number_of(rows))
         if times is None:
             return self._clearances.find_rows(rows, hulls, asked, threads)
-        return self._moments.distances().clearances(rows, hulls, asked, times, threads)
+        return self._timed.distances().clearances(rows, hulls, asked, times, threads)
 
 
 def sign_of(signed: bool) -> Signed:

@@ -13,16 +13,16 @@ from .distance.query_rows import BOXES, UNTURNED, given_rows, number_of, query_r
 from .distance.query_shape import NO_TURN, QueryShape, box_query
 from .distance.touching_rows import WANTED
 from .geometry.shapes import Shapes, as_shapes
-from .moments import Moments
 from .results import SceneHit, require_few
 from .store.obstacles import Obstacles
+from .timed_queries import TimedQueries
 
 
 class OverlapQueries:
     """What touches. Any number of threads may ask while none changes the scene."""
 
     _held: Obstacles
-    _moments: Moments
+    _timed: TimedQueries
     _touching: overlaps.Overlaps
 
     def overlap(
@@ -71,7 +71,7 @@ class OverlapQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         query = box_query(start, goal, orientation, tolerance, self._held.planar)
-        if self._moments.meant(at, None, 1):
+        if self._timed.time_matters(at, None, 1):
             return self._then(query, None, mask, most, at)
         return self._now(query, None, mask, most)
 
@@ -87,7 +87,7 @@ class OverlapQueries:
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        held, seen, moments = self._held, checks.mask(mask), self._moments
+        held, seen, moments = self._held, checks.mask(mask), self._timed
         second = held.second(at) if type(at) is int else moments.second(at)
         hits = moments.distances().find(query, hulls, seen, second)
         if held.planar:
@@ -113,7 +113,7 @@ class OverlapQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         query, hulls = shape_query(shape, tolerance, self._held.planar)
-        if self._moments.meant(at, None, 1):
+        if self._timed.time_matters(at, None, 1):
             return self._then(query, hulls, mask, None, at)
         return self._now(query, hulls, mask, None)
 
@@ -254,7 +254,7 @@ class OverlapQueries:
         self, rows: tuple[Any, ...], hulls: Any, wanted: int, threads: int, at: Any
     ) -> Any:
         """The same at times, of plain `QueryRows`; None if a row that is `given` is not legal."""
-        moments = self._moments
+        moments = self._timed
         times = None if at is None else moments.seconds(at, number_of(rows))
         if times is None:
             return self._touching.answer(rows, hulls, wanted, threads)

@@ -12,16 +12,16 @@ from ..tree import checks
 from ..tree.access import ALL, EVERYTHING
 from .cast import batch, boxes, exact_ball, query
 from .cast.arguments import WHOLE_WAY, Rays, Sweep, refuse_infinite
-from .moments import Moments
 from .results import CastHits, SceneHit
 from .store.obstacles import Obstacles
+from .timed_queries import TimedQueries
 
 
 class RayQueries:
     """What rays meet. Any number of threads may ask while none changes the scene."""
 
     _held: Obstacles
-    _moments: Moments
+    _timed: TimedQueries
 
     def raycast(
         self,
@@ -69,17 +69,16 @@ class RayQueries:
         """
         if self._held.change.unfinished:
             self._held.change.require_none()
-        if self._moments.meant(at, until, 1):
-            return self._moments.first((start, goal, radius), mask, skip_inside, at, until)
         held, radius = self._held, checks.limit('radius', radius)
-        ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
-        seen = checks.mask(mask)
-        if radius == 0.0 and not held.columns.shaped:
-            hit = boxes.first(held.tree, *ends, seen, bool(skip_inside))
-        elif radius == math.inf:
+        if radius == math.inf:
             raise ValueError('radius must be finite')
+        ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+        ball = radius, checks.mask(mask), bool(skip_inside)
+        if self._timed.time_matters(at, until, 1):
+            hit = self._timed.first_ray(ends, ball, at, until)
+        elif radius == 0.0 and not held.columns.shaped:
+            hit = boxes.first(held.tree, *ends, *ball[1:])
         else:
-            ball = radius, seen, bool(skip_inside)
             hit = batch.first_of_one(held.tree, held.columns, ends, ball)
         return None if hit is None else held.hit(*hit)
 
@@ -103,12 +102,11 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origin, direction, radius = boxes.segment(start, goal, radius)
-        if self._moments.meant(at, until, 1):
-            way = origin, direction, radius
-            return self._moments.every(way, mask, skip_inside, at, until, most)
         held, seen, skip = self._held, checks.mask(mask), bool(skip_inside)
         sweep = Sweep(origin, direction, radius, seen, skip, True)
-        if radius > 0.0:
+        if self._timed.time_matters(at, until, 1):
+            found = self._timed.every_ray(sweep, at, until, most)
+        elif radius > 0.0:
             found = exact_ball.cast_ball(held.tree, held.columns, sweep, most)
         elif held.columns.shaped:
             found = query.cast_every(held.tree, held.columns, sweep, most)
@@ -205,13 +203,8 @@ class RayQueries:
         # As Rays(...), which would take one more call of a function of Python's.
         parts = origins, directions, limits, masks, radii, to_goals, skip
         rays = tuple.__new__(Rays, parts)
-        if at is not None or until is not None:
-            if at is not None and threads == 1 and (radii is None or to_goals):
-                found = self._moments.few(rays, at, until)
-                if found is not None:
-                    return found
-            if self._moments.meant(at, until, count):
-                return self._moments.first_of_many(rays, (at, until), threads)
+        if self._timed.time_matters(at, until, count):
+            return self._timed.first_rays(rays, at, until, threads)
         if radii is None and not held.columns.shaped:
             hits = boxes.first_hits(held.tree, held.columns.node_handle, rays, threads)
         else:

@@ -16,7 +16,6 @@ from .distance.overlaps import Overlaps
 from .distance_queries import DistanceQueries
 from .geometry.shapes import Floats
 from .inspection import Inspection
-from .moments import Moments
 from .overlap_queries import OverlapQueries
 from .ray_queries import RayQueries
 from .region import as_region
@@ -24,6 +23,7 @@ from .removals import Removals
 from .slicing import SlicedUpdates
 from .store.obstacles import Obstacles, in_seconds
 from .store.registry import UNKNOWN
+from .timed_queries import TimedQueries
 from .updates import Categorise, Updates
 
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
@@ -99,7 +99,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         self._begin(held, Updates(held, categorise, as_region(region, 2 if planar else 3)))
 
     def _begin(self, held: Obstacles, updates: Updates) -> None:
-        self._held, self._moments = held, Moments(held)
+        self._held, self._timed = held, TimedQueries(held)
         self._touching = Overlaps(held.tree, held.columns)
         self._nearness = Nearness(held.tree, held.columns)
         self._clearances = Clearances(held.tree, held.columns)

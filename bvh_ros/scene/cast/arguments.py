@@ -85,15 +85,6 @@ def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
     return values if len(values) == count else np.full(count, values[0])
 
 
-class RayRows(NamedTuple):
-    """n rays at a time."""
-
-    origins: Any
-    directions: Any
-    t_max: Any
-    masks: Any
-
-
 def refuse_infinite(rays: Rays) -> None:
     """ValueError if a ray is not finite, or the path of a ball has no end."""
     names = ('starts', 'goals') if rays.to_goals else checks.WAYS
@@ -144,20 +135,21 @@ def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
     return tuple.__new__(CastWorld, parts)
 
 
-_codes: dict[tuple[Any, bool, bool, bool], Any] = {}
+_codes: dict[tuple[Any, ...], Any] = {}
 
 
 def code_for(
-    kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], thin: bool = False
+    kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], variant: object = None
 ) -> Any:
     """The machine code of a kernel that takes a world, or `Columns.shapes`, and always the same
-    types besides, but for what is None of thin rays: numba would look at every array of it.
+    types besides, but for what `variant` tells apart: numba would look at every array of it.
     """
     solid, flat = shapes
-    variant = kernel, flat is None, (solid or flat)[1] is None, thin
-    code = _codes.get(variant)
+    some = solid or flat
+    key = kernel, solid is None, flat is None, some is None or some[1] is None, variant
+    code = _codes.get(key)
     if code is None:
-        code = _codes[variant] = entry_point(kernel, *given)
+        code = _codes[key] = entry_point(kernel, *given)
     return code
 
 
@@ -167,20 +159,9 @@ def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
     return code_for(kernel, (world.geometry, world.footprints), given)(*given)
 
 
-def new_scratch(ndim: int) -> Scratch:
-    """Room for one ray."""
-    return Scratch(
-        np.empty((RAY_ROWS, ndim)),
-        np.empty((2, ndim)),
-        np.empty((5, 3)),
-        np.empty(DEEPEST, np.int64),
-        np.empty(DEEPEST),
-    )
-
-
 @inlined
 def scratch_in(memory, ndim):
-    """The same in SCRATCH floats, for kernels that have them on their stack."""
+    """Room for one ray in SCRATCH floats, which kernels have on their stack."""
     ray, box = memory[: RAY_ROWS * ndim], memory[RAY_FLOATS : RAY_FLOATS + 2 * ndim]
     work, stack, entries = RAY_FLOATS + 6, RAY_FLOATS + 21, RAY_FLOATS + 21 + DEEPEST
     return Scratch(

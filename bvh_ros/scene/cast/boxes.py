@@ -81,7 +81,7 @@ def segment(start: ArrayLike, goal: ArrayLike, radius: float) -> tuple[Floats, F
 
 
 @inlined
-def way_between(start, goal, way, place):
+def segment_between(start, goal, way, place):
     """Write the way between two points, and the first to `place`, with no normal; return whether
     all is finite.
     """
@@ -99,7 +99,7 @@ def first_between(tree, start, goal, mask, skip_inside, place):
     `place`; instead of a slot NONE, NOT_FINITE or REFUSED.
     """
     way = stack_array(3, np.float64)
-    if not way_between(start, goal, way, place):
+    if not segment_between(start, goal, way, place):
         return np.int64(NOT_FINITE), np.inf
     asked = 1.0, mask, skip_inside, CLOSEST
     handle, t = raycast_one(tree, start, way, *asked, place)
@@ -132,78 +132,34 @@ def every(
         yield slot, t, place[0], place[1]
 
 
-def few_first(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: TreeRays, to_goals: bool
-) -> CastHits | None:
-    """`first_of_many` of few rays, with as little Python as can be; None if a ray is not finite.
-    `to_goals`: what is called directions are the goals of the ways.
-    """
-    count, ndim = len(rays.origins), tree.ndim
-    ts, points = np.empty(count), np.empty((count, 3))
-    # As CastHits(...), which would take one more call of a function of Python's.
-    columns = np.empty(count, UINT32), ts, points, np.empty((count, 3))
-    told = tuple.__new__(CastHits, columns)
-    ids = _NO_IDS if count <= RAYS_ON_STACK else np.empty(count, INT64)
-    flat = None if ndim == 3 else np.empty((3, count, ndim))
-    ready, done = tree.ready_snapshot(), REFUSED
-    if ready is not None:
-        (arrays, version), snapshot = ready
-        given = arrays, version, snapshot, rays, to_goals, node_handles, ids, flat, told
-        done = few_entry(ndim)(*given)
-    if done == REFUSED:
-        done = cast_without_snapshot(tree, node_handles, rays, to_goals, (ids, flat), told)
-    if done == NOT_FINITE:
-        return None
-    accepted(done)
-    return told
-
-
-def cast_without_snapshot(
-    tree: DynamicBVH,
-    node_handles: NDArray[np.int64],
-    rays: TreeRays,
-    to_goals: bool,
-    room: tuple[NDArray[np.int64], Floats | None],
-    told: CastHits,
-) -> int:
-    """Fill in `few_first` where the snapshot is to be made or patched, or there is none; how many
-    took exact arithmetic, or why not.
-    """
-    view, count, ndim = tree.view(), len(rays.origins), tree.ndim
-    snapshot = tree.snapshot_for(count, view)
-    done: int
-    if snapshot is not None:
-        done = few_entry(ndim)(*view, snapshot, rays, to_goals, node_handles, *room, told)
-        return done
-    if to_goals:
-        ways = np.empty((count, 3))
-        if ways_entry()(rays.origins, rays.directions, ways) >= 0:
-            return NOT_FINITE
-        rays = rays._replace(directions=ways)
-    some, normals = (rays.origins, rays.directions), told.normals
-    if ndim == 2:
-        if checks.first_not_finite(some[0]) >= 0 or checks.first_not_finite(some[1]) >= 0:
-            return NOT_FINITE
-        normals = np.empty((count, 2))
-        rays = rays._replace(origins=along_axes(some[0], 2), directions=along_axes(some[1], 2))
-    hits = RayHits(np.empty(count, INT64), told.t, normals)
-    done = answer_rays(*view, None, rays, hits)
-    if done >= 0:
-        _describe_entry(ndim)(view.tree, node_handles, *some, hits, told)
-    return done
-
-
 def first_hits(
     tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, threads: int
 ) -> CastHits | None:
-    """First hits of n thin rays; None if a ray is not finite."""
-    ndim, count = tree.ndim, len(rays.origins)
-    if threads == 1:
-        # As Rays(...), which would take one more call of a function of Python's.
-        asked = *rays[:4], rays.skip_inside, CLOSEST, True
-        few = tuple.__new__(TreeRays, asked)
-        if count <= FEW or tree.few_rays(few):
-            return few_first(tree, node_handles, few, rays.to_goals)
+    """First hits of n thin rays; None if a ray is not finite. Few go through the snapshot in one
+    kernel, with as little Python as can be.
+    """
+    ndim, count, view = tree.ndim, len(rays.origins), None
+    # As TreeRays(...) and so on, which would take more calls of functions of Python's.
+    few = tuple.__new__(TreeRays, (*rays[:4], rays.skip_inside, CLOSEST, True))
+    parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    hits = tuple.__new__(CastHits, parts)
+    if threads == 1 and (count <= FEW or tree.few_rays(few)):
+        ids = _NO_IDS if count <= RAYS_ON_STACK else np.empty(count, INT64)
+        flat = None if ndim == 3 else np.empty((3, count, ndim))
+        given, done = (few, rays.to_goals, node_handles, ids, flat, hits), REFUSED
+        ready = tree.ready_snapshot()
+        if ready is not None:
+            done = few_entry(ndim)(*ready[0], ready[1], *given)
+        if done == REFUSED:
+            view = tree.view()
+            snapshot = tree.snapshot_for(count, view)
+            if snapshot is not None:
+                done, view = few_entry(ndim)(*view, snapshot, *given), None
+        if view is None:
+            if done == NOT_FINITE:
+                return None
+            accepted(done)
+            return hits
     origins, directions = rays[:2]
     if rays.to_goals:
         directions = np.empty((count, 3))
@@ -211,14 +167,20 @@ def first_hits(
             return None
     elif ndim == 2 and max(map(checks.first_not_finite, (origins, directions))) >= 0:
         return None  # of others the tree's kernel looks
-    flat = along_axes(origins, ndim), along_axes(directions, ndim)
-    asked = *flat, rays.t_max, rays.masks, rays.skip_inside, CLOSEST, threads == 1
-    hits = tree.first_hits(asked, threads)
-    normals = hits.normals if ndim == 3 else np.empty((count, 3))
-    columns = np.empty(count, UINT32), hits.t, np.empty((count, 3)), normals
-    told = tuple.__new__(CastHits, columns)
-    _describe_entry(ndim)(tree.view().tree, node_handles, origins, directions, hits, told)
-    return told
+    axes = along_axes(origins, ndim), along_axes(directions, ndim)
+    asked = *axes, rays.t_max, rays.masks, rays.skip_inside, CLOSEST, threads == 1
+    if view is None:
+        found = tree.first_hits(asked, threads)
+    else:
+        found = RayHits(np.empty(count, INT64), np.empty(count), np.empty((count, ndim)))
+        done = answer_rays(*view, None, TreeRays(*asked), found)
+        if done == NOT_FINITE:
+            return None
+        accepted(done)
+    hits = hits._replace(t=found.t)
+    told = node_handles, origins, directions, found, hits
+    _describe_entry(ndim)((view or tree.view()).tree, *told)
+    return hits
 
 
 @lean_kernel

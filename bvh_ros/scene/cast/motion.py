@@ -1,33 +1,24 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When rays and swept balls go, and what they meet.
+"""Rays and balls at a time, or while it passes, among obstacles that have velocities.
 
-One obstacle that moves, as a ray or ball meets it: while it goes, and where it comes to rest,
-from then on. Axis-aligned boxes are decided exactly; others are seen as if they stood.
+In the frame of an obstacle that moves on a straight line, a ray is another ray. So a ray is
+transformed into the frame of each obstacle that it may meet, and decided there as at rest. Thin
+rays among axis-aligned boxes are decided by the tree, in the numbers as given: exactly.
 
+An obstacle that grows, see `store.places`, is met by a ball that is larger by its growth at the
+end of the path: too early rather than too late.
 
-Ways past obstacles that move, nearest first, through the tree's nodes.
-
-The first obstacle that a ray, or ball, meets among those that move: `cast_moving` says whom it may
-meet, `update_first_hit` how one is met.
-
-
-One ray, or swept ball, among obstacles that have velocities.
-
-The answers are those of `moving.first_then`. Here arrays of one row are kept, as making them would
-take longer than the question.
+`walk_moving` leads through the nodes of the tree, as `query.walk_tree` at rest; `motion_batch` has
+the batches. The visitors are those of `query`, too: the first hit, and every hit.
 """
 
-import functools
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...tree.access import (
-    CLOSEST,
     DEEPEST,
     INSIDE,
     LARGEST,
@@ -35,22 +26,19 @@ from ...tree.access import (
     NOT_FINITE,
     PAD,
     RAY_ROWS,
+    ROOT,
     TINY,
     end_query,
-    entry_points,
     of_row,
     set_ray,
     set_swept_box,
-    slot_of,
 )
-from ...tree.compiler import entry_point, inlined, lean_kernel, prefetch, stack_array
+from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     FRONTS,
-    LONGEST,
     OUTSIDE,
     begin_asking,
     box_of,
-    cast_one,
     course_of,
     covers,
     descend,
@@ -60,137 +48,129 @@ from ...tree.motion.access import (
     meet_box,
     moments_of,
     moves,
-    no_motion,
     set_fronts,
     span_of,
-    times_of,
 )
 from ..geometry.shapes import Floats
-from ..results import NO_NODE
-from ..store.obstacles import EXACT, Obstacles
+from ..results import NO_NODE, require_few
+from ..store.obstacles import Obstacles
 from ..store.places import most_growth
-from ..store.registry import Slots
-from ..store.spare import Spare
-from .arguments import BoxHit, Hits, call, new_scratch, too_long, world_of
-from .boxes import way_between
+from .arguments import SCRATCH, BoxHit, CastWorld, Sweep, code_for, scratch_in, too_long
+from .batch import RowHits
+from .boxes import segment_between
 from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch
 from .shapes import COORDINATES, FRAME_SLACK
 
-# ---- times, and hits in order
+HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
+NEAR = 2.0**-40  # of the t at which an obstacle stops: what is computed is not off by as much
+EXACT_BOX, GOING, STOPPED = range(3)  # how a hit was decided: by the tree, in which frame
+BOXES_ONLY = None, None  # instead of `Columns.shapes`, where the tree decides all
 
 
-class HitTable(NamedTuple):
-    """Hits, by ray and in the order in which they are met."""
+class TimedRays(NamedTuple):
+    """n rays, or balls, at a time. A column of one row is one for all."""
 
-    rows: Slots
-    slots: Slots
-    ts: Floats
-    points: Floats
-    """Shape (m, 3)."""
-    normals: Floats
-
-    def take(self, which: NDArray[np.int64]) -> 'HitTable':
-        """Some of them."""
-        columns: Any = (column[which] for column in self)
-        return HitTable(*columns)
-
-
-class Times(NamedTuple):
-    """When rays start, s, and how many seconds pass a unit of t; shape (n,) each."""
-
-    at: Floats
-    pace: Floats
-
-    def ends(self, t_max: Floats) -> Floats:
-        """When rays end, s; inf where they never do."""
-        with np.errstate(over='ignore', invalid='ignore'):
-            return np.where(self.pace > 0.0, self.at + self.pace * t_max, self.at)
+    origins: Any
+    """(n, ndim), as the directions."""
+    directions: Any
+    t_max: Any
+    masks: Any
+    radii: Any
+    at: Any
+    """s"""
+    pace: Any
+    """How many seconds a unit of t takes."""
+    grown: Any
+    """No obstacle has grown by more, m."""
+    rate: Any
+    """By how much obstacles that move grow, m/s: one number."""
+    skip_inside: Any
 
 
-@lean_kernel
-def fill_times(at, until, t_max, epoch, within, starts, paces):
-    """Write `Times` of rays, shape (n,) each, that go from `at` to `until`, (n,) or one for all,
-    ns, and end at t_max; return (whether each is within (first, last) ns and ends, the first time,
-    the last). `epoch`: the ns of time 0, less than EXACT from both of `within`.
-    """
-    first, last = np.inf, -np.inf
-    for i in range(starts.shape[0]):
-        begin, end = of_row(at, i), of_row(until, i)
-        if not (within[0] <= begin <= end <= within[1]) or end - begin >= EXACT:
-            return False, first, last
-        starts[i], paces[i] = (begin - epoch) / 1e9, (end - begin) / 1e9
-        stop = starts[i] if paces[i] == 0.0 else starts[i] + of_row(t_max, i) * paces[i]
-        if not abs(stop) < LONGEST:
-            return False, first, last
-        first, last = min(first, starts[i]), max(last, stop)
-    return True, first, last
+class Cast(NamedTuple):
+    """What all rays of a batch share."""
+
+    world: Any
+    tree: Any
+    moving: Any
+    rays: TimedRays
+    node_handles: Any
+    scratch: Any
 
 
-@functools.cache
-def times_entry() -> Callable[..., Any]:
-    """The machine code of `fill_times`."""
-    at, row = np.empty(0, np.int64), np.empty(0)
-    return entry_point(fill_times, at, at, row, 0, (0, 0), row, row)
+class FirstHits(NamedTuple):
+    """The first hits of a ray so far."""
+
+    box: Any
+    """`Hit` that the tree decides; its feature is a face of the tree's."""
+    other: Any
+    stopped: Any
+    """Whether the obstacle of `other` had come to rest."""
+
+
+class EveryHit(NamedTuple):
+    """All hits of a ray, (n,) each."""
+
+    slots: Any
+    ts: Any
+    features: Any
+    kinds: Any
+    """EXACT_BOX, GOING or STOPPED."""
+
+
+class Contact(NamedTuple):
+    """How a ray or ball meets an obstacle."""
+
+    hit: Any
+    t: Any
+    feature: Any
+    kind: Any
+
+
+@inlined
+def cast_of(shapes, tree, moving, rays, node_handles, scratch):
+    world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
+    return Cast(world, tree, moving, rays, node_handles, scratch)
+
+
+@inlined
+def course_of_row(rays, i, moving, ray):
+    """The course of a thin ray; `ray` is filled in."""
+    set_swept_box(ray, rays.origins[i], rays.origins[i], rays.directions[i])
+    return course_of(ray, of_row(rays.at, i), of_row(rays.pace, i), moving)
 
 
 # ---- one obstacle
 
 
-HALF_A_NANOSECOND = 0.5e-9  # scenes tell whole ones, and less apart are but rounded otherwise
-NEAR = 2.0**-40  # of the t at which time is up: what is computed is not off by as much
-
-
 @inlined
-def radius_of(ways, i, box, rate):
-    """Of the ball of a way, with what an obstacle has grown at most."""
-    at, pace, t_max = of_row(ways.at, i), of_row(ways.pace, i), of_row(ways.t_max, i)
-    return of_row(ways.radii, i) + growth_of(box, rate, at, pace, t_max)
-
-
-@inlined
-def update_first_hit(world, tree, moving, ways, i, asked, tools, thin, slot, found):
-    """The first hits of a way, found = (box, other, whether that stood), after one more obstacle
-    is looked at; asked = (skip inside, m/s by which obstacles that move grow).
+def meet_obstacle(cast, i, course, slot):
+    """The `Contact` of a ray or ball and an obstacle: while it goes, and where it comes to rest,
+    from then on.
     """
-    (box, other, stood), (node_handles, scratch), t_max = found, tools, of_row(ways.t_max, i)
-    (skip, rate), there = asked, box_of(tree, moving, slot)
-    radius = radius_of(ways, i, there, rate)
+    world, rays = cast.world, cast.rays
+    box, t_max = box_of(cast.tree, cast.moving, slot), of_row(rays.t_max, i)
+    radius = of_row(rays.radii, i) + growth_of(rays, i, box)
     if radius == 0.0 and is_plain_box(world.geometry, world.footprints, slot):
-        hit, t, face = meet_box(there, thin, t_max)
-        if hit and not (skip and face == INSIDE):
-            was = box.slot, box.t, box.feature
-            if was[0] == NONE or is_before(tree, moving, thin, (slot, t, face), was):
-                box = Hit(slot, t, face)
-    else:
-        t, feature, stands = _enter(world, ways, i, there, radius, skip, scratch, thin, slot)
-        nearer = t < other.t
-        if t < np.inf and t == other.t:
-            nearer = node_handles[slot] < node_handles[other.slot]
-        if nearer:
-            other, stood = Hit(slot, t, np.int64(feature)), stands
-    return box, other, stood
-
-
-@inlined
-def _enter(world, ways, i, box, radius, skip, scratch, thin, slot):
-    """Where a way meets an obstacle first: (t, inf if nowhere, feature, whether it stood)."""
-    t, feature, t_max, left = np.inf, np.int64(INSIDE), of_row(ways.t_max, i), thin.left
-    until, stands = _time_left(box, thin), False
-    if until >= 0.0:
-        ray_in_obstacle_frame(ways, i, box, thin.nanoseconds, scratch.ray)
-        end = min(t_max, until * (1.0 + NEAR))
-        t, feature = enter_obstacle(world, slot, scratch.ray, radius, end, scratch.work)
+        hit, t, face = meet_box(box, course, t_max)
+        return Contact(hit and not (rays.skip_inside and face == INSIDE), t, face, EXACT_BOX)
+    t, feature, stops, kind = np.inf, np.int64(INSIDE), _time_left(box, course), GOING
+    ray, work = cast.scratch.ray, cast.scratch.work
+    if stops >= 0.0:
+        ray_in_obstacle_frame(rays, i, box, course.nanoseconds, ray)
+        end = min(t_max, stops * (1.0 + NEAR))
+        t, feature = enter_obstacle(world, slot, ray, radius, end, work)
     inside = t < np.inf and feature == INSIDE
-    if until < np.inf and not (inside or t < until * (1.0 - NEAR)):
-        ray_in_stopped_frame(ways, i, box, left, scratch.ray)
-        later, where = enter_obstacle(world, slot, scratch.ray, radius, t_max, scratch.work)
-        stands = later < t
-        if until >= 0.0:
-            stands &= where != INSIDE and later >= until * (1.0 - NEAR)
-        if stands:
-            t, feature = later, where
+    if stops < np.inf and not (inside or t < stops * (1.0 - NEAR)):
+        ray_in_stopped_frame(rays, i, box, course.left, ray)
+        later, where = enter_obstacle(world, slot, ray, radius, t_max, work)
+        stopped = later < t
+        if stops >= 0.0:
+            stopped &= where != INSIDE and later >= stops * (1.0 - NEAR)
+        if stopped:
+            t, feature, kind = later, where, STOPPED
             inside = where == INSIDE
-    return np.inf if skip and inside else t, feature, stands
+    return Contact(t < np.inf and not (rays.skip_inside and inside), t, np.int64(feature), kind)
 
 
 @inlined
@@ -207,38 +187,39 @@ def _time_left(box, course):
 
 
 @inlined
-def growth_of(box, rate, at, pace, t_max):
-    """By how much an obstacle has grown at most on the way, as `places.growths`."""
-    reference, end = box[3], (at + pace * t_max if pace > 0.0 else at)
-    if rate == 0.0 or not moves(box):
+def growth_of(rays, i, box):
+    """By how much an obstacle has grown at most by the end of a ray, as `places.growths`."""
+    at, pace, reference = of_row(rays.at, i), of_row(rays.pace, i), box[3]
+    if rays.rate == 0.0 or not moves(box):
         return 0.0
-    return min(rate * max(abs(at - reference), abs(end - reference)), LARGEST)
+    end = at + pace * of_row(rays.t_max, i) if pace > 0.0 else at
+    return min(rays.rate * max(abs(at - reference), abs(end - reference)), LARGEST)
 
 
 @inlined
-def ray_in_obstacle_frame(ways, i, box, nanoseconds, ray):
-    """Write the ray as an obstacle sees it that moves."""
+def ray_in_obstacle_frame(rays, i, box, nanoseconds, ray):
+    """Fill in the ray in the frame of an obstacle that moves; its ends are rounded once."""
     _, _, velocity, reference = box
-    seen, ndim = stack_array((2, 3), np.float64), ways.origins.shape[1]
-    since, _ = elapsed(of_row(ways.at, i), reference, nanoseconds)
+    ends, ndim = stack_array((2, 3), np.float64), rays.origins.shape[1]
+    since, _ = elapsed(of_row(rays.at, i), reference, nanoseconds)
     for axis in range(ndim):
-        seen[0, axis] = ways.origins[i, axis] - velocity[axis] * since
-        seen[1, axis] = ways.directions[i, axis] - velocity[axis] * of_row(ways.pace, i)
-    set_ray(ray, seen[0, :ndim], seen[1, :ndim])
+        ends[0, axis] = rays.origins[i, axis] - velocity[axis] * since
+        ends[1, axis] = rays.directions[i, axis] - velocity[axis] * of_row(rays.pace, i)
+    set_ray(ray, ends[0, :ndim], ends[1, :ndim])
 
 
 @inlined
-def ray_in_stopped_frame(ways, i, box, left, ray):
-    """The same of one that has come to rest."""
-    seen, ndim = stack_array(3, np.float64), ways.origins.shape[1]
+def ray_in_stopped_frame(rays, i, box, left, ray):
+    """The same for an obstacle that has come to rest."""
+    origin, ndim = stack_array(3, np.float64), rays.origins.shape[1]
     for axis in range(ndim):
-        seen[axis] = ways.origins[i, axis] - box[2][axis] * left
-    set_ray(ray, seen[:ndim], ways.directions[i])
+        origin[axis] = rays.origins[i, axis] - box[2][axis] * left
+    set_ray(ray, origin[:ndim], rays.directions[i])
 
 
 @inlined
 def fetch(tree, moving, geometry, footprints, slot):
-    """Ask for the memory of what `update_first_hit` reads of most obstacles."""
+    """Ask for the memory that `meet_obstacle` reads of most obstacles."""
     prefetch(moving.kept, slot, 1)
     prefetch(tree.handles, slot, 1)
     if geometry is not None:
@@ -247,61 +228,72 @@ def fetch(tree, moving, geometry, footprints, slot):
         prefetch(footprints[0], slot, 2)
 
 
-# ---- through the nodes of the tree
-
-
-class Ways(NamedTuple):
-    """n rays, or balls that go along them."""
-
-    origins: Any
-    directions: Any
-    t_max: Any
-    """One for all, or (n,), as all that follows."""
-    masks: Any
-    radii: Any
-    at: Any
-    """s; empty, as `pace`, if `motion_batch.first_swept` is told when."""
-    pace: Any
-    """How many seconds a unit of t takes."""
-    grown: Any
-    """What no obstacle has grown by more, m."""
-
-
-def ball_reach(radius: Any, largest: Any) -> Any:
-    """By how much a ray may pass the box of an obstacle that its ball touches; `largest` of the
-    coordinates of its origin.
-    """
-    return radius * (1.0 + FRAME_SLACK) + (FRAME_SLACK + COORDINATES) * largest
-
-
-_ball_reach = inlined(ball_reach)
+# ---- visitors: (what is kept so far, how far the walk goes on) after one more leaf
 
 
 @inlined
-def reach_of(ways, i):
-    """The same of a row, and of what has grown."""
+def no_first_hits():
+    return FirstHits(no_hit(), no_hit(), False)
+
+
+@inlined
+def update_first_hit(cast, i, course, room, slot, first):
+    """The `FirstHits` of a ray."""
+    contact = meet_obstacle(cast, i, course, slot)
+    box, other, stopped = first
+    if contact.hit and contact.kind == EXACT_BOX:
+        hit = slot, contact.t, contact.feature
+        if box.slot == NONE or is_before(
+            *(cast.tree, cast.moving, course, hit), (box.slot, box.t, box.feature)
+        ):
+            box = Hit(slot, contact.t, contact.feature)
+    elif contact.hit:
+        nearer = contact.t < other.t
+        if contact.t == other.t:
+            nearer = cast.node_handles[slot] < cast.node_handles[other.slot]
+        if nearer:
+            other = Hit(slot, contact.t, contact.feature)
+            stopped = contact.kind == STOPPED
+    return FirstHits(box, other, stopped), min(box.t, other.t)
+
+
+@inlined
+def add_hit(cast, i, course, room, slot, count):
+    """How many hits there are; those that `room`, an `EveryHit`, has place for are written."""
+    contact = meet_obstacle(cast, i, course, slot)
+    if contact.hit and count < room.slots.shape[0]:
+        room.slots[count], room.ts[count] = slot, contact.t
+        room.features[count], room.kinds[count] = contact.feature, contact.kind
+    return count + contact.hit, np.inf
+
+
+# ---- the walk
+
+
+@inlined
+def reach_of(rays, i):
+    """By how much a ray may pass the box of an obstacle that its ball touches."""
     largest = 0.0
-    for axis in range(ways.origins.shape[1]):
-        largest = max(largest, abs(ways.origins[i, axis]))
-    return _ball_reach(of_row(ways.radii, i), largest) + of_row(ways.grown, i)
+    for axis in range(rays.origins.shape[1]):
+        largest = max(largest, abs(rays.origins[i, axis]))
+    doubt = (FRAME_SLACK + COORDINATES) * largest
+    return of_row(rays.radii, i) * (1.0 + FRAME_SLACK) + doubt + of_row(rays.grown, i)
 
 
 @inlined
-def nothing():
-    """What `update_first_hit` has found at first."""
-    return no_hit(), no_hit(), False
-
-
-@inlined
-def cast_moving(world, tree, moving, ways, i, asked, tools, thin):
-    """The first hits of a way, as of `update_first_hit`: through the tree's nodes."""
-    at, pace, t_max, mask = thin.at, thin.pace, of_row(ways.t_max, i), of_row(ways.masks, i)
+def walk_moving(cast, i, course, room, kept, visit):
+    """Hand the leaves that a ray may meet to a visitor; return what it keeps, `kept` at first."""
+    rays, moving, root = cast.rays, cast.moving, cast.world.root
     nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
-    _set_way(fronts, moving, ways, i, reach_of(ways, i))
-    found = nothing()
+    corners, more = stack_array((2, 3), np.float64), reach_of(rays, i)
+    for axis in range(rays.origins.shape[1]):
+        corners[0, axis] = rays.origins[i, axis] - more
+        corners[1, axis] = rays.origins[i, axis] + more
+    set_fronts(fronts, moving, corners[0], corners[1], rays.directions[i])
     stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = world.root, 0.0, (0 if world.root == NONE else 1)
-    bounded, limit = covers(moving, at, pace, t_max) > 0, t_max
+    stack[0], entries[0], top = root, 0.0, (0 if root == NONE else 1)
+    at, pace, mask, limit = course.at, course.pace, of_row(rays.masks, i), of_row(rays.t_max, i)
+    bounded = covers(moving, at, pace, limit) > 0
     while top > 0:
         top -= 1
         if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
@@ -310,228 +302,240 @@ def cast_moving(world, tree, moving, ways, i, asked, tools, thin):
         node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
         if node == NONE or nodes[node].mask & mask == 0:
             continue
-        slot = np.int64(node >> 1)
-        found = update_first_hit(world, tree, moving, ways, i, asked, tools, thin, slot, found)
-        limit = min(limit, found[0].t, found[1].t)
-    return found
+        kept, t = visit(cast, i, course, room, np.int64(node >> 1), kept)
+        limit = min(limit, t)
+    return kept
+
+
+# ---- where hits are
 
 
 @inlined
-def _set_way(fronts, moving, ways, i, more):
-    """`set_fronts` of what goes along a way, by so much larger."""
-    corners = stack_array((2, 3), np.float64)
-    for axis in range(ways.origins.shape[1]):
-        corners[0, axis] = ways.origins[i, axis] - more
-        corners[1, axis] = ways.origins[i, axis] + more
-    set_fronts(fronts, moving, corners[0], corners[1], ways.directions[i])
+def write_first_hit(cast, i, course, first, hits):
+    """Write the earlier of the `FirstHits`, and where it is, to `RowHits`."""
+    box, other, stopped = first
+    by_box = other.slot == NONE or box.t < other.t
+    if box.slot != NONE and box.t == other.t:
+        by_box = cast.node_handles[box.slot] < cast.node_handles[other.slot]
+    by_box = by_box and box.slot != NONE
+    slot, t = (box.slot, box.t) if by_box else (other.slot, other.t)
+    point, normal, met = hits.points[i], hits.normals[i], slot != NONE
+    hits.slots[i], hits.t[i] = slot, t
+    hits.handles[i] = cast.node_handles[slot] if met else NO_NODE
+    for axis in range(3):
+        point[axis], normal[axis] = 0.0 if met else np.nan, 0.0
+    if by_box:
+        _locate_box(cast, i, course, box, point, normal)
+    elif met:
+        _touch_moving(cast, i, other, stopped, point, normal)
 
 
-# ---- the first hits of many rays
-
-
-class First(NamedTuple):
-    """What they meet."""
-
-    hits: Any
-    """`Hits`, (n,); NONE where the way is free."""
-    handles: Any
-    """(n,) uint32; NO_NODE where the way is free."""
-    points: Any
-    normals: Any
-    """(n, 3)"""
+@inlined
+def _locate_box(cast, i, course, hit, point, normal):
+    """Fill in where a box is met that the tree decided."""
+    ndim, box = cast.rays.origins.shape[1], box_of(cast.tree, cast.moving, hit.slot)
+    locate(box, course, hit.t, hit.feature, point[:ndim], normal[:ndim])
 
 
 @lean_kernel
-def first_rows(world, tree, moving, ways, asked, node_handles, scratch, told):
-    """Fill in a row for each way; asked as of `update_first_hit`. Returns 0, OUTSIDE or
-    REFUSED.
+def _touch_moving(cast, i, hit, stopped, point, normal):
+    """Fill in where an obstacle is met that was decided in its own frame."""
+    rays, moving, scratch = cast.rays, cast.moving, cast.scratch
+    box, at = box_of(cast.tree, moving, hit.slot), of_row(rays.at, i)
+    grown, center = growth_of(rays, i, box), rays.origins[i]
+    since = elapsed(at, box[3], moving.nanoseconds)[0] + hit.t * of_row(rays.pace, i)
+    if stopped:
+        since = moving.left
+        ray_in_stopped_frame(rays, i, box, moving.left, scratch.ray)
+    else:
+        ray_in_obstacle_frame(rays, i, box, moving.nanoseconds, scratch.ray)
+    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal)
+    for axis in range(box[2].shape[0]):
+        point[axis] += box[2][axis] * since
+    for axis in range(3):
+        point[axis] += normal[axis] * grown
+    if grown > 0.0 and hit.t == 0.0:  # a start within the growth is the point, without a normal
+        out = 0.0
+        for axis in range(center.shape[0]):
+            out += (center[axis] - point[axis]) * normal[axis]
+        if out <= 0.0:
+            for axis in range(center.shape[0]):
+                point[axis], normal[axis] = center[axis], 0.0
+
+
+# ---- kernels through the nodes of the tree
+
+
+@lean_kernel
+def first_rows(shapes, tree, moving, rays, node_handles, hits):
+    """Write the first hit of each of the `TimedRays` to `RowHits`; shapes as of `Columns.shapes`,
+    or BOXES_ONLY. Returns 0, OUTSIDE or REFUSED.
     """
-    why = begin_asking(tree, moving, moments_of(ways.pace, ways.origins.shape[0]))
+    count = rays.origins.shape[0]
+    why = begin_asking(tree, moving, moments_of(rays.pace, count))
     if why != 0:
         return why
-    ray, tools = stack_array((RAY_ROWS, 3), np.float64), (node_handles, scratch)
-    for i in range(ways.origins.shape[0]):
-        thin = course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
-        if covers(moving, thin.at, thin.pace, of_row(ways.t_max, i)) == 0:
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
+    cast = cast_of(shapes, tree, moving, rays, node_handles, scratch)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    for i in range(count):
+        course = course_of_row(rays, i, moving, ray)
+        if covers(moving, course.at, course.pace, of_row(rays.t_max, i)) == 0:
             why = np.int64(OUTSIDE)
             break
-        set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
-        found = cast_moving(world, tree, moving, ways, i, asked, tools, thin)
-        write_first_hit(world, tree, moving, ways, i, asked, tools, thin, found, told)
+        first = walk_moving(cast, i, course, 0, no_first_hits(), update_first_hit)
+        write_first_hit(cast, i, course, first, hits)
     end_query(tree.state)
     return why
 
 
 @lean_kernel
-def each_then(world, tree, moving, ways, slots, asked, tools, told):
-    """Fill in a row for each way and the obstacle of `slots` that it may meet."""
-    ray = stack_array((RAY_ROWS, 3), np.float64)
-    for i in range(slots.shape[0]):
-        thin = course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
-        set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
-        slot = slots[i]
-        found = update_first_hit(world, tree, moving, ways, i, asked, tools, thin, slot, nothing())
-        write_first_hit(world, tree, moving, ways, i, asked, tools, thin, found, told)
-
-
-@inlined
-def write_first_hit(world, tree, moving, ways, i, asked, tools, thin, found, told):
-    """Write which of two hits is the first, found = (box, other, whether that stood), and where it
-    is.
+def first_segment(shapes, tree, moving, ends, ball, when, node_handles, place):
+    """`first_rows` of one row, ends = (start, goal), ball as of `first_of_one`, when = (at, pace):
+    (slot, t), and its point and normal as the rows of `place`. Instead of a slot NONE, NOT_FINITE,
+    OUTSIDE or REFUSED.
     """
-    (box, other, stood), (node_handles, scratch), ndim = found, tools, ways.origins.shape[1]
-    by_box = other.slot == NONE or box.t < other.t
-    if box.slot != NONE and box.t == other.t:
-        by_box = node_handles[box.slot] < node_handles[other.slot]
-    if box.slot == NONE or not by_box:
-        place = write_first(other, i, node_handles, told)
-        if other.slot != NONE:
-            met = scratch, other, stood
-            _tell(world, tree, moving, ways, i, asked, met, told, place)
-    else:
-        place = write_first(box, i, node_handles, told)
-        there, (point, normal) = box_of(tree, moving, box.slot), place
-        locate(there, thin, box.t, box.feature, point[:ndim], normal[:ndim])
-
-
-@inlined
-def write_first(best, i, node_handles, told):
-    """Fill in what is met in a row, NONE if nothing is; where that is, (point, normal), is still
-    to be told.
-    """
-    hits, point, normal = told.hits, told.points[i], told.normals[i]
-    hits.slots[i], hits.ts[i], hits.features[i] = best.slot, best.t, best.feature
-    met = best.slot != NONE
-    told.handles[i] = node_handles[best.slot] if met else NO_NODE
-    for axis in range(3):
-        point[axis], normal[axis] = 0.0 if met else np.nan, 0.0
-    return point, normal
+    (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
+    ndim, direction = moving.kept[0].velocity.shape[0], stack_array(3, np.float64)
+    if not segment_between(start, goal, direction, place):
+        return np.int64(NOT_FINITE), np.inf
+    numbers, masks = stack_array((5, 1), np.float64), stack_array(1, np.uint32)
+    numbers[0, 0], numbers[1, 0], numbers[2, 0] = 1.0, radius, grown
+    numbers[3, 0], numbers[4, 0], masks[0] = when[0], when[1], mask
+    rays = TimedRays(
+        *(start[:ndim].reshape(1, ndim), direction[:ndim].reshape(1, ndim), numbers[0], masks),
+        *(numbers[1], numbers[3], numbers[4], numbers[2], rate, skip_inside),
+    )
+    slots, ts = stack_array(1, np.int64), stack_array(1, np.float64)
+    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:])
+    why = first_rows(shapes, tree, moving, rays, node_handles, hits)
+    return (slots[0] if why == 0 else why), ts[0]
 
 
 @lean_kernel
-def _tell(world, tree, moving, ways, i, asked, found, told, place):
-    """Write where an obstacle is met."""
-    (scratch, best, stood), (point, normal) = found, place
-    at, pace = of_row(ways.at, i), of_row(ways.pace, i)
-    box = box_of(tree, moving, best.slot)
-    grown = growth_of(box, asked[1], at, pace, of_row(ways.t_max, i))
-    then = elapsed(at, box[3], moving.nanoseconds)[0] + best.t * pace
-    ray_in_obstacle_frame(ways, i, box, moving.nanoseconds, scratch.ray)
-    if stood:
-        ray_in_stopped_frame(ways, i, box, moving.left, scratch.ray)
-        then = moving.left
-    touch(world, scratch, of_row(ways.radii, i) + grown, best, point, normal)
-    for axis in range(box[2].shape[0]):
-        point[axis] += box[2][axis] * then
-    for axis in range(3):
-        point[axis] += normal[axis] * grown
-    if grown > 0.0 and best.t == 0.0:
-        leave_surface(ways.origins[i], point, normal)
+def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
+    """Write all hits of one of the `TimedRays` to an `EveryHit`, in no order; return how many
+    there are, which may be more than fit; or OUTSIDE or REFUSED.
+    """
+    why = begin_asking(tree, moving, moments_of(rays.pace, 1))
+    if why != 0:
+        return why
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
+    cast = cast_of(shapes, tree, moving, rays, node_handles, scratch)
+    course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
+    count = np.int64(OUTSIDE)
+    if covers(moving, course.at, course.pace, rays.t_max[0]) != 0:
+        count = walk_moving(cast, 0, course, hits, np.int64(0), add_hit)
+    end_query(tree.state)
+    return count
 
 
 @lean_kernel
-def leave_surface(centre, point, normal):
-    """As `growth_of`: who begins within what has grown meets it there, without a normal."""
-    out = 0.0
-    for axis in range(centre.shape[0]):
-        out += (centre[axis] - point[axis]) * normal[axis]
-    if out <= 0.0:
-        for axis in range(centre.shape[0]):
-            point[axis], normal[axis] = centre[axis], 0.0
+def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals):
+    """Fill in the points and normals of hits. The first `boxes` of them are EXACT_BOX, sorted by
+    t and handle: bring these into exact order; each t becomes the largest up to it.
+    """
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
+    cast = cast_of(shapes, tree, moving, rays, 0, scratch)
+    course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
+    slots, ts, features, kinds = hits
+    for j in range(1, boxes):
+        hit, place = (slots[j], ts[j], features[j]), j
+        while place > 0 and is_before(
+            *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], features[place - 1])
+        ):
+            slots[place], ts[place] = slots[place - 1], ts[place - 1]
+            features[place] = features[place - 1]
+            place -= 1
+        slots[place], ts[place], features[place] = hit
+    for j in range(slots.shape[0]):
+        if 0 < j < boxes:
+            ts[j] = max(ts[j], ts[j - 1])
+        hit = Hit(slots[j], ts[j], features[j])
+        if j < boxes:
+            _locate_box(cast, 0, course, hit, points[j], normals[j])
+        else:
+            _touch_moving(cast, 0, hit, kinds[j] == STOPPED, points[j], normals[j])
 
 
 # ---- one ray
 
 
-Way = tuple[Floats, Floats, float]  # origin, direction, radius
-When = tuple[float, float]  # at, pace
-
-
-@lean_kernel
-def first_between_then(tree, moving, start, goal, when, mask, skip_inside, place):
-    """The first box from `start` to `goal`, when = (at, pace): (slot, t), and its point and normal
-    as the rows of `place`; instead of a slot what `cast_one` says.
+def first_of_one(
+    store: Obstacles,
+    ends: tuple[Floats, Floats],
+    ball: tuple[float, np.uint32, bool],
+    when: tuple[float, float],
+) -> BoxHit | None:
+    """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
+    mask, skip_inside), when = (at, pace).
     """
-    way, ndim = stack_array(3, np.float64), moving.kept[0].velocity.shape[0]
-    if not way_between(start, goal, way, place):
-        return np.int64(NOT_FINITE), np.inf
-    swept = start[:ndim], start[:ndim], way[:ndim]
-    asked = 1.0, mask, skip_inside, CLOSEST
-    handle, t = cast_one(tree, moving, swept, asked, when, place)
-    return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
+    tree, motion = store.tree, store.tree.motion
+    shapes, rate, grown = store.columns.shapes, store.uncertainty, 0.0
+    if rate:
+        at = np.array([when[0]])
+        grown = float(np.max(most_growth(store, at, at + when[1])))
+    elif ball[0] == 0.0 and not store.columns.shaped:
+        shapes = BOXES_ONLY
+    place, moment = np.empty((2, 3)), when[1] == 0.0
+    given = ends, (*ball, rate, grown), when, store.columns.node_handle, place
+    moving: Any = motion.bounds if moment else motion.moving  # type: ignore[union-attr]
+    arrays = tree.view().tree
+    code = code_for(first_segment, shapes, (shapes, arrays, moving, *given), tree.ndim)
+    slot, t = code(shapes, arrays, moving, *given)
+    while slot < NONE:
+        if slot == NOT_FINITE:
+            raise too_long(*ends)
+        moving = motion.others(tree, moving, slot, span_of(*when, 1.0), moment)  # type: ignore[union-attr]
+        slot, t = code(shapes, tree.view().tree, moving, *given)
+    if tree.ndim == 2:
+        place[0, 2] = ends[0][2]
+    return None if slot == NONE else (slot, t, place[0], place[1])
 
 
-_POINT = np.empty(3)
-_first_entry = entry_points(
-    *(first_between_then, no_motion, _POINT, _POINT, (0.0, 0.0), np.uint32(0), False),
-    np.empty((2, 3)),
-)
+def cast_every(
+    store: Obstacles, sweep: Sweep, when: tuple[float, float], most: int | None = None
+) -> Iterable[BoxHit]:
+    """All hits of a thin ray, or ball, in order, ties by handle, when = (at, pace);
+    TooManyHitsError if there are more than `most`.
+    """
+    tree, columns, ndim = store.tree, store.columns, store.tree.ndim
+    motion: Any = tree.motion
+    at, pace, shapes = np.array(when[:1]), np.array(when[1:]), columns.shapes
+    segment = sweep.origin[None, :ndim].copy(), sweep.direction[None, :ndim].copy()
+    grown = np.zeros(1)
+    if store.uncertainty:
+        grown = np.atleast_1d(most_growth(store, at, at + pace))
+    masks, radii = np.array([sweep.mask]), np.array([sweep.radius])
+    parts = np.ones(1), masks, radii, at, pace, grown, store.uncertainty, sweep.skip_inside
+    rays, begun, room, count = TimedRays(*segment, *parts), tree.view(), 0, 16
 
+    def ask(arrays: Any, moving: Any) -> Any:
+        given = shapes, arrays, moving, rays, columns.node_handle, hits
+        return code_for(every_hit_at, shapes, given)(*given)
 
-class _Room:
-    """Room for one way, see `spare`."""
-
-    def __init__(self, ndim: int) -> None:
-        self.ways = Ways(
-            *(np.empty((1, ndim)), np.empty((1, ndim)), np.ones(1), np.empty(1, np.uint32)),
-            *(np.empty(1), np.empty(1), np.empty(1), np.empty(1)),
-        )
-        self.hits = Hits(np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
-        self.handles = np.empty(1, np.uint32)
-        self.scratch = new_scratch(ndim)
-
-
-class OneWay:
-    """Asks for one way at a time."""
-
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
-        self._tree: Any = held.tree
-        self._spare = Spare(partial(_Room, held.tree.ndim))
-        self._first = _first_entry(held.tree.ndim)
-
-    def first_box(
-        self, start: Floats, goal: Floats, mask: np.uint32, skip: bool, when: When
-    ) -> BoxHit | None:
-        """The first axis-aligned box from `start` to `goal`, shape (3,) each: the tree decides."""
-        tree, place = self._tree, np.empty((2, 3))
-        asked = start, goal, when, mask, skip, place
-        motion, moment = tree._motion, when[1] == 0.0
-        moving = motion.bounds if moment else motion.moving
-        slot, t = self._first(tree._settled().tree, moving, *asked)
-        while slot < NONE:
-            if slot == NOT_FINITE:
-                raise too_long(start, goal)
-            moving = motion.others(tree, moving, slot, span_of(*when, 1.0), moment)
-            slot, t = self._first(tree._settled().tree, moving, *asked)
-        return None if slot == NONE else (slot, t, place[0], place[1])
-
-    def first_shape(self, way: Way, mask: np.uint32, skip: bool, when: When) -> BoxHit | None:
-        """The first obstacle of any shape."""
-        held, tree, room = self._held, self._tree, self._spare.take()
-        (origin, direction, radius), (at, pace) = way, when
-        ways, hits, ndim = room.ways, room.hits, tree.ndim
-        ways.origins[0], ways.directions[0] = origin[:ndim], direction[:ndim]
-        ways.masks[0], ways.radii[0], ways.at[0], ways.pace[0] = mask, radius, at, pace
-        ways.grown[0] = 0.0
-        if held.uncertainty:
-            ways.grown[0] = np.max(most_growth(held, ways.at, ways.at + pace))
-        told = First(hits, room.handles, np.empty((1, 3)), np.empty((1, 3)))
-        given = ways, (skip, held.uncertainty), held.columns.node_handle, room.scratch, told
-        world, motion = world_of(tree, held.columns), tree.motion
-        spans: Any = partial(times_of, ways.at, ways.pace, ways.t_max)
-
-        def ask(*arrays: Any) -> Any:
-            return call(first_rows, world, *arrays, *given)
-
-        motion.ask(tree, spans, ask, pace == 0.0)
-        if ndim == 2:
-            told.points[0, 2] = origin[2]
-        slot, t, point, normal = (
-            hits.slots.item(0),
-            hits.ts.item(0),
-            told.points[0],
-            told.normals[0],
-        )
-        self._spare.give(room)
-        return None if slot == NONE else (slot, t, point, normal)
+    while count > room:
+        room = count
+        numbers = np.empty((3, room), np.int64)
+        hits = EveryHit(numbers[0], np.empty(room), numbers[1], numbers[2])
+        span = span_of(*when, 1.0), True
+        count = motion.ask(tree, lambda span=span: span, ask, when[1] == 0.0)
+    require_few(count, most)
+    hits = EveryHit(*(column[:count] for column in hits))
+    exact = hits.kinds == EXACT_BOX
+    order = np.lexsort((columns.tree_handle[hits.slots], hits.ts, ~exact))
+    hits, boxes = EveryHit(*(column[order] for column in hits)), int(exact.sum())
+    points, normals = np.zeros((count, 3)), np.zeros((count, 3))
+    known = motion.known(begun, 0.0, 0.0)
+    given = shapes, begun.tree, known, rays, boxes, hits, points, normals
+    code_for(describe_every_hit, shapes, given)(*given)
+    tree.check_unchanged(begun)
+    if ndim == 2:
+        points[:, 2] = sweep.origin[2]
+    order = np.lexsort((columns.node_handle[hits.slots], hits.ts))
+    # Boxes are in exact order, which their t, as doubles, may not tell: they keep it.
+    order[order < boxes] = np.arange(boxes)
+    return zip(
+        *(hits.slots[order].tolist(), hits.ts[order].tolist(), points[order], normals[order]),
+        strict=True,
+    )

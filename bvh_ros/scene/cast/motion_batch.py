@@ -1,26 +1,17 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The first obstacles that many rays, or balls, meet among those that move: they go through what
-is swept together, as `tree.motion.sweep`, and `update_first_hit` says how one is met.
+"""Batches of rays and balls at a time, or while it passes.
 
-
-RayRows and swept balls at a time, or while it passes, among obstacles that have velocities.
-
-Seen from an obstacle that moves on a straight line, a ray is another ray. So the tree says whose
-boxes may be met, and each of these obstacles is asked by the ray that it sees. Among axis-aligned
-boxes thin rays are decided by the tree alone, as real arithmetic does.
-
-Who grows, see `store.places`, is met by a ball that is as much larger, as he has grown at the end
-of its way: too early rather than too late.
-
-
-Batches of thin rays among axis-aligned boxes that move: the tree decides, and the kernel that
-asks it tells points, too.
+Where it pays, rays go through a snapshot that is swept for their span of time
+(`tree.motion.sweep`): in streams. Rays that the sweep does not serve go through the nodes of
+the tree, one by one (`motion.first_rows`). There are two kernels for the streams: `stream_rays`
+decides as `motion.meet_obstacle`; thin rays among axis-aligned boxes are the tree's own
+(`stream_boxes`), and are described here.
 """
 
 import functools
 import threading
-from functools import partial
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,42 +20,39 @@ from numpy.typing import NDArray
 from ...tree.access import (
     AT_ONCE,
     CLOSEST,
-    EVERY,
     FARTHEST_ORIGIN,
     FOUND,
     INSIDE,
     INT64,
-    LARGEST,
     LOOSE_NODES,
     MIXED,
     NONE,
     NOTHING,
     RAY_ROWS,
     REFUSED,
-    ROOT,
     UINT32,
     RayHits,
-    Tree,
     accepted,
     begin_query,
     count_rays,
     end_query,
     entry_points,
+    in_threads,
     limit32,
     make_scratch,
     of_row,
     rows_of,
     scratch_for,
     set_ray,
-    set_swept_box,
     slot_of,
     traverse,
 )
-from ...tree.compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array
+from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     AHEAD,
     AS_ARRAYS,
     FEW,
+    LONGEST,
     MOST_WAITING,
     NO_FEW,
     NO_RAYS,
@@ -72,7 +60,6 @@ from ...tree.motion.access import (
     UNSUITED,
     WAITING,
     WAITING_SHARE,
-    Casts,
     RaysThen,
     Sweep,
     box_of,
@@ -89,30 +76,19 @@ from ...tree.motion.access import (
     times_of,
     told_once,
 )
-from ..geometry.shapes import Floats, along_axes
+from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
-from ..store.obstacles import Obstacles
-from ..store.places import growths, most_growth
-from .arguments import (
-    SCRATCH,
-    CastWorld,
-    Hits,
-    RayRows,
-    call,
-    code_for,
-    fill_ways,
-    new_scratch,
-    scratch_in,
-    world_of,
-)
-from .boxes import RAYS_ON_STACK
+from ..store.obstacles import EXACT, Obstacles
+from ..store.places import most_growth
+from .arguments import SCRATCH, Hits, Rays, code_for, fill_ways, refuse_infinite, scratch_in
+from .batch import RowHits
 from .motion import (
-    First,
-    HitTable,
-    Times,
-    Ways,
-    ball_reach,
-    each_then,
+    BOXES_ONLY,
+    Cast,
+    FirstHits,
+    TimedRays,
+    cast_of,
+    course_of_row,
     fetch,
     first_rows,
     reach_of,
@@ -121,29 +97,67 @@ from .motion import (
 )
 from .query import Hit, no_hit, widen, write
 
-# ---- through what is swept
+RAYS_AT_ONCE = 1024  # go together at most
+_MET = RAYS_AT_ONCE + AT_ONCE
+LEAST_WAITING = 16  # more than of the tree's own rays: hits are decided in many steps
+_NO_IDS, _ROW, _ROWS = np.empty(0, np.int64), np.empty(0), np.empty((0, 3))
 
 
-WAYS_AT_ONCE = 1024  # go together at most
-_MET = WAYS_AT_ONCE + AT_ONCE
-LEAST_WAITING = 16  # more than in `wide_casting`: who is met is decided in many steps
-AT_HAND = 64  # rows of a batch that there is room for
+# ---- times
 
 
-class SweptWays(NamedTuple):
-    """What `traverse` asks of rays, and what else there is to know when an obstacle is met."""
+class Times(NamedTuple):
+    """When rays start, s, how many seconds pass a unit of t, and the span that holds all rays."""
+
+    at: Any
+    """A number for all rays, as the pace; or both (1,) or (n,)."""
+    pace: Any
+    first: float
+    last: float
+    bounded: bool
+    """Whether there can be bounds for all rays."""
+
+
+@lean_kernel
+def fill_times(at, until, t_max, epoch, within, starts, paces):
+    """Write the times of rays, shape (n,) each, that go from `at` to `until`, (n,) or one for all,
+    ns, and end at t_max; return (whether each is within (first, last) ns and ends, the first time,
+    the last). `epoch`: the ns of time 0, less than EXACT from both of `within`.
+    """
+    first, last = np.inf, -np.inf
+    for i in range(starts.shape[0]):
+        begin, end = of_row(at, i), of_row(until, i)
+        if not (within[0] <= begin <= end <= within[1]) or end - begin >= EXACT:
+            return False, first, last
+        starts[i], paces[i] = (begin - epoch) / 1e9, (end - begin) / 1e9
+        stop = starts[i] if paces[i] == 0.0 else starts[i] + of_row(t_max, i) * paces[i]
+        if not abs(stop) < LONGEST:
+            return False, first, last
+        first, last = min(first, starts[i]), max(last, stop)
+    return True, first, last
+
+
+@functools.cache
+def times_entry() -> Callable[..., Any]:
+    """The machine code of `fill_times`."""
+    at, row = np.empty(0, np.int64), np.empty(0)
+    return entry_point(fill_times, at, at, row, 0, (0, 0), row, row)
+
+
+# ---- streams of rays and balls past obstacles of any shape
+
+
+class StreamRays(NamedTuple):
+    """What `traverse` reads of rays, and what their hits need."""
 
     masks: Any
     mode: Any
-    ways: Any
-    world: Any
+    cast: Cast
     sweep: Any
-    asked: Any
-    tools: Any
 
 
 class StreamScratch(NamedTuple):
-    """As `wide_casting.Waiting`, and what each way has met."""
+    """What `traverse` works in, and what each ray has met."""
 
     ray: Any
     records: Any
@@ -152,568 +166,384 @@ class StreamScratch(NamedTuple):
     met: Any
     stack: Any
     pairs: Any
+    """Slot of a leaf, and in the lower half the place of the ray that may meet it: deferred."""
     boxes: Any
-    """`Hits`, as the first of `motion.update_first_hit`, WAYS_AT_ONCE of them."""
+    """`Hits`, of each ray as of `FirstHits`."""
     others: Any
-    stood: Any
+    stopped: Any
 
 
-class Kept(threading.local):
+class Memory(threading.local):
     """Memory of a thread, which kernels write before they read it."""
 
     def __init__(self) -> None:
-        self.marks, self.ways = np.empty((2, AT_HAND), np.int64), np.empty((AT_HAND, 3))
-        """Slots and features of hits, and ways, that a kernel alone is to read."""
         self.lists, self.depth = np.empty(0, np.int32), -1
 
 
-kept = Kept()
+memory = Memory()
 
 
 def lists_for(depth: int) -> NDArray[np.int32]:
-    """Room for lists of ways that go together, and the stack of them, through a snapshot of so
-    many levels, see `ray_streams`.
+    """Room for lists of rays that go together, and the stack of them, through a snapshot of so
+    many levels.
     """
-    if depth > kept.depth:
-        size = 3 * (WIDTH * depth + LOOSE_NODES) + WAYS_AT_ONCE * (1 + WIDTH * depth) + AT_ONCE
-        kept.lists, kept.depth = np.empty(size, np.int32), depth
-    return kept.lists
+    if depth > memory.depth:
+        size = 3 * (WIDTH * depth + LOOSE_NODES) + RAYS_AT_ONCE * (1 + WIDTH * depth) + AT_ONCE
+        memory.lists, memory.depth = np.empty(size, np.int32), depth
+    return memory.lists
 
 
 @lean_kernel
-def first_swept(shapes, tree, sweep, ways, asked, tools, told, when, goals):
-    """`motion.first_rows` through a `tree.motion.sweep.Sweep`: ways that are not for it
-    become UNSUITED. Returns how many; 1 if one is not finite; REFUSED if the tree is not what was
-    swept. shapes as of `Columns.shapes`, ways what a `Ways` holds, tools = (node_handles, what
-    `lists_for` says), told = (slots and features, (2, n) or more, ts, handles, points, normals),
-    when = (at, pace) of all if the ways tell no times. With `goals`, (n, 3) or more, what is
-    called directions are the goals of the ways, which are written there.
+def stream_rays(shapes, tree, sweep, rays, when, goals, node_handles, lists, hits):
+    """`motion.first_rows` through a `Sweep`: rays that it does not serve become UNSUITED. Returns
+    how many; 1 if one is not finite; REFUSED if the tree is not what was swept. lists as of
+    `lists_for`; when = (at, pace) of all if the rays have no times. With `goals`, (n, 3), the
+    directions are the goals of the rays; the kernel writes the directions there.
     """
-    origins, directions, t_max, masks, radii, at, pace, grown = ways
-    node_handles, lists = tools
-    marks, ts, handles, points, normals = told
-    found = First(Hits(marks[0], ts, marks[1]), handles, points, normals)
-    if goals.shape[0] > 0 and fill_ways(origins, directions, goals) >= 0:
-        return np.int64(1)
-    directions = goals if goals.shape[0] > 0 else directions
+    directions, at, pace = rays.directions, rays.at, rays.pace
+    if goals.shape[0] > 0:
+        directions = goals
+        if fill_ways(rays.origins, rays.directions, goals) >= 0:
+            return np.int64(1)
     if at.shape[0] == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
         at[0], pace[0] = when
     if not begin_query(tree.state, sweep.moving.version):
         return np.int64(REFUSED)
-    every = Ways(origins, directions, t_max, masks, radii, at, pace, grown)
-    world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
-    scratch = scratch_in(stack_array(SCRATCH, np.float64), origins.shape[1])
-    rays = SweptWays(masks, CLOSEST, every, world, sweep, asked, (node_handles, scratch))
-    count, unsuited = origins.shape[0], np.int64(0)
-    for start in range(0, count, WAYS_AT_ONCE):
-        some = start, min(count, start + WAYS_AT_ONCE)
-        unsuited += _cast_group(tree, rays, some, lists, found)
+    every = TimedRays(
+        *(rays.origins, directions, rays.t_max, rays.masks, rays.radii, at, pace),
+        *(rays.grown, rays.rate, rays.skip_inside),
+    )
+    count, unsuited = rays.origins.shape[0], np.int64(0)
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
+    cast = cast_of(shapes, tree, sweep.moving, every, node_handles, scratch)
+    stream = StreamRays(rays.masks, CLOSEST, cast, sweep)
+    for start in range(0, count, RAYS_AT_ONCE):
+        unsuited += _cast_group(stream, start, min(count, start + RAYS_AT_ONCE), lists, hits)
     count_rays(tree.state, count, 0)
     end_query(tree.state)
     return unsuited
 
 
 @inlined
-def _cast_group(tree, rays, some, lists, told):
-    """Answer the ways of some rows; return how many are not suited."""
-    (start, stop), tally = some, stack_array(PLACES, np.int64)
-    ways, snapshot = rays.ways, rays.sweep.snapshot
+def _cast_group(stream, start, stop, lists, hits):
+    """Answer the rays of some rows; return how many are not suited."""
+    cast, snapshot, tally = stream.cast, stream.sweep.snapshot, stack_array(PLACES, np.int64)
     nodes = WIDTH * snapshot.depth + LOOSE_NODES
-    marks = stack_array((6, WAYS_AT_ONCE), np.int64)
-    ts = stack_array((2, WAYS_AT_ONCE), np.float64)
-    found, met = stack_array(WAYS_AT_ONCE, np.int32), stack_array(_MET, np.uint32)
+    marks = stack_array((6, RAYS_AT_ONCE), np.int64)
+    ts = stack_array((2, RAYS_AT_ONCE), np.float64)
+    found, met = stack_array(RAYS_AT_ONCE, np.int32), stack_array(_MET, np.uint32)
     rows, listed = marks[5][: stop - start], lists[3 * nodes :]
     stack = lists[: 3 * nodes].reshape(nodes, 3)
     boxes, others = Hits(marks[0], ts[0], marks[1]), Hits(marks[2], ts[1], marks[3])
-    records = stack_array(WAYS_AT_ONCE, snapshot.record)
+    records, alive = stack_array(RAYS_AT_ONCE, snapshot.record), 0
     for place in range(rows.shape[0]):
-        rows[place], marks[4][place] = start + place, 0
+        row = start + place
+        rows[place], marks[4][place] = row, 0
         write(no_hit(), boxes, place)
         write(no_hit(), others, place)
-    alive = _start_group(ways, rays.sweep, rows, records, listed, told.hits.slots)
+        reach, record = reach_of(cast.rays, row) * snapshot.per_length, records[place]
+        suited = start_seen(record, snapshot, stream.sweep.leaves, cast.rays, row)
+        suited &= reach < FARTHEST_ORIGIN
+        hits.slots[row] = NONE if suited else UNSUITED
+        if suited:
+            widen(record, reach)
+            listed[alive] = place
+            alive += 1
     most = min(max(LEAST_WAITING, alive // WAITING_SHARE), MOST_WAITING)
     pairs, ray = stack_array(MOST_WAITING, np.int64)[:most], stack_array((RAY_ROWS, 3), np.float64)
     group = StreamScratch(ray, records, listed, found, met, stack, pairs, boxes, others, marks[4])
     tally[FOUND] = tally[WAITING] = 0
     if alive > 0:
-        traverse(snapshot, tree, (MIXED, rows, alive), rays, group, tally, defer_leaf, not_yet)
-    flush_deferred(tree, rays, rows, group, tally)
+        which = MIXED, rows, alive
+        traverse(snapshot, cast.tree, which, stream, group, tally, defer_leaf, not_yet)
+    flush_deferred(cast.tree, stream, rows, group, tally)
     for place in range(rows.shape[0]):
-        if told.hits.slots[rows[place]] != UNSUITED:
-            _tell(tree, rays, rows[place], ray, met_by(group, place), told)
+        row = rows[place]
+        if hits.slots[row] != UNSUITED:
+            course = course_of_row(cast.rays, row, cast.moving, ray)
+            write_first_hit(cast, row, course, first_hits_at(group, place), hits)
     return rows.shape[0] - alive
 
 
 @inlined
-def _tell(tree, rays, i, ray, found, told):
-    """Write what a way meets first."""
-    moving, given = rays.sweep.moving, (rays.asked, rays.tools)
-    thin = _course(ray, rays.ways, i, moving)
-    write_first_hit(rays.world, tree, moving, rays.ways, i, *given, thin, found, told)
-
-
-@inlined
-def _start_group(ways, sweep, rows, records, listed, slots):
-    """As `motion.starting.start_group`, for ways that may pass the boxes of whom they meet; who is
-    not suited is UNSUITED in `slots`.
-    """
-    alive, snapshot = 0, sweep.snapshot
-    for place in range(rows.shape[0]):
-        row, record = rows[place], records[place]
-        reach = reach_of(ways, row) * snapshot.per_length
-        suited = start_seen(record, snapshot, sweep.leaves, ways, row) & (reach < FARTHEST_ORIGIN)
-        slots[row] = NONE if suited else UNSUITED
-        if suited:
-            widen(record, reach)
-            listed[alive] = place
-            alive += 1
-    return alive
-
-
-@inlined
-def _course(ray, ways, i, moving):
-    """That of a way."""
-    set_swept_box(ray, ways.origins[i], ways.origins[i], ways.directions[i])
-    return course_of(ray, of_row(ways.at, i), of_row(ways.pace, i), moving)
-
-
-@inlined
-def met_by(group, place):
-    """What the way at a place has met so far, as of `update_first_hit`."""
+def first_hits_at(group, place):
+    """The `FirstHits` of the ray at a place."""
     boxes, others = group.boxes, group.others
     box = Hit(boxes.slots[place], boxes.ts[place], boxes.features[place])
     other = Hit(others.slots[place], others.ts[place], others.features[place])
-    return box, other, group.stood[place] != 0
+    return FirstHits(box, other, group.stopped[place] != 0)
 
 
 @inlined
-def defer_leaf(tree, rays, slot, listed, group, tally):
-    """As `wide_casting.defer_leaf`."""
+def defer_leaf(tree, stream, slot, listed, group, tally):
+    """Defer the rays that may meet a leaf, listed = (rows, places); ask for its memory."""
     rows, places = listed
-    prefetch(rays.sweep.leaves.records, slot, 1)
+    prefetch(stream.sweep.leaves.records, slot, 1)
     for place in places:
-        mask = of_row(rays.masks, rows[place])
-        if rays.sweep.snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0:
-            continue  # it is gone, or has another mask now
+        mask = of_row(stream.masks, rows[place])
+        if stream.sweep.snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0:
+            continue  # it was removed, or has another mask now
         group.pairs[tally[WAITING]] = slot << 32 | place
         tally[WAITING] += 1
         if tally[WAITING] == group.pairs.shape[0]:
-            flush_deferred(tree, rays, rows, group, tally)
+            flush_deferred(tree, stream, rows, group, tally)
     return True
 
 
 @lean_kernel
-def flush_deferred(tree, rays, rows, group, tally):
-    """See of the pairs that wait whether the obstacle is the first that the way meets."""
-    pairs, ways, leaves, moving = group.pairs, rays.ways, rays.sweep.leaves, rays.sweep.moving
-    kept = 0
+def flush_deferred(tree, stream, rows, group, tally):
+    """Decide the deferred pairs: whether the obstacle is the first that the ray meets."""
+    cast, pairs, leaves, near = stream.cast, group.pairs, stream.sweep.leaves, 0
+    rays, world = cast.rays, cast.world
     for j in range(tally[WAITING]):
         pair = pairs[j]
         slot, place = pair >> 32, pair & 0xFFFFFFFF
         i, limit = rows[place], group.records[place].best_t
-        since, pace = of_row(ways.at, i) - leaves.start, of_row(ways.pace, i)
-        way, more = (ways.origins[i], ways.directions[i]), reach_of(ways, i)
-        pairs[kept] = pair
-        if may_meet(leaves.records, slot, *way, since, pace, limit, more):
-            fetch(tree, moving, rays.world.geometry, rays.world.footprints, slot)
-            kept += 1
+        since, pace = of_row(rays.at, i) - leaves.start, of_row(rays.pace, i)
+        segment, more = (rays.origins[i], rays.directions[i]), reach_of(rays, i)
+        pairs[near] = pair
+        if may_meet(leaves.records, slot, *segment, since, pace, limit, more):
+            fetch(tree, cast.moving, world.geometry, world.footprints, slot)
+            near += 1
     ray = stack_array((RAY_ROWS, 3), np.float64)
-    for j in range(kept):
+    for j in range(near):
         slot, place = pairs[j] >> 32, pairs[j] & 0xFFFFFFFF
-        i, found, record = rows[place], met_by(group, place), group.records[place]
-        given = rays.asked, rays.tools, _course(ray, ways, i, moving), slot, found
-        box, other, stood = update_first_hit(rays.world, tree, moving, ways, i, *given)
-        write(box, group.boxes, place)
-        write(other, group.others, place)
-        group.stood[place] = stood
-        first = min(box.t, other.t)
-        if first < record.best_t:
-            record.best_t, record.limit = first, limit32(first, record.unit)
+        i, before, record = rows[place], first_hits_at(group, place), group.records[place]
+        course = course_of_row(rays, i, cast.moving, ray)
+        first, t = update_first_hit(cast, i, course, 0, slot, before)
+        write(first.box, group.boxes, place)
+        write(first.other, group.others, place)
+        group.stopped[place] = first.stopped
+        if t < record.best_t:
+            record.best_t, record.limit = t, limit32(t, record.unit)
     tally[WAITING] = 0
 
 
-# ---- rays and balls at a time
-
-
-_NO_ROOM = np.empty((0, 3))
-PAIRS = 1 << 17  # that are looked at in one go
-
-
-def cast_then(held: Obstacles, rays: RayRows, radii: Floats, skip: bool, times: Times) -> HitTable:
-    """All that rays, or balls, meet; `rays` as Scene.raycast_many has them."""
-    ndim, count = held.tree.ndim, len(rays.origins)
-    require_ends(held, rays)
-    flat = rays._replace(
-        origins=along_axes(rays.origins, ndim), directions=along_axes(rays.directions, ndim)
-    )
-    thin = radii == 0.0
-    parts = [_plain(held, flat, np.flatnonzero(thin), skip, times)]
-    if held.columns.shaped or held.uncertainty or not thin.all():
-        parts.append(_shaped(held, flat, radii, skip, times))
-    columns: Any = zip(*parts, strict=True)
-    met = HitTable(*(np.concatenate(column) for column in columns))
-    if ndim == 2:
-        met.points[:, 2] = rays.origins[met.rows, 2]
-    handles = held.columns.node_handle[met.slots]
-    order = np.lexsort((handles, met.ts, met.rows))
-    first = len(parts[0].rows)
-    _keep_exact_order(order, first)
-    return met.take(order) if count else met
-
-
-def first_then(
-    held: Obstacles, sweep: Sweep | None, rays: RayRows, radii: Floats, skip: bool, times: Times
-) -> First:
-    """First hits of rays, or balls, their columns one for all or (n,); as of `cast_then`. `sweep`:
-    what `sweep_for` says, of these and more rays.
-    """
-    tree, columns, count = held.tree, held.columns, len(rays.origins)
-    ndim, grown = tree.ndim, NOTHING
-    if held.uncertainty:
-        require_ends(held, rays)
-        grown = np.atleast_1d(most_growth(held, times.at, times.ends(rays.t_max)))
-    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    ways = *flat, rays.t_max, rays.masks, radii, *times, grown
-    marks, places = np.empty((2, count), INT64), (np.empty((count, 3)), np.empty((count, 3)))
-    hits = Hits(marks[0], np.empty(count), marks[1])
-    told = First(hits, np.empty(count, UINT32), *places)
-    asked, handles = (skip, held.uncertainty), columns.node_handle
-    motion = _motion_of(held)
-    if sweep is None:
-        world, given = (
-            world_of(tree, columns),
-            (Ways(*ways), asked, handles, new_scratch(ndim), told),
-        )
-        spans = partial(times_of, times.at, times.pace, rays.t_max)
-        moments = not times.pace.any()
-
-        def ask(*arrays: Any) -> Any:
-            return call(first_rows, world, *arrays, *given)
-
-        motion.ask(tree, spans, ask, moments)
-    else:
-        view, shapes = tree.view(), columns.shapes
-        now = sweep._replace(moving=motion.known(view, 0.0, 0.0))
-        found = marks, hits.ts, told.handles, *places
-        tools = handles, lists_for(sweep.snapshot.depth)
-        every = shapes, view.tree, now, ways, asked, tools, found, AS_ARRAYS, _NO_ROOM
-        if accepted(code_for(first_swept, shapes, every)(*every)):
-            _tell_others(held, (rays, radii, skip, times), told)
-    if tree.ndim == 2:
-        met = told.handles != NO_NODE
-        told.points[met, 2] = rays.origins[met, 2]
-    return told
-
-
-def few_then(
-    held: Obstacles,
-    sweep: Sweep,
-    rays: tuple[Any, ...],
-    radii: Floats,
-    skip: bool,
-    when: tuple[Any, Any],
-    to_goals: bool,
-) -> CastHits | None:
-    """`first_then` in a solid scene through what is swept already, with as little Python as can
-    be; else as `few_first`.
-    """
-    tree: Any = held.tree
-    count, columns = len(rays[0]), held.columns
-    at, pace, when = told_once(when)
-    ways = *rays, radii, at, pace, NOTHING
-    marks, room = kept.marks, kept.ways if to_goals else _NO_ROOM
-    if count > AT_HAND:
-        marks, room = np.empty((2, count), INT64), np.empty((count if to_goals else 0, 3))
-    ts, points, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
-    handles = np.empty(count, UINT32)
-    told = marks, ts, handles, points, normals
-    tools = columns.node_handle, lists_for(sweep.snapshot.depth)
-    asked, shapes = (skip, held.uncertainty), columns.shapes
-    every = shapes, tree._storage.tree, sweep, ways, asked, tools, told, when, room
-    if code_for(first_swept, shapes, every)(*every) != 0:
-        return None
-    return tuple.__new__(CastHits, (handles, ts, points, normals))
-
-
-def sweep_for(held: Obstacles, rays: RayRows, times: Times) -> Sweep | None:
-    """What is swept for the rays of a batch, if that pays."""
-    span, every = times_of(*times, rays.t_max)
-    if not every or not len(rays.origins):
-        return None
-    tree = held.tree
-    found: Sweep | None = _motion_of(held).swept_for(tree, tree.view(), len(rays.origins), span)
-    return found
-
-
-def _tell_others(held: Obstacles, asked: tuple[Any, ...], told: First) -> None:
-    """Fill in the rows of ways that are not for a sweep; asked = what `first_then` is told."""
-    (rays, radii, skip, times), count = asked, len(told.handles)
-    others = np.flatnonzero(told.hits.slots == UNSUITED)
-    some, when = rows_of(rays, count, others), rows_of(times, count, others)
-    balls = radii[others] if len(radii) == count else radii
-    found = first_then(held, None, some, balls, skip, when)
-    for column, part in zip((*told.hits, *told[1:]), (*found.hits, *found[1:]), strict=True):
-        column[others] = part
-
-
-def require_ends(held: Obstacles, rays: RayRows) -> None:
-    """ValueError if a ray has no end, where obstacles grow."""
-    if held.uncertainty and np.isinf(rays.t_max).any():
-        row = np.flatnonzero(np.isinf(rays.t_max))[0]
-        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
-
-
-def reaches(held: Obstacles, rays: RayRows, radii: Floats, times: Times) -> Floats:
-    """By how much rays may pass boxes of obstacles that their balls touch, (n,)."""
-    axes = np.abs(rays.origins[:, : held.tree.ndim]).T
-    largest = functools.reduce(np.maximum, axes)  # `max` of short rows takes ten times as long
-    growth = most_growth(held, times.at, times.ends(rays.t_max))
-    return np.asarray(ball_reach(radii, largest) + growth)
-
-
-def _motion_of(held: Obstacles) -> Any:
-    return held.tree.motion
-
-
-def _keep_exact_order(order: NDArray[np.int64], first: int) -> None:
-    """The first so many hits are in exact order, which their t, as doubles, may not tell: they
-    keep it in the places that are theirs.
-    """
-    order[order < first] = np.arange(first)
-
-
-def _plain(
-    held: Obstacles, rays: RayRows, rows: NDArray[np.int64], skip: bool, times: Times
-) -> HitTable:
-    """Thin rays of these rows against axis-aligned boxes, decided exactly."""
-    some = RayRows(*(np.ascontiguousarray(column[rows]) for column in rays))
-    asked = some.t_max, some.masks, times.at[rows], times.pace[rows], skip, EVERY
-    casts = Casts(some.origins, some.origins, some.directions, *asked)
-    offsets, handles, found, places = _motion_of(held).every(held.tree, casts)
-    slots = held.tree.slots(handles)
-    of = np.repeat(rows, np.diff(offsets))
-    ends = times.ends(rays.t_max)
-    grown = growths(held, slots, times.at[of], ends[of])
-    plain = np.flatnonzero(~held.columns.geometry['shaped'][slots] & (grown == 0.0))
-    points, normals = (np.zeros((len(slots), 3)) for _ in range(2))
-    points[:, : held.tree.ndim], normals[:, : held.tree.ndim] = places
-    return HitTable(of, slots, found.ts, points, normals).take(plain)
-
-
-def _casts(held: Obstacles, rays: RayRows, radii: Floats, times: Times) -> Casts:
-    """What rays may meet: every box that balls touch with what has grown in it."""
-    more = reaches(held, rays, radii, times)[:, None]
-    with np.errstate(over='ignore'):  # as far as there are doubles
-        low, high = rays.origins - more, rays.origins + more
-    ways = np.maximum(low, -LARGEST), np.minimum(high, LARGEST), rays.directions, rays.t_max
-    return Casts(*ways, rays.masks, *times, False, EVERY)
-
-
-def _shaped(held: Obstacles, rays: RayRows, radii: Floats, skip: bool, times: Times) -> HitTable:
-    """Balls against all obstacles, thin rays against those that are no axis-aligned boxes."""
-    ends, casts = times.ends(rays.t_max), _casts(held, rays, radii, times)
-    offsets, handles, _, _ = _motion_of(held).every(held.tree, casts)
-    slots, rows = held.tree.slots(handles), np.repeat(np.arange(len(radii)), np.diff(offsets))
-    grown = growths(held, slots, times.at[rows], ends[rows])
-    wanted = held.columns.geometry['shaped'][slots] | (radii[rows] + grown > 0.0)
-    slots, rows, parts = slots[wanted], rows[wanted], []
-    for begin in range(0, max(len(rows), 1), PAIRS):
-        some = slice(begin, begin + PAIRS)
-        parts.append(_of_pairs(held, rays, radii, skip, times, rows[some], slots[some]))
-    columns: Any = zip(*parts, strict=True)
-    return HitTable(*(np.concatenate(column) for column in columns))
-
-
-def _of_pairs(
-    held: Obstacles,
-    rays: RayRows,
-    radii: Floats,
-    skip: bool,
-    times: Times,
-    rows: NDArray[np.int64],
-    slots: NDArray[np.int64],
-) -> HitTable:
-    """RayRows, or balls, of some rows, each against one obstacle."""
-    count, columns, tree = len(rows), held.columns, held.tree
-    some = RayRows(*(column[rows] for column in rays))
-    ways = Ways(*some, radii[rows], times.at[rows], times.pace[rows], np.zeros(1))
-    hits = Hits(np.empty(count, np.int64), np.empty(count), np.empty(count, np.int64))
-    told = First(hits, np.empty(count, UINT32), np.empty((count, 3)), np.empty((count, 3)))
-    tools, view = (columns.node_handle, new_scratch(tree.ndim)), tree.view()
-    known = _motion_of(held).known(view, 0.0, 0.0)
-    given = view.tree, known, ways, slots, (skip, held.uncertainty), tools, told
-    call(each_then, world_of(tree, columns), *given)
-    met = np.flatnonzero(hits.slots != NONE)
-    return HitTable(rows, slots, hits.ts, told.points, told.normals).take(met)
-
-
-# ---- thin rays among axis-aligned boxes
-
-
-_NO_IDS = np.empty(0, np.int64)
-# What is called directions: those of rays, the goals of the ways, or those of rays whose hits are
-# there already, to be described.
-ALONG, TO_GOALS, HITS_GIVEN = range(3)
-
-
-class Told(NamedTuple):
-    """Room for what n rays meet: a `RayHits`, and what a scene tells besides."""
-
-    ids: NDArray[np.int64]
-    """Empty for RAYS_ON_STACK rays or fewer, if nobody but the kernel is to read them."""
-    t: Floats
-    normals: Floats
-    """Shape (n, ndim)."""
-    handles: NDArray[np.uint32]
-    points: Floats
-    """Shape (n, 3); what is beyond the tree's axes stays as it is where a ray hits."""
-
-
-def first_boxes(
-    held: Obstacles, rays: RayRows, skip: bool, times: Times, threads: int
-) -> CastHits:
-    """First hits of rays."""
-    tree: Any = held.tree
-    count, ndim, motion, view = len(rays.origins), tree.ndim, tree.motion, tree.view()
-    flat = along_axes(rays.origins, ndim), along_axes(rays.directions, ndim)
-    asked = RaysThen(*flat, rays.t_max, rays.masks, skip, CLOSEST, *times, AS_ARRAYS)
-    told = Told(
-        *(np.empty(count, np.int64), np.empty(count), np.empty((count, ndim))),
-        *(np.empty(count, np.uint32), np.empty((count, 3))),
-    )
-    told.points[:, ndim:] = rays.origins[:, ndim:]
-    node_handles = held.columns.node_handle
-
-    def cast(arrays: Tree, sweep: Sweep, some: RaysThen, into: Told) -> int:
-        scratch = scratch_for(len(some.origins), ndim, sweep.snapshot.depth)
-        done: int = _entry(ndim)(arrays, sweep, some, ALONG, node_handles, scratch, into)
-        return done
-
-    sweep = sweep_for(held, rays, times)
-    if not motion.answer(tree, (view, sweep), asked, told, threads, cast):
-        known = no_sweep(ndim)._replace(moving=motion.known(view, 0.0, 0.0))
-        given = asked, HITS_GIVEN, node_handles, scratch_for(0, ndim, 0), told
-        _entry(ndim)(view.tree, known, *given)
-        tree.check_unchanged(view)
-    normals = told.normals
-    if ndim == 2:
-        normals = np.zeros((count, 3))
-        normals[:, :2] = told.normals
-    return CastHits(told.handles, told.t, told.points, normals)
-
-
-def few_first(
-    held: Obstacles,
-    sweep: Sweep,
-    rays: tuple[Any, ...],
-    skip: bool,
-    when: tuple[Any, Any],
-    to_goals: bool,
-) -> CastHits | None:
-    """`first_boxes` in a tree of three dimensions through what is swept already, with as little
-    Python as can be: of few rays, that is most. None where a ray is not for it. rays = (origins,
-    directions, t_max, masks), when = (at, pace) of all, or arrays. `to_goals`: what is called
-    directions are the goals of the ways.
-    """
-    tree: Any = held.tree
-    count = len(rays[0])
-    # As CastHits(...) and so on, which would take more calls of functions of Python's.
-    handles, ts, points = np.empty(count, UINT32), np.empty(count), np.empty((count, 3))
-    normals, node_handles = np.empty((count, 3)), held.columns.node_handle
-    hits = tuple.__new__(CastHits, (handles, ts, points, normals))
-    if count < FEW and type(when[0]) is float:
-        few = rays, skip, when, to_goals, node_handles, hits
-        return hits if _few_entry(3)(tree._storage.tree, sweep, *few) == 0 else None
-    asked = tuple.__new__(RaysThen, (*rays, skip, CLOSEST, *told_once(when)))
-    ids = _NO_IDS if count <= RAYS_ON_STACK else np.empty(count, INT64)
-    told = tuple.__new__(Told, (ids, ts, normals, handles, points))
-    scratch = scratch_for(count, 3, sweep.snapshot.depth)
-    given = asked, int(to_goals), node_handles, scratch, told
-    return hits if _entry(3)(tree._storage.tree, sweep, *given) == 0 else None
+# ---- streams of thin rays past axis-aligned boxes: the tree's own
 
 
 @lean_kernel
-def cast_few_and_describe(tree, sweep, rays, skip_inside, when, to_goals, node_handles, hits):
-    """As `cast_and_describe`, of fewer rays than FEW, see `few_casting.cast_few`."""
+def stream_boxes(tree, sweep, rays, to_goals, node_handles, scratch, hits):
+    """First hits of `RaysThen` in one call, as `RowHits` with the ids of the tree for slots, whose
+    normals have as many axes as the tree. Returns how many rays are UNSUITED; 1 where a ray is not
+    finite, or REFUSED. `to_goals`: the directions are the goals of the rays.
+    """
+    directions, ids = rays.directions, hits.slots
+    if to_goals:
+        directions = hits.points
+        if fill_ways(rays.origins, rays.directions, directions) >= 0:
+            return np.int64(1)
+    some = RaysThen(
+        *(rays.origins, directions, rays.t_max, rays.masks, rays.skip_inside, rays.mode),
+        *(rays.at, rays.pace, rays.when),
+    )
+    done = cast_rows(tree, sweep, some, scratch, RayHits(ids, hits.t, hits.normals))
+    if done >= 0:
+        describe(tree, sweep.moving, some, node_handles, ids, hits)
+    return done
+
+
+@lean_kernel
+def stream_few_boxes(tree, sweep, rays, skip_inside, when, to_goals, node_handles, hits):
+    """As `stream_boxes`, of fewer rays than FEW, rays = (origins, directions, t_max, masks), that
+    share their times, when = (at, pace): one by one.
+    """
     (origins, directions, t_max, masks), ids = rays, stack_array(FEW, np.int64)
     if to_goals:
         directions = hits.points
         if fill_ways(origins, rays[1], directions) >= 0:
             return np.int64(1)
-    told = Told(ids[: origins.shape[0]], hits.t, hits.normals, hits.handles, hits.points)
-    found = RayHits(told.ids, told.t, told.normals)
-    some = origins, directions, t_max, masks
+    ids, some = ids[: origins.shape[0]], (origins, directions, t_max, masks)
+    found = RayHits(ids, hits.t, hits.normals)
     done = cast_few(tree, sweep, some, skip_inside, CLOSEST, when, found)
     if done == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
         at[0], pace[0] = when
         asked = RaysThen(*some, skip_inside, CLOSEST, at, pace, when)
-        describe(tree, sweep.moving, asked, node_handles, told)
-    return done
-
-
-@lean_kernel
-def cast_and_describe(tree, sweep, asked, what, node_handles, scratch, told):
-    """First hits of rays in one call; returns as `wide_casting.cast_rows`, 1 where a way is not
-    finite.
-    """
-    directions, ids, done = asked.directions, told.ids, np.int64(0)
-    if what == TO_GOALS:
-        directions = told.points
-        if fill_ways(asked.origins, asked.directions, directions) >= 0:
-            return np.int64(1)
-    if ids.shape[0] == 0:
-        ids = stack_array(RAYS_ON_STACK, np.int64)[: asked.origins.shape[0]]
-    rays = RaysThen(
-        *(asked.origins, directions, asked.t_max, asked.masks, asked.skip_inside, asked.mode),
-        *(asked.at, asked.pace, asked.when),
-    )
-    hits = Told(ids, told.t, told.normals, told.handles, told.points)
-    if what != HITS_GIVEN:
-        done = cast_rows(tree, sweep, rays, scratch, RayHits(ids, told.t, told.normals))
-    if done == 0:
-        describe(tree, sweep.moving, rays, node_handles, hits)
+        describe(tree, sweep.moving, asked, node_handles, ids, hits)
     return done
 
 
 @inlined
-def describe(tree, moving, rays, node_handles, told):
-    """Fill in what is told of hits; directions and points may be the same memory."""
-    ray, ndim = stack_array((RAY_ROWS, 3), np.float64), told.normals.shape[1]
+def describe(tree, moving, rays, node_handles, ids, hits):
+    """Fill in the node handles and points of hits; directions and points may be the same
+    memory.
+    """
+    ray, ndim = stack_array((RAY_ROWS, 3), np.float64), hits.normals.shape[1]
     at, pace = rays.at, rays.pace
     if at.shape[0] == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
         at[0], pace[0] = rays.when
     count = rays.origins.shape[0]
     for i in range(count):
-        if i + AHEAD < count and told.ids[i + AHEAD] >= 0:
-            fetch_box(tree, moving, slot_of(told.ids[i + AHEAD]))
-        point, face = told.points[i], INSIDE
-        if told.ids[i] < 0:
-            told.handles[i] = NO_NODE
+        if i + AHEAD < count and ids[i + AHEAD] >= 0:
+            fetch_box(tree, moving, slot_of(ids[i + AHEAD]))
+        point, face = hits.points[i], INSIDE
+        if ids[i] < 0:
+            hits.handles[i] = NO_NODE
             for k in range(3):
                 point[k] = np.nan
             continue
         for k in range(ndim):
-            if told.normals[i, k] != 0.0:
-                face = 2 * k + (told.normals[i, k] > 0.0)
-        slot = slot_of(told.ids[i])
-        told.handles[i] = node_handles[slot]
+            if hits.normals[i, k] != 0.0:
+                face = 2 * k + (hits.normals[i, k] > 0.0)
+        slot = slot_of(ids[i])
+        hits.handles[i] = node_handles[slot]
         set_ray(ray, rays.origins[i], rays.directions[i])
         course = course_of(ray, of_row(at, i), of_row(pace, i), moving)
         box = box_of(tree, moving, slot)
-        face = face_met(box, course, of_row(rays.t_max, i), told.t[i], np.int64(face))
-        locate(box, course, told.t[i], face, point, told.normals[i])
+        face = face_met(box, course, of_row(rays.t_max, i), hits.t[i], np.int64(face))
+        locate(box, course, hits.t[i], face, point, hits.normals[i])
 
 
-_ROWS = np.empty((0, 3))
-_TOLD = Told(_NO_IDS, np.empty(0), _ROWS, np.empty(0, np.uint32), _ROWS)
+# ---- a batch
+
+
+def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> CastHits:
+    """First hits of n rays, or balls."""
+    tree: Any = store.tree
+    count, motion, view = len(rays.origins), tree.motion, tree.view()
+    boxes = rays.radii is None and not (store.columns.shaped or store.uncertainty)
+    alike = type(times.at) is float
+    if threads == 1 and boxes and alike and not store.planar:
+        sweep = motion.few_sweep(count)
+        if sweep is not None:
+            hits = _few_boxes(store, view.tree, sweep, rays, times)
+            if hits is not None:
+                return hits
+    if store.planar or not (rays.radii is None or rays.to_goals):
+        refuse_infinite(rays)  # of others a kernel looks
+    if store.uncertainty and np.isinf(rays.t_max).any():
+        row = np.flatnonzero(np.isinf(rays.t_max))[0]
+        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
+    span, sweep = (times.first, times.last), None
+    if times.bounded and count:
+        sweep = motion.swept_for(tree, view, count, span)
+    if threads == 1:
+        return _some_hits(store, view, sweep, rays, times, boxes)
+
+    def work(start: int, stop: int) -> CastHits:
+        part, when = (rows_of(rows, count, slice(start, stop)) for rows in (rays, times))
+        return _some_hits(store, view, sweep, part, when, boxes)
+
+    parts = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
+    if len(parts) == 1:
+        return parts[0]
+    return CastHits(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _few_boxes(
+    store: Obstacles, arrays: Any, sweep: Sweep, rays: Rays, times: Times
+) -> CastHits | None:
+    """Hits of few thin rays in three dimensions; None where the sweep does not serve them."""
+    count = len(rays.origins)
+    parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    # As CastHits(...), which would take one more call of a function of Python's.
+    hits = tuple.__new__(CastHits, parts)
+    given = rays.skip_inside, (times.at, times.pace), rays.to_goals, store.columns.node_handle
+    done = _few_entry(3)(arrays, sweep, rays[:4], *given, hits)
+    return hits if done == 0 else None
+
+
+def _some_hits(
+    store: Obstacles, view: Any, sweep: Sweep | None, rays: Rays, times: Times, boxes: bool
+) -> CastHits:
+    """First hits of some rows; `boxes`: of thin rays that the tree decides."""
+    count, planar, given = len(rays.origins), store.planar, rays
+    if planar:
+        directions = rays.directions - rays.origins if rays.to_goals else rays.directions
+        axes = along_axes(rays.origins, 2), along_axes(directions, 2)
+        rays = rays._replace(origins=axes[0], directions=axes[1], to_goals=False)
+    if sweep is None:
+        refuse_infinite(given)
+        hits = _by_nodes(store, rays, times, boxes)
+    else:
+        parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
+        # As RowHits(...), which would take one more call of a function of Python's.
+        hits = tuple.__new__(RowHits, (*parts, np.empty((count, 3)), np.empty((count, 3))))
+        stream = _stream_boxes if boxes else _stream_shapes
+        if accepted(stream(store, view.tree, sweep, rays, times, hits)):
+            refuse_infinite(given)
+            rows = np.flatnonzero(hits.slots == UNSUITED)
+            some, when = rows_of(rays, count, rows), rows_of(times, count, rows)
+            others = _by_nodes(store, some, when, boxes)
+            for column, part in zip(hits, others, strict=True):
+                column[rows] = part
+    if planar:
+        met = hits.handles != NO_NODE
+        hits.points[met, 2] = given.origins[met, 2]
+    return tuple.__new__(CastHits, hits[1:])
+
+
+def _stream_boxes(
+    store: Obstacles, arrays: Any, sweep: Sweep, rays: Rays, times: Times, hits: RowHits
+) -> int:
+    """Call `stream_boxes`."""
+    count, ndim = rays.origins.shape
+    parts = *rays[:4], rays.skip_inside, CLOSEST, *told_once((times.at, times.pace))
+    asked, room = tuple.__new__(RaysThen, parts), scratch_for(count, ndim, sweep.snapshot.depth)
+    flat = hits if ndim == 3 else hits._replace(normals=np.empty((count, 2)))
+    given = asked, rays.to_goals, store.columns.node_handle, room, flat
+    done: int = _boxes_entry(ndim)(arrays, sweep, *given)
+    if ndim == 2:
+        hits.normals[:, :2], hits.normals[:, 2] = flat.normals, 0.0
+    return done
+
+
+def _stream_shapes(
+    store: Obstacles, arrays: Any, sweep: Sweep, rays: Rays, times: Times, hits: RowHits
+) -> int:
+    """Call `stream_rays`."""
+    shapes, handles = store.columns.shapes, store.columns.node_handle
+    when = told_once((times.at, times.pace))[2]
+    goals = np.empty(rays.origins.shape) if rays.to_goals else _ROWS
+    asked = _timed(store, rays, times)
+    lists = lists_for(sweep.snapshot.depth)
+    given = shapes, arrays, sweep, asked, when, goals, handles, lists, hits
+    done: int = code_for(stream_rays, shapes, given)(*given)
+    return done
+
+
+def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHits:
+    """First hits of rays through the nodes of the tree."""
+    count, motion = len(rays.origins), store.tree.motion
+    at, pace = np.atleast_1d(times.at), np.atleast_1d(times.pace)
+    if rays.to_goals:
+        rays = rays._replace(directions=rays.directions - rays.origins)
+    parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
+    hits = RowHits(*parts, np.empty((count, 3)), np.empty((count, 3)))
+    shapes = BOXES_ONLY if boxes else store.columns.shapes
+    handles = store.columns.node_handle
+    asked = _timed(store, rays, times._replace(at=at, pace=pace))
+
+    def ask(arrays: Any, moving: Any) -> Any:
+        given = shapes, arrays, moving, asked, handles, hits
+        return code_for(first_rows, shapes, given, store.tree.ndim)(*given)
+
+    spans = functools.partial(times_of, at, pace, rays.t_max)
+    motion.ask(store.tree, spans, ask, not pace.any())  # type: ignore[union-attr]
+    return hits
+
+
+def _timed(store: Obstacles, rays: Rays, times: Times) -> TimedRays:
+    """The rays as kernels read them."""
+    grown, radii = NOTHING, NOTHING if rays.radii is None else rays.radii
+    if store.uncertainty:
+        at, pace = np.atleast_1d(times.at), np.atleast_1d(times.pace)
+        with np.errstate(over='ignore', invalid='ignore'):
+            ends = np.where(pace > 0.0, at + pace * rays.t_max, at)
+        grown = np.atleast_1d(most_growth(store, at, ends))
+    when = told_once((times.at, times.pace))[:2]
+    parts = *rays[:4], radii, *when, grown, store.uncertainty, rays.skip_inside
+    return tuple.__new__(TimedRays, parts)
+
+
 _few_entry = entry_points(
-    *(cast_few_and_describe, no_sweep, NO_FEW, False, AS_ARRAYS, False),
-    *(_NO_IDS, CastHits(np.empty(0, np.uint32), np.empty(0), _ROWS, _ROWS)),
+    *(stream_few_boxes, no_sweep, NO_FEW, False, AS_ARRAYS, False),
+    *(_NO_IDS, CastHits(np.empty(0, np.uint32), _ROW, _ROWS, _ROWS)),
 )
-_entry = entry_points(
-    *(cast_and_describe, no_sweep, NO_RAYS, ALONG, _NO_IDS),
-    *(lambda ndim: make_scratch(0, ndim, 0), _TOLD),
+_boxes_entry = entry_points(
+    *(stream_boxes, no_sweep, NO_RAYS, False, _NO_IDS, lambda ndim: make_scratch(0, ndim, 0)),
+    RowHits(_NO_IDS, np.empty(0, np.uint32), _ROW, _ROWS, _ROWS),
 )

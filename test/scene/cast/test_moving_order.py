@@ -5,27 +5,7 @@
 import numpy as np
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.cast.motion_batch import _keep_exact_order
 from bvh_ros.scene.geometry.shapes import BOX, SPHERE
-
-
-def test_equal_doubles_stay_in_exact_order():
-    """Against sorting by what the doubles do not tell."""
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        count = int(rng.integers(1, 30))
-        first = int(rng.integers(0, count + 1))
-        rows, ts = rng.integers(0, 3, count), rng.integers(0, 3, count).astype(float)
-        told = np.lexsort((ts[:first], rows[:first]))  # the first come by ray, nearest first
-        rows[:first], ts[:first] = rows[told], ts[told]
-        handles = rng.permutation(count)
-        order = np.lexsort((handles, ts, rows))
-        _keep_exact_order(order, first)
-        assert sorted(order) == list(range(count))
-        keys = list(zip(rows[order], ts[order], strict=True))
-        assert keys == sorted(keys)
-        exact = order[order < first]
-        assert (exact == np.arange(first)).all()
 
 
 def test_a_scene_tells_exactly_who_is_met_first():
