@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ..tree import checks
 from ..tree.access import ALL, EVERYTHING
 from .cast import batch, boxes, exact_ball, query
-from .cast.arguments import WHOLE_WAY, Rays, Sweep, refuse_infinite
+from .cast.arguments import UNIT_T_MAX, Rays, Sweep, refuse_infinite
 from .results import CastHits, SceneHit
 from .store.obstacles import Obstacles
 from .timed_queries import TimedQueries
@@ -33,13 +33,13 @@ class RayQueries:
         at: int | None = None,
         until: int | None = None,
     ) -> SceneHit | None:
-        """Return the first obstacle on the way from start to goal.
+        """Return the first obstacle on the segment from start to goal.
 
         Parameters
         ----------
         start, goal : array_like, shape (3,)
-            Ends of the segment, m. If they are equal, the point (the ball) at `start` is asked
-            for.
+            Ends of the segment, m. If they are equal, the query is the point (the ball) at
+            `start`.
         radius : float
             Of a ball swept along the segment, m; 0 is a thin ray.
         mask : int
@@ -49,7 +49,7 @@ class RayQueries:
         at, until : int, optional
             ns: the segment is left at `at`, and reached at `until`, while obstacles with
             velocities move; without `until`, the world is frozen at that time. None: it is as
-            last told.
+            of the last update.
 
         Returns
         -------
@@ -59,7 +59,7 @@ class RayQueries:
             obstacle that contains the start is met at ``t = 0`` with a zero normal; the normal is
             zero as well where the ball's centre is no farther from the obstacle than rounding.
             Among axis-aligned boxes it is decided exactly whether a ray or a ball touches, and
-            which obstacle is first; other shapes touch too where that cannot be told apart, see
+            which obstacle is first; other shapes touch too where rounding cannot tell, see
             `cast.shapes`. Ties go to the smaller handle.
 
         Raises
@@ -93,7 +93,7 @@ class RayQueries:
         at: int | None = None,
         until: int | None = None,
     ) -> list[SceneHit]:
-        """Return all obstacles on the way, nearest first, ties by handle.
+        """Return all obstacles on the segment, nearest first, ties by handle.
 
         Arguments as `raycast`. TooManyHitsError, a ValueError, if there are more than `most`: an
         answer is never cut short. For a ball that counts what it may touch, before the last digit
@@ -136,7 +136,7 @@ class RayQueries:
         threads : int
             The rays are shared among so many threads; the answer does not depend on it.
         radius : one for all rays, or array_like of shape (n,), optional
-            Of balls that go along them, m. Where it is above zero the way has to end.
+            Of balls that go along them, m. Where it is above zero, t_max must be finite.
         at, until : one for all rays, or array_like of shape (n,), optional
             As in `raycast`; `until` is when t is 1.
 
@@ -163,7 +163,7 @@ class RayQueries:
         at: ArrayLike | None = None,
         until: ArrayLike | None = None,
     ) -> CastHits:
-        """First obstacles on the ways of n balls; a row is what `raycast` says.
+        """First obstacles that n balls touch; a row is what `raycast` says.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
-        rays = origins, ends, WHOLE_WAY, mask, radius, True, bool(skip_inside)
+        rays = origins, ends, UNIT_T_MAX, mask, radius, True, bool(skip_inside)
         return self._first_hits(Rays(*rays), threads, at, until)
 
     def _first_hits(self, rays: Rays, threads: int, at: Any, until: Any) -> CastHits:

@@ -140,40 +140,6 @@ def test_what_is_refused():
         scene.raycast_all(*ends, at=NOW, most=0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('axis_aligned', [True, False])
-@pytest.mark.parametrize('planar', [False, True])
-def test_a_row_does_not_depend_on_how_late_others_are(planar: bool, axis_aligned: bool):
-    """Who has come to rest by the end of one row still moves in another."""
-    rng, count, rows = np.random.default_rng(3), 40, 400
-    shapes = some_shapes(rng, count)
-    if axis_aligned:
-        shapes = Shapes.boxes(shapes.position, shapes.size)
-    scene = Scene(planar=planar, max_prediction=1.0)
-    stamps = NOW + rng.integers(-2 * SECOND, 2 * SECOND, count)
-    names, velocities = [f'o{i}' for i in range(count)], rng.normal(size=(count, 3)) * 3
-    assert not scene.update('s', names, shapes, stamp=stamps, velocities=velocities)
-    starts, goals = rng.uniform(-12, 12, (2, rows, 3))
-    at = NOW + rng.integers(-3 * SECOND, 3 * SECOND, rows)
-    until = at + rng.integers(0, 4 * SECOND, rows)
-    for radius in (0.0, 0.2):
-        for ends in (None, until):
-            times = {'at': at, 'until': ends}
-            many = scene.sweep_many(starts, goals, radius, threads=2, **times)
-            for i in range(rows):
-                times = {'at': int(at[i]), 'until': None if ends is None else int(ends[i])}
-                hit = scene.raycast(starts[i], goals[i], radius, **times)
-                every = scene.raycast_all(starts[i], goals[i], radius, **times)
-                if hit is None:
-                    assert many.t[i] == np.inf
-                    assert not every
-                    continue
-                assert (hit.handle, hit.t) == (many.handles[i], many.t[i])
-                assert hit.point.tolist() == many.points[i].tolist()
-                assert hit.normal.tolist() == many.normals[i].tolist()
-                assert (hit.handle, hit.t) == (every[0].handle, every[0].t)
-
-
 @pytest.mark.parametrize('radius', [0.0, 0.3])
 def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
     scene = Scene()

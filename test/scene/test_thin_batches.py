@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
-from bvh_ros.scene.cast import boxes as rays_among_boxes
 
-SIZES = 1, 7, 150, rays_among_boxes.RAYS_ON_STACK - 100, rays_among_boxes.RAYS_ON_STACK + 50
+SIZES = 1, 7, 150, 924, 1074
 
 
 def boxes(rng, count):

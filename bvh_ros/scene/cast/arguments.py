@@ -21,7 +21,7 @@ from ..geometry.shapes import Floats
 from ..store.columns import Columns
 
 SCRATCH = RAY_FLOATS + 21 + 2 * DEEPEST  # floats of a `Scratch`
-WHOLE_WAY = np.ones(1)  # where t goes no farther than the directions
+UNIT_T_MAX = np.ones(1)  # of segments
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
 
@@ -109,22 +109,22 @@ def refuse_infinite(rays: Rays) -> None:
 
 
 @lean_kernel
-def fill_ways(starts, goals, ways):
-    """Fill in the ways (n, 3) from starts to goals; return the first row that is not finite, or -1
-    without any.
+def fill_directions(starts, goals, directions):
+    """Fill in the directions (n, 3) from starts to goals; return the first row that is not finite,
+    or -1 without any.
     """
     for i in range(starts.shape[0]):
         for axis in range(3):
-            ways[i, axis] = goals[i, axis] - starts[i, axis]
-            if not np.isfinite(ways[i, axis]):
+            directions[i, axis] = goals[i, axis] - starts[i, axis]
+            if not np.isfinite(directions[i, axis]):
                 return np.int64(i)
     return np.int64(-1)
 
 
 @functools.cache
-def ways_entry() -> Callable[..., Any]:
-    """The machine code of `fill_ways`."""
-    return entry_point(fill_ways, *(np.empty((0, 3)),) * 3)
+def directions_entry() -> Callable[..., Any]:
+    """The machine code of `fill_directions`."""
+    return entry_point(fill_directions, *(np.empty((0, 3)),) * 3)
 
 
 def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:

@@ -67,7 +67,7 @@ class RowHits(NamedTuple):
     """`CastHits`, and the slots of the obstacles."""
 
     slots: Any
-    """(n,); NONE where the way is free. Or (0,), if nobody needs them."""
+    """(n,); NONE where the segment is free; or (0,) where the caller does not need them."""
     handles: Any
     t: Any
     points: Any

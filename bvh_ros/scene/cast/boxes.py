@@ -44,7 +44,7 @@ from ...tree.access import Rays as TreeRays
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
-from .arguments import WHOLE_WAY, BoxHit, Rays, fill_ways, too_long, ways_entry
+from .arguments import UNIT_T_MAX, BoxHit, Rays, directions_entry, fill_directions, too_long
 
 RAYS_ON_STACK = 1024  # rays whose hits lie on the stack of a kernel
 # So many rays go one by one, whatever they are: of lists a second kernel tells points and normals.
@@ -57,8 +57,8 @@ def first(
 ) -> BoxHit | None:
     """The first box from `start` to `goal`, shape (3,) each."""
     place = np.empty((2, 3))
-    asked = start, goal, mask, skip_inside, place
-    slot, t = _first_entry(tree.ndim)(tree.view().tree, *asked)
+    given = start, goal, mask, skip_inside, place
+    slot, t = _first_entry(tree.ndim)(tree.view().tree, *given)
     if slot == NOT_FINITE:
         raise too_long(start, goal)
     if slot == REFUSED:
@@ -67,28 +67,28 @@ def first(
 
 
 def segment(start: ArrayLike, goal: ArrayLike, radius: float) -> tuple[Floats, Floats, float]:
-    """Check the ends and the radius of a ball's way: (origin, direction, radius)."""
+    """Check the ends and the radius of a segment: (origin, direction, radius)."""
     radius = checks.limit('radius', radius)
     if math.isinf(radius):
         raise ValueError('radius must be finite')
     origin, end = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
     # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
     (x, y, z), (u, v, w) = origin.tolist(), end.tolist()
-    way = u - x, v - y, w - z
-    if not math.isfinite(way[0] * 0.0 + way[1] * 0.0 + way[2] * 0.0):  # each of them is
+    direction = u - x, v - y, w - z
+    if not all(map(math.isfinite, direction)):
         raise too_long(origin, end)
-    return origin, np.array(way), radius
+    return origin, np.array(direction), radius
 
 
 @inlined
-def segment_between(start, goal, way, place):
-    """Write the way between two points, and the first to `place`, with no normal; return whether
-    all is finite.
+def segment_between(start, goal, direction, place):
+    """Write the direction between two points, and the first point to `place`, with no normal;
+    return whether all is finite.
     """
     finite = True
     for axis in range(3):
-        way[axis] = goal[axis] - start[axis]
-        finite &= math.isfinite(way[axis])  # so both ends are
+        direction[axis] = goal[axis] - start[axis]
+        finite &= math.isfinite(direction[axis])  # so both ends are
         place[0, axis], place[1, axis] = start[axis], 0.0
     return finite
 
@@ -98,11 +98,11 @@ def first_between(tree, start, goal, mask, skip_inside, place):
     """The first box from `start` to `goal`: (slot, t), and its point and normal as the rows of
     `place`; instead of a slot NONE, NOT_FINITE or REFUSED.
     """
-    way = stack_array(3, np.float64)
-    if not segment_between(start, goal, way, place):
+    direction = stack_array(3, np.float64)
+    if not segment_between(start, goal, direction, place):
         return np.int64(NOT_FINITE), np.inf
-    asked = 1.0, mask, skip_inside, CLOSEST
-    handle, t = raycast_one(tree, start, way, *asked, place)
+    query = 1.0, mask, skip_inside, CLOSEST
+    handle, t = raycast_one(tree, start, direction, *query, place)
     return (slot_of(handle) if handle >= 0 else handle), t
 
 
@@ -118,8 +118,8 @@ def every(
     TooManyHitsError if there are more than `most`.
     """
     view = tree.view()
-    asked = WHOLE_WAY, np.array([mask]), skip_inside, EVERY, True
-    rays = origin[None, : tree.ndim], direction[None, : tree.ndim], *asked
+    query = UNIT_T_MAX, np.array([mask]), skip_inside, EVERY, True
+    rays = origin[None, : tree.ndim], direction[None, : tree.ndim], *query
     _, end, found = every_hit(view, rays, False)
     tree.check_unchanged(view)
     require_few(end, most)
@@ -163,87 +163,87 @@ def first_hits(
     origins, directions = rays[:2]
     if rays.to_goals:
         directions = np.empty((count, 3))
-        if ways_entry()(*rays[:2], directions) >= 0:
+        if directions_entry()(*rays[:2], directions) >= 0:
             return None
     elif ndim == 2 and max(map(checks.first_not_finite, (origins, directions))) >= 0:
         return None  # of others the tree's kernel looks
     axes = along_axes(origins, ndim), along_axes(directions, ndim)
-    asked = *axes, rays.t_max, rays.masks, rays.skip_inside, CLOSEST, threads == 1
+    query = *axes, rays.t_max, rays.masks, rays.skip_inside, CLOSEST, threads == 1
     if view is None:
-        found = tree.first_hits(asked, threads)
+        found = tree.first_hits(query, threads)
     else:
         found = RayHits(np.empty(count, INT64), np.empty(count), np.empty((count, ndim)))
-        done = answer_rays(*view, None, TreeRays(*asked), found)
+        done = answer_rays(*view, None, TreeRays(*query), found)
         if done == NOT_FINITE:
             return None
         accepted(done)
     hits = hits._replace(t=found.t)
-    told = node_handles, origins, directions, found, hits
-    _describe_entry(ndim)((view or tree.view()).tree, *told)
+    rows = origins, directions, found, hits
+    _describe_entry(ndim)((view or tree.view()).tree, node_handles, *rows)
     return hits
 
 
 @lean_kernel
-def describe(tree, node_handles, origins, directions, hits, told):
-    """Fill in what is told of hits, whose normals, and directions as points, may be the same
-    memory.
+def describe(tree, node_handles, origins, directions, found, hits):
+    """Fill in `CastHits` from the `RayHits` found. Their normals may be the same memory, and so
+    may directions and points.
     """
     place = stack_array((2, 3), np.float64)
     for i in range(origins.shape[0]):
         axis = np.int64(INSIDE)
         for k in range(3):
-            normal = hits.normals[i, k] if k < hits.normals.shape[1] else 0.0
-            told.normals[i, k] = normal
+            normal = found.normals[i, k] if k < found.normals.shape[1] else 0.0
+            hits.normals[i, k] = normal
             if normal != 0.0:
                 axis = np.int64(k)
-        if hits.ids[i] < 0:
-            told.handles[i] = NO_NODE
+        if found.ids[i] < 0:
+            hits.handles[i] = NO_NODE
             for k in range(3):
-                told.points[i, k] = np.nan
+                hits.points[i, k] = np.nan
             continue
-        slot, origin, direction = slot_of(hits.ids[i]), origins[i], directions[i]
+        slot, origin, direction = slot_of(found.ids[i]), origins[i], directions[i]
         place[0, 2] = origin[2]
-        locate(tree.nodes, tree.tight, origin, direction, slot, hits.t[i], axis, place)
-        told.handles[i] = node_handles[slot]
+        locate(tree.nodes, tree.tight, origin, direction, slot, found.t[i], axis, place)
+        hits.handles[i] = node_handles[slot]
         for k in range(3):
-            told.points[i, k] = place[0, k]
+            hits.points[i, k] = place[0, k]
 
 
 @lean_kernel
-def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, flat, told):
-    """First hits of rays in one call; returns as `cast_few`. `to_goals`: what is called directions
-    are the goals of the ways. Scratch: `ids` for the hits of more than RAYS_ON_STACK rays, `flat`
+def cast_and_describe(tree, version, snapshot, rays, to_goals, node_handles, ids, flat, hits):
+    """First hits of rays in one call; returns as `cast_few`. `to_goals`: the directions are
+    the goals of the rays. Scratch: `ids` for the hits of more than RAYS_ON_STACK rays, `flat`
     (3, n, 2), or None in three dimensions, for rays and normals as a planar tree has them.
     """
     directions = rays.directions
     if to_goals:
-        directions = told.points
-        if fill_ways(rays.origins, rays.directions, directions) >= 0:
+        directions = hits.points
+        if fill_directions(rays.origins, rays.directions, directions) >= 0:
             return np.int64(NOT_FINITE)
-    starts, ways, normals = rays.origins, directions, told.normals
+    starts, paths, normals = rays.origins, directions, hits.normals
     if flat is not None:
-        if not flatten(starts, ways, flat):
+        if not flatten(starts, paths, flat):
             return np.int64(NOT_FINITE)
-        starts, ways, normals = flat[0], flat[1], flat[2]
-    asked = starts, ways, rays.t_max, rays.masks, rays.skip_inside, rays.mode, rays.counted
+        starts, paths, normals = flat[0], flat[1], flat[2]
+    query = starts, paths, rays.t_max, rays.masks, rays.skip_inside, rays.mode, rays.counted
     if ids.shape[0] == 0:
         ids = stack_array(RAYS_ON_STACK, np.int64)[: rays.origins.shape[0]]
-    hits = RayHits(ids, told.t, normals)
-    done = cast_few(tree, version, snapshot, asked, hits)
+    found = RayHits(ids, hits.t, normals)
+    done = cast_few(tree, version, snapshot, query, found)
     if done >= 0:
-        describe(tree, node_handles, rays.origins, directions, hits, told)
+        describe(tree, node_handles, rays.origins, directions, found, hits)
     return done
 
 
 @inlined
-def flatten(starts, ways, flat):
-    """Copy what a planar tree sees of rays; return whether all of them is finite."""
+def flatten(starts, paths, flat):
+    """Copy the axes of a planar tree; return whether all numbers are finite."""
     finite = True
     for i in range(starts.shape[0]):
         for axis in range(3):
-            finite &= math.isfinite(starts[i, axis]) and math.isfinite(ways[i, axis])
+            finite &= math.isfinite(starts[i, axis]) and math.isfinite(paths[i, axis])
         for axis in range(2):
-            flat[0, i, axis], flat[1, i, axis] = starts[i, axis], ways[i, axis]
+            flat[0, i, axis], flat[1, i, axis] = starts[i, axis], paths[i, axis]
     return finite
 
 
@@ -251,12 +251,12 @@ def flatten(starts, ways, flat):
 def few_entry(ndim: int) -> Callable[..., Any]:
     """The machine code of `cast_and_describe`."""
     flat = None if ndim == 3 else np.empty((3, 0, ndim))
-    asked = NO_RAYS, False, _NO_IDS, _NO_IDS, flat, _TOLD
-    return entry_point(cast_and_describe, empty_tree(ndim), 0, no_snapshot(ndim), *asked)
+    query = NO_RAYS, False, _NO_IDS, _NO_IDS, flat, _HITS
+    return entry_point(cast_and_describe, empty_tree(ndim), 0, no_snapshot(ndim), *query)
 
 
 _POINT = np.empty(3)
 _ROWS = np.empty((0, 3))
-_TOLD = CastHits(np.empty(0, np.uint32), np.empty(0), _ROWS, _ROWS)
-_describe_entry = entry_points(describe, np.empty(0, np.int64), _ROWS, _ROWS, NO_HITS, _TOLD)
+_HITS = CastHits(np.empty(0, np.uint32), np.empty(0), _ROWS, _ROWS)
+_describe_entry = entry_points(describe, np.empty(0, np.int64), _ROWS, _ROWS, NO_HITS, _HITS)
 _first_entry = entry_points(first_between, _POINT, _POINT, np.uint32(0), False, np.empty((2, 3)))

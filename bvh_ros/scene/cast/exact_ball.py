@@ -4,7 +4,7 @@
 
 The squared distance of origin + t * direction from a box is convex in t and, between two of
 planes of faces, a quadratic with rational coefficients. So the first contact is the smaller root
-of one of them, middle - sqrt(square), and two of those can be told apart by squaring twice.
+of one of them, middle - sqrt(square), and squaring twice compares two of those.
 
 
 What a swept ball meets; among axis-aligned boxes decided as real arithmetic decides.
@@ -12,9 +12,9 @@ What a swept ball meets; among axis-aligned boxes decided as real arithmetic dec
 The closed form of `shapes.enter_rounded_box` rounds: each offset of the origin from a face
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
 sum of lengths) leaves origin + s * direction within 40 u L of the surface of the box grown by it
-(u = 2**-53, L the sum of the largest offsets, the radius and the length of the way, which past all
-boxes counts no more than up to them). Nor can a box be missed, or met wrongly, that is not within
-40 u L of being so. A ball smaller by the slack of
+(u = 2**-53, L the sum of the largest offsets, the radius and the length of the path, which past
+all boxes counts no more than up to them). Nor can a box be missed, or met wrongly, that is not
+within 40 u L of being so. A ball smaller by the slack of
 128 u L therefore comes surely late, and one larger by it surely early:
 
     ------|-----------|------------|----->  t        before `early` the box is surely not touched,
@@ -128,12 +128,12 @@ def _whole(*numbers: float) -> list[int]:
 
 
 def _flat_touch(axes: list[Axis], size: int) -> Root | None:
-    """`first_touch` where that is of a face, much sooner told; None where it is not."""
+    """`first_touch` where that is of a face, which takes much less time; None where it is not."""
     for axis, (low, high, step) in enumerate(axes):
         ahead, length = (low - size, step) if step > 0 else (-high - size, -step)
         others = axes[:axis] + axes[axis + 1 :]
         if 0 < ahead <= length and all(
-            below * length <= way * ahead <= above * length for below, above, way in others
+            below * length <= step * ahead <= above * length for below, above, step in others
         ):
             return Root(Fraction(ahead, length), Fraction(0))
     return None
@@ -176,7 +176,7 @@ def _square_root(x: Fraction) -> Fraction:
 # ---- balls among boxes: brackets of the times, and what exact arithmetic decides
 
 
-FEW = 64  # boxes whose roots are asked for one by one
+FEW = 64  # boxes whose roots are computed one by one
 
 
 @lean_kernel
@@ -266,7 +266,7 @@ def _exact(
     columns: Columns, slots: Slots, early: Floats, rows: Slots, sweep: Sweep
 ) -> dict[int, Root | None]:
     """Return, for each of `rows`, the exact time at which the ball touches its box. None where it
-    never does; and, if only the first hit is asked for, where it does so later than another box.
+    never does; and, if only the first hit counts, where it does so later than another box.
     """
     lows, highs = overlaps.corners(columns.geometry[slots])
     origin, direction = sweep.origin.tolist(), sweep.direction.tolist()
@@ -295,11 +295,11 @@ def _near(lows: Floats, highs: Floats, sweep: Sweep) -> Slots:
     grown = DynamicBVH.from_boxes(
         np.maximum(low, -most), np.minimum(np.nextafter(high, np.inf), most)
     )
-    way = sweep.origin[None], sweep.direction[None], 1.0
-    _, ids, ts = grown.raycast_all_many(*way)
+    ray = sweep.origin[None], sweep.direction[None], 1.0
+    _, ids, ts = grown.raycast_all_many(*ray)
     latest = np.inf
     if not sweep.every and not sweep.skip_inside:
-        latest = DynamicBVH.from_boxes(lows, highs).raycast_many(*way).t[0]
+        latest = DynamicBVH.from_boxes(lows, highs).raycast_many(*ray).t[0]
     return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + MINUTE])
 
 

@@ -80,7 +80,7 @@ from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
 from ..store.obstacles import EXACT, Obstacles
 from ..store.places import most_growth
-from .arguments import SCRATCH, Hits, Rays, code_for, fill_ways, refuse_infinite, scratch_in
+from .arguments import SCRATCH, Hits, Rays, code_for, fill_directions, refuse_infinite, scratch_in
 from .batch import RowHits
 from .motion import (
     BOXES_ONLY,
@@ -203,7 +203,7 @@ def stream_rays(shapes, tree, sweep, rays, when, goals, node_handles, lists, hit
     directions, at, pace = rays.directions, rays.at, rays.pace
     if goals.shape[0] > 0:
         directions = goals
-        if fill_ways(rays.origins, rays.directions, goals) >= 0:
+        if fill_directions(rays.origins, rays.directions, goals) >= 0:
             return np.int64(1)
     if at.shape[0] == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
@@ -332,7 +332,7 @@ def stream_boxes(tree, sweep, rays, to_goals, node_handles, scratch, hits):
     directions, ids = rays.directions, hits.slots
     if to_goals:
         directions = hits.points
-        if fill_ways(rays.origins, rays.directions, directions) >= 0:
+        if fill_directions(rays.origins, rays.directions, directions) >= 0:
             return np.int64(1)
     some = RaysThen(
         *(rays.origins, directions, rays.t_max, rays.masks, rays.skip_inside, rays.mode),
@@ -352,7 +352,7 @@ def stream_few_boxes(tree, sweep, rays, skip_inside, when, to_goals, node_handle
     (origins, directions, t_max, masks), ids = rays, stack_array(FEW, np.int64)
     if to_goals:
         directions = hits.points
-        if fill_ways(origins, rays[1], directions) >= 0:
+        if fill_directions(origins, rays[1], directions) >= 0:
             return np.int64(1)
     ids, some = ids[: origins.shape[0]], (origins, directions, t_max, masks)
     found = RayHits(ids, hits.t, hits.normals)
@@ -360,8 +360,8 @@ def stream_few_boxes(tree, sweep, rays, skip_inside, when, to_goals, node_handle
     if done == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
         at[0], pace[0] = when
-        asked = RaysThen(*some, skip_inside, CLOSEST, at, pace, when)
-        describe(tree, sweep.moving, asked, node_handles, ids, hits)
+        query = RaysThen(*some, skip_inside, CLOSEST, at, pace, when)
+        describe(tree, sweep.moving, query, node_handles, ids, hits)
     return done
 
 
@@ -482,9 +482,9 @@ def _stream_boxes(
     """Call `stream_boxes`."""
     count, ndim = rays.origins.shape
     parts = *rays[:4], rays.skip_inside, CLOSEST, *told_once((times.at, times.pace))
-    asked, room = tuple.__new__(RaysThen, parts), scratch_for(count, ndim, sweep.snapshot.depth)
+    query, room = tuple.__new__(RaysThen, parts), scratch_for(count, ndim, sweep.snapshot.depth)
     flat = hits if ndim == 3 else hits._replace(normals=np.empty((count, 2)))
-    given = asked, rays.to_goals, store.columns.node_handle, room, flat
+    given = query, rays.to_goals, store.columns.node_handle, room, flat
     done: int = _boxes_entry(ndim)(arrays, sweep, *given)
     if ndim == 2:
         hits.normals[:, :2], hits.normals[:, 2] = flat.normals, 0.0
@@ -498,9 +498,9 @@ def _stream_shapes(
     shapes, handles = store.columns.shapes, store.columns.node_handle
     when = told_once((times.at, times.pace))[2]
     goals = np.empty(rays.origins.shape) if rays.to_goals else _ROWS
-    asked = _timed(store, rays, times)
+    query = _timed(store, rays, times)
     lists = lists_for(sweep.snapshot.depth)
-    given = shapes, arrays, sweep, asked, when, goals, handles, lists, hits
+    given = shapes, arrays, sweep, query, when, goals, handles, lists, hits
     done: int = code_for(stream_rays, shapes, given)(*given)
     return done
 
@@ -515,10 +515,10 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     hits = RowHits(*parts, np.empty((count, 3)), np.empty((count, 3)))
     shapes = BOXES_ONLY if boxes else store.columns.shapes
     handles = store.columns.node_handle
-    asked = _timed(store, rays, times._replace(at=at, pace=pace))
+    query = _timed(store, rays, times._replace(at=at, pace=pace))
 
     def ask(arrays: Any, moving: Any) -> Any:
-        given = shapes, arrays, moving, asked, handles, hits
+        given = shapes, arrays, moving, query, handles, hits
         return code_for(first_rows, shapes, given, store.tree.ndim)(*given)
 
     spans = functools.partial(times_of, at, pace, rays.t_max)

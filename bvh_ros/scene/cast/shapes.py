@@ -8,7 +8,7 @@ overflow nor vanish. In everyday scenes they are there, and stay metres.
 
 When a swept ball touches a convex solid, where no closed form says.
 
-The walk is Newton's on the distance, a convex function of the way, and ends with a proof. Each
+The walk is Newton's on the distance, a convex function of the path, and ends with a proof. Each
 step looks for a plane through, or next to, the solid's closest point, with the ball before it and
 all of the solid behind it:
 
@@ -47,7 +47,7 @@ from ..geometry.rim import ROUND
 # ---- frames
 
 
-# What nobody can tell apart touches: shares of the largest length in play, as seen from the
+# What rounding cannot tell apart touches: shares of the largest length in play, as seen from the
 # shape, and of the largest coordinate, which was rounded before.
 FRAME_SLACK = 2.0**-46
 COORDINATES = 2.0**-51
@@ -128,7 +128,7 @@ def approach_by(measure: Any) -> Any:
     def approach(solid, radius, reach, slack, work):
         """(s, slope): how far a ball goes until it touches, inf if it does not, and the slope of
         its distance there; s is 0 if it touches at the start. Rows of `work`: where it starts, the
-        unit vector along its way, two to work in.
+        unit vector along its path, two to work in.
         """
         origin, direction, point, normal = work[0], work[1], work[2], work[3]
         s, slope, near = 0.0, -np.inf, np.inf  # near: first within rounding

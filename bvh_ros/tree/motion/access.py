@@ -3,8 +3,8 @@
 """What the rest of the package uses of moving boxes: imported with the first velocity."""
 
 from ..simd.moving_sides import FRONTS
-from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, no_motion, set_fronts
-from .entries import Casts, cast_one, descend, locate
+from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, set_fronts
+from .entries import descend, locate
 from .exact_contact import (
     box_of,
     course_of,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene.reference import first_contact, geometry_arrays, random_shapes
 
-from bvh_ros.scene import NO_NODE, Scene, Shapes
+from bvh_ros.scene import Scene, Shapes
 
 T = 1e-9  # of the segment; the reference itself bisects to 1e-12 or so
 GRAZING = 1e-7  # a contact this shallow (m) may be seen or not
@@ -75,61 +75,6 @@ def assert_contact(solid, hit, start, goal, radius, planar):
     else:
         assert hit.normal.tolist() == [0.0, 0.0, 0.0]
         assert hit.point.tolist() == start.tolist()
-
-
-@pytest.mark.parametrize('radius', [0.0, 0.2])
-@pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('skip_inside', [False, True])
-def test_first_hit_is_the_first_of_all(radius, planar, skip_inside):
-    rng = np.random.default_rng(5)
-    scene, world = filled(rng, 60, planar)
-    found = 0
-    for _ in range(200):
-        start, goal = segment(rng, world)
-        every = scene.raycast_all(start, goal, radius, skip_inside=skip_inside)
-        first = scene.raycast(start, goal, radius, skip_inside=skip_inside)
-        assert (first is None) == (not every)
-        if first is not None:
-            found += 1
-            assert (first.name, first.t) == (every[0].name, every[0].t)
-            assert first.point.tolist() == every[0].point.tolist()
-        if skip_inside:
-            inside = {hit.name for hit in scene.raycast_all(start, start, radius)}
-            others = scene.raycast_all(start, goal, radius)
-            assert {hit.name for hit in every} == {hit.name for hit in others} - inside
-    assert found > 100
-
-
-@pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('shaped', [False, True])
-def test_many_rays_equal_single_ones(planar, shaped):
-    """Through a snapshot, patched and not, bit for bit; rays from far away are not for it."""
-    rng = np.random.default_rng(6)
-    for scale in (1.0, 1e-9, 1e120):
-        shapes = random_shapes(rng, 40)
-        if not shaped:
-            shapes = Shapes.boxes(shapes.position, shapes.size)
-        shapes = shapes._replace(position=shapes.position * scale, size=shapes.size * scale)
-        scene, names = Scene(planar=planar), [str(i) for i in range(40)]
-        masks = rng.integers(1, 4, 40)
-        scene.update('test', names, shapes, stamp=1, categories=masks)
-        for count, skip_inside in ((300, False), (100, True)):
-            starts, goals = rng.uniform(-6, 6, (2, count, 3)) * scale
-            goals[:9], starts[-9:] = starts[:9], starts[-9:] * 1e5
-            asked = rng.integers(0, 4, count)
-            found = scene.raycast_many(starts, goals - starts, 1.0, asked, skip_inside)
-            assert (scene._held.tree._wide[2].loose > 0) == skip_inside  # patched, or not
-            assert count / 30 < np.count_nonzero(found.handles != NO_NODE) < count
-            for i in range(count):
-                hit = scene.raycast(starts[i], goals[i], 0.0, int(asked[i]), skip_inside)
-                row = [column[i].tolist() for column in found]
-                if hit is None:
-                    assert row[:2] == [NO_NODE, math.inf]
-                else:
-                    one = hit.handle, hit.t, hit.point.tolist(), hit.normal.tolist()
-                    assert row == list(one)
-            scene.remove('test', names[:12])
-            scene.update('test', names[12:15], shapes.take(np.arange(3)), stamp=2)
 
 
 def test_thin_rays_among_boxes_stay_exact_beside_other_shapes():

@@ -19,41 +19,6 @@ def put(scene: Scene, rows: np.ndarray, rng: np.random.Generator, turned: bool =
     assert not scene.update('s', [f'b{i}' for i in rows], shapes, stamp=0, velocities=speeds)
 
 
-@pytest.mark.parametrize('max_prediction', [np.inf, 0.8])
-@pytest.mark.parametrize(('planar', 'turned'), [(False, False), (True, False), (False, True)])
-def test_rows_are_single_ways(planar: bool, turned: bool, max_prediction: float):
-    """While boxes change: what was swept before is of no account."""
-    rng, swept = np.random.default_rng(5), 0
-    scene = Scene(planar=planar, max_prediction=max_prediction)
-    put(scene, np.arange(BOXES), rng, turned)
-    for turn in range(24):
-        if turn % 6 == 5:
-            put(scene, rng.integers(0, BOXES, 1), rng, turned)
-        count = int(rng.integers(0, 40)) if 1 < turn % 6 < 5 else 2
-        starts, goals = rng.uniform(-12, 12, (2, count, 3))
-        if turn % 4 == 3 and len(starts):
-            starts[0] = 1e9  # not suited for what is swept
-        times = {'at': 0, 'until': SECOND if turn % 3 else SECOND // 2}
-        skip, mask = turn % 2 == 1, 3 if turn % 5 == 4 else 1
-        radius = 0.2 * (turn % 3 == 1)
-        to_goals = scene.sweep_many(starts, goals, radius, mask, skip, **times)
-        given = mask, skip, 1, radius or None
-        along = scene.raycast_many(starts, goals - starts, 1.0, *given, **times)
-        swept += scene._held.tree.motion._wanted.sweep is not None
-        for i in range(len(starts)):
-            hit = scene.raycast(starts[i], goals[i], radius, mask, skip, **times)
-            for many in (to_goals, along):
-                if hit is None:
-                    assert (many.handles[i], many.t[i]) == (NO_NODE, np.inf)
-                    assert np.isnan(many.points[i]).all()
-                    assert not many.normals[i].any()
-                    continue
-                assert (hit.handle, hit.t) == (many.handles[i], many.t[i])
-                assert hit.point.tolist() == many.points[i].tolist()
-                assert hit.normal.tolist() == many.normals[i].tolist()
-    assert 4 <= swept < 24
-
-
 @pytest.mark.parametrize(('turned', 'radius'), [(False, 0.0), (False, 0.2), (True, 0.0)])
 @pytest.mark.parametrize('bad', [np.nan, np.inf, 1.7e308])
 def test_bad_ways_are_refused(bad: float, turned: bool, radius: float):
