@@ -69,12 +69,12 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'bvh_node = bvh_ros.ros.node:main',
-            'bvh_lifecycle_node = bvh_ros.ros.lifecycle_node:main',
-            'bvh_demo = bvh_ros.demo:main',
-            'bvh_warm_up = bvh_ros.warm_up:main',
-            'bvh_report = bvh_ros.report.cli:main',
-            'bvh_view = bvh_ros.view.main:main',
+            'bvh_node = bvh_ros.commands:bvh_node',
+            'bvh_lifecycle_node = bvh_ros.commands:bvh_lifecycle_node',
+            'bvh_demo = bvh_ros.commands:bvh_demo',
+            'bvh_warm_up = bvh_ros.commands:bvh_warm_up',
+            'bvh_report = bvh_ros.commands:bvh_report',
+            'bvh_view = bvh_ros.commands:bvh_view',
         ]
     },
 )

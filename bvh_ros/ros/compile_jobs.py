@@ -12,6 +12,7 @@ import numpy as np
 
 from bvh_ros import DynamicBVH
 from bvh_ros.ros import shape_jobs
+from bvh_ros.ros.cdr import path
 from bvh_ros.ros.job_scenes import (
     ABOUT_Z,
     BOXES,
@@ -170,6 +171,7 @@ def _points(needs: Needs) -> None:
 
 
 def _paths(needs: Needs) -> None:
+    path.read(path.EMPTY)
     for scene in scenes(needs):
         scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
 

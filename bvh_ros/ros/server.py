@@ -30,6 +30,7 @@ from bvh_ros.ros.texts import as_line, shortened
 from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
 from bvh_ros.ros.world.known_times import known_times
+from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
 from bvh_ros.ros.world.world import World
 from bvh_ros.scene import Scene, ShapeKind
@@ -80,6 +81,7 @@ class BvhServer:
             self._ends.append(self._tf2)
         try:
             self.world = self._create_world()
+            self._check_scan()
             qos_overrides.check(node, [*self._topics()])
         except ConfigurationError:
             self.destroy()
@@ -100,8 +102,11 @@ class BvhServer:
         )
         frames = Frames(settings.frame_id, self._tf2, settings.transforms)
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
-        times = known_times(scene, sources, settings)
-        return World(settings, scene, frames, sources, self._create_views(), times)
+        changes = LargeChanges(scene)
+        for source in sources:
+            source.changes = changes
+        times = known_times(changes, sources, settings)
+        return World(settings, changes, frames, sources, self._create_views(), times)
 
     def _topics(self) -> Iterator[str]:
         """The topics that this configuration subscribes and whose QoS can be overridden."""
@@ -114,6 +119,18 @@ class BvhServer:
         for topic in topics:
             with contextlib.suppress(RuntimeError, InvalidTopicNameException):  # said later
                 yield self.node.resolve_topic_name(topic)
+
+    def _check_scan(self) -> None:
+        """Raise ConfigurationError if the topic or view of the scan cannot be used."""
+        if not self._scan.pose_topic:
+            return
+        view_of_scan(self.world.views, self._scan.view)
+        try:
+            self.node.resolve_topic_name(self._scan.pose_topic)
+        except (RuntimeError, InvalidTopicNameException) as error:
+            raise ConfigurationError(
+                f"parameter 'virtual_scan.pose_topic': {as_line(error)}"
+            ) from error
 
     def _kinds(self) -> set[ShapeKind]:
         """Return the shapes that the sources can bring."""
@@ -179,7 +196,7 @@ class BvhServer:
         kernels = OnDemand(node, later_jobs(self._needs()))
         yield kernels
         # Before the services: who hears an answer knows then which life of the node it comes from.
-        yield NamesPublisher(node, world.scene)
+        yield NamesPublisher(node, world)
         queries: list[QueryServices] = []
         for view in world.views:
             queries.append(QueryServices(node, world, view, drawing, kernels))

@@ -23,9 +23,9 @@ from .store.obstacles import Obstacles
 from .store.registry import UNKNOWN, Slots
 from .updates import NONE, Sliced, Updates
 
-# Fewer rows than this are applied at once, in 30 to 80 ms: slices and their shadows take ten times
-# as long in all.
-AT_ONCE = 120_000
+# An update is applied at once among fewer obstacles than this, or if it has a tenth of the rows:
+# that takes at most 30 ms. Slices and their shadows take up to ten times as long in all.
+AT_ONCE = 30_000
 SLICE = 256  # rows, 1 to 5 ms
 # Of rows with meshes of their own, 35 us each: in slices they take no longer.
 COSTLY_AT_ONCE, COSTLY_SLICE = 256, 64
@@ -114,7 +114,9 @@ class SlicedUpdates:
         """Whether `in_slices` pauses."""
         updating.text('source', source), updating.text('group', group)
         going = self._held.groups.members(source, group) if whole else 0
-        return max(total, going) >= AT_ONCE or (costly and total >= COSTLY_AT_ONCE)
+        among = max(total + len(self._held), going)
+        long = 10 * max(total, going) >= AT_ONCE and among >= AT_ONCE
+        return long or (costly and total >= COSTLY_AT_ONCE)
 
     def _survey(self, running: Sliced, parts: Iterator[Part]) -> Iterator[None]:
         """See who is going to stay, go and come, where not all may come."""

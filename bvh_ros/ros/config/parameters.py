@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bvh_ros.ros.config.option import FARTHEST, ConfigurationError, Option, read
 from bvh_ros.ros.config.settings import Settings, SourceSettings, TransformSettings, ViewSettings
 from bvh_ros.ros.texts import shortened
+from bvh_ros.scene.store.updating import ERROR_PREFIX
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -68,7 +69,7 @@ NODE_OPTIONS = (
         'uncertainty',
         0.0,
         'At other times than those of their stamps obstacles that move are larger all round by so '
-        'many metres for each second between.',
+        'many metres for each second between. In a planar world only vx and vy count as motion.',
         *(0.0, 1e6),
     ),
     Option(
@@ -216,10 +217,10 @@ def _region(
 def _footprint(lengths: Sequence[float]) -> tuple[float, ...]:
     if tuple(lengths) == NO_FOOTPRINT:
         return ()
-    if len(lengths) not in (1, 3) or not all(math.isfinite(x) and x > 0.0 for x in lengths):
+    if len(lengths) not in (1, 3) or not all(0.0 < length <= FARTHEST for length in lengths):
         raise ConfigurationError(
-            "parameter 'footprint' must be [sx, sy, sz] of a box or [radius] of a ball, above 0, "
-            f'not {lengths}'
+            "parameter 'footprint' must be [sx, sy, sz] of a box or [radius] of a ball, above 0 "
+            f'and at most {FARTHEST:g}, not {shortened(str(lengths))}'
         )
     return tuple(lengths)
 
@@ -240,6 +241,10 @@ def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -
     if not topic:
         raise ConfigurationError(f"source '{name}' needs a parameter '{name}.topic'")
     shared = {option.name: read(node, prefix, option) for option in SOURCE_OPTIONS}
+    if shared['prefix'].startswith(ERROR_PREFIX):
+        raise ConfigurationError(
+            f"parameter '{name}.prefix' must not begin with {ERROR_PREFIX!r}: error replies do"
+        )
     own = {option.name: read(node, prefix, option) for option in types[type_name]}
     return SourceSettings(name=name, type=type_name, topic=topic, options=own, **shared)
 
@@ -251,10 +256,18 @@ def _read_view(node: Node, name: str) -> ViewSettings:
 
 
 def _read_transform(node: Node, name: str, frame_id: str) -> TransformSettings:
+    if not any(given.startswith(f'{name}.') for given in given_at_start(node)):
+        raise ConfigurationError(
+            f"parameter 'transforms': {shortened(name)!r} has no parameters; "
+            f"give '{name}.xyz', '{name}.xyzw' or '{name}.parent'"
+        )
     values = {option.name: read(node, f'{name}.', option) for option in TRANSFORM_OPTIONS}
     xyz, xyzw = tuple(values['xyz']), tuple(values['xyzw'])
-    if len(xyz) != 3:
-        raise ConfigurationError(f"parameter '{name}.xyz' must be 3 numbers, not {len(xyz)}")
+    if len(xyz) != 3 or not all(abs(x) <= FARTHEST for x in xyz):
+        raise ConfigurationError(
+            f"parameter '{name}.xyz' must be 3 numbers of at most {FARTHEST:g}, "
+            f'not {shortened(str(list(xyz)))}'
+        )
     if len(xyzw) != 4 or not any(xyzw):
         raise ConfigurationError(f"parameter '{name}.xyzw' must be 4 numbers that are not all 0")
     return TransformSettings(values['frame_id'] or name, values['parent'] or frame_id, xyz, xyzw)

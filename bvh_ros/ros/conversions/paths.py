@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from nav_msgs.msg import Path
 from numpy.typing import NDArray
 
+from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.ray_clouds import Floats, first_fault
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -52,19 +51,11 @@ class Poses(NamedTuple):
         return first_fault(faults, number)
 
 
-def read(path: Path) -> Poses:
-    """Read a path, whatever it holds."""
-    header, poses = path.header, [stamped.pose for stamped in path.poses]
-    places = [(at.x, at.y, at.z) for at in (pose.position for pose in poses)]
-    turns = [(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in poses)]
-    frames = [stamped.header.frame_id for stamped in path.poses]
+def read(message: bytes) -> Poses:
+    """Read a serialised path; ValueError if it is none."""
+    path = decoder.read(message)
     return Poses(
-        header.frame_id,
-        nanoseconds(header.stamp),
-        np.array(places, np.float64).reshape(-1, 3),
-        np.array(turns, np.float64).reshape(-1, 4),
-        np.array([frame not in ('', header.frame_id) for frame in frames], bool),
-        np.array([nanoseconds(stamped.header.stamp) for stamped in path.poses], np.int64),
+        path.frame_id, path.stamp, path.positions, path.orientations, path.elsewhere, path.stamps
     )
 
 

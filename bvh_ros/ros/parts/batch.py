@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,10 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Scene
 
 QOS_PERIOD = 1.0  # seconds
-PIECE = 8192  # rays, some 5 ms
+FIRST_PIECE, LEAST_PIECE, LARGEST_PIECE = 256, 32, 8192  # rows
+PIECE_TIME = 0.005  # seconds
+# What a batch of so many rows needs of so many obstacles takes longer than a turn.
+MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
 TURN = 0.01  # seconds after which others get a turn
 DONE = object()
 UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
@@ -75,6 +78,7 @@ class Batch(NodePart):
         self.timings = Timings()
         self._world = world
         self._kernels = kernels
+        self._rows = FIRST_PIECE  # of the next piece
         self._work: deque[Iterator[None]] = deque()  # clouds that wait, the first begun
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
@@ -111,6 +115,11 @@ class Batch(NodePart):
             if self._work:
                 self._turn.trigger()
 
+    def finish(self) -> None:
+        """Answer until nothing reads the scene in the helper thread any more."""
+        while self._work and self._world.changes.owner is self:
+            next(self._work[0])
+
     def _answering(self, request: PointCloud) -> Iterator[None]:
         """Answer one cloud, with pauses."""
         began = time.perf_counter_ns()
@@ -144,6 +153,23 @@ class Batch(NodePart):
     def _refusal(self, request: Any, reason: str) -> PointCloud2:
         """Make the cloud that says that nothing is answered."""
         raise NotImplementedError
+
+    def _in_pieces(self, count: int, answer: Callable[[slice], None]) -> Iterator[None]:
+        """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
+        changes, begin = self._world.changes, 0
+        if count >= MANY_ROWS and len(changes.visible) >= MANY_OBSTACLES:
+            yield from changes.read(self, partial(changes.visible.prepare_batch, count))
+        while begin < count:
+            if begin:
+                yield
+            began = time.perf_counter()
+            end = min(begin + self._rows, count)
+            answer(slice(begin, end))
+            took = max(time.perf_counter() - began, 1e-6)
+            rows = int((end - begin) * min(PIECE_TIME / took, 4.0))
+            if rows < self._rows or end - begin == self._rows:
+                self._rows = min(max(rows, LEAST_PIECE), LARGEST_PIECE)
+            begin = end
 
     def _now(self) -> Scene:
         return self._world.at(self.node.get_clock().now().nanoseconds)
@@ -203,12 +229,13 @@ class RayBatch(Batch):
             self._kernels.require(BALLS)
         stamp = self._stamp_of(request)
         table = ray_clouds.hits_table(len(cloud), cloud.real)
-        for begin in range(0, len(cloud), PIECE):
-            if begin:
-                yield
-            rows = begin, begin + PIECE
-            hits = self._answer(cloud.rows(*rows), begin, transform, stamp)
-            ray_clouds.write_hits(table[slice(*rows)], hits)
+
+        def answer(piece: slice) -> None:
+            rays = cloud.rows(piece.start, piece.stop)
+            hits = self._answer(rays, piece.start, transform, stamp)
+            ray_clouds.write_hits(table[piece], hits)
+
+        yield from self._in_pieces(len(cloud), answer)
         return ray_clouds.table_cloud(table, request.height, request.width, table['t'])
 
     def _answer(self, rays: Rays, number: int, transform: Transform | None, stamp: int) -> Hits:

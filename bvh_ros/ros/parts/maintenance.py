@@ -7,7 +7,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from bvh_ros.ros.parts.part import NodePart
-from bvh_ros.ros.world.world import EXPIRED_AT_ONCE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -30,9 +29,7 @@ class Maintenance(NodePart):
         self.every(QOS_PERIOD, self._check_qos)
 
     def _expire(self) -> None:
-        scene, now = self._world.scene, self.node.get_clock().now().nanoseconds
-        scene.expire(now, EXPIRED_AT_ONCE)
-        if scene.has_expired(now):
+        if self._world.expire(self.node.get_clock().now().nanoseconds):
             self._turn.trigger()
 
     def _check_qos(self) -> None:

@@ -18,8 +18,7 @@ from bvh_ros.ros.parts.watched import OnDemandPublisher
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.scene import Scene
-
+    from bvh_ros.ros.world.world import World
 
 SLICE = 0.01  # seconds after which others get a turn
 NAMES_AT_A_TIME = 1024
@@ -33,9 +32,9 @@ class NamesPublisher(OnDemandPublisher):
     objects a second would stop the queries for tens of milliseconds.
     """
 
-    def __init__(self, node: Node, scene: Scene) -> None:
+    def __init__(self, node: Node, world: World) -> None:
         super().__init__(node, DiagnosticStatus, '~/names')
-        self._scene = scene
+        self._world = world
         self._status = f'{node.get_fully_qualified_name().lstrip("/")}: names'
         self._population: tuple[int, int] | None = None
         self._pairs: dict[int, bytes] = {}  # by handle, ascending
@@ -45,8 +44,8 @@ class NamesPublisher(OnDemandPublisher):
 
     def message(self) -> None:
         """Begin to put together a DiagnosticStatus, unless nobody came or went."""
-        if self._work is None and self._scene.population != self._population:
-            self._population = self._scene.population
+        if self._work is None and self._world.scene.population != self._population:
+            self._population = self._world.scene.population
             self._work = self._tell()
             self._go_on()
 
@@ -60,14 +59,14 @@ class NamesPublisher(OnDemandPublisher):
             self._turn.trigger()
 
     def _tell(self) -> Iterator[None]:
-        handles, slots = self._scene.newcomers(next(reversed(self._pairs), 0))
+        handles, slots = self._world.scene.newcomers(next(reversed(self._pairs), 0))
         for begin in range(0, len(handles), NAMES_AT_A_TIME):
             some = slice(begin, begin + NAMES_AT_A_TIME)
-            for handle, name in self._scene.names_of(handles[some], slots[some]):
+            for handle, name in self._world.scene.names_of(handles[some], slots[some]):
                 self._pairs[handle] = pair(handle, name)
             yield
         known = np.fromiter(self._pairs, np.int64, len(self._pairs))
-        for handle in known[~np.isin(known, self._scene.handles())].tolist():
+        for handle in known[~np.isin(known, self._world.scene.handles())].tolist():
             del self._pairs[handle]
         yield
         head = DiagnosticStatus(name=self._status, message=f'{len(self._pairs)} obstacles')

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from types import coroutine
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,7 @@ from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.world.known_times import NOW, Span, span_of
+from bvh_ros.ros.world.large_changes import PATIENCE
 from bvh_ros.scene import TooManyHitsError
 
 if TYPE_CHECKING:
@@ -170,7 +171,6 @@ class TriggerServices(NodePart):
     def __init__(self, node: Node, world: World) -> None:
         super().__init__(node)
         self._world = world
-        self._scene = world.scene
         self._sources = world.sources
         self._group = MutuallyExclusiveCallbackGroup()
         for name, act in (
@@ -198,7 +198,8 @@ class TriggerServices(NodePart):
 
     def _clear(self) -> Acting:
         self._world.catch_up()
-        removed = self._scene.clear()
+        yield from self._until_unchanged()
+        removed = self._world.scene.clear()
         self._world.forget()
         for source in self._sources:
             source.forget()
@@ -206,19 +207,32 @@ class TriggerServices(NodePart):
         return f'removed {removed} obstacles'
 
     def _rebuild(self) -> Acting:
-        self._scene.rebuild()
+        yield from self._until_unchanged()
+        self._world.scene.rebuild()
         yield
         return self._tree_in_words()
 
     def _validate(self) -> Acting:
         if self._world.compiling:
             raise RuntimeError(self._world.compiling)
-        yield from self._scene.validate_in_turns()
+        yield from self._until_unchanged()
+        self._world.changes.reading = True
+        try:
+            yield from self._world.scene.validate_in_turns()
+        finally:
+            self._world.changes.reading = False
         yield
         return f'valid: {self._tree_in_words()}'
 
+    def _until_unchanged(self) -> Iterator[None]:
+        """Pause while a large change is under way."""
+        while self._world.changes.owner is not None:
+            time.sleep(PATIENCE)
+            yield
+
     def _tree_in_words(self) -> str:
-        stats = self._scene.stats()
+        scene = self._world.scene
+        stats = scene.stats()
         return '{} obstacles, height {}, cost {:.3f}'.format(
-            len(self._scene), stats['height'], stats['cost']
+            len(scene), stats['height'], stats['cost']
         )

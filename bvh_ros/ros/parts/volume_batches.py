@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nav_msgs.msg import Path
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
 from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
-from bvh_ros.ros.parts.batch import PIECE, UNKNOWN_TIME, Batch, moved_back
+from bvh_ros.ros.parts.batch import UNKNOWN_TIME, Batch, moved_back
 from bvh_ros.scene import NO_NODE
 
 if TYPE_CHECKING:
@@ -50,12 +49,12 @@ class VolumeBatch(Batch):
         if cloud.has_times:
             self._kernels.require(self.needed_then)
         told = query_clouds.unanswered(self.answer, len(cloud))
-        for begin in range(0, len(cloud), PIECE):
-            if begin:
-                yield
-            piece = slice(begin, begin + PIECE)
-            rows = cloud.rows(begin, begin + PIECE)
-            put(told, piece, *self._answer(rows, begin, transform, stamp))
+
+        def answer(piece: slice) -> None:
+            rows = cloud.rows(piece.start, piece.stop)
+            put(told, piece, *self._answer(rows, piece.start, transform, stamp))
+
+        yield from self._in_pieces(len(cloud), answer)
         return query_clouds.answers_cloud(told, request.height, request.width, cloud.real)
 
     def _answer(
@@ -158,23 +157,23 @@ class PathBatch(Batch):
         super().__init__(node, world, view, kernels)
 
     def _read(self, serialised: bytes) -> paths.Poses:
-        return paths.read(deserialize_message(serialised, Path))
+        return paths.read(serialised)
 
     def _reply(self, request: paths.Poses) -> Generator[None, None, PointCloud2]:
         self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         told = query_clouds.unanswered(Near, len(request.places))
-        for begin in range(0, len(request.places), PIECE):
-            if begin:
-                yield
-            piece = slice(begin, begin + PIECE)
+
+        def answer(piece: slice) -> None:
             rows = request.rows(piece)
             if transform is not None:
                 rows = rows.moved(transform)
-            good, found = self._answer(rows, begin)
+            good, found = self._answer(rows, piece.start)
             if transform is not None:
                 found = moved_back(transform, found)
             put(told, piece, good, found)
+
+        yield from self._in_pieces(len(request.places), answer)
         return query_clouds.answers_cloud(told, 1, len(request.places), np.dtype(np.float64))
 
     def _answer(self, rows: paths.Poses, number: int) -> tuple[NDArray[np.bool_], Near]:

@@ -28,9 +28,9 @@ FOLLOWING = (
     Option(
         'max_speed',
         50.0,
-        'With constant_velocity: who is faster (m/s) from one update to the next has jumped, and '
-        'is at rest until the one after.',
-        minimum=0.0,
+        'With constant_velocity: an obstacle that is faster (m/s) from one update to the next has '
+        'jumped, and is at rest until the one after.',
+        minimum=1e-6,
     ),
     Option(
         'smoothing',

@@ -19,8 +19,8 @@ from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.completeness import Completeness
 from bvh_ros.ros.sources.numbering import Heard
-from bvh_ros.ros.sources.pace import Pace
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Refusal, Refusals
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]
 SLICE = 0.005  # seconds after which others get a turn; whoever asks may wait for two
+SMALL_SHARE = 0.125  # of a scene: slices of so many rows take less than a copy of the scene
 DONE = object()
 
 
@@ -60,7 +61,9 @@ class Source(ABC):
         self.has_spoken = False
         self.completeness = Completeness()
         self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
-        self.on_applied: Callable[[int], object] = lambda now: None  # after each message
+        # Called after each message; may pause.
+        self.on_applied: Callable[[Source, int], Iterable[None]] = lambda source, now: ()
+        self.changes = LargeChanges(scene)
         self.tells_all = False  # whether the message that is being applied says everything
         # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
         self.raw = self.together = False
@@ -72,8 +75,7 @@ class Source(ABC):
         self._size = 0  # bytes of that message
         self._waiting: deque[tuple[Callable[[], object], int]] = deque()  # what is to follow
         self._waits = 0  # bytes of that
-        self._pace = Pace()
-        self._hurried = False  # whether messages like this one come faster than slices can be
+        self._hurried = False  # whether to apply all at once, without the helper thread
         self._turn: GuardCondition | None = None
 
     def to_compile(self) -> Iterable[Job]:
@@ -121,8 +123,8 @@ class Source(ABC):
     def receive(self, messages: Sequence[bytes]) -> None:
         """Apply a message, or several small ones as one, after those before."""
         self.messages += len(messages)
-        now, came = self._node.get_clock().now().nanoseconds, time.perf_counter()
-        self._then(partial(self._begin, messages, now, came), sum(map(len, messages)))
+        now = self._node.get_clock().now().nanoseconds
+        self._then(partial(self._begin, messages, now), sum(map(len, messages)))
 
     def apply_now(self, serialised: bytes, now: int) -> None:
         """Apply a message at once, as if it came at `now` (ns on whatever clock)."""
@@ -131,9 +133,8 @@ class Source(ABC):
         for _ in self._applying([serialised], now):
             pass
 
-    def _begin(self, messages: Sequence[bytes], now: int, came: float) -> None:
-        self._size = size = sum(map(len, messages))
-        self._hurried = self._pace.begin(size, came) or self._waits >= size
+    def _begin(self, messages: Sequence[bytes], now: int) -> None:
+        self._size = sum(map(len, messages))
         self._work = self._applying(messages, now)
 
     def _then(self, act: Callable[[], object], size: int = 0) -> None:
@@ -142,23 +143,25 @@ class Source(ABC):
         self._waits += size
         if self._work is None:
             self._go_on()
-        elif self._is_full():
-            self._hurried = True
 
     def _is_full(self) -> bool:
-        """Whether as much waits as is being applied: then that is done without pauses where those
-        make it late, and more messages have to wait elsewhere.
-        """
+        """Whether as much waits as is being applied: more messages have to wait elsewhere."""
         return self._work is not None and (self._waits >= self._size or len(self._waiting) > DEPTH)
 
     def finish(self) -> None:
         """Apply what is left of a message, and what waits, at once."""
         self._hurried = True
         while self._work is not None or self._waiting:
+            if self._must_wait():
+                self.changes.owner.finish()
             self._go_on(math.inf)
+        self._hurried = False
 
     def _go_on(self, limit: float = SLICE) -> None:
         """Apply until so many seconds are over, and go on after others had their turn."""
+        if self._must_wait():
+            self.changes.call_at_end(self._resume)
+            return
         began = time.perf_counter()
         while self._work is not None or self._waiting:
             if self._work is None:
@@ -167,14 +170,20 @@ class Source(ABC):
                 act()
             elif next(self._work, DONE) is DONE:
                 self._work = None
-                self._pace.end(time.perf_counter())
             if time.perf_counter() - began >= limit:
                 break
         self.longest_slice = max(self.longest_slice, time.perf_counter() - began)
-        if (self._work is not None or self._waiting) and self._turn is not None:
-            self._turn.trigger()
+        self._resume()
         if self.subscription is not None:
             self.subscription.resume()
+
+    def _must_wait(self) -> bool:
+        """Whether another source makes a large change now."""
+        return self.changes.owner not in (None, self)
+
+    def _resume(self) -> None:
+        if (self._work is not None or self._waiting) and self._turn is not None:
+            self._turn.trigger()
 
     def _applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
         """Apply messages; what cannot be used is counted and explained, never raised."""
@@ -187,7 +196,7 @@ class Source(ABC):
                 raise ValueError('none of several messages can be used')  # each says why, below
             self.timings.add(began)
             self.refused.add_rows(refusals)
-            self.on_applied(now)
+            yield from self.on_applied(self, now)
             if not useless:
                 self.spoke_at, self.has_spoken = now, True
                 if self.tells_all:
@@ -207,19 +216,17 @@ class Source(ABC):
     def _in_slices(
         self, group: str, total: int, parts: Parts, *, whole: bool, costly: bool = False
     ) -> Slices:
-        """`Scene.in_slices` for this source; once those made it late, without pauses.
-
-        What is left is not hurried through in slices, which are slow: all is applied again.
+        """`Scene.in_slices` for this source. An update that is large beside the scene is made at
+        once in a helper thread: that takes less time in all.
         """
         given = self.name, group, total, parts
         apply = partial(self.scene.in_slices, *given, whole=whole, costly=costly)
-        slices = apply(at_once=self._hurried and not costly)
-        while (end := _advance(slices)) is None:
-            yield
-            if self._hurried and not costly:
-                slices.close()  # what is half done is not seen before it is whole
-                return (yield from apply(at_once=True))
-        return end
+        is_long = self.scene.is_long(self.name, total, whole=whole, group=group)
+        if costly or not is_long or self._hurried:
+            return (yield from apply(at_once=self._hurried and not costly))
+        if total < SMALL_SHARE * len(self.scene):
+            return (yield from apply())
+        return (yield from self.changes.make(self, partial(_run, apply(at_once=True))))
 
     def _read(self, messages: Sequence[bytes]) -> Any:
         if self.raw:
@@ -273,14 +280,14 @@ class Source(ABC):
         return ''
 
 
-def _advance(slices: Slices) -> Refusals | None:
-    """Go to the next pause; at the end return the refusals."""
-    try:
-        next(slices)
-    except StopIteration as end:
-        refusals: Refusals = end.value
-        return refusals
-    return None
+def _run(update: Slices) -> Refusals:
+    """Run an update to its end; return the refusals."""
+    while True:
+        try:
+            next(update)
+        except StopIteration as end:
+            refusals: Refusals = end.value
+            return refusals
 
 
 def _follower(settings: SourceSettings) -> Follow | None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.config.settings import Settings
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.world.large_changes import LargeChanges
     from bvh_ros.scene import Scene
 
 NOTHING = 'nothing has been told yet that could be predicted'
@@ -42,15 +43,17 @@ class KnownTimes:
 
     Parameters
     ----------
+    changes : LargeChanges
+        Has the scene.
     max_prediction : float
         So long (s) after the newest data.
     history : float
         So long (s) before the newest data.
     """
 
-    def __init__(self, scene: Scene, max_prediction: float, history: float) -> None:
-        self._scene = scene
-        self.past = Past(scene, history)
+    def __init__(self, changes: LargeChanges, max_prediction: float, history: float) -> None:
+        self._changes = changes
+        self.past = Past(changes, history)
         self._ahead = round(max_prediction * 1e9)
 
     def require(self, span: Span, now: int) -> Span:
@@ -85,7 +88,7 @@ class KnownTimes:
         stamps, states = self.past.states()
         which = np.searchsorted(stamps, at, 'right') - 1
         which[at >= self._newest(now)] = len(states)
-        return [*states, self._scene], which
+        return [*states, self._changes.visible], which
 
     def state(self, at: int, now: int) -> Scene:
         """What was known at a time; ValueError if it is not any more."""
@@ -102,21 +105,24 @@ class KnownTimes:
         return np.asarray((at >= first) & (until <= last))
 
     def _newest(self, now: int) -> int:
-        return min(self._scene.newest, now)  # no data are newer than now, whatever they say
+        # No data are newer than now, whatever they say.
+        return min(self._changes.visible.newest, now)
 
     def _ends(self, now: int) -> tuple[int, int]:
         """First and last time that may be known, ns."""
-        if not self._scene.newest:
+        if not self._changes.visible.newest:
             raise ValueError(NOTHING)
         newest = self._newest(now)
         return newest - self.past.length, newest + self._ahead
 
 
-def known_times(scene: Scene, sources: Sequence[Source], settings: Settings) -> KnownTimes | None:
+def known_times(
+    changes: LargeChanges, sources: Sequence[Source], settings: Settings
+) -> KnownTimes | None:
     """Return the times that there are besides now; None if there are none."""
     if not (settings.predicts or settings.history):
         return None
-    times = KnownTimes(scene, settings.max_prediction, settings.history)
+    times = KnownTimes(changes, settings.max_prediction, settings.history)
     for source in sources:
         source.on_applied = times.past.note
         source.together = False  # each message is a time of its own

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.ros.world.known_times import KnownTimes
+    from bvh_ros.ros.world.large_changes import LargeChanges
     from bvh_ros.ros.world.views import View
     from bvh_ros.scene import Scene
 
@@ -38,12 +39,17 @@ class World:
     """
 
     settings: Settings
-    scene: Scene
+    changes: LargeChanges
     frames: Frames
     sources: Sequence[Source]
     views: Sequence[View]  # that of everything first
     times: KnownTimes | None = None
     compiling: str = ''
+
+    @property
+    def scene(self) -> Scene:
+        """The scene as queries see it; only sources change it."""
+        return self.changes.visible
 
     def at(self, now: int, *, thin_ray: bool = False) -> Scene:
         """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
@@ -65,8 +71,20 @@ class World:
         problem = self._silence(now) if early else self.problem(now)
         if problem:
             raise IncompleteWorldError(problem)
-        self.scene.expire(now, EXPIRED_AT_ONCE)
+        self.expire(now)
         return self.scene
+
+    def expire(self, now: int) -> bool:
+        """Remove obstacles that are due; return whether some are left that are due, too."""
+        if self.changes.copying:
+            return False
+        self.scene.expire(now, EXPIRED_AT_ONCE)
+        return self.scene.has_expired(now)
+
+    def finish_changes(self) -> None:
+        """Wait until no large change is under way."""
+        while self.changes.owner is not None:
+            self.changes.owner.finish()
 
     def catch_up(self) -> None:
         """Apply what has come, before somebody asks or clears."""
@@ -95,6 +113,7 @@ class World:
         """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Who
         moved is at rest until it is told again, and the past is forgotten.
         """
+        self.finish_changes()
         self.scene.shift_expiries(by)
         self.scene.rest()
         self.forget()

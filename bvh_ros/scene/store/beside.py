@@ -15,11 +15,19 @@ PATIENCE = 0.002  # seconds between two looks whether the other thread is done
 def beside(
     call: Callable[P, R], *arguments: P.args, **named: P.kwargs
 ) -> Generator[None, None, R]:
-    """Return what a call returns that changes nothing others see; pause until it does."""
+    """Return what a call returns that changes nothing others see; pause until it does, at least
+    once.
+    """
     work = _helper().submit(call, *arguments, **named)
-    while not work.done():
-        wait((work,), PATIENCE)
-        yield
+    try:
+        done = False
+        while not done:
+            wait((work,), PATIENCE)
+            done = work.done()
+            yield
+    finally:
+        if not work.cancel():
+            wait((work,))
     return work.result()
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The decoder of MarkerArrays reads what rclpy reads, and nothing beyond the message."""
 
+import contextlib
 import math
 import os
 import struct
@@ -12,16 +13,18 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, PoseStamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from ros.cdr.cdr_reference import encode, offsets
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
-from bvh_ros.ros.cdr import definitions, marker_array, reading
+from bvh_ros.ros.cdr import definitions, marker_array, path, reading
 from bvh_ros.ros.conversions.marker_table import table
+from bvh_ros.ros.conversions.times import nanoseconds
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 int32 = st.integers(-(2**31), 2**31 - 1)
@@ -129,23 +132,23 @@ def test_every_length_that_lies_is_refused(lie):
     raw = serialize_message(message)
     lengths = offsets(message, 'visualization_msgs/MarkerArray')
     assert len(lengths) == 1 + 3 * 13
-    for path, place in lengths:
+    for field, place in lengths:
         lying = raw[:place] + struct.pack('<I', lie) + raw[place + 4 :]
-        assert 'marker' in reason(lying), path
+        assert 'marker' in reason(lying), field
 
 
 def test_strings_must_end_with_their_only_zero_byte():
     message = typical()
     raw = serialize_message(message)
-    for path, place in offsets(message, 'visualization_msgs/MarkerArray'):
+    for field, place in offsets(message, 'visualization_msgs/MarkerArray'):
         (length,) = struct.unpack_from('<I', raw, place)
-        kind = path.rpartition('.')[2]
+        kind = field.rpartition('.')[2]
         if kind in ('markers', 'points', 'colors', 'uv_coordinates', 'data'):
             continue
         end = place + 4 + length
-        assert 'without the zero byte' in reason(raw[: end - 1] + b'!' + raw[end:]), path
+        assert 'without the zero byte' in reason(raw[: end - 1] + b'!' + raw[end:]), field
         if kind == 'ns':
-            assert 'zero byte inside' in reason(raw[: end - 2] + b'\0' + raw[end - 1 :]), path
+            assert 'zero byte inside' in reason(raw[: end - 2] + b'\0' + raw[end - 1 :]), field
 
 
 @pytest.mark.parametrize('header', ['0002', '0003', '0007', '0009', '0101', 'ffff'])
@@ -237,3 +240,50 @@ def test_the_definition_is_compared_field_by_field(monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(Point, 'get_fields_and_field_types', classmethod(lambda cls: turned))
     assert definitions.difference(MarkerArray, expected) == 'geometry_msgs/Point'
+
+
+@st.composite
+def paths(draw):
+    """A path whose poses name its own frame, another one or none."""
+    found = Path()
+    found.header.frame_id, found.header.stamp = draw(texts), draw(st.builds(Time, **times))
+    for _ in range(draw(st.integers(0, 4))):
+        stamped = PoseStamped()
+        stamped.header.frame_id = draw(st.sampled_from(['', 'other', found.header.frame_id]))
+        stamped.header.stamp = draw(st.builds(Time, **times))
+        for part in (stamped.pose.position, stamped.pose.orientation):
+            for axis in part.get_fields_and_field_types():
+                setattr(part, axis, draw(number))
+        found.poses.append(stamped)
+    return found
+
+
+@given(paths(), st.data())
+@settings(max_examples=500 if LONG else 60, deadline=None)
+def test_paths_are_read_as_rclpy_reads_them(message, data):
+    serialised = serialize_message(message)
+    found, own = path.read(serialised), message.header.frame_id
+    poses = [stamped.pose for stamped in message.poses]
+    frames = [stamped.header.frame_id for stamped in message.poses]
+    stamps = [nanoseconds(stamped.header.stamp) for stamped in message.poses]
+    elsewhere = [frame not in ('', own) for frame in frames]
+    assert (found.frame_id, found.stamp) == (own, nanoseconds(message.header.stamp))
+    assert (found.stamps.tolist(), found.elsewhere.tolist()) == (stamps, elsewhere)
+    places = [(p.position.x, p.position.y, p.position.z) for p in poses]
+    turns = [(q.x, q.y, q.z, q.w) for q in (p.orientation for p in poses)]
+    np.testing.assert_array_equal(found.positions, np.reshape(places, (-1, 3)))
+    np.testing.assert_array_equal(found.orientations, np.reshape(turns, (-1, 4)))
+    cut = data.draw(st.integers(0, len(serialised) - 4))
+    if poses:
+        with pytest.raises(ValueError, match=r'path|pose|bytes'):
+            path.read(serialised[:cut])
+    flipped = bytearray(serialised)
+    flipped[data.draw(st.integers(0, len(flipped) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    with contextlib.suppress(ValueError):  # it may be another path, but nothing else is raised
+        path.read(bytes(flipped))
+
+
+def test_a_path_that_announces_poses_it_has_not_takes_no_memory():
+    begin = path.EMPTY[:4] + bytes(12)
+    with pytest.raises(ValueError, match='4294967295 poses do not fit'):
+        path.read(begin + b'\xff' * 4 + bytes(1000))

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Large messages that come faster than slices are applied at once; small ones change nothing."""
+"""Large messages that come faster than they can be applied."""
 
 import numpy as np
 import pytest
@@ -8,33 +8,6 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from visualization_msgs.msg import MarkerArray
-
-from bvh_ros.ros.sources.pace import Pace
-
-LARGE, SMALL = 1_000_000, 100
-
-
-def hurried(messages):
-    """Whether each message (size, time) is applied at once; slices of a large one take 1 s."""
-    pace, answers = Pace(), []
-    for size, came in messages:
-        answers.append(pace.begin(size, came))
-        pace.end(came + (0.05 if answers[-1] else size / LARGE))
-    return answers
-
-
-@pytest.mark.parametrize(
-    ('messages', 'expected'),
-    [
-        ([(LARGE, 2.0 * k) for k in range(4)], [False] * 4),
-        ([(LARGE, 0.1 * k) for k in range(6)], [False] + [True] * 5),
-        ([(LARGE, 0.0), (LARGE, 0.1), (LARGE, 2.0), (LARGE, 4.0)], [False, True, False, False]),
-        ([(LARGE, 0.0), *((SMALL, 0.01 * k) for k in range(200)), (LARGE, 2.0)], [False] * 202),
-        ([(SMALL, 0.0), (LARGE, 0.1), (LARGE, 0.2)], [False, False, True]),
-    ],
-)
-def test_who_is_hurried(messages, expected):
-    assert hurried(messages) == expected
 
 
 def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages):
@@ -56,7 +29,7 @@ def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages
 
 
 @pytest.mark.slow
-def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, messages):
+def test_large_clouds_that_come_at_once_end_as_the_last_one(start_node, messages):
     world = start_node({'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}})
     count, at = 130_000, np.arange(130_001.0)
     for height in (0, 10, 20):
@@ -69,7 +42,7 @@ def test_a_large_cloud_that_comes_too_early_hurries_the_one_before(start_node, m
     for height, expected in ((0, []), (10, []), (20, [f'c#{row}'])):
         ends = (*where, height + 1), (*where, height - 1)
         world.until(lambda: world.names('raycast', *ends) == expected, 60)  # noqa: B023
-    world.until(lambda: world.status('source c').values['points skipped'] == '3', 60)
+    world.until(lambda: world.status('source c').values['points skipped'] in '123', 60)
     assert world.status('world').values['obstacles'] == str(count)
     assert world.trigger('validate').success
 

@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from bvh_ros.client import BvhClient, BvhError
 from bvh_ros.ros.world.known_times import KnownTimes, Span
+from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Scene, Shapes
 
 SECOND = 1_000_000_000
@@ -25,7 +26,7 @@ def told(times, scene, place, at, speed=None):
     box = Shapes.boxes([[place, 0, 0]], [1, 1, 1])
     speeds = None if speed is None else [[speed, 0, 0]]
     scene.replace('s', '', ['one'], box, stamp=NOW + at * TICK, velocities=speeds)
-    times.past.note(NOW + 100 * TICK)
+    list(times.past.note(None, NOW + 100 * TICK))
 
 
 def place_at(times, ticks, now=100):
@@ -41,7 +42,7 @@ def place_at(times, ticks, now=100):
 
 def test_each_time_has_what_was_known_then():
     scene = Scene(max_prediction=1.0)
-    times = KnownTimes(scene, 1.0, 1.0)
+    times = KnownTimes(LargeChanges(scene), 1.0, 1.0)
     with pytest.raises(ValueError, match='nothing has been told'):
         times.require(Span(NOW), NOW)
     for tick in range(31):
@@ -67,16 +68,16 @@ def test_each_time_has_what_was_known_then():
 
 def test_a_stamp_in_the_future_hides_nothing_that_is_told_later():
     scene = Scene(max_prediction=1.0)
-    times = KnownTimes(scene, 1.0, 5.0)
+    times = KnownTimes(LargeChanges(scene), 1.0, 5.0)
     other = Shapes.boxes([[0, 50, 0]], [1, 1, 1])
     for tick in range(20):
         if tick % 5 == 0:
             ahead = SECOND if tick else 3
             scene.update('map', ['map'], other, stamp=NOW + tick * TICK + ahead)
-            times.past.note(NOW + tick * TICK)
+            list(times.past.note(None, NOW + tick * TICK))
         box = Shapes.boxes([[tick, 0, 0]], [1, 1, 1])
         scene.replace('s', '', ['one'], box, stamp=NOW + tick * TICK)
-        times.past.note(NOW + tick * TICK + 1)
+        list(times.past.note(None, NOW + tick * TICK + 1))
     for tick in range(19):
         assert place_at(times, tick + 0.5, now=19) == tick
 
@@ -152,7 +153,7 @@ def test_a_node_answers_about_its_past(keeping, messages):
 
 def test_a_time_that_is_not_known_is_named_to_the_nanosecond():
     scene = Scene(max_prediction=1.0)
-    times = KnownTimes(scene, 1.0, 1.5)
+    times = KnownTimes(LargeChanges(scene), 1.0, 1.5)
     told(times, scene, 0.0, 0)
     with pytest.raises(ValueError, match=r'1\.000000001 s after .* max_prediction \(1 s\)'):
         times.require(Span(NOW, NOW + SECOND + 1), NOW)

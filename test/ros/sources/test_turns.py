@@ -1,0 +1,212 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Large messages take turns; what takes longer than a turn runs in a helper thread."""
+
+import itertools
+import threading
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from visualization_msgs.msg import MarkerArray
+
+from bvh_ros.ros.server import BvhServer
+from bvh_ros.scene import Scene, slicing
+
+PARAMETERS = {
+    'sources': ['given', 'followed', 'markers'],
+    'given.type': 'PointCloud2',
+    'given.topic': '/given',
+    'given.predict': 'given',
+    'followed.type': 'PointCloud2',
+    'followed.topic': '/followed',
+    'followed.predict': 'constant_velocity',
+    'footprint': [0.5],
+}
+BELOW = (-2.0, -2.0, -2.0), (-1.0, -1.0, -1.0)
+
+
+@pytest.fixture
+def server(ros, monkeypatch):
+    """A server that counts as large what has some hundred rows."""
+    monkeypatch.setattr(slicing, 'AT_ONCE', 300)
+    overrides = [Parameter(name, value=value) for name, value in PARAMETERS.items()]
+    node = Node('turns', parameter_overrides=overrides)
+    server = BvhServer(node)
+    yield server
+    server.destroy()
+    node.destroy_node()
+
+
+@pytest.fixture
+def rows_in_main(monkeypatch):
+    """How many rows each turn of this thread applies."""
+    rows, here = [], threading.current_thread()
+    move = slicing.Updates.apply
+
+    def apply(self, source, group, part, **given):
+        if threading.current_thread() is here:
+            rows.append(len(part.shapes.kind))
+        return move(self, source, group, part, **given)
+
+    monkeypatch.setattr(slicing.Updates, 'apply', apply)
+    return rows
+
+
+def cloud(messages, count, height):
+    at = np.arange(float(count))
+    columns = {'x': at % 50, 'y': at // 50, 'z': np.full(count, float(height))}
+    return messages.cloud(columns | dict.fromkeys(('vx', 'vy', 'vz'), np.zeros(count)))
+
+
+def source(server, name):
+    return next(one for one in server.world.sources if one.name == name)
+
+
+def is_there(scene, height):
+    return scene.raycast((0, 0, height + 1), (0, 0, height - 1)) is not None
+
+
+@pytest.mark.parametrize('name', ['given', 'followed'])
+def test_a_large_cloud_is_applied_by_a_helper_and_the_old_one_is_visible(
+    server, messages, rows_in_main, name
+):
+    world, of = server.world, source(server, name)
+    for height in (0, 10, 20):
+        before = len(world.scene)
+        work, pauses = of._applying([serialize_message(cloud(messages, 1000, height))], 1), 0
+        for _ in work:
+            pauses += 1
+            assert len(world.scene) == before
+            assert is_there(world.scene, height - 10) == (height > 0)
+            assert not is_there(world.scene, height)
+            assert world.scene.raycast(*BELOW) is None
+        assert pauses > 0
+        assert world.changes.owner is None
+        assert is_there(world.scene, height)
+        assert not is_there(world.scene, height - 10)
+    assert rows_in_main == []
+    world.scene.validate()
+
+
+def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, messages, rows_in_main):
+    for _ in source(server, 'given')._applying([serialize_message(cloud(messages, 9000, 0))], 1):
+        pass
+    assert rows_in_main == []
+    markers = [messages.marker(k, (k, 0, 50)) for k in range(1000)]
+    message = serialize_message(MarkerArray(markers=markers))
+    pauses = sum(1 for _ in source(server, 'markers')._applying([message], 2))
+    assert pauses >= 1000 // slicing.SLICE
+    assert sum(rows_in_main) == 1000
+    assert max(rows_in_main) <= slicing.SLICE
+    assert len(server.world.scene) == 10_000
+
+
+def test_other_sources_wait_for_a_large_change_and_then_apply_theirs(server, messages):
+    world, large, small = server.world, source(server, 'given'), source(server, 'markers')
+    work = large._applying([serialize_message(cloud(messages, 1000, 0))], 1)
+    next(work)
+    assert world.changes.owner is large
+    small.receive([serialize_message(MarkerArray(markers=[messages.marker(0, (0, 0, 50))]))])
+    assert len(world.scene) == 0
+    for _ in work:
+        assert not is_there(world.scene, 50)
+    assert (len(world.scene), world.changes.owner) == (1000, None)
+    small.finish()
+    assert is_there(world.scene, 50)
+
+
+def test_a_newer_cloud_replaces_those_that_wait(server, messages):
+    of = source(server, 'given')
+    for height in (0, 10, 20, 30):
+        of.receive([serialize_message(cloud(messages, 1000, height))])
+    of.finish()
+    assert [is_there(server.world.scene, height) for height in (0, 10, 20, 30)] == [False] * 3 + [
+        True
+    ]
+
+
+def test_a_change_whose_message_is_dropped_ends_before_the_next(server, messages):
+    of = source(server, 'given')
+    work = of._applying([serialize_message(cloud(messages, 1000, 0))], 1)
+    next(work)
+    assert server.world.changes.owner is of
+    work.close()
+    assert server.world.changes.owner is None
+    assert not server.world.scene.interrupted
+    server.world.scene.validate()
+
+
+def test_nothing_is_removed_while_the_scene_is_copied(server, messages):
+    world = server.world
+    scene = world.scene
+    source(server, 'markers').apply_now(
+        serialize_message(MarkerArray(markers=[messages.marker(0, lifetime=1)])), 0
+    )
+    work = source(server, 'given')._applying([serialize_message(cloud(messages, 1000, 9))], 1)
+    next(work)
+    if world.changes.copying:
+        assert world.expire(10**12) is False
+        assert len(scene) == 1
+    for _ in work:
+        pass
+    world.expire(10**12)
+    assert len(world.scene) == 1000
+
+
+class Clock:
+    """A clock that a piece sets forward as its rows take."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def perf_counter(self):
+        return self.now
+
+
+@pytest.mark.parametrize('row', [1e-7, 1e-6, 1e-5, 1e-4, 1e-3])
+def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(server, monkeypatch, row):
+    from bvh_ros.ros.parts import batch
+
+    clock, pieces = Clock(), []
+    monkeypatch.setattr(batch.time, 'perf_counter', clock.perf_counter)
+    one = object.__new__(batch.RayBatch)
+    one._rows, one._world = batch.FIRST_PIECE, server.world
+
+    def answer(piece):
+        pieces.append(piece)
+        clock.now += row * (piece.stop - piece.start)
+
+    for _ in range(3):
+        pieces.clear()
+        for _ in one._in_pieces(50_000, answer):
+            pass
+        assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
+        assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
+    sizes = [piece.stop - piece.start for piece in pieces]
+    most = min(max(1.01 * batch.PIECE_TIME / row, batch.LEAST_PIECE), batch.LARGEST_PIECE)
+    assert max(sizes) <= most
+    assert np.median(sizes) >= 0.25 * min(most, 50_000)
+
+
+def test_a_scene_that_is_prepared_answers_a_batch_as_one_that_is_not():
+    from bvh_ros.scene import Numbered, Shapes
+
+    random = np.random.default_rng(3)
+    places, ends = random.uniform(0, 20, (2, 3000, 3))
+    answers = []
+    for prepared in (False, True):
+        scene = Scene()
+        scene.update(
+            's', Numbered('b', np.arange(3000)), Shapes.boxes(places, (0.5,) * 3), stamp=1
+        )
+        if prepared:
+            scene.prepare_batch(3000)
+        answers.append(scene.raycast_many(ends, ends - places))
+    for one, other in zip(*answers, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -1,0 +1,37 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The commands end quietly when Ctrl-C comes while their modules are imported."""
+
+import subprocess
+import sys
+
+import pytest
+
+from bvh_ros import commands
+
+# The first import of numpy, rclpy or numba interrupts, as a signal would.
+INTERRUPTED = """
+import signal, sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] in ('numpy', 'rclpy', 'numba', 'matplotlib'):
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+from bvh_ros import commands
+sys.exit(commands.{command}())
+"""
+COMMANDS = [name for name in vars(commands) if name.startswith('bvh_')]
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_an_interrupted_import_prints_no_traceback(command):
+    program = INTERRUPTED.format(command=command)
+    ended = subprocess.run(
+        [sys.executable, '-c', program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode in (0, commands.INTERRUPTED)
+    assert ended.stderr == ''
+
+
+def test_every_command_is_there():
+    assert len(COMMANDS) == 6
