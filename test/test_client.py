@@ -332,7 +332,8 @@ def test_threads_that_come_at_once_open_the_topics_once(client, node):
     for one in threads:
         one.join()
     assert len(set(map(id, channels))) == 1
-    assert len({id(one) for one in node.subscriptions} - before) == 1
+    # A reliable one, and one by best effort.
+    assert len({id(one) for one in node.subscriptions} - before) == 2
 
 
 def test_calls_do_not_become_slower(client):

@@ -20,10 +20,15 @@ from rclpy.task import Future
 from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
+from bvh_ros.client.asking import Patience, Question
 from bvh_ros.client.errors import BvhError
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Rays
-from bvh_ros.ros.qos import DEPTH
+from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS
 
+# Fast DDS sends a heartbeat with each message of a publisher that keeps only the latest one, so
+# what is lost is sent again at once. What the next message has replaced is asked again.
+LATEST = QoSProfile(depth=1)
+ROW_WORK, POSE_WORK = 1e-5, 1e-4  # seconds that an answer takes a row, and a pose, at most
 JITTER = 1_000_000  # ns, of a stamp near the clock
 TIME_JITTER = 1_000_000_000  # ns, of a stamp near the times of the rows: clients may share these
 LAST_STAMP = 2**31 * 10**9  # ns
@@ -55,36 +60,45 @@ class Channel:
         self.topic = topics[0]
         self._read = read
         self.has_answered = False
-        self._waiting: dict[tuple[int, int], tuple[Future, int]] = {}
+        self._waiting: dict[tuple[int, int], tuple[Future, int, Question]] = {}
+        self._patience = Patience()
         self.nothing = kind
         """Makes a message that asks nothing."""
-        self._publisher = node.create_publisher(kind, topics[0], DEPTH)
-        self.subscription = node.create_subscription(
-            PointCloud2, topics[1], self._receive, DEPTH, callback_group=group
-        )
+        self._publisher = node.create_publisher(kind, topics[0], LATEST)
+        # A lost message holds up the reliable subscription until a heartbeat, not the other one.
+        self.subscriptions = [
+            node.create_subscription(
+                PointCloud2, topics[1], self._receive, qos, callback_group=group
+            )
+            for qos in (REQUESTS, REPEATED_REPLIES)
+        ]
 
     def is_found(self) -> bool:
         """Whether the node's ends of both topics are found."""
         return bool(
-            self._publisher.get_subscription_count() and self.subscription.get_publisher_count()
+            self._publisher.get_subscription_count()
+            and self.subscriptions[0].get_publisher_count()
         )
 
     def ask(
         self, asked: Any, frame_id: str, stamp: int | None, executor: Executor | None = None
-    ) -> Future:
+    ) -> tuple[Future, Question]:
         """Publish a message of questions; return a future of the answers, whose callbacks the
-        executor runs.
+        executor runs, and what asks again.
         """
         asked.header.frame_id = frame_id
         asked.header.stamp = Time(nanoseconds=self.stamp() if stamp is None else stamp).to_msg()
         answer = Future(executor=executor)
-        self._waiting[_key(asked)] = answer, _rows_of(asked)
-        self._publisher.publish(asked)
-        return answer
+        rows = _rows_of(asked)
+        work = rows * (POSE_WORK if isinstance(asked, Path) else ROW_WORK)
+        question = Question(lambda _: self._publisher.publish(asked), self._patience, work)
+        self._waiting[_key(asked)] = answer, rows, question
+        question.ask_if_due()
+        return answer, question
 
     def forget(self, answer: Future) -> None:
         """Wait for this answer no longer."""
-        for key, (other, _) in list(self._waiting.items()):
+        for key, (other, *_) in list(self._waiting.items()):
             if other is answer:
                 self._waiting.pop(key, None)
 
@@ -107,9 +121,11 @@ class Channel:
                 return int(stamp)
 
     def _receive(self, cloud: PointCloud2) -> None:
-        answer, count = self._waiting.pop(_key(cloud), (None, 0))
-        if answer is None:
-            return  # another client's
+        waiting = self._waiting.pop(_key(cloud), None)
+        if waiting is None:
+            return  # another client's, or not the first answer
+        answer, count, question = waiting
+        question.answered()
         self.has_answered = True
         try:
             hits = self._read(cloud)

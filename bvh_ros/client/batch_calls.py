@@ -14,6 +14,7 @@ from rclpy.task import Future
 from bvh_ros.client import volumes
 from bvh_ros.client.batch import as_rays, earliest, since, with_times
 from bvh_ros.client.channels import Channels
+from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions import ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
 from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits, Rays
@@ -25,6 +26,7 @@ class BatchCalls:
     node: Node
     timeout: float
     channels: Channels
+    waiting: Waiting
 
     def raycast_many(
         self,
@@ -195,13 +197,17 @@ class BatchCalls:
     ) -> Future:
         """Ask as `raycast_many` does; return a future of its result.
 
-        `wait_until_batches_are_ready` first: what is asked before the node listens is lost.
+        While no answer comes, the rays are published again for the client's `timeout`.
         """
         rays, stamp = self._timed(
             as_rays(origins, directions, t_max, mask, radius), at, until, frame_id, stamp
         )
         cloud = ray_clouds.rays_cloud(rays)
-        return self.channels.open('rays').ask(cloud, frame_id, stamp, self.node.executor)
+        answer, question = self.channels.open('rays').ask(
+            cloud, frame_id, stamp, self.node.executor
+        )
+        self.waiting.ask_again(answer, question, self.timeout)
+        return answer
 
     def _timed(
         self,

@@ -51,7 +51,8 @@ class Channels:
                 topics = f'{self._name}/{asked}', f'{self._name}/{told}'
                 channel = Channel(self._node, topics, read, self._group, kind)
                 self._channels[asked] = channel
-                self._waiting.add_subscription(channel.subscription)
+                for subscription in channel.subscriptions:
+                    self._waiting.add_subscription(subscription)
             return self._channels[asked]
 
     def until_answered(self, channel: Channel, timeout: float) -> None:
@@ -63,8 +64,8 @@ class Channels:
         while not channel.has_answered:
             if time.monotonic() > deadline:
                 raise BvhTimeoutError(f"'{channel.topic}' did not answer within {timeout:g} s")
-            nothing = channel.ask(channel.nothing(), '', None)
-            self._waiting.until_done(nothing, PATIENCE)
+            nothing, question = channel.ask(channel.nothing(), '', None)
+            self._waiting.until_done(nothing, PATIENCE, question)
             channel.forget(nothing)
             if nothing.done():
                 nothing.exception()  # an error is an answer, too
@@ -82,8 +83,9 @@ class Channels:
         """
         channel = self.open(asked)
         self.until_answered(channel, timeout)
-        answer = channel.ask(message, frame_id, stamp)
-        return Pending(self._waiting, answer, f"'{channel.topic}'", channel.forget)
+        answer, question = channel.ask(message, frame_id, stamp)
+        whom = f"'{channel.topic}'"
+        return Pending(self._waiting, answer, whom, channel.forget, question)
 
     def find_names(self, handles: set[int], timeout: float) -> dict[int, str]:
         """Names of those of the handles that are told in time, in order; BvhTimeoutError if none

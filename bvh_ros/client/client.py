@@ -58,7 +58,7 @@ class BvhClient(SingleCalls, BatchCalls):
         self.timeout = timeout
         # A group of their own: a callback that awaits an answer keeps the group it is in busy.
         group = ReentrantCallbackGroup()
-        self.waiting = Waiting(node)
+        self.waiting = Waiting(node, group)
         self.services = Services(node, name, group, self.waiting)
         self.channels = Channels(node, name, group, self.waiting)
 

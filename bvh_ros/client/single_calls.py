@@ -134,7 +134,7 @@ class SingleCalls:
     ) -> Future:
         """Ask as `raycast` does; return a future of its result, for use inside callbacks."""
         request = plans.request(start, end, radius, frame_id, times=(at, until))
-        return self.services.ask(self.services.raycast, request, plans.first_hit)
+        return self.services.ask(self.services.raycast, request, plans.first_hit, self.timeout)
 
     def raycast_all_async(
         self,
@@ -148,7 +148,7 @@ class SingleCalls:
     ) -> Future:
         """Ask as `raycast_all` does; return a future of its result."""
         request = plans.request(start, end, radius, frame_id, times=(at, until))
-        return self.services.ask(self.services.raycast_all, request, plans.all_hits)
+        return self.services.ask(self.services.raycast_all, request, plans.all_hits, self.timeout)
 
     def overlap_async(
         self,
@@ -162,7 +162,7 @@ class SingleCalls:
     ) -> Future:
         """Ask as `overlap` does; return a future of its result."""
         request = plans.request(*(corner, opposite, tolerance, frame_id, orientation), (at, None))
-        return self.services.ask(self.services.overlap, request, plans.all_hits)
+        return self.services.ask(self.services.overlap, request, plans.all_hits, self.timeout)
 
     def _call(
         self, client: Client, request: GetPlan.Request, timeout: float | None

@@ -9,13 +9,17 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidHandle
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 
+from bvh_ros.client.asking import LEAST, Question
 from bvh_ros.client.errors import BvhError, BvhTimeoutError
 from bvh_ros.ros.private_rclpy import WaitSet
 
@@ -32,14 +36,18 @@ class Waiting:
     the same future.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, group: CallbackGroup) -> None:
         self._node = node
+        self._group = group
         self._clients: list[Client] = []
         self._subscriptions: list[Subscription] = []
+        self._watched: dict[Future, tuple[Question, float]] = {}
+        self._timer: Timer | None = None
 
     def add_client(self, client: Client) -> None:
         """Take the replies to this one while waiting."""
-        self._clients.append(client)
+        if client not in self._clients:
+            self._clients.append(client)
 
     def remove_client(self, client: Client) -> None:
         """Leave its replies alone; it is about to be destroyed."""
@@ -70,8 +78,9 @@ class Waiting:
                 return False
             time.sleep(POLL)
 
-    def until_done(self, answer: Future, timeout: float) -> bool:
-        """Return whether the answer came within `timeout` seconds.
+    def until_done(self, answer: Future, timeout: float, question: Question | None = None) -> bool:
+        """Return whether the answer came within `timeout` seconds, in which the question is asked
+        again.
 
         Raises
         ------
@@ -83,9 +92,32 @@ class Waiting:
         taken_by_others = GuardCondition(None, None, context=self._node.context)
         answer.add_done_callback(lambda _answer: taken_by_others.trigger())
         while not answer.done() and (left := deadline - time.monotonic()) > 0.0:
-            self._take_what_comes(taken_by_others, min(left, LOOK))
+            due = LOOK if question is None else question.ask_if_due()
+            self._take_what_comes(taken_by_others, min(left, due, LOOK))
             self.check()
         return bool(answer.done())
+
+    def ask_again(self, answer: Future, question: Question, timeout: float) -> None:
+        """Ask until the answer comes, by a timer of the node, for `timeout` seconds at most."""
+        self._watched[answer] = question, time.monotonic() + timeout
+        if self._timer is None:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self._node.create_timer(LEAST, self._look, self._group, steady)
+        elif self._timer.is_canceled():
+            self._timer.reset()
+            if self._node.executor is not None:
+                self._node.executor.wake()
+
+    def _look(self) -> None:
+        for answer, (question, end) in [*self._watched.items()]:
+            if answer.done() or answer.cancelled() or time.monotonic() > end:
+                self._watched.pop(answer, None)
+            else:
+                question.ask_if_due()
+        if self._timer is not None and not self._watched:
+            self._timer.cancel()
+            if self._watched:  # another thread has asked meanwhile
+                self._timer.reset()
 
     def _take_what_comes(self, wake: GuardCondition, timeout: float) -> None:
         clients, subscriptions = [*self._clients], [*self._subscriptions]
@@ -124,19 +156,27 @@ class Pending:
         Who was asked, for people.
     forget : callable
         Is called when nobody waits any more.
+    question : Question, optional
+        Is asked again while the answer is waited for.
     """
 
     def __init__(
-        self, waiting: Waiting, answer: Future, whom: str, forget: Callable[[Future], None]
+        self,
+        waiting: Waiting,
+        answer: Future,
+        whom: str,
+        forget: Callable[[Future], None],
+        question: Question | None = None,
     ) -> None:
         self._waiting = waiting
         self._answer = answer
         self.whom = whom
         self._forget = forget
+        self._question = question
 
     def is_done(self, timeout: float) -> bool:
         """Return whether the answer came within `timeout` seconds; BvhError if it never can."""
-        return self._waiting.until_done(self._answer, timeout)
+        return self._waiting.until_done(self._answer, timeout, self._question)
 
     def result(self, timeout: float) -> Any:
         """Wait for the answer; BvhTimeoutError if it does not come within `timeout` seconds."""

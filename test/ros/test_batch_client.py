@@ -132,3 +132,23 @@ def test_names_are_a_latched_diagnostic_status(filled):
     handles = [int(pair.key) for pair in received[-1].values]
     assert handles == sorted(handles)
     assert received[-1].message == '3 obstacles'
+
+
+def test_requests_before_a_large_message(filled, client):
+    """The message pushes some of them out of the shared memory; they are asked again."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(client.node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        client.wait_until_ready()
+        client.wait_until_batches_are_ready()
+        asked = [client.raycast_async((0, 0, 0), (0, 0, 9)) for _ in range(200)]
+        origins = np.zeros((40_000, 3), np.float32)  # 0.96 MB
+        hits = client.raycast_many(origins, origins + np.float32((0, 0, 1)), timeout=60.0)
+        assert (hits.t == 4.5).all()
+        filled.until(lambda: all(answer.done() for answer in asked))
+        assert {answer.result().name for answer in asked} == {'crate/0'}
+    finally:
+        executor.shutdown()
+        thread.join()

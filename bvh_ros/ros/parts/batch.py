@@ -79,7 +79,8 @@ class Batch(NodePart):
         self._world = world
         self._kernels = kernels
         self._rows = FIRST_PIECE  # of the next piece
-        self._work: deque[Iterator[None]] = deque()  # clouds that wait, the first begun
+        # Questions that wait, the first begun: their bytes, and what answers them.
+        self._work: deque[tuple[bytes, Iterator[None]]] = deque()
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
         self._publisher = self.publisher(PointCloud2, view.topic(self.told), DEPTH)
@@ -91,16 +92,18 @@ class Batch(NodePart):
         self.every(QOS_PERIOD, subscription.check)
 
     def receive(self, messages: Sequence[bytes]) -> None:
-        """Begin to answer one cloud."""
+        """Begin to answer one cloud, unless it repeats a question that still waits."""
         (serialised,) = messages
+        if any(serialised == waiting for waiting, _ in self._work):
+            return
         try:
             request = self._read(serialised)
         except ValueError as error:  # from whom, and what was asked, is not known
             self.refused.add(str(error))
             return
-        self._work.append(self._answering(request))
+        self._work.append((serialised, self._answering(request)))
         while len(self._work) > DEPTH:
-            for _ in self._work.popleft():
+            for _ in self._work.popleft()[1]:
                 pass
         self._go_on()
 
@@ -109,7 +112,7 @@ class Batch(NodePart):
         began = time.perf_counter()
         try:
             while self._work and time.perf_counter() - began < TURN:
-                if next(self._work[0], DONE) is DONE:
+                if next(self._work[0][1], DONE) is DONE:
                     self._work.popleft()
         finally:
             if self._work:
@@ -118,7 +121,7 @@ class Batch(NodePart):
     def finish(self) -> None:
         """Answer until nothing reads the scene in the helper thread any more."""
         while self._work and self._world.changes.owner is self:
-            next(self._work[0])
+            next(self._work[0][1])
 
     def _answering(self, request: PointCloud) -> Iterator[None]:
         """Answer one cloud, with pauses."""

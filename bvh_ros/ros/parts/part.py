@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.clock import Clock, ClockType
 
 from bvh_ros.ros.parts.replies import Replies
-from bvh_ros.ros.qos import REQUESTS
+from bvh_ros.ros.qos import REPEATED, REQUESTS
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -38,6 +38,11 @@ class NodePart:
             Replies(self.node, service).close,
         ]
         return service
+
+    def repeated_service(self, kind: type, name: str, callback: Callable[..., Any]) -> None:
+        """Create a best-effort service; its clients ask again if a reply is lost."""
+        service = self.node.create_service(kind, name, callback, qos_profile=REPEATED)
+        self._close.append(partial(self.node.destroy_service, service))
 
     def publisher(self, kind: type, topic: str, qos: Any, **given: Any) -> Any:
         """Create a publisher that lives as long as this part."""

@@ -20,6 +20,7 @@ from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.qos import repeated
 from bvh_ros.ros.world.known_times import NOW, Span, span_of
 from bvh_ros.ros.world.large_changes import PATIENCE
 from bvh_ros.scene import TooManyHitsError
@@ -81,6 +82,7 @@ class QueryServices(NodePart):
             return response
 
         self.service(GetPlan, self.view.topic(name), callback)
+        self.repeated_service(GetPlan, self.view.topic(repeated(name)), callback)
 
     def _raycast(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view

@@ -125,7 +125,8 @@ def test_a_client_may_ask_and_nothing_else(policy):
     node = granted(policy, '/bvh/node', '/bvh')
     client = granted(policy, '/bvh/client', '/bvh_client')
     services = 'raycast', 'raycast_all', 'overlap', 'nearest'
-    assert client['request'] == {f'/bvh/{name}' for name in services}
+    names = {*services, *(f'_best_effort/{name}' for name in services)}
+    assert client['request'] == {f'/bvh/{name}' for name in names}
     assert client['request'] <= node['reply']
     shared = {'/rosout', '/parameter_events'}
     asked = {'/bvh/rays', '/bvh/boxes', '/bvh/points'}
