@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree.access import ALL, IS_CHANGED, NONE, checks
-from .distance import clearance, nearness
-from .distance.clearance import Neighbours
-from .distance.query_rows import NO_GIVEN, given_rows, number_of, query_rows
-from .distance.touching_rows import Near, Points, Signed
+from .distance import batch
+from .distance.batch import Near, Neighbours, Points, Signed
+from .distance.query import NO_GIVEN, given_rows, number_of, query_rows
 from .geometry.records import GEOMETRY
 from .geometry.shapes import Floats, Shapes, as_shapes
 from .results import NO_NODE, Clearance, SceneHit
@@ -24,8 +23,8 @@ class DistanceQueries:
 
     _held: Obstacles
     _timed: TimedQueries
-    _nearness: nearness.Nearness
-    _clearances: clearance.Clearances
+    _nearness: batch.Nearness
+    _clearances: batch.Clearances
 
     def nearest(
         self,
@@ -176,12 +175,12 @@ class DistanceQueries:
         if type(k) is not int or k != 1:
             many = checks.capacity('k', k)
         count = len(where)
-        if count >= nearness.MANY:
+        if count >= batch.MANY:
             checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         # As Points(...), which would take one more call of a function of Python's.
-        order = nearness.NO_ORDER if count < nearness.MANY else self._nearness.order_of(where)
+        order = batch.NO_ORDER if count < batch.MANY else self._nearness.order_of(where)
         asked = tuple.__new__(Points, (where, reaches, masks, order))
         sign: Signed = sign_of(signed)
         if type(threads) is not int or threads != 1:

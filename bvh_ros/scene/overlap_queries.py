@@ -8,10 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree.access import ALL, checks
-from .distance import overlaps
-from .distance.query_rows import BOXES, UNTURNED, given_rows, number_of, query_rows, shape_query
-from .distance.query_shape import NO_TURN, QueryShape, box_query
-from .distance.touching_rows import WANTED
+from .distance import batch
+from .distance.batch import WANTED
+from .distance.query import (
+    BOXES,
+    NO_TURN,
+    UNTURNED,
+    QueryShape,
+    box_query,
+    given_rows,
+    number_of,
+    query_rows,
+    shape_query,
+)
 from .geometry.shapes import Shapes, as_shapes
 from .results import SceneHit, require_few
 from .store.obstacles import Obstacles
@@ -23,7 +32,7 @@ class OverlapQueries:
 
     _held: Obstacles
     _timed: TimedQueries
-    _touching: overlaps.Overlaps
+    _touching: batch.Overlaps
 
     def overlap(
         self,
@@ -268,9 +277,9 @@ class OverlapQueries:
         """
         if self._held.change.unfinished:
             self._held.change.require_none()
-        pairs = overlaps.find_pairs(self._held.tree, self._held.columns, mask)
+        pairs = batch.find_pairs(self._held.tree, self._held.columns, mask)
         if self._held.columns.shadows:
-            pairs = overlaps.each_once(self._held.columns, pairs)
+            pairs = batch.each_once(self._held.columns, pairs)
         return [
             (self._held.registry.name(one), self._held.registry.name(two))
             for one, two in pairs.tolist()

@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..tree.access import checks
 from .delegation import method_of
-from .distance.clearance import Clearances
-from .distance.nearness import Nearness
-from .distance.overlaps import Overlaps
+from .distance.batch import Clearances, Nearness, Overlaps
 from .distance_queries import DistanceQueries
 from .geometry.shapes import Floats
 from .inspection import Inspection

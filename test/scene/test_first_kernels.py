@@ -7,7 +7,7 @@ import pytest
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
 from bvh_ros.scene.cast import batch
-from bvh_ros.scene.distance.overlaps import Overlaps
+from bvh_ros.scene.distance.batch import Overlaps
 
 NOWHERE = 1e3
 TURNED = 0.0, 0.0, 0.6, 0.8

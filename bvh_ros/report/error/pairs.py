@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scene import ShapeKind, Shapes
-from ...scene.distance.gap import gap as distance_of
+from ...scene.distance.narrow_phase import gap as distance_of
 from ...scene.distance.narrow_phase import near_pairs
 from ...scene.geometry.canonical import canonicalise
 from ...scene.geometry.shapes import as_shapes, rotations, unit_quaternions

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
 from ...tree.compiler import lean_kernel
-from ..distance.hull_gap import closest_on_mesh
+from ..distance.narrow_phase import closest_on_mesh
 from ..geometry.lengths import length, scale_of
 from ..geometry.rim import FACE, ROUND
 from ..geometry.rotation import rotate

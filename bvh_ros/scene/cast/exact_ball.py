@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from ...tree.access import INSIDE, DynamicBVH, set_ray
 from ...tree.compiler import lean_kernel, stack_array
-from ..distance import overlaps
+from ..distance import batch
 from ..geometry.rim import ROUND
 from ..geometry.shapes import Floats
 from ..results import require_few
@@ -268,7 +268,7 @@ def _exact(
     """Return, for each of `rows`, the exact time at which the ball touches its box. None where it
     never does; and, if only the first hit counts, where it does so later than another box.
     """
-    lows, highs = overlaps.corners(columns.geometry[slots])
+    lows, highs = batch.corners(columns.geometry[slots])
     origin, direction = sweep.origin.tolist(), sweep.direction.tolist()
     ndim, latest = len(origin), np.inf
     roots: dict[int, Root | None] = dict.fromkeys(rows.tolist())

@@ -42,8 +42,8 @@ from ...tree.access import (
     traversal_distance,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..distance.hull_gap import hull_gap
-from ..distance.simplex import dot
+from ..distance.gjk import dot
+from ..distance.narrow_phase import hull_gap
 from ..geometry.farthest import farthest_vertex
 from ..geometry.hull import hull_of
 from ..geometry.rim import FACE, ROUND

@@ -1,35 +1,249 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether true shapes touch: the narrow phase, for any pair of kinds.
-
-Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a capsule its
-axis. Growing by a tolerance is the same again, so corners come out round (the Minkowski sum with a
-ball). Two boxes are first asked for a separating plane; what that leaves open, `sure_gap` decides.
-Seen from above they work on the shadows of the cores, whose axes and centres have z = 0.
-
-**The solid meant** is that of the stored doubles: position, half sizes, and the quaternion brought
-to unit length. Cores are seen from the position of one of the two, so that a pair far from the
-world's origin is as well known as one next to it. A shape and another are one pair, whichever is
-asked about: `ordered` puts the same first.
-
-**Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only where
-a plane keeps them apart by more than SLACK of the largest length in play (how far their centres
-are apart, a half size, the tolerance), and to touch only where a point of one is as near to a
-point of the other. Axis-aligned boxes are decided exactly elsewhere, see `overlaps`.
-"""
+"""Two shapes: whether they touch, how far they are apart, and their closest points."""
 
 import math
 
 import numpy as np
 
-from ...tree.compiler import lean_kernel, stack_array
-from ..geometry.hull import hull_of
-from ..geometry.rotation import rotate
-from ..geometry.shapes import CAPSULE, CYLINDER, MESH, SPHERE
-from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
-from .separation import separation
-from .simplex import SLACK, WAY_ROOM
-from .sure_gap import sure_bounds
+from ...tree.compiler import inlined, lean_kernel, stack_array
+from ..geometry.hull import hull_of, hull_of_point
+from ..geometry.lengths import scale_of
+from ..geometry.rim import closest_on_footprint
+from ..geometry.rotation import fill_rotation, rotate
+from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
+from .certified import certified_bounds, set_normal
+from .gjk import (
+    AXES,
+    CENTRE,
+    CORE_ROWS,
+    FIRST,
+    HALF,
+    SECOND,
+    SLACK,
+    WAY_ROOM,
+    Core,
+    dot,
+    separation,
+)
+
+# ---- How far a point is from a convex mesh, as GJK says.
+
+
+@lean_kernel
+def hull_gap(hull, point, apart, normal):
+    """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there, and
+    the unit vector `normal` across the plane that proves it: next to the mesh the way between two
+    points is noise, that vector is not.
+    """
+    ball = stack_array((CORE_ROWS, 3), np.float64)
+    mesh = stack_array((CORE_ROWS, 3), np.float64)
+    way = stack_array(WAY_ROOM, np.float64)
+    largest = max(hull.radius, abs(point[0]), abs(point[1]), abs(point[2]))
+    exponent = math.frexp(largest)[1]
+    for row in range(CORE_ROWS):
+        for axis in range(3):
+            ball[row, axis] = mesh[row, axis] = 1.0 if row == AXES + axis else 0.0
+    for axis in range(3):
+        ball[CENTRE, axis] = math.ldexp(point[axis], -exponent)
+    mesh[HALF, 0] = math.ldexp(1.0, -exponent)
+    point_core, mesh_core = Core(ball, False, hull_of_point(hull)), Core(mesh, False, hull)
+    high = certified_bounds(point_core, mesh_core, SLACK, True, way)[1]
+    for axis in range(3):
+        apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)
+    set_normal(way, normal)
+    if high <= SLACK:
+        return 0.0
+    return math.ldexp(high, exponent)
+
+
+@lean_kernel
+def closest_on_hull(hull, point, out):
+    """Fill `out` with the closest point of a mesh, `point` itself inside; return the distance."""
+    apart, normal = stack_array(3, np.float64), stack_array(3, np.float64)
+    distance = hull_gap(hull, point, apart, normal)
+    for axis in range(3):
+        out[axis] = point[axis] - apart[axis] if distance > 0.0 else point[axis]
+    return distance
+
+
+@lean_kernel
+def closest_on_mesh(hulls, shape, scale, point, out):
+    """`closest_on_hull` of a shape's mesh times scale."""
+    place = stack_array(3, np.float64)
+    for axis in range(3):
+        place[axis] = point[axis] / scale
+    closest_on_hull(hull_of(hulls, shape), place, out)
+    for axis in range(3):
+        out[axis] *= scale
+
+
+# ---- The point of an obstacle that is closest to a query's centre, and how far it is.
+#
+# Far from the world's origin points are rounded more than distances. A planar scene is seen from
+# above: z is that of the caller.
+
+
+@lean_kernel
+def length(vector):
+    """Euclidean length; where squares would overflow or vanish scaled by a power of two, which
+    changes no digit elsewhere.
+    """
+    largest, square = 0.0, 0.0
+    for axis in range(vector.shape[0]):
+        largest = max(largest, abs(vector[axis]))
+        square += vector[axis] * vector[axis]
+    if 1e-140 < largest < 1e140:
+        return math.sqrt(square)
+    exponent, square = math.frexp(largest)[1], 0.0
+    for axis in range(vector.shape[0]):
+        scaled = math.ldexp(vector[axis], -exponent)
+        square += scaled * scaled
+    return math.ldexp(math.sqrt(square), exponent)
+
+
+@lean_kernel
+def look_back(point, centre, ndim, normal):
+    """Distance of a point from the centre along the first axes; fill in the unit vector to the
+    centre, zero at it.
+    """
+    for axis in range(3):
+        normal[axis] = centre[axis] - point[axis] if axis < ndim else 0.0
+    distance = length(normal)
+    if distance > 0.0:
+        for axis in range(ndim):
+            normal[axis] /= distance
+    return distance
+
+
+@lean_kernel
+def closest_in_box(lo, hi, centre, point):
+    """Fill in the coordinates along the box's axes."""
+    for axis in range(lo.shape[0]):
+        point[axis] = min(max(centre[axis], lo[axis]), hi[axis])
+
+
+@lean_kernel
+def closest_in_frame(shape, hulls, local, closest):
+    """Fill in the point closest to `local` in the frame of a shape, where it lies at the origin;
+    `local` itself inside.
+    """
+    half, away = shape.half, stack_array(3, np.float64)
+    for axis in range(3):
+        closest[axis] = min(max(local[axis], -half[axis]), half[axis])
+    if shape.kind == BOX:
+        return
+    if shape.kind == MESH:
+        if hulls is not None:
+            closest_on_hull(hull_of(hulls, shape), local, closest)
+        return
+    if shape.kind == CYLINDER:
+        shrink = half[0] / max(length(local[:2]), half[0])
+        closest[0], closest[1] = local[0] * shrink, local[1] * shrink
+        return
+    straight = half[2] - half[0]  # of a capsule; of a sphere nothing
+    level = min(max(local[2], -straight), straight)
+    away[0], away[1], away[2] = local[0], local[1], local[2] - level
+    far = length(away)
+    shrink = half[0] / max(far, half[0])
+    for axis in range(3):
+        on_surface = away[axis] * shrink + (level if axis == 2 else 0.0)
+        closest[axis] = on_surface if far > half[0] else local[axis]
+
+
+@lean_kernel
+def closest_in_shape(shape, hulls, centre, point):
+    """Fill in the point of a turned or round shape closest to the centre; the centre itself
+    inside. Return the distance.
+    """
+    matrix = stack_array((3, 3), np.float64)
+    local, closest = stack_array(3, np.float64), stack_array(3, np.float64)
+    fill_rotation(shape.orientation, matrix)
+    for axis in range(3):
+        local[axis] = (
+            matrix[0, axis] * (centre[0] - shape.position[0])
+            + matrix[1, axis] * (centre[1] - shape.position[1])
+            + matrix[2, axis] * (centre[2] - shape.position[2])
+        )
+    closest_in_frame(shape, hulls, local, closest)
+    inside = closest[0] == local[0] and closest[1] == local[1] and closest[2] == local[2]
+    for axis in range(3):
+        place = (matrix[axis, 0] * closest[0] + matrix[axis, 1] * closest[1]) + matrix[
+            axis, 2
+        ] * closest[2]
+        point[axis] = centre[axis] if inside else place + shape.position[axis]
+        local[axis] -= closest[axis]  # from here on the way
+    return length(local)
+
+
+@lean_kernel
+def closest_in_footprint(footprint, hulls, centre, point):
+    """Fill in x and y of the point of a footprint closest to the centre; the centre's inside."""
+    local, closest = stack_array(2, np.float64), stack_array(2, np.float64)
+    largest = footprint.radius + footprint.straight + footprint.half_axes[1]
+    for axis in range(2):
+        largest = max(largest, abs(centre[axis]), abs(footprint.centre[axis]))
+    scale = scale_of(largest)
+    for axis in range(2):
+        local[axis] = centre[axis] * scale - footprint.centre[axis] * scale
+    inside = closest_on_footprint(footprint, hulls, scale, local, closest) == 0.0
+    for axis in range(2):
+        place = closest[axis] / scale + footprint.centre[axis]
+        point[axis] = centre[axis] if inside else place
+
+
+@inlined
+def fill_corners(shape, corners):
+    """Fill in the corners (2, 3) of an axis-aligned box: the same doubles that the tree holds."""
+    for axis in range(3):
+        corners[0, axis] = shape.position[axis] - shape.half[axis]
+        corners[1, axis] = shape.position[axis] + shape.half[axis]
+
+
+@lean_kernel
+def closest_in_obstacle(shape, hulls, centre, point, normal):
+    """Fill in the obstacle's point closest to the centre, and the unit vector from there to the
+    centre; return the distance.
+    """
+    if shape.shaped:
+        distance = closest_in_shape(shape, hulls, centre, point)
+        look_back(point, centre, 3, normal)
+        return distance
+    corners = stack_array((2, 3), np.float64)
+    fill_corners(shape, corners)
+    closest_in_box(corners[0], corners[1], centre, point)
+    return look_back(point, centre, 3, normal)
+
+
+@lean_kernel
+def closest_from_above(shape, footprint, hulls, centre, point, normal):
+    """`closest_in_obstacle` seen from above; z of the point stays."""
+    if shape.shaped:
+        closest_in_footprint(footprint, hulls, centre, point)
+    else:
+        corners = stack_array((2, 3), np.float64)
+        fill_corners(shape, corners)
+        closest_in_box(corners[0, :2], corners[1, :2], centre, point)
+    return look_back(point, centre, 2, normal)
+
+
+# ---- Whether true shapes touch: the narrow phase, for any pair of kinds.
+#
+# Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a capsule its
+# axis. Growing by a tolerance is the same again, so corners come out round (the Minkowski sum
+# with a ball). Two boxes are first asked for a separating plane; what that leaves open,
+# `certified` decides. Seen from above they work on the shadows of the cores, whose axes and
+# centres have z = 0.
+#
+# **The solid meant** is that of the stored doubles: position, half sizes, and the quaternion
+# brought to unit length. Cores are seen from the position of one of the two, so that a pair far
+# from the world's origin is as well known as one next to it. A shape and another are one pair,
+# whichever is asked about: `ordered` puts the same first.
+#
+# **Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only
+# where a plane keeps them apart by more than SLACK of the largest length in play (how far their
+# centres are apart, a half size, the tolerance), and to touch only where a point of one is as
+# near to a point of the other. Axis-aligned boxes are decided exactly elsewhere, see `overlaps`.
 
 
 @lean_kernel
@@ -139,7 +353,7 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
     hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
     cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
-    low, _, more_digits = sure_bounds(cores[0], cores[1], limit, False, way)
+    low, _, more_digits = certified_bounds(cores[0], cores[1], limit, False, way)
     return low <= limit, more_digits
 
 
@@ -152,3 +366,77 @@ def near_pairs(records, hulls, pairs, planar, found):
         found[i], more = near(one, hulls, other, hulls, 0.0, planar)
         count += more
     return count
+
+
+# ---- How far two shapes are apart, and which of their points are closest.
+
+
+@lean_kernel
+def gap(one, hulls, other, other_hulls, planar, points):
+    """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
+    one. It is the same from either side.
+    """
+    if ordered(one, other):
+        return ordered_gap(one, hulls, other, other_hulls, planar, points)
+    distance = ordered_gap(other, other_hulls, one, hulls, planar, points)
+    for axis in range(3):
+        points[0, axis], points[1, axis] = points[1, axis], points[0, axis]
+    return distance
+
+
+@lean_kernel
+def ordered_gap(one, hulls, other, other_hulls, planar, points):
+    first = stack_array((CORE_ROWS, 3), np.float64)
+    second = stack_array((CORE_ROWS, 3), np.float64)
+    way = stack_array(WAY_ROOM, np.float64)
+    cores, (radius, other_radius), exponent = fill_cores(
+        *(one, hulls, other, other_hulls), planar, (first, second)
+    )
+    limit = radius + other_radius + SLACK
+    low, high, _ = certified_bounds(cores[0], cores[1], limit, True, way)
+    apart = high if high - low <= SLACK else low
+    touching = apart <= limit
+    for axis in range(3):
+        way[axis] = way[FIRST + axis] - way[SECOND + axis]
+    share, other_share = surfaces(radius, other_radius, math.sqrt(dot(way, way)), touching)
+    for axis in range(3):
+        points[0, axis] = way[FIRST + axis] - share * way[axis]
+        points[1, axis] = way[FIRST + axis] - other_share * way[axis]
+        for row in range(2):
+            points[row, axis] = math.ldexp(points[row, axis], exponent) + one.position[axis]
+    return 0.0 if touching else math.ldexp(apart - radius - other_radius, exponent)
+
+
+@lean_kernel
+def surfaces(radius, other_radius, length, touching):
+    """Where the surfaces are on the way from a point of one core to a point of the other, in
+    shares of it; twice a point in both where they touch.
+    """
+    if touching:
+        share = radius / max(radius + other_radius, length) if radius > 0.0 else 0.0
+        return share, share
+    return radius / length, 1.0 - other_radius / length
+
+
+@lean_kernel
+def box_gap(one, other, ndim, points):
+    """`gap` of two axis-aligned boxes: between their faces, and in the middle where they face
+    each other.
+    """
+    corners = stack_array((4, 3), np.float64)
+    gaps = stack_array(3, np.float64)
+    fill_corners(one, corners[:2])
+    fill_corners(other, corners[2:])
+    for axis in range(3):
+        # Of what they have in common, if low <= high.
+        low = max(corners[0, axis], corners[2, axis])
+        high = min(corners[1, axis], corners[3, axis])
+        gaps[axis] = max(low - high, 0.0) if axis < ndim else 0.0
+        for row in range(2):
+            if low <= high:
+                points[row, axis] = low * 0.5 + high * 0.5
+            elif corners[2 * row, axis] >= low:
+                points[row, axis] = corners[2 * row, axis]
+            else:
+                points[row, axis] = corners[2 * row + 1, axis]
+    return length(gaps)

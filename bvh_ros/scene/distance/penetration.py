@@ -1,28 +1,357 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How deep shapes that touch reach into each other: the least distance by which one of them has to
-move until they only just touch, and which way.
-
-Shapes are solids, meshes and footprints too. Their cores (see `gjk`) are apart, and their radii
-overlap; or the cores overlap, and one has to be moved: boxes, points and segments along one of 15
-lines (see `separation`), a point in a cylinder through its side or an end, all others as
-`expanding_polytope` says. Between the cores, one moved that far and a bit, GJK then finds the
-points: so they are of the shapes, and as far apart as the depth.
-"""
+"""How deep two shapes overlap."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...tree.access import two_sum
 from ...tree.compiler import lean_kernel, stack_array
 from ..geometry.hull import hull_of, hull_of_point
-from .expanding_polygon import polygon_depth
-from .expanding_polytope import polytope_depth
-from .gjk import AXES, CENTRE, CORE_ROWS, HALF, Core
-from .narrow_phase import fill_core, fill_cores, largest_length, ordered
-from .separation import LINES, fill_line
-from .simplex import SECOND, SLACK, WAY_ROOM, dot
-from .sure_gap import set_normal, sure_bounds
+from .certified import certified_bounds, cross2, dot2, set_normal
+from .gjk import (
+    AXES,
+    CENTRE,
+    CORE_ROWS,
+    HALF,
+    LINES,
+    SECOND,
+    SLACK,
+    WAY_ROOM,
+    Core,
+    corner_of,
+    dot,
+    fill_line,
+)
+from .narrow_phase import fill_core, fill_cores, fill_corners, largest_length, ordered
+
+# ---- The least distance by which two overlapping cores can be parted: expanding polytopes (van
+# den Bergen, "Proximity Queries and Penetration Depth Computation on 3D Game Objects", 2001).
+#
+# Let D be the set of all differences b - a of points of the other core and of this one. It holds
+# the origin where they overlap, and to move this core by m parts them if m is not inside D: the
+# least such m leads to the closest point of D's surface. A polytope with corners in D grows by
+# the corner of D that is farthest along the normal of its closest face. The face is nearer than
+# D's surface, the plane through the new corner farther: two bounds, and it ends when they agree.
+#
+# Where faces are slivers, normals and sides take twice the digits; so the polytope stays convex.
+# Its faces always close: each edge belongs to two, once in either direction.
+
+MOST_CORNERS = 256  # of polyhedra few are needed, about round rims all where many sides are tied
+MOST_FACES = 2 * MOST_CORNERS
+SIDE_SURE = 2.0**-44  # of lengths about 1: nearer to a plane, doubles do not tell the side
+
+
+class Polytope(NamedTuple):
+    """Corners, and the triangles between them."""
+
+    corners: Any
+    """(MOST_CORNERS, 3)"""
+    faces: Any
+    """(MOST_FACES, 3) rows of `corners`, counter-clockwise from outside."""
+    planes: Any
+    """(MOST_FACES, 4) outward unit normals, and distances from the origin; 0 and inf where a
+    triangle has no area."""
+
+
+@lean_kernel
+def reach_in(one, other, way, corner):
+    """Fill in the corner of D that is farthest along `way`; return how far that is."""
+    both = stack_array(6, np.float64)
+    corner_of(one, other, way, both)
+    for axis in range(3):
+        corner[axis] = -both[axis]
+    return dot(way, corner)
+
+
+@lean_kernel
+def polytope_depth(one, other, normal):
+    """(low, high) around the least distance that parts two cores (see `gjk`); `normal` becomes the
+    unit vector along which this core has to move by `high`.
+
+    They agree to SLACK, but where more sides are tied, to rounding, than a polytope has corners;
+    `high` parts them all the same. Of cores that are just apart both are not above 0.
+    """
+    corners = stack_array((MOST_CORNERS, 3), np.float64)
+    faces = stack_array((MOST_FACES, 3), np.int64)
+    planes = stack_array((MOST_FACES, 4), np.float64)
+    polytope = Polytope(corners, faces, planes)
+    if not first_triangle(one, other, corners, normal):
+        high = reach_in(one, other, normal, corners[0])
+        return high, high
+    for side in range(2):
+        faces[side, 0], faces[side, 1], faces[side, 2] = 0, 1 + side, 2 - side
+        set_plane(polytope, side)
+    low, high, count = -np.inf, np.inf, 2
+    if one.is_round or other.is_round:
+        high = try_lines(one, other, normal)
+    for number in range(3, MOST_CORNERS):
+        closest = 0
+        for face in range(count):
+            if planes[face, 3] < planes[closest, 3]:
+                closest = face
+        low, way = planes[closest, 3], planes[closest, :3]
+        reach = reach_in(one, other, way, corners[number])
+        if reach < high:
+            high = reach
+            for axis in range(3):
+                normal[axis] = way[axis]
+        if high - low <= SLACK:
+            break
+        count = expand(polytope, count, number)
+        if count == 0:
+            break
+    return min(low, high), high
+
+
+@lean_kernel
+def try_lines(one, other, normal):
+    """The least way apart along the 15 lines, and straight through the side of a cylinder; fill in
+    where to. Beside round rims these are the ways that many others are nearly as short as.
+    """
+    way, corner, least = stack_array(3, np.float64), stack_array(3, np.float64), np.inf
+    for line in range(LINES + 2):
+        if line < LINES:
+            some = fill_line(one.rows, other.rows, line, way)
+        else:
+            axis = one.rows[AXES + 2] if line == LINES else other.rows[AXES + 2]
+            some = fill_aside(one.rows, other.rows, axis, way)
+        for _ in range(2 if some else 0):
+            reach = reach_in(one, other, way, corner)
+            if reach < least:
+                least = reach
+                for row in range(3):
+                    normal[row] = way[row]
+            for row in range(3):
+                way[row] = -way[row]
+    return least
+
+
+@lean_kernel
+def fill_aside(one, other, axis, way):
+    """Fill in the unit vector between the centres of two cores, across an axis; false if there is
+    none.
+    """
+    for row in range(3):
+        way[row] = one[CENTRE, row] - other[CENTRE, row]
+    along = dot(way, axis)
+    for row in range(3):
+        way[row] -= along * axis[row]
+    size = math.sqrt(dot(way, way))
+    for row in range(3):
+        way[row] = way[row] / size if size > 0.0 else 0.0
+    return size > 0.0
+
+
+@lean_kernel
+def first_triangle(one, other, corners, normal):
+    """Fill in three corners; false if D is a line, across which `normal` is then."""
+    trial, way = stack_array((2, 3), np.float64), stack_array(3, np.float64)
+    edge, widest = stack_array(3, np.float64), -1.0
+    for axis in range(3):
+        for side in range(2):
+            for row in range(3):
+                way[row] = (1.0 - 2.0 * side) * (row == axis)
+            reach_in(one, other, way, trial[side])
+        for row in range(3):
+            way[row] = trial[1, row] - trial[0, row]
+        if dot(way, way) > widest:
+            widest = dot(way, way)
+            for row in range(3):
+                corners[0, row], corners[1, row] = trial[0, row], trial[1, row]
+                edge[row] = way[row]
+    widest = 0.0
+    for turn in range(6):
+        axis, sign = turn % 3, 1.0 - 2.0 * (turn // 3)
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        way[axis], way[y], way[z] = 0.0, sign * edge[z], -sign * edge[y]
+        size = math.sqrt(dot(way, way))
+        if size == 0.0 and widest > 0.0:
+            continue
+        for row in range(3):
+            way[row] = way[row] / size if size > 0.0 else 1.0 * (row == axis)
+        reach_in(one, other, way, trial[0])
+        if widest == 0.0:
+            for row in range(3):
+                normal[row] = way[row]
+        area = size_across(edge, corners[0], trial[0])
+        if area > widest:
+            widest = area
+            for row in range(3):
+                corners[2, row] = trial[0, row]
+    return widest > 0.0
+
+
+@lean_kernel
+def size_across(edge, start, place):
+    """How far a place is from the line along an edge, times the edge's length."""
+    largest, away = 0.0, stack_array(3, np.float64)
+    for axis in range(3):
+        away[axis] = place[axis] - start[axis]
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        largest = max(largest, abs(edge[y] * away[z] - edge[z] * away[y]))
+    return largest
+
+
+@lean_kernel
+def fill_normal(corners, face, normal):
+    """Fill in twice a triangle's area along its normal, with twice the digits: (3, 2)."""
+    room = stack_array((2, 3, 2), np.float64)
+    for axis in range(3):
+        start = corners[face[0], axis]
+        for side in range(2):
+            room[side, axis, 0], room[side, axis, 1] = two_sum(
+                corners[face[1 + side], axis], -start
+            )
+    cross2(room[0], room[1], normal)
+
+
+@lean_kernel
+def set_plane(polytope, number):
+    """Fill in the plane of a face."""
+    face, plane = polytope.faces[number], polytope.planes[number]
+    normal = stack_array((3, 2), np.float64)
+    fill_normal(polytope.corners, face, normal)
+    largest = max(abs(normal[0, 0]), abs(normal[1, 0]), abs(normal[2, 0]))
+    exponent = math.frexp(largest)[1]
+    for axis in range(3):
+        plane[axis] = math.ldexp(normal[axis, 0], -exponent)
+    size = math.sqrt(dot(plane, plane))
+    plane[3] = np.inf
+    if size > 0.0:
+        for axis in range(3):
+            plane[axis] /= size
+        plane[3] = dot(plane, polytope.corners[face[0]])
+
+
+@lean_kernel
+def is_above(polytope, number, corner):
+    """Whether a corner is on the outer side of a face."""
+    plane = polytope.planes[number]
+    height = dot(plane, corner) - plane[3]
+    if not abs(height) <= SIDE_SURE:
+        return height > 0.0
+    room, face = stack_array((2, 3, 2), np.float64), polytope.faces[number]
+    fill_normal(polytope.corners, face, room[0])
+    for axis in range(3):
+        start = polytope.corners[face[0], axis]
+        room[1, axis, 0], room[1, axis, 1] = two_sum(corner[axis], -start)
+    return dot2(room[0], room[1])[0] > 0.0
+
+
+@lean_kernel
+def expand(polytope, count, number):
+    """Take in a corner: the faces that see it give way to those between their rim and it. Return
+    how many faces there are then, 0 if there is no room.
+    """
+    faces, planes = polytope.faces, polytope.planes
+    seen, kept = stack_array((MOST_FACES, 3), np.int64), 0
+    many = 0
+    for face in range(count):
+        sees = is_above(polytope, face, polytope.corners[number])
+        target = seen[many] if sees else faces[kept]
+        for axis in range(3):
+            target[axis] = faces[face, axis]
+        if sees:
+            many += 1
+            continue
+        for axis in range(4):
+            planes[kept, axis] = planes[face, axis]
+        kept += 1
+    for face in range(many):
+        for side in range(3):
+            i, j = seen[face, side], seen[face, (side + 1) % 3]
+            if has_edge(seen, many, j, i):
+                continue
+            if kept == MOST_FACES:
+                return 0
+            faces[kept, 0], faces[kept, 1], faces[kept, 2] = i, j, number
+            set_plane(polytope, kept)
+            kept += 1
+    return kept
+
+
+@lean_kernel
+def has_edge(faces, count, i, j):
+    """Whether one of some faces has the edge from i to j."""
+    for face in range(count):
+        for side in range(3):
+            if faces[face, side] == i and faces[face, (side + 1) % 3] == j:
+                return True
+    return False
+
+
+# ---- `polytope_depth` in the plane, for what is seen from above: edges instead of faces.
+
+MOST_EDGES = 256
+
+
+@lean_kernel
+def polygon_depth(one, other, normal):
+    """`polytope_depth` of cores with z = 0, parted within the plane."""
+    edges = stack_array((MOST_EDGES, 2, 2), np.float64)  # from, to
+    lines = stack_array((MOST_EDGES, 3), np.float64)  # as planes
+    corner = stack_array(3, np.float64)
+    normal[2] = 0.0
+    for axis in range(2):
+        for side in range(2):
+            normal[axis], normal[1 - axis] = 1.0 - 2.0 * side, 0.0
+            high = reach_in(one, other, normal, corner)
+            for row in range(2):
+                edges[side, 0, row] = edges[1 - side, 1, row] = corner[row]
+        if edges[0, 0, axis] != edges[1, 0, axis]:
+            break
+    low, count = high, 2
+    if edges[0, 0, 0] == edges[1, 0, 0] and edges[0, 0, 1] == edges[1, 0, 1]:
+        return low, high
+    set_line(edges[0], lines[0])
+    set_line(edges[1], lines[1])
+    way, high = stack_array(3, np.float64), np.inf
+    while count < MOST_EDGES:
+        closest = 0
+        for edge in range(count):
+            if lines[edge, 2] < lines[closest, 2]:
+                closest = edge
+        low = lines[closest, 2]
+        way[0], way[1], way[2] = lines[closest, 0], lines[closest, 1], 0.0
+        reach = reach_in(one, other, way, corner)
+        if reach < high:
+            high, normal[0], normal[1] = reach, way[0], way[1]
+        if high - low <= SLACK:
+            break
+        for row in range(2):
+            edges[count, 0, row], edges[count, 1, row] = corner[row], edges[closest, 1, row]
+            edges[closest, 1, row] = corner[row]
+        set_line(edges[closest], lines[closest])
+        set_line(edges[count], lines[count])
+        count += 1
+    return min(low, high), high
+
+
+@lean_kernel
+def set_line(edge, line):
+    """Fill in the outward unit normal of an edge, counter-clockwise, and its distance from the
+    origin, inf if it has no length.
+    """
+    x, y = edge[1, 1] - edge[0, 1], edge[0, 0] - edge[1, 0]
+    size = math.hypot(x, y)
+    line[0], line[1], line[2] = 0.0, 0.0, np.inf
+    if size > 0.0:
+        line[0], line[1] = x / size, y / size
+        line[2] = line[0] * edge[0, 0] + line[1] * edge[0, 1]
+
+
+# ---- How deep shapes that touch reach into each other: the least distance by which one of them
+# has to move until they only just touch, and which way.
+#
+# Shapes are solids, meshes and footprints too. Their cores (see `gjk`) are apart, and their
+# radii overlap; or the cores overlap, and one has to be moved: boxes, points and segments along
+# one of 15 lines (see `separation`), a point in a cylinder through its side or an end, all
+# others as `polytope_depth` says. Between the cores, one moved that far and a bit, GJK then
+# finds the points: so they are of the shapes, and as far apart as the depth.
 
 BEYOND = 2.0**-8  # of lengths about 1: how far cores are parted to see where they touch
 
@@ -85,7 +414,7 @@ def scaled_back(depth, exponent, origin, points):
 def core_depth(cores, radii, planar, points, normal):
     """`penetration` of two cores with their radii."""
     way = stack_array(WAY_ROOM, np.float64)
-    low, high, _ = sure_bounds(cores[0], cores[1], SLACK, True, way)
+    low, high, _ = certified_bounds(cores[0], cores[1], SLACK, True, way)
     set_normal(way, normal)
     depth = -high if high - low <= SLACK else -low
     if high <= SLACK:
@@ -104,7 +433,7 @@ def core_depth(cores, radii, planar, points, normal):
 
 @lean_kernel
 def part(cores, distance, normal, way):
-    """`gjk.gap_bounds` fills in `way` once the first core has moved so far along a normal."""
+    """`gap_bounds` fills in `way` once the first core has moved so far along a normal."""
     rows = stack_array((CORE_ROWS, 3), np.float64)
     for row in range(CORE_ROWS):
         for axis in range(3):
@@ -112,7 +441,7 @@ def part(cores, distance, normal, way):
     for axis in range(3):
         rows[CENTRE, axis] += distance * normal[axis]
     moved = Core(rows, cores[0].is_round, cores[0].hull)
-    sure_bounds(moved, cores[1], SLACK, True, way)
+    certified_bounds(moved, cores[1], SLACK, True, way)
 
 
 @lean_kernel
@@ -184,3 +513,86 @@ def out_of_box(one, other, normal):
             for row in range(3):
                 normal[row] = -way[row] if offset < 0.0 else way[row]
     return least
+
+
+# ---- Distances below 0: what of an answer changes where a point or shape reaches into an
+# obstacle.
+
+
+@lean_kernel
+def out_of_aligned(lo, hi, low, high, normal):
+    """The least distance by which a box, or point, from low to high has to move along an axis to
+    leave the box from lo to hi, negative if it is outside; fill in which way. Ties go to the
+    lowest axis, and there upwards.
+    """
+    least, out, sign = np.inf, 0, 1.0
+    for axis in range(lo.shape[0]):
+        up, down = hi[axis] - low[axis], high[axis] - lo[axis]
+        if min(up, down) < least:
+            least, out, sign = min(up, down), axis, 1.0 if up <= down else -1.0
+    for axis in range(3):
+        normal[axis] = sign if axis == out else 0.0
+    return least
+
+
+@lean_kernel
+def signed_distance_in_box(lo, hi, centre, found, row):
+    """Where an axis-aligned box holds the centre, fill in how deep."""
+    if found.distances[row] > 0.0:
+        return
+    normal = found.normals[row]
+    found.distances[row] = 0.0 - out_of_aligned(lo, hi, centre, centre, normal)
+    for axis in range(lo.shape[0]):
+        if normal[axis] != 0.0:
+            found.points[row, axis] = hi[axis] if normal[axis] > 0.0 else lo[axis]
+
+
+@lean_kernel
+def signed_distance_in_obstacle(shape, bodies, centre, found, row):
+    """Where an obstacle holds the centre, fill in how deep."""
+    if found.distances[row] > 0.0:
+        return
+    ndim = 3 if bodies.footprints is None else 2
+    points = stack_array((2, 3), np.float64)
+    if not shape.shaped:
+        fill_corners(shape, points)
+        signed_distance_in_box(points[0, :ndim], points[1, :ndim], centre, found, row)
+        return
+    normal = found.normals[row]
+    depth = depth_of_point(centre, shape, bodies.hulls, ndim == 2, points, normal)
+    found.distances[row] = 0.0 - depth
+    for axis in range(ndim):
+        found.points[row, axis] = points[1, axis]
+
+
+@lean_kernel
+def signed_distance_of_shapes(one, other, bodies, distance, points):
+    """Minus the depth of a shape in an obstacle where their distance is 0; then fill in the points
+    of their surfaces that are so far apart.
+    """
+    if distance > 0.0:
+        return distance
+    planar, normal = bodies.footprints is not None, stack_array(3, np.float64)
+    if one.shaped or other.shaped:
+        return 0.0 - penetration(
+            one, bodies.query_hulls, other, bodies.hulls, planar, points, normal
+        )
+    return 0.0 - box_depth(one, other, 2 if planar else 3, points, normal)
+
+
+@lean_kernel
+def box_depth(one, other, ndim, points, normal):
+    """`penetration` of two axis-aligned boxes; across the way out, `points` are as
+    `box_gap` left them.
+    """
+    corners = stack_array((4, 3), np.float64)
+    fill_corners(one, corners[:2])
+    fill_corners(other, corners[2:])
+    depth = out_of_aligned(
+        *(corners[2, :ndim], corners[3, :ndim]), *(corners[0, :ndim], corners[1, :ndim]), normal
+    )
+    for axis in range(ndim):
+        if normal[axis] != 0.0:
+            side = 1 if normal[axis] > 0.0 else 0
+            points[0, axis], points[1, axis] = corners[1 - side, axis], corners[2 + side, axis]
+    return depth

@@ -1,30 +1,107 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlaps and distances at a time, among obstacles that have velocities: how `moving` is called,
-and one query. Scenes without velocities need none of this.
-"""
+"""Overlaps and distances at a time, among obstacles that have velocities."""
 
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import CHANGES, COUNT, NOTHING, Tree
+from ...tree.access import (
+    CHANGES,
+    NONE,
+    NOTHING,
+    UINT32,
+    PointQueries,
+    Tree,
+    are_dense,
+    in_threads,
+    order_of,
+)
+from ...tree.access import COUNT as COUNTED
 from ...tree.compiler import entry_point
-from ...tree.motion.access import times_of
-from ..geometry.shapes import Floats
+from ...tree.motion.access import Bounded, times_of
+from ..geometry.footprint import FOOTPRINT
+from ..geometry.records import GEOMETRY
+from ..geometry.shapes import Floats, along_axes
 from ..results import SceneHit
 from ..store.mesh_store import Hulls
 from ..store.obstacles import Obstacles
 from ..store.places import movers
 from ..store.spare import Spare
-from .kept import FEW, Known, Scratch, no_rows
-from .moving import Then, touch_rows
-from .moving_neighbours import near_rows
-from .query_rows import NO_GIVEN
-from .query_shape import QueryShape
-from .touching_rows import COUNT as COUNTED
-from .touching_rows import Signed, bodies_of
+from .batch import (
+    ALL,
+    HITS,
+    MANY,
+    NO_ORDER,
+    NOT_ASKED,
+    Near,
+    Neighbours,
+    Points,
+    Signed,
+    as_wanted,
+    bodies_of,
+    room_for_neighbours,
+)
+from .batch import COUNT as WANT_COUNT
+from .batch import room_for as answers_for
+from .moving import ROOM, QueryTimes, clear_rows, near_rows, touch_rows
+from .query import FAULTY, FOUND, NO_GIVEN, ROUNDED, Found, QueryShape, found_in, number_of
+
+# ---- What is kept from one question at a time to the next, see `TimedDistances`.
+
+FEW = 64  # obstacles that there is room for at first
+
+
+class CachedArguments(NamedTuple):
+    """What kernels are told of a world while it is of one version and its arrays are these."""
+
+    version: int
+    bodies: Any
+    then: QueryTimes
+    memory: tuple[Any, Any]
+    """See `moving.room_in`."""
+
+
+class Scratch:
+    """Room that kernels write to, see `Spare`. And what they read of one query, as making arrays
+    of one row would take longer than most queries.
+    """
+
+    def __init__(self) -> None:
+        self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
+        self.point = np.empty((1, 3))
+        self.points = Points(self.point, self.limits, self.masks, NO_ORDER)
+        self.answers, self.told = answers_for(1, WANT_COUNT), no_rows(1, 1)
+        self.make_room(FEW)
+
+    def make_room(self, count: int) -> None:
+        """Have room for at least so many."""
+        self.known: CachedArguments | None = None
+        self.floats = np.zeros(ROOM * 2 * count)
+        self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
+        self.found: Found = found_in.py_func(self.floats[: FOUND * 2 * count])
+
+    def memory(self, then: QueryTimes) -> tuple[Any, Any]:
+        """What of it kernels write to as they look at what stands there then."""
+        footprint = None if then.bodies.footprints is None else self.footprint
+        spare = then.bodies._replace(shapes=self.shape, footprints=footprint)
+        return self.floats, spare
+
+    def have_room(self, count: int) -> None:
+        """`make_room` if there is less."""
+        if count > len(self.found.slots):
+            self.make_room(count)
+
+
+def no_rows(count: int, k: int) -> Near:
+    # As Near(...), which would take one more call of a function of Python's.
+    parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
+    return tuple.__new__(Near, parts)
+
+
+# ---- Overlaps and distances at a time, among obstacles that have velocities: how `moving` is
+# called, and one query. Scenes without velocities need none of this.
 
 
 class OneTimed:
@@ -38,14 +115,14 @@ class OneTimed:
     def find(
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
     ) -> list[SceneHit]:
-        """What a query touches at a time, in the order of `overlaps.Overlaps.find`."""
+        """What a query touches at a time, in the order of `batch.Overlaps.find`."""
         scratch, tree, done = self._spare.take(), self._held.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
         asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
             arrays, found = tree._settled().tree, scratch.found
             then, memory = self._known(scratch, arrays, at, hulls)
-            given = asked, (0, 1, COUNTED, 0), memory, scratch.answers
+            given = asked, (0, 1, WANT_COUNT, 0), memory, scratch.answers
             done, wanted, _, compared = self._call(arrays, touch_rows, then, given, None)
             if not done:
                 scratch.have_room(wanted)
@@ -59,7 +136,7 @@ class OneTimed:
     def find_near(
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed, at: float
     ) -> list[SceneHit]:
-        """What is nearest to a point at a time, in the order of `nearness.Nearness.find`."""
+        """What is nearest to a point at a time, in the order of `batch.Nearness.find`."""
         scratch, held, done = self._spare.take(), self._held, 0
         scratch.point[0] = point
         reach, scratch.masks[0] = limits
@@ -93,11 +170,11 @@ class OneTimed:
         held, columns = self._held, self._held.columns
         shaped, twice = columns.shaped > 0, columns.shadows > 0
         some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
-        return some_more, arrays[4].item(COUNT), twice, signed
+        return some_more, arrays[4].item(COUNTED), twice, signed
 
     def _known(
         self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None
-    ) -> tuple[Then, tuple[Any, Any]]:
+    ) -> tuple[QueryTimes, tuple[Any, Any]]:
         """What a kernel is told of times, and what of `scratch` it writes to."""
         known, bodies, version = scratch.known, self._held.columns.bodies, arrays[4].item(CHANGES)
         if known is not None and hulls is None and known[0] == version and known[1] is bodies:
@@ -105,20 +182,22 @@ class OneTimed:
         else:
             then = self._then(scratch.at, hulls)
             memory = scratch.memory(then)
-            scratch.known = Known(version, bodies, then, memory) if hulls is None else None
+            scratch.known = (
+                CachedArguments(version, bodies, then, memory) if hulls is None else None
+            )
         if type(at) is float:
             scratch.at[0] = at
             return then, memory
-        return tuple.__new__(Then, (*then[:2], at, *then[3:])), memory
+        return tuple.__new__(QueryTimes, (*then[:2], at, *then[3:])), memory
 
-    def _then(self, at: Floats, hulls: Hulls | None) -> Then:
+    def _then(self, at: Floats, hulls: Hulls | None) -> QueryTimes:
         held = self._held
         ends = movers(held)[1:] if held.uncertainty else (0.0, 0.0)
         places = bodies_of(held.columns, hulls), held.columns.node_handle
-        return Then(*places, at, held.uncertainty, *ends)
+        return QueryTimes(*places, at, held.uncertainty, *ends)
 
     def _call(
-        self, arrays: Tree, kernel: Any, then: Then, given: tuple[Any, ...], kind: Any
+        self, arrays: Tree, kernel: Any, then: QueryTimes, given: tuple[Any, ...], kind: Any
     ) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
         tree: Any = self._held.tree
@@ -132,8 +211,216 @@ class OneTimed:
         done = entry(arrays, motion.bounds, then, *given)
         return done if done[0] >= 0 else self._call_again(entry, then, given)
 
-    def _call_again(self, entry: Any, then: Then, given: tuple[Any, ...]) -> Any:
+    def _call_again(self, entry: Any, then: QueryTimes, given: tuple[Any, ...]) -> Any:
         """Call it with bounds that hold for these times."""
         tree: Any = self._held.tree
         spans = partial(times_of, then.at, NOTHING, NOTHING)
         return tree._motion.ask(tree, spans, lambda *arrays: entry(*arrays, then, *given))
+
+
+# ---- Batches of overlaps and distances at a time, or each at its own.
+
+MOST = 16  # boxes that packets look for
+
+
+class TimedDistances(OneTimed):
+    """Overlaps and distances of one scene at other times."""
+
+    def touching(
+        self, rows: tuple[Any, ...], hulls: Hulls | None, at: Any, threads: int, wanted: int
+    ) -> Any:
+        """What is `wanted` of what n queries touch at times, as `batch.Overlaps.answer` has
+        it; `at` (s) is one for all or (n,).
+        """
+        held, count = self._held, number_of(rows)
+        columns, arrays = held.columns, held.tree._settled().tree
+        told = answers_for(count, wanted)
+        if threads == 1 and not columns.shadows:  # without what others take
+            scratch = self._spare.take()
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (0, count, wanted, 0), memory, told
+            done, _, written, compared = self._call(arrays, touch_rows, then, given, None)
+            self._spare.give(scratch)
+            if done == count:
+                if compared:
+                    columns.pairs_compared += compared
+                if wanted != ALL and wanted != HITS:
+                    return told[wanted]
+                return as_wanted(told, [told[2][:written]], wanted, False)
+        return self._touching(arrays, rows, hulls, at, threads, wanted, told)
+
+    def _touching(
+        self,
+        arrays: Tree,
+        rows: tuple[Any, ...],
+        hulls: Hulls | None,
+        at: Any,
+        threads: int,
+        wanted: int,
+        told: tuple[Any, ...],
+    ) -> Any:
+        """The same, in parts."""
+        columns, count = self._held.columns, number_of(rows)
+        shadows, parts = columns.shadows > 0, []
+
+        def work(start: int, stop: int) -> Any:
+            begin, total, room, answers, some = start, 0, FEW, told, []
+            scratch = self._spare.take()
+            while start < stop:
+                then, memory = self._known(scratch, arrays, at, hulls)
+                if wanted == ALL:
+                    answers = *told[:2], np.empty(room, np.uint32), *told[3:]
+                given = rows, (start, stop, wanted, total), memory, answers
+                done = self._call(arrays, touch_rows, then, given, None)
+                start, needed, written, compared = done
+                if needed == FAULTY:
+                    return None
+                if written:
+                    some.append(answers[2][:written])
+                columns.pairs_compared += compared
+                total, room = total + written, max(2 * room, needed)
+                scratch.have_room(needed)
+            self._spare.give(scratch)
+            return begin, stop, some
+
+        for done in in_threads(work, count, threads):
+            if done is None:
+                return None
+            begin, stop, some = done
+            if wanted == ALL and begin > 0:
+                told[1][begin + 1 : stop + 1] += told[1][begin]
+            parts += some
+        every = None
+        if shadows and wanted in (WANT_COUNT, HITS):
+            every = self.touching(rows, hulls, at, threads, ALL)
+        return as_wanted(told, parts, wanted, shadows, every)
+
+    def nearest(
+        self, points: Points, k: int, signed: Signed, at: Any, threads: int
+    ) -> Near | None:
+        """The k obstacles nearest to n points at times, one in seconds for all or (n,); None if a
+        point is not finite.
+        """
+        count, arrays = len(points.points), self._held.tree._settled().tree
+        told, among = no_rows(count, k), self._among(arrays, signed)
+        if threads == 1 and count < MANY:  # without what others take
+            scratch = self._spare.take()
+            then, memory = self._known(scratch, arrays, at, None)
+            given = points, None, (0, count, k, *among), memory, told
+            done, wanted, _ = self._call(arrays, near_rows, then, given, signed)
+            self._spare.give(scratch)
+            if done == count:
+                return told
+            if wanted == FAULTY:
+                return None
+        return told if self._nearest(points, (k, *among), at, threads, told) else None
+
+    def _nearest(
+        self,
+        points: Points,
+        asked: tuple[int, bool, int, bool, Signed],
+        at: Any,
+        threads: int,
+        told: Near,
+    ) -> bool:
+        """The same, in parts; whether all points are finite."""
+        signed, count, tree = asked[-1], len(points.points), self._held.tree
+        view = tree.view()
+        near, known = self._in_packets(points, asked)
+        variant: Any = signed if known is None else (signed, Bounded)
+        if near is not None:
+            points = points._replace(order=near.order)
+
+        def work(start: int, stop: int) -> bool:
+            if near is not None and known is not None and tree.motion is not None:
+                rows = near._replace(order=near.order[start:stop])
+                tree.motion.bound_many(tree, at, rows, known)
+            scratch = self._spare.take()
+            while start < stop:
+                then, memory = self._known(scratch, view.tree, at, None)
+                given = points, known, (start, stop, *asked), memory, told
+                start, wanted, _ = self._call(view.tree, near_rows, then, given, variant)
+                if wanted == FAULTY:
+                    return False
+                scratch.have_room(wanted)
+            self._spare.give(scratch)
+            return True
+
+        finite = all(in_threads(work, count, threads))
+        if known is not None:
+            tree.check_unchanged(view)
+        return finite
+
+    def _in_packets(
+        self, points: Points, asked: tuple[int, bool, int, bool, Signed]
+    ) -> tuple[PointQueries, Bounded] | tuple[None, None]:
+        """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
+        asks for the rest itself, as where obstacles grow.
+        """
+        (k, some_more, everybody, *_), count = asked, len(points.points)
+        wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
+        dense = count >= MANY and are_dense(count, everybody)
+        if not dense or wanted > MOST or self._held.uncertainty:
+            return None, None
+        where, order = along_axes(points.points, ndim), points.order
+        if not len(order):
+            order = order_of(self._held.tree.view().tree, where)
+        limits = np.maximum(points.reaches * ROUNDED, points.reaches)
+        near = PointQueries(where, wanted, limits, points.masks, order)
+        slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
+        return near, Bounded(slots, counts, np.empty(count))
+
+    def clearances(
+        self,
+        rows: tuple[Any, ...],
+        hulls: Hulls | None,
+        asked: tuple[Floats, int, Signed],
+        at: Any,
+        threads: int,
+    ) -> Neighbours | None:
+        """The obstacles nearest to n shapes at times, one in seconds for all or (n,); asked =
+        (reaches, the slot of the obstacle that is the only row, or NONE, whether distances have a
+        sign). None if a row that is `given` is not legal.
+        """
+        reaches, itself, signed = asked
+        count, arrays = number_of(rows), self._held.tree._settled().tree
+        everybody = arrays[4].item(COUNTED)
+        told = room_for_neighbours(
+            count, NOT_ASKED if itself == NONE else np.empty(count, np.int64)
+        )
+        alike = itself == NONE and not self._held.columns.shaped
+        if threads == 1:  # without what others take
+            scratch = self._spare.take()
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (0, count, reaches, everybody, itself, signed, alike), memory, told
+            done, wanted = self._call(arrays, clear_rows, then, given, signed)
+            self._spare.give(scratch)
+            if done == count:
+                return told
+            if wanted == FAULTY:
+                return None
+        every = arrays, rows, hulls, (reaches, everybody, itself, signed, alike), at, told
+        return told if all(in_threads(partial(self._clear, *every), count, threads)) else None
+
+    def _clear(
+        self,
+        arrays: Tree,
+        rows: tuple[Any, ...],
+        hulls: Hulls | None,
+        asked: tuple[Floats, int, int, Signed, bool],
+        at: Any,
+        told: Neighbours,
+        start: int,
+        stop: int,
+    ) -> bool:
+        """Fill in the rows [start, stop); whether all are legal."""
+        scratch = self._spare.take()
+        while start < stop:
+            then, memory = self._known(scratch, arrays, at, hulls)
+            given = rows, (start, stop, *asked), memory, told
+            start, wanted = self._call(arrays, clear_rows, then, given, asked[3])
+            if wanted == FAULTY:
+                return False
+            scratch.have_room(wanted)
+        self._spare.give(scratch)
+        return True

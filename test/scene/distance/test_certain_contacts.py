@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.distance.gap import gap as distance_of
+from bvh_ros.scene.distance.narrow_phase import gap as distance_of
 from bvh_ros.scene.distance.narrow_phase import near_pairs
 
 COUNT = effort(400, 200_000)  # of each of five kinds

@@ -25,7 +25,7 @@ from scene.distance.contacts import (
 from tree.reference import effort
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.distance.gap import gap as distance_of
+from bvh_ros.scene.distance.narrow_phase import gap as distance_of
 from bvh_ros.scene.distance.narrow_phase import near, near_pairs
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]

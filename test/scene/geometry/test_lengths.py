@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bvh_ros.scene.distance import closest
+from bvh_ros.scene.distance import narrow_phase
 from bvh_ros.scene.geometry import lengths
 
 
@@ -24,7 +24,7 @@ def test_a_length_is_that_of_the_scaled_vector():
     vectors *= 10.0 ** rng.integers(-20, 1, (2000, 3)) * rng.integers(0, 2, (2000, 3))
     for vector in vectors:
         exponent = math.frexp(np.abs(vector).max())[1]
-        assert closest.length(vector) == scaled_length(vector, exponent)
+        assert narrow_phase.length(vector) == scaled_length(vector, exponent)
 
 
 def test_hypot_is_that_of_the_library():
