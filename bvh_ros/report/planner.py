@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from ..scene import Scene, Shapes
 from ..scene.cast import exact_ball
-from ..scene.geometry.shapes import rotations, unit_quaternions
+from ..scene.shapes.shape import rotations, unit_quaternions
 from .libraries import Coal, Fcl, centers
 from .page import Cell, Page, Table
 from .peers import many_times, one_processor

@@ -31,8 +31,7 @@ from bvh_ros.ros.job_scenes import (
     with_shapes,
 )
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
-from bvh_ros.scene.store.names import as_families
-from bvh_ros.scene.store.registry import Registry
+from bvh_ros.scene.names import Registry, as_families
 from bvh_ros.tree.access import inherit_entry
 
 FEW = 128  # rays that go through the snapshot one by one, where there is one

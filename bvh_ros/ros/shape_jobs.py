@@ -18,8 +18,8 @@ from bvh_ros.scene import ShapeKind
 from bvh_ros.scene.cast.arguments import Rays
 from bvh_ros.scene.cast.batch import first_hits, first_of_one
 from bvh_ros.scene.distance.narrow_phase import hull_gap
-from bvh_ros.scene.geometry.hull import Hull
-from bvh_ros.scene.store.obstacles import Obstacles
+from bvh_ros.scene.shapes.hull import Hull
+from bvh_ros.scene.store import Obstacles
 from bvh_ros.tree.compiler import prepare
 
 if TYPE_CHECKING:

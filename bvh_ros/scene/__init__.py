@@ -2,13 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
-from .geometry.meshes import Mesh, mesh_of
-from .geometry.shapes import ShapeKind, Shapes
-from .parts import Part
-from .refusals import Block, Refusal, Refusals
-from .results import NO_NODE, BoxHits, CastHits, Obstacle, SceneHit, TooManyHitsError
+from .names import Families, Numbered
+from .results import (
+    NO_NODE,
+    Block,
+    BoxHits,
+    CastHits,
+    Obstacle,
+    Refusal,
+    Refusals,
+    SceneHit,
+    TooManyHitsError,
+)
 from .scene import Scene
-from .store.names import Families, Numbered
+from .shapes.mesh import Mesh, mesh_of
+from .shapes.shape import ShapeKind, Shapes
+from .updates import Part
 
 __all__ = [
     'NO_NODE',

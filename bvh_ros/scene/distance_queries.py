@@ -11,10 +11,9 @@ from ..tree.access import ALL, IS_CHANGED, NONE, checks
 from .distance import batch
 from .distance.batch import Near, Neighbours, Points, Signed
 from .distance.query import NO_GIVEN, given_rows, number_of, query_rows
-from .geometry.records import GEOMETRY
-from .geometry.shapes import Floats, Shapes, as_shapes
 from .results import NO_NODE, Clearance, SceneHit
-from .store.obstacles import Obstacles
+from .shapes.shape import GEOMETRY, Floats, Shapes, as_shapes
+from .store import Obstacles
 from .timed_queries import TimedQueries
 
 

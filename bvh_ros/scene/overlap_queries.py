@@ -21,9 +21,9 @@ from .distance.query import (
     query_rows,
     shape_query,
 )
-from .geometry.shapes import Shapes, as_shapes
 from .results import SceneHit, require_few
-from .store.obstacles import Obstacles
+from .shapes.shape import Shapes, as_shapes
+from .store import Obstacles
 from .timed_queries import TimedQueries
 
 

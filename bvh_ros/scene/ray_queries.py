@@ -13,7 +13,7 @@ from ..tree.access import ALL, EVERYTHING
 from .cast import batch, boxes, exact_ball, query
 from .cast.arguments import UNIT_T_MAX, Rays, Sweep, refuse_infinite
 from .results import CastHits, SceneHit
-from .store.obstacles import Obstacles
+from .store import Obstacles
 from .timed_queries import TimedQueries
 
 

@@ -12,17 +12,15 @@ from ..tree.access import checks
 from .delegation import method_of
 from .distance.batch import Clearances, Nearness, Overlaps
 from .distance_queries import DistanceQueries
-from .geometry.shapes import Floats
 from .inspection import Inspection
+from .names import UNKNOWN
 from .overlap_queries import OverlapQueries
 from .ray_queries import RayQueries
-from .region import as_region
-from .removals import Removals
+from .shapes.shape import Floats
 from .slicing import SlicedUpdates
-from .store.obstacles import Obstacles, in_seconds
-from .store.registry import UNKNOWN
+from .store import Obstacles, in_seconds
 from .timed_queries import TimedQueries
-from .updates import Categorise, Updates
+from .updates import Categorise, Removals, Updates, as_region
 
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 

@@ -15,13 +15,11 @@ from collections.abc import Callable, Generator, Iterator
 import numpy as np
 
 from ..tree.access import SLOT_MASK
-from .parts import Part
-from .refusals import Refusals
-from .store import updating
-from .store.names import as_families
-from .store.obstacles import Obstacles
-from .store.registry import UNKNOWN, Slots
-from .updates import NONE, Sliced, Updates
+from .names import UNKNOWN, Slots, as_families
+from .results import Refusals
+from .rows import text
+from .store import Obstacles
+from .updates import NONE, Part, Sliced, Updates
 
 # An update is applied at once among fewer obstacles than this, or if it has a tenth of the rows:
 # that takes at most 30 ms. Slices and their shadows take up to ten times as long in all.
@@ -112,7 +110,7 @@ class SlicedUpdates:
         self, source: str, total: int, *, whole: bool, costly: bool = False, group: str = ''
     ) -> bool:
         """Whether `in_slices` pauses."""
-        updating.text('source', source), updating.text('group', group)
+        text('source', source), text('group', group)
         going = self._held.groups.members(source, group) if whole else 0
         among = max(total + len(self._held), going)
         long = 10 * max(total, going) >= AT_ONCE and among >= AT_ONCE

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..tree import checks
 from .cast.arguments import BoxHit, Rays, Sweep
-from .geometry.shapes import Floats
 from .results import CastHits
-from .store.obstacles import EXACT, Obstacles, all_in_seconds, in_seconds
-from .store.updating import FIRST_TIME, LAST_TIME, column
+from .rows import FIRST_TIME, LAST_TIME, column
+from .shapes.shape import Floats
+from .store import EXACT, Obstacles, all_in_seconds, in_seconds
 
 if TYPE_CHECKING:
     from .cast.motion_batch import Times

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.access import checks
-from .geometry.shapes import Floats
-from .speeds import Sighting
+from .shapes.shape import Floats
+from .updates import Sighting
 
 Ids = NDArray[np.int64]
 NOBODY = -1

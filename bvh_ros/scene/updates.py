@@ -1,25 +1,192 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of messages into a scene."""
+"""Changes of a scene: rows of messages come in, obstacles go."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .geometry.shapes import UINT8, Shapes, as_shapes
-from .parts import Part, require_a_name_each
-from .refusals import Refusals
-from .region import Region, within
-from .speeds import Follow, reach_of, speeds_of
-from .store import updating
-from .store.names import Families, Names, as_families
-from .store.obstacles import Obstacles
-from .store.registry import UNKNOWN, Slots
-from .store.updating import FIRST_TIME, Owner, Rows, Validated
+from ..tree.access import ALL, checks
+from .names import UNKNOWN, Families, Names, Slots, as_families
+from .results import Refusals
+from .rows import (
+    FIRST_TIME,
+    LAST_TIME,
+    Owner,
+    Rows,
+    Validated,
+    column,
+    text,
+    validate_rows,
+    whole_time,
+)
+from .shapes.shape import UINT8, Floats, Shapes, as_shapes
+from .store import NEVER, Obstacles
+
+# ---- The part of the world whose obstacles a scene keeps.
+
+NOBODY = np.empty(0, np.int64)
+Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
+
+
+def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | None:
+    """Corners of a box that may be infinite; ValueError if it is none."""
+    if given is None:
+        return None
+    try:
+        lo, hi = (np.array(corner, np.float64) for corner in given)
+    except (TypeError, ValueError):
+        raise ValueError('region must be two corners') from None
+    if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
+        raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
+    return lo, hi
+
+
+def within(
+    region: Region | None, valid: Validated, reach: Floats | None
+) -> tuple[Rows, Rows, Slots]:
+    """New and known obstacles whose bounds touch the region, or are as near to it as their
+    `reach`, see `speeds.reach_of`; and slots of those that leave.
+    """
+    added, known = valid[:2]
+    if region is None:
+        return added, known, NOBODY
+    new, old = _near(region, added, reach), _near(region, known, reach)
+    return added.take(new), known.take(old), known.slot[~old]
+
+
+def _near(region: Region, rows: Rows, reach: Floats | None) -> NDArray[np.bool_]:
+    (lo, hi), more = region, 0.0 if reach is None else reach[rows.row]
+    return np.asarray(((rows.lo - more <= hi) & (rows.hi + more >= lo)).all(axis=1))
+
+
+# ---- Velocities of the rows of an update: as they are told, or as somebody follows obstacles.
+
+
+class Sighting(NamedTuple):
+    """Where n obstacles were told to be."""
+
+    places: Floats
+    """Shape (n, 3), m."""
+    stamps: NDArray[np.int64]
+    """(n,) ns."""
+
+
+class Follow(Protocol):
+    """Tells velocities from successive updates, see `tracking`."""
+
+    @property
+    def max_speed(self) -> float:
+        """None is faster, m/s."""
+
+    def __call__(
+        self, slots: Slots, handles: NDArray[np.int64], before: Sighting, now: Sighting, /
+    ) -> Floats:
+        """Velocities, (n, 3) m/s, of obstacles from where they were told to be."""
+
+
+def velocity_rows(given: Any, count: int) -> Floats:
+    """Velocities (count, 3), finite or not; ValueError if they are none."""
+    rows = checks.floats('velocities', given)
+    if rows.shape != (count, 3):
+        raise ValueError(f'velocities must have shape ({count}, 3), not {rows.shape}')
+    return rows
+
+
+def speeds_of(
+    held: Obstacles, given: ArrayLike | Follow, valid: Validated
+) -> tuple[Floats, Validated]:
+    """Velocities of the rows along the tree's axes; and the rows that have one."""
+    count, ndim = len(valid.reasons.good), held.tree.ndim
+    if callable(given):
+        return _followed(held, given, valid.known, count), valid
+    rows = velocity_rows(given, count)
+    wrong = np.logical_not(np.isfinite(rows).all(axis=1))
+    valid = _without(valid, wrong, 'its velocity is not finite')
+    return np.ascontiguousarray(rows[:, :ndim]), valid
+
+
+def reach_of(held: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
+    """How far along each axis rows may be from where they are told to be, m, at times that may be
+    asked for. Whoever is followed is seen before its velocity is known.
+    """
+    fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
+    way = np.zeros(speeds.shape)
+    with np.errstate(over='ignore'):  # infinite: anywhere
+        fastest = fastest + held.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
+        return np.multiply(fastest, held.max_prediction, out=way, where=fastest > 0.0)
+
+
+def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validated:
+    """Refuse some rows."""
+    if not wrong.any():
+        return valid
+    valid.reasons.add(wrong, reason)
+    added, known = (some.take(~wrong[some.row]) for some in valid[:2])
+    return Validated(added, known, valid.reasons)
+
+
+def _followed(held: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
+    """Velocities from where obstacles were told to be before."""
+    columns, rows = held.columns, np.zeros((count, held.tree.ndim))
+    before = Sighting(columns.geometry['position'][known.slot], columns.stamp[known.slot])
+    now = Sighting(known.records['position'], known.stamp)
+    found = follow(known.slot, columns.node_handle[known.slot], before, now)
+    rows[known.row] = found[:, : held.tree.ndim]
+    return rows
+
+
+# ---- Rows of an update, and parts of them.
+
+
+class Part(NamedTuple):
+    """Some rows of an update, as for `Scene.update`."""
+
+    names: Names
+    shapes: Shapes
+    stamp: ArrayLike
+    expires: ArrayLike = 0
+    categories: ArrayLike | None = None
+    velocities: ArrayLike | Follow | None = None
+
+    def cut(self, length: int) -> Iterator['Part']:
+        """The same in parts of at most so many rows."""
+        if isinstance(self.shapes, Shapes) and np.size(self.shapes.kind) <= length:
+            yield self
+            return
+        names, given = as_families(self.names), as_shapes(self.shapes)
+        total = len(given.kind)
+        require_a_name_each(names, total)
+        columns: list[Any] = [
+            column('stamp', self.stamp, total, LAST_TIME, FIRST_TIME),
+            column('expires', self.expires, total, LAST_TIME),
+            None,
+            None,
+        ]
+        if self.categories is not None:
+            columns[2] = column('categories', self.categories, total, ALL)
+        follow = self.velocities if callable(self.velocities) else None
+        if self.velocities is not None and not follow:
+            columns[3] = velocity_rows(self.velocities, total)
+        for begin in range(0, max(total, 1), length):
+            rows = slice(begin, begin + length)
+            shapes = given.take(rows)
+            rest: list[Any] = [None if each is None else each[rows] for each in columns]
+            rest[3] = follow or rest[3]
+            yield Part(names.take(rows), shapes, *rest)
+
+
+def require_a_name_each(names: Families, count: int) -> None:
+    """ValueError if there are more or fewer names than shapes."""
+    if len(names) != count:
+        raise ValueError(f'there are {len(names)} names for {count} shapes')
+
+
+# ---- Rows of messages into a scene.
 
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
@@ -148,7 +315,7 @@ class Updates:
     ) -> Refusals:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         held = self._held
-        updating.text('source', source), updating.text('group', group)
+        text('source', source), text('group', group)
         names, slots, valid = self._validated(source, part)
         speeds = reach = None
         if part.velocities is not None:
@@ -194,7 +361,7 @@ class Updates:
         # As Owner(...), which would take one more call of a function of Python's.
         told = groups.source(source), held.columns.source, groups.source_name
         owner = tuple.__new__(Owner, told)
-        valid = updating.validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
+        valid = validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
         return names, slots, valid
 
     def _fitting(self, added: Rows, room: int, valid: Validated, names: Families) -> Rows:
@@ -289,3 +456,104 @@ def _latest(part: Part, valid: Validated, whole: bool) -> int:
         stamps = np.asarray(stamp)  # of any integers
         return int(stamps.max()) if stamps.size else FIRST_TIME
     return max(int(some.stamp.max()) for some in valid[:2] if len(some.stamp))
+
+
+# ---- Taking obstacles away: those of some names, those whose time is over, or all.
+
+AT_A_TIME = 8192  # obstacles, about 10 ms
+
+
+class Removals:
+    """How obstacles leave a scene."""
+
+    def __init__(self, held: Obstacles) -> None:
+        self._held = held
+        self.expired = 0
+        """How many obstacles `expire` has removed so far."""
+
+    def remove(self, source: str, names: Names) -> int:
+        """Remove obstacles of this source by name; return how many there were.
+
+        Names it does not own are left alone.
+        """
+        return self.discard(self.find(source, names))
+
+    def remove_group(self, source: str, group: str) -> int:
+        """Remove the obstacles of a group ('': all that the source owns).
+
+        Return how many there were.
+        """
+        text('source', source), text('group', group)
+        return self._held.remove(self._held.members(source, group))
+
+    def remove_namespace(self, source: str, namespace: str | None = None) -> int:
+        """Remove the source's obstacles named `namespace`/x, where x has no slash; None: all.
+
+        Return how many there were.
+        """
+        if namespace is None:
+            return self.remove_group(source, '')
+        text('namespace', namespace)
+        return self.discard(self.find(source, [], {namespace}))
+
+    def find(self, source: str, names: Names, namespaces: Collection[str] = ()) -> Slots:
+        """Who of a source has one of these names, or one in these namespaces; for `discard`."""
+        text('source', source)
+        slots = self._held.registry.find(as_families(names))
+        slots = slots[slots != UNKNOWN]
+        if len(namespaces):
+            slots = np.concatenate((slots, self._held.registry.in_namespaces(set(namespaces))))
+        if len(slots) > 1:
+            slots = np.unique(slots)
+        return self._held.columns.tree_handle[
+            slots[self._held.columns.source[slots] == self._held.groups.source(source)]
+        ]
+
+    def discard(self, found: Slots) -> int:
+        """Remove those that `find` found, as far as they are still there; return how many."""
+        once = np.unique(found) if len(found) > 1 else found
+        return self._held.remove(self._held.still_there(once))
+
+    def discard_in_slices(self, found: Slots, besides: Names) -> Iterator[None]:
+        """`discard`, with pauses, those who have none of the names `besides`."""
+        if not len(found):
+            return
+        slots = self._held.registry.find(as_families(besides))
+        kept = self._held.columns.tree_handle[slots[slots != UNKNOWN]]
+        found = found[~np.isin(found, kept)]
+        if len(found) <= AT_A_TIME:
+            self.discard(found)
+            return
+        for begin in range(0, len(found), AT_A_TIME):
+            self.discard(found[begin : begin + AT_A_TIME])
+            yield
+
+    def expire(self, now: int, most: int | None = None) -> int:
+        """Remove the obstacles with 0 < expires <= now (ns); return how many there were.
+
+        Costs nothing while none can be due. `most` is how many are removed one by one; where more
+        are due, the others are still there, see `has_expired`.
+        """
+        if whole_time('now', now) < self._held.next_expiry:
+            return 0
+        expires = self._held.columns.expires
+        due = np.flatnonzero((expires > 0) & (expires <= now))
+        removed = self._held.remove(due if len(due) == len(self._held.tree) else due[:most])
+        self.expired += removed
+        self._held.note_next_expiry()
+        return removed
+
+    def has_expired(self, now: int) -> bool:
+        """Whether the time of some obstacle is over that is still there."""
+        return whole_time('now', now) >= self._held.next_expiry
+
+    def shift_expiries(self, by: int) -> None:
+        """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""
+        by = whole_time('by', by)
+        expires = self._held.columns.expires
+        mortal = expires > 0
+        # Never 0, which is for ever, nor later than can be told.
+        times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
+        with self._held.change:
+            expires[mortal] = np.maximum(times, 1)
+            self._held.note_next_expiry()

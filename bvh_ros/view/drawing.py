@@ -16,7 +16,7 @@ import viser
 from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
-from bvh_ros.scene.geometry.shapes import rotations
+from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.tree.access import CORNERS, EDGES, PALETTE
 from bvh_ros.view.worlds import Floats, Overlay
 

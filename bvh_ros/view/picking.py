@@ -10,7 +10,7 @@ from html import escape
 import numpy as np
 import viser
 
-from bvh_ros.scene.geometry.shapes import rotations
+from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.view.drawing import Lines, Placing, edges_of
 from bvh_ros.view.panel import Panel, in_digits, in_words
 from bvh_ros.view.stage import LocalServer, Stage

@@ -9,7 +9,7 @@ import pytest
 from scene.test_then import COUNT, NOW, SECOND, Moving
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.geometry.shapes import BOX, SPHERE
+from bvh_ros.scene.shapes.shape import BOX, SPHERE
 
 pytestmark = pytest.mark.slow
 RATE = 0.4  # m/s

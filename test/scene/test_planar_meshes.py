@@ -22,7 +22,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.geometry.outline import convex_polygon
+from bvh_ros.scene.shapes.mesh import convex_polygon
 
 
 class Outline(NamedTuple):

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, plotting
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, inspection
 
 TURN = (0.1, -0.5, 0.3, 0.8)
 SIZES = {
@@ -34,7 +34,7 @@ def scene_of(kind, **given):
 @pytest.mark.parametrize('kind', ShapeKind)
 def test_a_surface_fills_the_bounds_of_its_shape_and_faces_outwards(kind):
     scene = scene_of(kind)
-    (surface,) = plotting.surfaces(scene.shapes_of('us', 9))
+    (surface,) = inspection.surfaces(scene.shapes_of('us', 9))
     lo, hi = scene.bounds
     coarse = 0.0 if kind in (ShapeKind.BOX, ShapeKind.MESH) else 0.03  # round ones have corners
     np.testing.assert_allclose(surface.min(axis=(0, 1)), lo, atol=1e-12 + coarse)
@@ -48,7 +48,7 @@ def test_a_surface_fills_the_bounds_of_its_shape_and_faces_outwards(kind):
 @pytest.mark.parametrize('kind', ShapeKind)
 def test_a_surface_is_closed(kind):
     """Every way out of it from its middle goes through one of its faces."""
-    (surface,) = plotting.surfaces(
+    (surface,) = inspection.surfaces(
         shapes_of(kind)._replace(orientation=np.array([(0, 0, 0, 1.0)]))
     )
     ways = np.random.default_rng(5).normal(size=(200, 3))

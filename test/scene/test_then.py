@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.geometry.shapes import BOX, CYLINDER, SPHERE
+from bvh_ros.scene.shapes.shape import BOX, CYLINDER, SPHERE
 
 SECOND = 1_000_000_000
 NOW = 1_790_000_000 * SECOND

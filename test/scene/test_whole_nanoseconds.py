@@ -11,7 +11,7 @@ import pytest
 from tree.reference import effort
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.geometry.shapes import BOX, SPHERE
+from bvh_ros.scene.shapes.shape import BOX, SPHERE
 
 SECOND = 10**9
 HALF = 1  # of every box

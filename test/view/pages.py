@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bvh_ros.scene.geometry.shapes import rotations
+from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.tree.plotting import PALETTE
 from bvh_ros.view.page import Page
 from bvh_ros.view.stage import LocalServer

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from ...scene import ShapeKind, Shapes
 from ...scene.distance.narrow_phase import gap as distance_of
 from ...scene.distance.narrow_phase import near_pairs
-from ...scene.geometry.canonical import canonicalise
-from ...scene.geometry.shapes import as_shapes, rotations, unit_quaternions
+from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quaternions
 from ..page import Cell, Page, Table
 from ..scenes import Floats
 

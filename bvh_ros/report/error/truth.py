@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...scene.geometry.shapes import ShapeKind, Shapes
+from ...scene.shapes.shape import ShapeKind, Shapes
 from ..page import Cell
 from ..scenes import Boxes, Floats, Rays
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from ... import DynamicBVH
 from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
-from ...scene.geometry.canonical import canonicalise
-from ...scene.geometry.shapes import as_shapes
+from ...scene.shapes.shape import as_shapes, canonicalise
 from ..page import Page
 from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform_boxes
 from .truth import NOTHING, Answer, Truth, boxes_truth, shapes_truth

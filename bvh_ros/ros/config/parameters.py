@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bvh_ros.ros.config.option import FARTHEST, ConfigurationError, Option, read
 from bvh_ros.ros.config.settings import Settings, SourceSettings, TransformSettings, ViewSettings
 from bvh_ros.ros.texts import shortened
-from bvh_ros.scene.store.updating import ERROR_PREFIX
+from bvh_ros.scene.rows import ERROR_PREFIX
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -29,8 +29,7 @@ from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
 from bvh_ros.ros.conversions.mesh_reading import examined
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
-from bvh_ros.scene.geometry.canonical import FINE, canonicalise
-from bvh_ros.scene.geometry.shapes import as_shapes
+from bvh_ros.scene.shapes.shape import FINE, as_shapes, canonicalise
 
 # By marker type.
 _KINDS = np.zeros(12, np.uint8)

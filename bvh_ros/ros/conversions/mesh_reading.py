@@ -8,7 +8,7 @@ from collections.abc import Generator
 
 from bvh_ros.ros.conversions.marker_table import Floats
 from bvh_ros.scene import Mesh, mesh_of
-from bvh_ros.scene.store.beside import beside
+from bvh_ros.scene.store import run_in_thread
 
 MANY = 500  # triangles: more take longer than 10 ms
 
@@ -27,7 +27,7 @@ def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
         mesh = _examine(triangles, planar)
         yield
         return mesh
-    return (yield from beside(_examine, triangles, planar))
+    return (yield from run_in_thread(_examine, triangles, planar))
 
 
 def _examine(triangles: Floats, planar: bool) -> Mesh:

@@ -18,8 +18,8 @@ from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.marker_table import table
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part, ShapeKind
+from bvh_ros.scene.names import as_families
 from bvh_ros.scene.slicing import AT_ONCE
-from bvh_ros.scene.store.names import as_families
 
 COSTLY_AS_ROWS = 60  # rows of boxes that take as long as one with a mesh
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
     from bvh_ros.scene.slicing import Parts
-    from bvh_ros.scene.speeds import Follow
+    from bvh_ros.scene.updates import Follow
 
 Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]

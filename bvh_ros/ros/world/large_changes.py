@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
 from bvh_ros.scene import Scene
-from bvh_ros.scene.store.beside import beside
+from bvh_ros.scene.store import run_in_thread
 
 T = TypeVar('T')
 PATIENCE = 0.002  # seconds between two looks whether another change has ended
@@ -55,8 +55,8 @@ class LargeChanges:
             yield
         self.owner = owner
         try:
-            self._copy = yield from beside(self._scene.copy)
-            return (yield from beside(change))
+            self._copy = yield from run_in_thread(self._scene.copy)
+            return (yield from run_in_thread(change))
         finally:
             self._end()
 
@@ -69,7 +69,7 @@ class LargeChanges:
             yield
         self.owner = owner
         try:
-            return (yield from beside(call))
+            return (yield from run_in_thread(call))
         finally:
             self._end()
 

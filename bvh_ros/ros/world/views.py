@@ -21,7 +21,7 @@ from bvh_ros.ros.config.settings import ViewSettings
 from bvh_ros.ros.texts import shortened
 from bvh_ros.ros.world.number_patterns import Automaton, Digits, digits_of
 from bvh_ros.scene import Families
-from bvh_ros.scene.store.names import BARE
+from bvh_ros.scene.names import BARE
 from bvh_ros.tree.access import ALL
 
 Masks = NDArray[np.uint32]

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ...tree.access import DEEPEST, RAY_FLOATS, RAY_ROWS, ROOT, DynamicBVH, checks
 from ...tree.compiler import entry_point, inlined, lean_kernel
-from ..geometry.shapes import Floats
-from ..store.columns import Columns
+from ..shapes.shape import Floats
+from ..store import Columns
 
 SCRATCH = RAY_FLOATS + 21 + 2 * DEEPEST  # floats of a `Scratch`
 UNIT_T_MAX = np.ones(1)  # of segments

@@ -31,9 +31,9 @@ from ...tree.access import (
     set_ray,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..geometry.shapes import Floats
 from ..results import NO_NODE, CastHits
-from ..store.columns import Columns
+from ..shapes.shape import Floats
+from ..store import Columns
 from .arguments import SCRATCH, BoxHit, CastWorld, Rays, Sweep, code_for, scratch_in, too_long
 from .exact_ball import cast_ball
 from .query import (

@@ -42,8 +42,8 @@ from ...tree.access import (
 )
 from ...tree.access import Rays as TreeRays
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
-from ..geometry.shapes import Floats, along_axes
 from ..results import NO_NODE, CastHits, require_few
+from ..shapes.shape import Floats, along_axes
 from .arguments import UNIT_T_MAX, BoxHit, Rays, directions_entry, fill_directions, too_long
 
 RAYS_ON_STACK = 1024  # rays whose hits lie on the stack of a kernel

@@ -14,10 +14,8 @@ import numpy as np
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
 from ...tree.compiler import lean_kernel
 from ..distance.narrow_phase import closest_on_mesh
-from ..geometry.lengths import length, scale_of
-from ..geometry.rim import FACE, ROUND
-from ..geometry.rotation import rotate
-from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
+from ..shapes.footprint import FACE, ROUND
+from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
 from .mesh import enter_mesh
 from .shapes import (
     COORDINATES,

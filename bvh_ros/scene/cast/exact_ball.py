@@ -37,11 +37,11 @@ from numpy.typing import NDArray
 from ...tree.access import INSIDE, DynamicBVH, set_ray
 from ...tree.compiler import lean_kernel, stack_array
 from ..distance import batch
-from ..geometry.rim import ROUND
-from ..geometry.shapes import Floats
+from ..names import Slots
 from ..results import require_few
-from ..store.columns import Columns
-from ..store.registry import Slots
+from ..shapes.footprint import ROUND
+from ..shapes.shape import Floats
+from ..store import Columns
 from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
 from .query import (
     AT,

@@ -14,20 +14,23 @@ import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
 from ...tree.compiler import lean_kernel
-from ..geometry.lengths import length, scale_of
-from ..geometry.oval import cross_oval, measure_oval, slab, to_oval
-from ..geometry.rim import (
+from ..shapes.footprint import (
     FACE,
     ROUND,
     closest_on_footprint,
     closest_on_polygon,
     corner_of,
+    cross_oval,
     cross_polygon,
     edge_of,
     look_out_of_oval,
+    measure_oval,
     oval_of,
     rim_of,
+    slab,
+    to_oval,
 )
+from ..shapes.shape import length, scale_of
 from .shapes import (
     COORDINATES,
     FRAME_SLACK,

@@ -44,9 +44,9 @@ from ...tree.access import (
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..distance.gjk import dot
 from ..distance.narrow_phase import hull_gap
-from ..geometry.farthest import farthest_vertex
-from ..geometry.hull import hull_of
-from ..geometry.rim import FACE, ROUND
+from ..shapes.footprint import FACE, ROUND
+from ..shapes.hull import hull_of
+from ..shapes.mesh import farthest_vertex
 from .shapes import approach_by
 
 # ---- thin rays

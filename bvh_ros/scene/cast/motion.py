@@ -51,10 +51,9 @@ from ...tree.motion.access import (
     set_fronts,
     span_of,
 )
-from ..geometry.shapes import Floats
 from ..results import NO_NODE, require_few
-from ..store.obstacles import Obstacles
-from ..store.places import most_growth
+from ..shapes.shape import Floats
+from ..store import Obstacles, most_growth
 from .arguments import SCRATCH, BoxHit, CastWorld, Sweep, code_for, scratch_in, too_long
 from .batch import RowHits
 from .boxes import segment_between

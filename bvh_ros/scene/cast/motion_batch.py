@@ -76,10 +76,9 @@ from ...tree.motion.access import (
     times_of,
     told_once,
 )
-from ..geometry.shapes import along_axes
 from ..results import NO_NODE, CastHits
-from ..store.obstacles import EXACT, Obstacles
-from ..store.places import most_growth
+from ..shapes.shape import along_axes
+from ..store import EXACT, Obstacles, most_growth
 from .arguments import SCRATCH, Hits, Rays, code_for, fill_directions, refuse_infinite, scratch_in
 from .batch import RowHits
 from .motion import (

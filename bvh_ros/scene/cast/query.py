@@ -47,10 +47,10 @@ from ...tree.access import (
     traversal_distance,
 )
 from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
-from ..geometry.lengths import LARGE, SMALL
-from ..geometry.rim import ROUND
 from ..results import require_few
-from ..store.columns import Columns
+from ..shapes.footprint import ROUND
+from ..shapes.shape import LARGE, SMALL
+from ..store import Columns
 from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
 from .contact import contact, enter_shape
 from .footprint import enter_footprint, touch_footprint

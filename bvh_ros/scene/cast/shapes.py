@@ -41,8 +41,8 @@ import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..geometry.lengths import hypot, length, scale_of
-from ..geometry.rim import ROUND
+from ..shapes.footprint import ROUND
+from ..shapes.shape import hypot, length, scale_of
 
 # ---- frames
 

@@ -31,13 +31,11 @@ from ...tree.access import (
 )
 from ...tree.access import COUNT as COUNTED
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
-from ..geometry.canonical import FINE
-from ..geometry.shapes import Floats, along_axes
+from ..names import Slots
 from ..results import NO_NODE, BoxHits, require_few
-from ..store.columns import Bodies, Columns
-from ..store.mesh_store import NO_HULLS, Hulls
-from ..store.registry import Slots
-from ..store.spare import Spare
+from ..shapes.hull import NO_HULLS, Hulls
+from ..shapes.shape import FINE, Floats, along_axes
+from ..store import Bodies, Columns, ScratchPool
 from . import narrow_phase
 from .narrow_phase import box_gap, gap
 from .penetration import signed_distance_of_shapes
@@ -328,7 +326,7 @@ class Overlaps:
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self.spare = Spare(Scratch)
+        self.spare = ScratchPool(Scratch)
         self._entries: dict[bool | None, Any] = {}
         self._rows = RowKernel(overlap_rows).call
 
@@ -582,7 +580,7 @@ class Nearness:
     def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self.spare = Spare(Scratch)
+        self.spare = ScratchPool(Scratch)
         self._entries: dict[tuple[bool | None, Signed], Any] = {}
         self._rows = {None: RowKernel(nearest_rows).call, True: RowKernel(nearest_rows).call}
 

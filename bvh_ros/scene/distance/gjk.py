@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.compiler import lean_kernel, stack_array
-from ..geometry.farthest import farthest_vertex
+from ..shapes.mesh import farthest_vertex
 
 # ---- Simplices of support points (see `gjk`): which of their points is closest to the origin.
 #

@@ -21,8 +21,8 @@ from ...tree.motion.access import (
     nearest_bounds,
     overlap_at,
 )
-from ..geometry.canonical import FINE
-from ..store.places import WIDER
+from ..shapes.shape import FINE
+from ..store import WIDER
 from . import batch
 from .batch import ALL, ANY, keep, pad, tell_row
 from .narrow_phase import length, near

@@ -7,11 +7,9 @@ import math
 import numpy as np
 
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..geometry.hull import hull_of, hull_of_point
-from ..geometry.lengths import scale_of
-from ..geometry.rim import closest_on_footprint
-from ..geometry.rotation import fill_rotation, rotate
-from ..geometry.shapes import BOX, CAPSULE, CYLINDER, MESH, SPHERE
+from ..shapes.footprint import closest_on_footprint
+from ..shapes.hull import hull_of, hull_of_point
+from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
 from .certified import certified_bounds, set_normal
 from .gjk import (
     AXES,

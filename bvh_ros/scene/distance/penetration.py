@@ -9,7 +9,7 @@ import numpy as np
 
 from ...tree.access import two_sum
 from ...tree.compiler import lean_kernel, stack_array
-from ..geometry.hull import hull_of, hull_of_point
+from ..shapes.hull import hull_of, hull_of_point
 from .certified import certified_bounds, cross2, dot2, set_normal
 from .gjk import (
     AXES,

@@ -20,28 +20,34 @@ from ...tree.access import (
     overlap,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..geometry.canonical import (
+from ..shapes.footprint import outlined
+from ..shapes.hull import Hulls, MeshStore
+from ..shapes.shape import (
+    BOX,
     FINE,
+    GEOMETRY,
+    MESH,
     NO_BOUNDS,
     NO_MESH,
     REASONS,
     TOO_LARGE,
+    UINT8,
     Canonical,
+    Floats,
+    Records,
+    Shapes,
+    as_shapes,
     canonical_row,
     canonicalise,
     different,
     fault_of,
+    fill_rotation,
     fill_unit,
     is_finite,
     maps_axes_to_axes,
     rows_entry,
 )
-from ..geometry.polygon import outlined
-from ..geometry.records import GEOMETRY, Records
-from ..geometry.records import UNTURNED as NO_ROTATION
-from ..geometry.rotation import fill_rotation
-from ..geometry.shapes import BOX, MESH, UINT8, Floats, Shapes, as_shapes
-from ..store.mesh_store import Hulls, MeshStore
+from ..shapes.shape import UNTURNED as NO_ROTATION
 from .narrow_phase import (
     closest_from_above,
     closest_in_box,

@@ -21,14 +21,11 @@ from ...tree.access import (
 from ...tree.access import COUNT as COUNTED
 from ...tree.compiler import entry_point
 from ...tree.motion.access import Bounded, times_of
-from ..geometry.footprint import FOOTPRINT
-from ..geometry.records import GEOMETRY
-from ..geometry.shapes import Floats, along_axes
 from ..results import SceneHit
-from ..store.mesh_store import Hulls
-from ..store.obstacles import Obstacles
-from ..store.places import movers
-from ..store.spare import Spare
+from ..shapes.footprint import FOOTPRINT
+from ..shapes.hull import Hulls
+from ..shapes.shape import GEOMETRY, Floats, along_axes
+from ..store import Obstacles, ScratchPool, movers
 from .batch import (
     ALL,
     HITS,
@@ -109,7 +106,7 @@ class OneTimed:
 
     def __init__(self, held: Obstacles) -> None:
         self._held = held
-        self._spare = Spare(Scratch)
+        self._spare = ScratchPool(Scratch)
         self._entries: dict[tuple[Any, ...], Any] = {}
 
     def find(

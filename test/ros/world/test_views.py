@@ -18,7 +18,7 @@ from bvh_ros.ros.config.settings import ViewSettings
 from bvh_ros.ros.world import views as world_views
 from bvh_ros.ros.world.views import Categoriser, create_views
 from bvh_ros.scene import Numbered, Scene, Shapes
-from bvh_ros.scene.store.names import as_families
+from bvh_ros.scene.names import as_families
 
 PATTERNS = st.text(alphabet='ab#/01*?[!]-', max_size=6)
 PREFIXES = st.text(alphabet='ab#/01', max_size=4).filter(lambda text: text[-1:] not in '01')

@@ -5,7 +5,7 @@
 import numpy as np
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.geometry.shapes import BOX, SPHERE
+from bvh_ros.scene.shapes.shape import BOX, SPHERE
 
 
 def test_a_scene_tells_exactly_who_is_met_first():

@@ -15,8 +15,7 @@ from scene.reference import random_shapes
 
 from bvh_ros.report.error.pairs import contacts, fcl_objects
 from bvh_ros.scene.distance.narrow_phase import near_pairs
-from bvh_ros.scene.geometry.canonical import canonicalise
-from bvh_ros.scene.geometry.shapes import as_shapes
+from bvh_ros.scene.shapes.shape import as_shapes, canonicalise
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 PAIRS = 50_000 if LONG else 1_500

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Families, Numbered, Part, Scene, Shapes
-from bvh_ros.scene.store.names import as_families
-from bvh_ros.scene.store.registry import UNKNOWN, Registry
+from bvh_ros.scene.names import UNKNOWN, Registry, as_families
 
 
 def calls_of(work):

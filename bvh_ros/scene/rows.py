@@ -12,15 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree.access import ALL, INT64
-from ...tree.compiler import entry_point, lean_kernel
-from ..geometry.canonical import FINE, REASONS, Canonical, canonicalise
-from ..geometry.polygon import outlined
-from ..geometry.records import GEOMETRY, Records
-from ..geometry.shapes import Floats, Shapes
-from ..refusals import Reasons
-from .names import BARE, Families, last_of_each
-from .registry import UNKNOWN, Slots
+from ..tree.access import ALL, INT64
+from ..tree.compiler import entry_point, lean_kernel
+from .names import BARE, UNKNOWN, Families, Slots, last_of_each
+from .results import Reasons
+from .shapes.footprint import outlined
+from .shapes.shape import FINE, GEOMETRY, REASONS, Canonical, Floats, Records, Shapes, canonicalise
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
 

@@ -11,8 +11,7 @@ from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 
 from bvh_ros.scene import Mesh, Shapes
-from bvh_ros.scene.geometry.convexity import lying
-from bvh_ros.scene.geometry.surface import NOISE, goes_around
+from bvh_ros.scene.shapes.mesh import NOISE, goes_around, lying
 
 DECADES = (-320, -300, -101, -99, -90, -60, -30, 0, 30, 60, 90, 99, 101, 150, 300)
 

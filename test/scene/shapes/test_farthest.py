@@ -8,8 +8,8 @@ from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
-from bvh_ros.scene.geometry.farthest import FEW, farthest_vertex
-from bvh_ros.scene.geometry.hull import Hull
+from bvh_ros.scene.shapes.hull import Hull
+from bvh_ros.scene.shapes.mesh import FEW, farthest_vertex
 
 
 def grid_cube(cells):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bvh_ros.scene.distance import narrow_phase
-from bvh_ros.scene.geometry import lengths
+from bvh_ros.scene.shapes import shape
 
 
 def scaled_length(vector, exponent):
@@ -31,5 +31,5 @@ def test_hypot_is_that_of_the_library():
     values = [0.0, -0.0, 5e-324, -1.5, 1e300, -math.inf, math.nan]
     for one in values:
         for other in values:
-            told, expected = lengths.hypot.py_func(one, other), math.hypot(one, other)
+            told, expected = shape.hypot.py_func(one, other), math.hypot(one, other)
             assert told == expected or (math.isnan(told) and math.isnan(expected))

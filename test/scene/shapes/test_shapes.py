@@ -15,10 +15,8 @@ from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
-from bvh_ros.scene.geometry.canonical import canonicalise
-from bvh_ros.scene.geometry.footprint import footprints
-from bvh_ros.scene.geometry.records import GEOMETRY
-from bvh_ros.scene.geometry.shapes import as_shapes, shapes_of
+from bvh_ros.scene.shapes.footprint import footprints
+from bvh_ros.scene.shapes.shape import GEOMETRY, as_shapes, canonicalise, shapes_of
 
 COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
 

@@ -1,16 +1,20 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The meshes of a scene, or the polygons that a planar scene sees of them, and their arrays."""
+"""The meshes of a scene, or their polygons seen from above, as kernels read them."""
 
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
-from ..geometry.farthest import LANES, NUMBERS
-from ..geometry.meshes import Floats, Mesh
-from ..geometry.polygon import Polygon
+from ...tree.compiler import chosen_by_types
+from .footprint import Polygon
+from .mesh import LANES, NUMBERS, Floats, Mesh
+from .shape import MESH
+
+# ---- The meshes of a scene, or the polygons that a planar scene sees of them, and their arrays.
 
 # Where the rows of a mesh are among all, first and last + 1; the root of its tree among its nodes.
 HULL = np.dtype(
@@ -160,3 +164,51 @@ class MeshStore:
     def nbytes(self) -> int:
         """Memory of what the kernels read."""
         return sum(array.nbytes for array in self.hulls) if len(self) else 0
+
+
+# ---- The vertices of a convex mesh, as kernels read them.
+
+
+class Hull(NamedTuple):
+    """Vertices of a mesh, for GJK."""
+
+    places: Any
+    discs: Any
+    """See `farthest`."""
+    radius: Any
+    """A length beyond which no vertex is, m."""
+
+
+@chosen_by_types
+def hull_of(hulls, shape):
+    """Vertices of a shape's mesh, none if it has none; None where there are no meshes."""
+    return _nothing_of if isinstance(hulls, types.NoneType) else _vertices_of
+
+
+@chosen_by_types
+def hull_of_point(hull):
+    """A hull without vertices, of the same type."""
+    return _nothing if isinstance(hull, types.NoneType) else _no_vertices
+
+
+def _nothing_of(hulls, shape):
+    return None
+
+
+def _vertices_of(hulls, shape):
+    if shape.kind != MESH:
+        return Hull(hulls.vertices[:0], hulls.discs[:0], 1.0)
+    span = hulls.spans[shape.mesh]
+    return Hull(
+        hulls.vertices[span.vertices[0] : span.vertices[1]],
+        hulls.discs[span.discs[0] : span.discs[1]],
+        span.radius,
+    )
+
+
+def _nothing(hull):
+    return None
+
+
+def _no_vertices(hull):
+    return Hull(hull.places[:0], hull.discs[:0], 1.0)

@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-from bvh_ros.scene.store.mesh_store import MeshStore
+from bvh_ros.scene.shapes.hull import MeshStore
 
 CUBE = box_of_triangles((1, 1, 1))
 

@@ -1,0 +1,636 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Convex meshes: solids within closed surfaces of triangles."""
+
+import hashlib
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...tree.access import DynamicBVH, checks
+from ...tree.compiler import lean_kernel, stack_array
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# ---- The convex polygon around points in the plane.
+
+
+DIRECTIONS = 32  # first guess of a polygon: what is farthest along each of so many
+
+
+def convex_polygon(points: Floats) -> Floats:
+    """Corners (k, 2), counter-clockwise, of the convex hull of points (n, 2) that span an area."""
+    points = points[_candidates(points)]
+    order = np.lexsort((points[:, 1], points[:, 0]))
+    places = points[order].tolist()
+    lower, upper = _chain(places), _chain(places[::-1])
+    return np.array(lower[:-1] + upper[:-1])
+
+
+def _candidates(points: Floats) -> NDArray[np.bool_]:
+    """Which points are not strictly within the polygon of those that are farthest along some
+    directions.
+    """
+    angle = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
+    ways = np.column_stack((np.cos(angle), np.sin(angle)))
+    rim = points[np.argmax(ways @ points.T, axis=1)]
+    step = np.roll(rim, -1, axis=0) - rim
+    outside = np.zeros(len(points), np.bool_)
+    for (x, y), (along_x, along_y) in zip(rim.tolist(), step.tolist(), strict=True):
+        if along_x or along_y:
+            outside |= along_x * (points[:, 1] - y) <= along_y * (points[:, 0] - x)
+    return outside
+
+
+def _chain(places: list[list[float]]) -> list[list[float]]:
+    """Half of the rim, along sorted points, turning left only (Andrew's monotone chain, 1979)."""
+    chain: list[list[float]] = []
+    for x, y in places:
+        while len(chain) > 1:
+            (a, b), (c, d) = chain[-2], chain[-1]
+            if (c - a) * (y - b) > (d - b) * (x - a):
+                break
+            chain.pop()
+        chain.append([x, y])
+    return chain
+
+
+# ---- How deep a surface lies within the convex hull of its corners, proved for the whole of it.
+#
+# That a surface bends inwards at no edge by more than rounding says little: a thousand such
+# edges add up to a dent. So each triangle is held against the hull of all corners (Barber,
+# Dobkin and Huhdanpaa, The Quickhull Algorithm for Convex Hulls, 1996). No point is above a
+# plane of the hull: a triangle whose corners are at most so far below one such plane is nowhere
+# deeper in the hull.
+
+
+AT_ONCE = 2**19  # triangles times planes that are compared in one go
+WIDEST = 64  # faces of the hull that every triangle is held against
+NEARBY = 8  # planes that each triangle is held against at each of its corners
+SHAKEN = 2.0**-30  # by how much points are moved along each axis, of the largest coordinate
+
+
+class Lying(NamedTuple):
+    """How deep triangles lie in the hull, and below which plane of it."""
+
+    depths: Floats  # (m,) at most
+    normals: Floats  # (m, 3) of those planes, outward unit vectors
+
+
+class Hull(NamedTuple):
+    """Planes of a hull, and which of them meet at the corner nearest each of its points."""
+
+    equations: Floats  # (f, 4) outward unit normal n and d: n . x + d <= 0 in the hull
+    areas: Floats  # (f,) of the faces
+    first: Integers  # (k,) where the planes of each point begin in `number`
+    times: Integers  # (k,) how many they are
+    number: Integers
+
+
+def lying(points: Floats, corners: Integers, enough: float) -> Lying:
+    """How deep triangles, rows (m, 3) of points (k, 3), lie in the hull of all points.
+
+    Where that is more than `enough`, no plane of the hull says less; the search ends with the
+    first such triangles. Else some plane that says so little is taken.
+    """
+    hull, faces = _hull(points)
+    found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)))
+    row, face = _shared(corners, faces, len(points))
+    found.depths[row], found.normals[row] = 0.0, hull.equations[face, :3]
+    rest = np.flatnonzero(found.depths > enough)
+    widest = np.argsort(-hull.areas)[:WIDEST]
+    for begin in range(0, len(rest), AT_ONCE // WIDEST):
+        rows = rest[begin : begin + AT_ONCE // WIDEST]
+        _hold_against(points, corners, rows, hull.equations[widest], found)
+    rest = _hold_against_near(points, corners, rest, hull, enough, found)
+    rest = rest[np.argsort(-found.depths[rest])]
+    step = AT_ONCE // len(faces) + 1
+    for begin in range(0, len(rest), step):
+        rows = rest[begin : begin + step]
+        _hold_against(points, corners, rows, hull.equations, found)
+        if found.depths[rows].max() > enough:
+            break
+    return found
+
+
+def _hull(points: Floats) -> tuple[Hull, Integers]:
+    """The hull of points, and the triangles (f, 3) of its surface."""
+    # Only meshes need this library: it is imported when the first one comes.
+    from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+    # A flat face of ten thousand corners would take it minutes. So its points are moved, by far
+    # less than what is looked for, and the planes outwards by as much.
+    by = SHAKEN * float(np.abs(points).max())
+    try:
+        hull = ConvexHull(points + np.random.default_rng(1).uniform(-by, by, points.shape))
+    except QhullError:
+        raise ValueError('the mesh is flat: it has no inside') from None
+    faces = hull.simplices.astype(np.int64)
+    order = np.argsort(faces, axis=None, kind='stable')
+    count = np.bincount(faces.ravel(), minlength=len(points))
+    on_hull = np.flatnonzero(count)
+    nearest = np.arange(len(points))
+    within = np.flatnonzero(count == 0)
+    nearest[within] = on_hull[cKDTree(points[on_hull]).query(points[within])[1]]
+    first = np.cumsum(count) - count
+    one, two, three = (points[faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(two - one, three - one), axis=1)
+    equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
+    return Hull(equations, areas, first[nearest], count[nearest], order // 3), faces
+
+
+def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
+    """Rows of triangles that are faces of the hull, and of which."""
+    mine, theirs = (
+        (ordered[:, 0] * count + ordered[:, 1]) * count + ordered[:, 2]
+        for ordered in (np.sort(rows, axis=1) for rows in (corners, faces))
+    )
+    order = np.argsort(theirs)
+    place = np.minimum(np.searchsorted(theirs[order], mine), len(faces) - 1)
+    row = np.flatnonzero(theirs[order[place]] == mine)
+    return row, order[place[row]]
+
+
+def _hold_against_near(
+    points: Floats, corners: Integers, rows: Integers, hull: Hull, enough: float, found: Lying
+) -> Integers:
+    """Hold triangles against planes that meet near their corners; return those that lie deeper."""
+    for corner in range(3):
+        for share in range(NEARBY):
+            rows = rows[found.depths[rows] > enough]
+            at = corners[rows, corner]
+            number = hull.number[hull.first[at] + share * hull.times[at] // NEARBY]
+            _note(points, corners, rows, hull.equations[number], found)
+    return rows[found.depths[rows] > enough]
+
+
+def _hold_against(
+    points: Floats, corners: Integers, rows: Integers, equations: Floats, found: Lying
+) -> None:
+    """Hold triangles against all of some planes."""
+    heights = points[corners[rows]] @ equations[:, :3].T + equations[:, 3]
+    best = np.argmax(heights.min(axis=1), axis=1)
+    _note(points, corners, rows, equations[best], found)
+
+
+def _note(
+    points: Floats, corners: Integers, rows: Integers, equations: Floats, found: Lying
+) -> None:
+    """Hold each triangle against one plane, and note what is less than was known."""
+    heights = np.einsum('nki,ni->nk', points[corners[rows]], equations[:, :3])
+    depths = -heights.min(axis=1) - equations[:, 3]
+    less = depths < found.depths[rows]
+    found.depths[rows[less]], found.normals[rows[less]] = depths[less], equations[less, :3]
+
+
+# ---- Whether triangles are the closed surface of one convex solid, given as exporters write
+# them: in float32, wound anyhow, each corner once a triangle, slivers and triangles without area
+# among them.
+#
+# Rounding moves a corner by up to `noise`. A surface may bend inwards by no more than the noise,
+# and corners within half the noise of each other on every axis become one. So nowhere do the
+# given surface, the hull of all given corners and the solid that is kept differ by more than the
+# noise.
+
+
+NOISE = 2.0**-22  # of the lengths that were rounded: float32 rounds by up to 2**-24 of them
+SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the range of doubles
+
+
+class Surface(NamedTuple):
+    """A closed convex surface."""
+
+    vertices: Floats
+    """(k, 3), each once."""
+    corners: Integers
+    """(m, 3) rows of vertices, one row a triangle."""
+    normals: Floats
+    """(m, 3) outward unit normals; a sliver has that of a plane that holds the solid there."""
+    edges: Integers
+    """(e, 2) rows of vertices, each edge once."""
+
+
+class Closed(NamedTuple):
+    """Triangles of which two meet at every edge."""
+
+    used: Integers  # (k,) rows of the points
+    corners: Integers  # (m, 3) rows of those
+    row: Integers  # (m,) which of the given triangles they are
+    edges: Integers  # (e, 2)
+
+
+def surface_of(triangles: Floats) -> Surface:
+    """The surface of finite triangles (m, 3, 3); ValueError, saying why, if it is not closed and
+    convex.
+    """
+    given = triangles.reshape(-1, 3)
+    lo, hi = given.min(axis=0), given.max(axis=0)
+    extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
+    if largest == 0.0 or extent == 0.0:
+        raise ValueError('the mesh has no triangle with an area')
+    if extent < SMALLEST or largest > LARGEST:
+        raise ValueError('the mesh is too small or too large')
+    first, number = coinciding(given)
+    places, corners = given[first], number.reshape(-1, 3)
+    # About the middle, in a power of two: nothing over- or underflows, and little is rounded.
+    exponent = math.frexp(extent)[1]
+    points = np.ldexp(places - (lo * 0.5 + hi * 0.5), -exponent)
+    noise = math.ldexp(_noise(given, extent, largest), -exponent)
+    _require_thickness(points, corners, noise)
+    try:
+        closed = _closed(corners, weld(points, 0.5 * noise))
+    except ValueError as reason:
+        try:  # a part finer than the noise may fold where it is welded
+            closed = _closed(corners, np.arange(len(points)))
+        except ValueError:
+            raise reason from None
+    vertices, rows = points[closed.used], closed.corners
+    normals, heights, middle = _planes(vertices, rows)
+    sliver = heights <= noise
+    # Else a tetrahedron, which is convex. Every node makes one when it starts, and need not import
+    # a library for that.
+    if len(points) > 4 or sliver.any():
+        lies = lying(points, closed.used[rows], noise)
+        worst = int(np.argmax(lies.depths))
+        if lies.depths[worst] > noise:
+            depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
+            raise ValueError(
+                f'the mesh is not convex at triangle {int(closed.row[worst])}: it lies '
+                f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
+            )
+        normals[sliver] = lies.normals[sliver]
+    if not goes_around(vertices[rows] - middle, heights):
+        raise ValueError('the mesh is not the surface of one convex solid')
+    return Surface(places[closed.used], rows, normals, closed.edges)
+
+
+def _noise(points: Floats, extent: float, largest: float) -> float:
+    """How far corners may have been moved. They were rounded where they are if they are float32
+    still, else next to their own origin.
+    """
+    with np.errstate(over='ignore', under='ignore'):
+        single = np.array_equal(points.astype(np.float32), points)
+    return NOISE * max(extent, largest if single else 0.0)
+
+
+def coinciding(points: Floats, tolerance: float = 0.0) -> tuple[Integers, Integers]:
+    """Chains of points (n, 3) with no wider gap on any axis: the first of each, and (n,) which
+    chain each point belongs to. Without a tolerance these are the different points.
+    """
+    number, count = np.zeros(len(points), np.int64), 0
+    while True:
+        for axis in range(3):
+            order = np.lexsort((points[:, axis], number))
+            apart = np.diff(points[order, axis], prepend=-np.inf) > tolerance
+            apart |= np.diff(number[order], prepend=-1) != 0
+            number[order] = np.cumsum(apart) - 1
+        if tolerance == 0.0 or number.max() + 1 == count:
+            return np.unique(number, return_index=True)[1], number
+        count = int(number.max()) + 1  # a gap on one axis may have parted a chain on another
+
+
+def weld(points: Floats, tolerance: float) -> Integers:
+    """Which point (n,) each of different points becomes: the first of those that are all within
+    the tolerance of each other on every axis. A chain that is longer is a fine part of the
+    surface, and stays as it is.
+    """
+    first, number = coinciding(points, tolerance)
+    order = np.argsort(number, kind='stable')
+    begins = np.searchsorted(number[order], np.arange(len(first)))
+    longest = np.max(
+        np.maximum.reduceat(points[order], begins) - np.minimum.reduceat(points[order], begins),
+        axis=1,
+    )
+    return np.where(longest[number] <= tolerance, first[number], np.arange(len(points)))
+
+
+def _closed(corners: Integers, becomes: Integers) -> Closed:
+    """Triangles when each point becomes another; ValueError if they are not closed."""
+    used, number = np.unique(becomes[corners], return_inverse=True)
+    number = number.reshape(-1, 3)
+    rows, row = _without_repeats(number)
+    stray = np.ones(len(used), np.bool_)
+    stray[rows] = False
+    if stray.any():
+        bad = int(np.argmax(stray[number].any(axis=1)))
+        raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
+    edges = _edges(rows, row)
+    if len(used) - len(edges) + len(rows) != 2:  # Euler: one surface without holes
+        raise ValueError('the mesh is not the surface of one convex solid')
+    return Closed(used, rows, row, edges)
+
+
+def _without_repeats(corners: Integers) -> tuple[Integers, Integers]:
+    """Triangles with three different corners, each once, and their rows.
+
+    One whose corners coincide is an edge: its neighbours meet there without it.
+    """
+    ordered = np.sort(corners, axis=1)
+    row = np.flatnonzero((np.diff(ordered, axis=1) > 0).all(axis=1))
+    if not len(row):
+        raise ValueError('the mesh has no triangle with an area')
+    row = row[np.sort(np.unique(_one_number(ordered[row]), return_index=True)[1])]
+    return corners[row], row
+
+
+def _one_number(rows: Integers) -> Integers:
+    """A number for each row, the same for equal rows."""
+    number = rows[:, 0]
+    for column in range(1, rows.shape[1]):
+        number = np.unique(number * (rows.max() + 1) + rows[:, column], return_inverse=True)[1]
+    return number.reshape(-1)
+
+
+def _edges(corners: Integers, row: Integers) -> Integers:
+    """Edges (e, 2); ValueError if there are not two triangles at each."""
+    ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    number = ends[:, 0] * (int(ends.max()) + 1) + ends[:, 1]
+    _, first, which, count = np.unique(
+        number, return_index=True, return_inverse=True, return_counts=True
+    )
+    if (count != 2).any():
+        bad = int(np.flatnonzero(count[which] != 2)[0])
+        raise ValueError(
+            f'the mesh is not closed: an edge of triangle {int(row[bad // 3])} belongs to '
+            f'{int(count[which[bad]])} triangles, not two'
+        )
+    return ends[first]
+
+
+def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
+    one, two, three = (points[corners[:, k]] for k in range(3))
+    normals = np.cross(two - one, three - one)
+    largest = normals[np.argmax(np.einsum('ni,ni->n', normals, normals))]
+    length = np.linalg.norm(largest)
+    if length == 0.0 or np.ptp(points @ (largest / length)) <= 4.0 * noise:
+        raise ValueError('the mesh is flat: it has no inside')
+
+
+def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats]:
+    """Unit normals (m, 3) of the triangles, outwards; (m,) their heights over their longest edges;
+    and the middle of the surface.
+    """
+    one, two, three = (vertices[corners[:, k]] for k in range(3))
+    normals = np.cross(two - one, three - one)
+    area = np.linalg.norm(normals, axis=1)
+    sides = (two - one, three - two, one - three)
+    heights = area / np.max([np.linalg.norm(side, axis=1) for side in sides], axis=0)
+    middle = area @ (one + two + three) / (3.0 * area.sum())
+    normals /= np.where(area > 0.0, area, 1.0)[:, None]
+    normals[np.einsum('ni,ni->n', normals, one - middle) < 0] *= -1.0
+    return normals, heights, middle
+
+
+def goes_around(triangles: Floats, heights: Floats) -> bool:
+    """Whether a closed surface near its hull goes around the origin: a line from there crosses it
+    an odd number of times. (One side of a hull, there and back, is closed as well.)
+    """
+    way = (0.43, 0.31, 0.26) @ triangles[np.argmax(heights)]
+    one, two, three = (triangles[:, k] for k in range(3))
+    sides = np.array([np.cross(a, b) @ way for a, b in ((one, two), (two, three), (three, one))])
+    volumes = np.einsum('ni,ni->n', one, np.cross(two, three))
+    crossed = ((sides > 0.0) & (volumes > 0.0)) | ((sides < 0.0) & (volumes < 0.0))
+    return bool(np.count_nonzero(crossed.all(axis=0)) % 2)
+
+
+# ---- The vertex of a mesh that is farthest along a direction: of all of them, whatever they
+# are.
+#
+# Few are looked at one by one. Many are arranged so that neighbours follow each other, in LEAVES
+# groups; eight groups that follow each other are one of the level above. Each group lies in a
+# disc, a flat cylinder along its least extent. The search goes into the discs that reach
+# farthest, and leaves out those that reach no farther than the best vertex yet (branch and
+# bound). So it ends at the true maximum, where climbing from neighbour to neighbour ends on the
+# first bump.
+#
+# `discs` (blocks, 8 numbers, 8 lanes) holds eight groups a block: centre, unit axis, half height
+# and radius. Below lane k of block b is block 8 b + 1 + k, or a leaf. It is empty for few
+# vertices.
+
+
+FEW = 64
+LANES = 8
+AXIS, HEIGHT, RADIUS, NUMBERS = 3, 6, 7, 8
+ROOM = 96  # seven lanes wait on each of up to twelve levels
+TIED = 2.0**-50  # of a mesh's radius: what rounds its vertices' heights
+
+
+@lean_kernel
+def farthest_vertex(hull, x, y, z):
+    """Row of the vertex of a `hull.Hull` that is farthest along (x, y, z), up to rounding."""
+    best, height, way = np.int64(0), -np.inf, (x, y, z)
+    blocks, count = hull.discs.shape[0], hull.places.shape[0]
+    if blocks == 0:
+        return highest(hull.places, 0, count, way, best, height)[0]
+    nodes, tops = stack_array(ROOM, np.int64), stack_array(ROOM, np.float64)
+    leaves = (LANES - 1) * blocks + 1
+    tied = TIED * hull.radius * max(abs(x), abs(y), abs(z))
+    waiting = push_lanes(hull.discs, 0, way, -np.inf, nodes, tops, 0)
+    while waiting > 0:
+        waiting -= 1
+        if tops[waiting] <= height + tied:
+            continue
+        block = nodes[waiting]
+        if block < blocks:
+            waiting = push_lanes(hull.discs, block, way, height + tied, nodes, tops, waiting)
+            continue
+        leaf = block - blocks
+        first, stop = count * leaf // leaves, count * (leaf + 1) // leaves
+        best, height = highest(hull.places, first, stop, way, best, height)
+    return best
+
+
+@lean_kernel
+def highest(places, first, stop, way, best, height):
+    """The same among some rows, if that is higher than `height`; and its height."""
+    x, y, z = way
+    for vertex in range(first, stop):
+        here = x * places[vertex, 0] + y * places[vertex, 1] + z * places[vertex, 2]
+        if here > height:
+            best, height = np.int64(vertex), here
+    return best, height
+
+
+@lean_kernel
+def push_lanes(discs, block, way, least, nodes, tops, waiting):
+    """Put the groups of a block that reach above `least` along a way on the stack, the farthest
+    last.
+    """
+    x, y, z = way
+    disc, reach = discs[block], stack_array(LANES, np.float64)
+    for k in range(LANES):
+        a, b, c = disc[AXIS, k], disc[AXIS + 1, k], disc[AXIS + 2, k]
+        u, v, w = y * c - z * b, z * a - x * c, x * b - y * a
+        along = disc[HEIGHT, k] * abs(x * a + y * b + z * c)
+        along += disc[RADIUS, k] * math.sqrt(u * u + v * v + w * w)
+        reach[k] = x * disc[0, k] + y * disc[1, k] + z * disc[2, k] + along
+    farthest, top = least, waiting
+    for k in range(LANES):
+        if reach[k] > least:
+            nodes[top], tops[top] = LANES * block + 1 + k, reach[k]
+            if reach[k] > farthest:
+                farthest = reach[k]
+            elif top > waiting:
+                nodes[top], nodes[top - 1] = nodes[top - 1], nodes[top]
+                tops[top], tops[top - 1] = tops[top - 1], tops[top]
+            top += 1
+    return top
+
+
+def levels(count: int) -> int:
+    """How many levels of groups so many vertices have."""
+    return max(round(math.log(count / LANES, LANES)), 1) if count > FEW else 0
+
+
+def _starts(count: int, groups: int) -> NDArray[np.int64]:
+    starts: NDArray[np.int64] = count * np.arange(groups, dtype=np.int64) // groups
+    return starts
+
+
+def arranged(places: Floats) -> NDArray[np.int64]:
+    """The rows of vertices (k, 3) so that neighbours follow each other: halves of halves, each cut
+    across its longest side.
+    """
+    order = np.arange(len(places))
+    for half in range(3 * levels(len(places))):
+        starts = _starts(len(places), 1 << half)
+        sides = np.maximum.reduceat(places[order], starts) - np.minimum.reduceat(
+            places[order], starts
+        )
+        group = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(places)))
+        order = order[np.lexsort((places[order, np.argmax(sides, axis=1)[group]], group))]
+    return order
+
+
+def discs(places: Floats) -> Floats:
+    """What `farthest_vertex` needs, of arranged vertices (k, 3)."""
+    found = [
+        _around(places, _starts(len(places), LANES ** (level + 1)))
+        for level in range(levels(len(places)))
+    ]
+    return np.concatenate([np.empty((0, NUMBERS, LANES)), *found])
+
+
+def _around(places: Floats, starts: NDArray[np.int64]) -> Floats:
+    """Discs (blocks, NUMBERS, LANES) around groups of vertices."""
+    counts = np.diff(starts, append=len(places))
+    group = np.repeat(np.arange(len(starts)), counts)
+    middle = np.maximum.reduceat(places, starts) * 0.5 + np.minimum.reduceat(places, starts) * 0.5
+    away = places - middle[group]
+    spread = np.add.reduceat(away[:, :, None] * away[:, None, :], starts)
+    centred = np.add.reduceat(away, starts)
+    spread -= centred[:, :, None] * centred[:, None, :] / counts[:, None, None]
+    axis = np.linalg.eigh(spread)[1][:, :, 0]
+    heights = np.einsum('ni,ni->n', away, axis[group])
+    high, low = np.maximum.reduceat(heights, starts), np.minimum.reduceat(heights, starts)
+    across = np.linalg.norm(away - heights[:, None] * axis[group], axis=1)
+    rows = np.empty((len(starts), NUMBERS))
+    rows[:, :AXIS] = middle + (high * 0.5 + low * 0.5)[:, None] * axis
+    rows[:, AXIS:HEIGHT] = axis
+    rows[:, HEIGHT], rows[:, RADIUS] = (
+        high * 0.5 - low * 0.5,
+        np.maximum.reduceat(across, starts),
+    )
+    return np.ascontiguousarray(rows.reshape(-1, LANES, NUMBERS).transpose(0, 2, 1))
+
+
+# ---- Convex meshes: solids within closed surfaces of triangles.
+
+
+# By how much the boxes in a mesh's tree are larger than its triangles, in shares of the mesh.
+PAD = 2.0**-44
+
+
+class Mesh:
+    """A convex solid, given by the triangles of its surface.
+
+    Parameters
+    ----------
+    triangles : array_like, shape (m, 3, 3)
+        Corners, m; the winding does not matter. They are taken as rounded to float32: what is as
+        near as that is one corner, and by as little, 2.4e-7 of its size, the surface may lie
+        within the hull of its corners. Triangles without area may close the surface. Every edge
+        must belong to exactly two triangles.
+
+    Raises
+    ------
+    ValueError
+        If the triangles are not finite, or not the closed surface of one convex solid.
+    """
+
+    def __init__(self, triangles: ArrayLike) -> None:
+        corners = checks.floats('triangles', triangles)
+        if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
+            raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')
+        finite = np.isfinite(corners).all(axis=(1, 2))
+        if not finite.all():
+            raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
+        surface = surface_of(corners)
+        lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
+        self.centre: Floats = np.zeros(3) if inside else lo * 0.5 + hi * 0.5
+        """(3,) of the box around the mesh, in the frame of the triangles; their origin if the box
+        holds that: then nothing is rounded."""
+        self.size: Floats = hi - lo
+        """(3,) edges of that box."""
+        order = arranged(surface.vertices)
+        row = np.argsort(order)
+        self.vertices: Floats = surface.vertices[order] - self.centre
+        """(k, 3) seen from the centre, neighbours next to each other."""
+        self.corners: NDArray[np.int32] = row[surface.corners].astype(np.int32)
+        """(m, 3) rows of `vertices`, one row a triangle."""
+        self.normals: Floats = surface.normals
+        """(m, 3) outward unit normals of the triangles."""
+        self.edges: NDArray[np.int32] = row[surface.edges].astype(np.int32)
+        """(e, 2) rows of `vertices`."""
+        self.key = digest(self.vertices, self.corners)
+        """The same for equal meshes."""
+        farthest = float(np.linalg.norm(self.vertices, axis=1).max())
+        self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
+        """A power of two beyond the farthest vertex: steps of it round nothing away."""
+
+    @cached_property
+    def tree(self) -> tuple[NDArray[Any], int]:
+        """Nodes and root of a tree of the boxes around the triangles; slot k is triangle k."""
+        places = self.vertices[self.corners]
+        pad = PAD * float(self.size.max())
+        tree = DynamicBVH.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
+        nodes, _, _, root = tree.arrays()
+        return nodes, int(root)
+
+    @cached_property
+    def outline(self) -> Floats:
+        """(k, 2) corners, counter-clockwise, of what is seen from above of the unturned mesh."""
+        return convex_polygon(self.vertices[:, :2])
+
+    @cached_property
+    def discs(self) -> Floats:
+        """What `farthest_vertex` needs."""
+        return discs(self.vertices)
+
+
+def digest(*arrays: NDArray[Any]) -> bytes:
+    """A short key of what the arrays hold."""
+    sha = hashlib.blake2b(digest_size=32)
+    for array in arrays:
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.digest()
+
+
+_in_use: WeakValueDictionary[bytes, Mesh] = WeakValueDictionary()
+
+
+def mesh_of(triangles: Floats) -> Mesh:
+    """`Mesh(triangles)`, or the one that was made of them while anything holds it: publishers
+    repeat themselves, and to examine a surface takes far longer than to recognise it.
+    """
+    key = digest(triangles)
+    mesh = _in_use.get(key)
+    if mesh is None:
+        mesh = _in_use[key] = Mesh(triangles)
+    return mesh

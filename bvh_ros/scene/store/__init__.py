@@ -1,3 +1,0 @@
-# Copyright 2026 The bvh_ros authors
-# SPDX-License-Identifier: Apache-2.0
-"""What a scene keeps: columns, names, groups, meshes."""
