@@ -41,6 +41,7 @@ from .overlap import BoxAt, box_at
 LEAST_SQUARE, MOST_SQUARE, LESS = 1e-290, 1e308, 1.0 - 2.0**-49
 # What is farther by this factor is left out: more than a box's distance differs from its bounds'.
 FARTHER = 1.0 + 2.0**-28
+UNBOUNDED = 1  # no bounds can hold for a time of a packet
 
 
 class NearAt(NamedTuple):
@@ -284,25 +285,17 @@ def _query_of(points, row, moving, at):
 
 
 @lean_kernel
-def _nearest_of_rows(tree, moving, at, points, start, stop, found, distances):
-    """Answer the rows [start, stop) in their order, one by one: 0, or why not."""
-    for i in range(start, stop):
-        row = points.order[i] if points.order.shape[0] > 0 else i
-        query = _query_of(points, row, moving, at)
-        count = _nearest(tree, query, found[row], distances[row])
-        if count < 0:
-            return np.int64(count)
-    return np.int64(0)
-
-
-@lean_kernel
 def nearest_rows(tree, moving, at, points, found, distances):
     """`query.nearest.nearest_rows` at times, one for all or one a row."""
-    count = points.points.shape[0]
-    why = begin_asking(tree, moving, count)
+    why = begin_asking(tree, moving, points.points.shape[0])
     if why != 0:
         return why
-    why = _nearest_of_rows(tree, moving, at, points, 0, count, found, distances)
+    for i in range(points.points.shape[0]):
+        row = points.order[i] if points.order.shape[0] > 0 else i
+        query = _query_of(points, row, moving, at)
+        why = min(_nearest(tree, query, found[row], distances[row]), np.int64(0))
+        if why < 0:
+            break
     end_query(tree.state)
     return why
 
@@ -321,19 +314,28 @@ def _look_at_row(tree, points, row, lane, leaf, square, best, count, limit):
 
 @inlined
 def _load_times(moving, at, rows, packet):
-    """Fill in the times of a packet: 0, or why not."""
+    """Fill in the times of a packet: 0; UNBOUNDED if no bounds can hold for one of them; or why
+    not.
+    """
+    done = np.int64(0)
     for lane in range(EIGHT):
         time = of_row(at, rows[min(lane, rows.shape[0] - 1)])
         covered = covers(moving, time, 0.0, 0.0)
-        if covered <= 0:
-            return np.int64(OUTSIDE if covered == 0 else NOT_FINITE)
+        if covered == 0:
+            return np.int64(OUTSIDE)
+        if not math.isfinite(time):
+            return np.int64(NOT_FINITE)
+        if covered < 0:
+            done = np.int64(UNBOUNDED)
         packet.points[WHEN * EIGHT + lane] = time - moving.start
-    return np.int64(0)
+    return done
 
 
 @inlined
 def _bound_packet(tree, moving, at, points, rows, packet, best):
-    """Write `nearest_bounds` of eight rows to `best` and to the packet's counts: 0, or why not."""
+    """Write `nearest_bounds` of eight rows to `best` and to the packet's counts, if `_load_times`
+    returns 0; return that.
+    """
     mask = load(points, rows, packet)
     why = _load_times(moving, at, rows, packet)
     best.left_out[:] = np.inf
@@ -346,30 +348,32 @@ def _bound_packet(tree, moving, at, points, rows, packet, best):
 
 @lean_kernel
 def nearest_packets(tree, moving, at, points, found, distances):
-    """`nearest_rows` of finite points, eight rows of `order` at a time; one by one where bounds do
-    not hold for all eight times.
+    """`nearest_rows` of finite points, eight rows of `order` at a time; by distances alone if no
+    bounds can hold for one of the eight times.
     """
-    why, count = begin_asking(tree, moving, points.order.shape[0]), points.order.shape[0]
+    why = begin_asking(tree, moving, points.order.shape[0])
     if why != 0:
         return why
     packet, best = no_packet(), Bounds(found, distances, stack_array(EIGHT, np.float64))
-    for first in range(0, count, EIGHT):
+    for first in range(0, points.order.shape[0], EIGHT):
         rows = points.order[first : first + EIGHT]
-        if _bound_packet(tree, moving, at, points, rows, packet, best) != 0:
-            stop = min(first + EIGHT, count)
-            why = _nearest_of_rows(tree, moving, at, points, first, stop, found, distances)
-            if why < 0:
-                break
-            continue
+        why = _bound_packet(tree, moving, at, points, rows, packet, best)
+        if why < 0:
+            break
         for lane in range(rows.shape[0]):
-            for i in range(packet.counts[lane]):
+            for i in range(packet.counts[lane] if why == 0 else 0):
                 fetch_box(tree, moving, found[rows[lane], i])
         for lane in range(rows.shape[0]):
             row, boxes, left_out = rows[lane], packet.counts[lane], best.left_out[lane]
             query = _query_of(points, row, moving, at)
-            _decide(tree, query, boxes, left_out, found[row], distances[row])
+            if why == 0:
+                _decide(tree, query, boxes, left_out, found[row], distances[row])
+            else:
+                limit = pruning_limit(query.reach)
+                count = _nearest_of_all(tree, query, limit, found[row], distances[row])
+                name_row(tree.handles, found[row], distances[row], count)
     end_query(tree.state)
-    return why
+    return min(why, np.int64(0))
 
 
 @lean_kernel
@@ -383,7 +387,8 @@ def bound_packets(tree, moving, at, points, bounded, squares):
     for first in range(0, points.order.shape[0], EIGHT):
         rows = points.order[first : first + EIGHT]
         why = _bound_packet(tree, moving, at, points, rows, packet, best)
-        if why < 0:
+        if why != 0:
+            why = np.int64(NOT_FINITE if why == UNBOUNDED else why)
             break
         for lane in range(rows.shape[0]):
             bounded.counts[rows[lane]] = packet.counts[lane]
