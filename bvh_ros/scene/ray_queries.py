@@ -74,7 +74,7 @@ class RayQueries:
             raise ValueError('radius must be finite')
         ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
         ball = radius, checks.mask(mask), bool(skip_inside)
-        if self._timed.time_matters(at, until, 1):
+        if (at is not None or until is not None) and self._timed.time_matters(at, until, 1):
             hit = self._timed.first_ray(ends, ball, at, until)
         elif radius == 0.0 and not held.columns.shaped:
             hit = boxes.first(held.tree, *ends, *ball[1:])
@@ -150,7 +150,7 @@ class RayQueries:
         origins, directions = checks.both(checks.WAYS, origins, directions, 3)
         limits = checks.limits_or_one('t_max', t_max, len(origins))
         rays = origins, directions, limits, mask, radius, False, bool(skip_inside)
-        return self._first_hits(Rays(*rays), threads, at, until)
+        return self._first_hits(rays, threads, at, until)
 
     def sweep_many(
         self,
@@ -187,23 +187,24 @@ class RayQueries:
             self._held.change.require_none()
         origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
         rays = origins, ends, UNIT_T_MAX, mask, radius, True, bool(skip_inside)
-        return self._first_hits(Rays(*rays), threads, at, until)
+        return self._first_hits(rays, threads, at, until)
 
-    def _first_hits(self, rays: Rays, threads: int, at: Any, until: Any) -> CastHits:
-        """First hits of rays whose masks and radii are still to be checked."""
-        origins, directions, limits, mask, radius, to_goals, skip = rays
+    def _first_hits(self, given: tuple[Any, ...], threads: int, at: Any, until: Any) -> CastHits:
+        """First hits of `Rays` whose masks and radii are still to be checked."""
+        origins, directions, limits, mask, radius, to_goals, skip = given
         held, count, radii = self._held, len(origins), None
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         if radius is not None:
             radii = checks.lengths_or_one('radius', radius, count)
-            if radii is checks.NOTHING or not radii.any():
+            # numpy's any() takes as long as a row.
+            if not (radii.item() if len(radii) == 1 else radii.any()):
                 radii = None
         # As Rays(...), which would take one more call of a function of Python's.
         parts = origins, directions, limits, masks, radii, to_goals, skip
-        rays = tuple.__new__(Rays, parts)
-        if self._timed.time_matters(at, until, count):
+        rays: Rays = tuple.__new__(Rays, parts)
+        if (at is not None or until is not None) and self._timed.time_matters(at, until, count):
             return self._timed.first_rays(rays, at, until, threads)
         if radii is None and not held.columns.shaped:
             hits = boxes.first_hits(held.tree, held.columns.node_handle, rays, threads)

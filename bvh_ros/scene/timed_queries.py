@@ -121,12 +121,12 @@ class TimedQueries:
 
     def _times(self, at: Any, until: Any, t_max: Floats, count: int) -> 'Times':
         """The times of rays that end at t_max."""
-        batch = self._cast().motion_batch
+        batch = (self._modules or self._cast())[1]
         if type(at) is int and (until is None or type(until) is int):
             start, pace = self._when(at, until)
             limit = t_max.item() if len(t_max) == 1 else t_max.max(initial=0.0).item()
             stop = start if pace == 0.0 else start + limit * pace
-            bounded = max(abs(start), abs(stop)) < batch.LONGEST
+            bounded = -batch.LONGEST < start <= stop < batch.LONGEST
             return tuple.__new__(batch.Times, (start, pace, start, stop, bounded))
         epoch, last = self._store.epoch, at if until is None else until
         within = max(epoch - EXACT + 1, FIRST_TIME), min(epoch + EXACT - 1, LAST_TIME)
@@ -146,9 +146,8 @@ class TimedQueries:
         self, ends: tuple[Floats, Floats], ball: tuple[float, np.uint32, bool], at: Any, until: Any
     ) -> BoxHit | None:
         """The first hit of a ray or ball, as `cast.motion.first_of_one`."""
-        found: BoxHit | None = self._cast().motion.first_of_one(
-            self._store, ends, ball, self._when(at, until)
-        )
+        motion = (self._modules or self._cast()).motion
+        found: BoxHit | None = motion.first_of_one(self._store, ends, ball, self._when(at, until))
         return found
 
     def every_ray(
@@ -161,8 +160,8 @@ class TimedQueries:
 
     def first_rays(self, rays: Rays, at: Any, until: Any, threads: int) -> CastHits:
         """First hits of n rays, or balls."""
-        times = self._times(at, until, rays.t_max, len(rays.origins))
-        hits: CastHits = self._cast().motion_batch.first_hits(self._store, rays, times, threads)
+        times, batch = self._times(at, until, rays.t_max, len(rays.origins)), self._cast()[1]
+        hits: CastHits = batch.first_hits(self._store, rays, times, threads)
         return hits
 
 

@@ -210,7 +210,10 @@ def cast_ball(
         return ()
     sweep = sweep._replace(origin=segment[0], direction=segment[1])
     found = Candidates(room.slots[:count], room.times[:, :count], room.features[:, :count])
-    slots, ts, features = _in_order(columns, found, sweep)
+    if count == 1 and _is_sure(found):
+        slots, ts, features = found.slots, found.times[AT], found.features[AT]
+    else:
+        slots, ts, features = _in_order(columns, found, sweep)
     if skip_inside:
         outside = features != INSIDE
         slots, ts, features = slots[outside], ts[outside], features[outside]
@@ -223,6 +226,14 @@ def cast_ball(
     if ndim == 2:
         points[:, 2] = origin[2]
     return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
+
+
+def _is_sure(found: Candidates) -> bool:
+    """Whether a single candidate is surely touched, and surely from the start, or not."""
+    inside = found.features.item(EARLY, 0) == INSIDE
+    return found.times.item(LATE, 0) < np.inf and inside == (
+        found.features.item(LATE, 0) == INSIDE
+    )
 
 
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:

@@ -416,9 +416,11 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
     if store.uncertainty and np.isinf(rays.t_max).any():
         row = np.flatnonzero(np.isinf(rays.t_max))[0]
         raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
-    span, sweep = (times.first, times.last), None
+    sweep = None
     if times.bounded and count:
-        sweep = motion.swept_for(tree, view, count, span)
+        sweep = motion.ready_sweep(view.tree, count, times.first, times.last)
+        if sweep is None or sweep.moving.version != view.version:
+            sweep = motion.swept_for(tree, view, count, (times.first, times.last))
     if threads == 1:
         return _some_hits(store, view, sweep, rays, times, boxes)
 
@@ -495,9 +497,9 @@ def _stream_shapes(
 ) -> int:
     """Call `stream_rays`."""
     shapes, handles = store.columns.shapes, store.columns.node_handle
-    when = told_once((times.at, times.pace))[2]
+    at, pace, when = told_once((times.at, times.pace))
     goals = np.empty(rays.origins.shape) if rays.to_goals else _ROWS
-    query = _timed(store, rays, times)
+    query = _timed(store, rays, at, pace, times)
     lists = lists_for(sweep.snapshot.depth)
     given = shapes, arrays, sweep, query, when, goals, handles, lists, hits
     done: int = code_for(stream_rays, shapes, given)(*given)
@@ -514,7 +516,7 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     hits = RowHits(*parts, np.empty((count, 3)), np.empty((count, 3)))
     shapes = BOXES_ONLY if boxes else store.columns.shapes
     handles = store.columns.node_handle
-    query = _timed(store, rays, times._replace(at=at, pace=pace))
+    query = _timed(store, rays, at, pace, times)
 
     def ask(arrays: Any, moving: Any) -> Any:
         given = shapes, arrays, moving, query, handles, hits
@@ -525,16 +527,15 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     return hits
 
 
-def _timed(store: Obstacles, rays: Rays, times: Times) -> TimedRays:
-    """The rays as kernels read them."""
+def _timed(store: Obstacles, rays: Rays, at: Any, pace: Any, times: Times) -> TimedRays:
+    """The rays as kernels read them; at and pace as `told_once` has them."""
     grown, radii = NOTHING, NOTHING if rays.radii is None else rays.radii
     if store.uncertainty:
-        at, pace = np.atleast_1d(times.at), np.atleast_1d(times.pace)
+        begin, rate = np.atleast_1d(times.at), np.atleast_1d(times.pace)
         with np.errstate(over='ignore', invalid='ignore'):
-            ends = np.where(pace > 0.0, at + pace * rays.t_max, at)
-        grown = np.atleast_1d(most_growth(store, at, ends))
-    when = told_once((times.at, times.pace))[:2]
-    parts = *rays[:4], radii, *when, grown, store.uncertainty, rays.skip_inside
+            ends = np.where(rate > 0.0, begin + rate * rays.t_max, begin)
+        grown = np.atleast_1d(most_growth(store, begin, ends))
+    parts = *rays[:4], radii, at, pace, grown, store.uncertainty, rays.skip_inside
     return tuple.__new__(TimedRays, parts)
 
 
