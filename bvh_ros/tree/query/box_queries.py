@@ -249,7 +249,7 @@ class BoxQueries(Introspection):
             dense = nearest.are_dense(count, tree.state.item(COUNT))
             if dense or count >= nearest.MANY:
                 order = nearest.order_of(tree, where)
-            if dense:
+            if dense and len(order):  # none: another thread empties or rebuilds the tree
                 kernel = kernels.packets_entry(ndim)
         # As PointQueries(...), which would take one more call of a Python function.
         queries = tuple.__new__(nearest.PointQueries, (where, k, reaches, masks, order))
