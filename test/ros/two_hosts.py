@@ -7,7 +7,10 @@ import shutil
 import subprocess
 from contextlib import contextmanager, suppress
 
-NETWORK = '10.77.0'
+# Tests that run at once share /dev/shm, where Fast DDS knows a host by its addresses and a port by
+# its domain: so each process has a network and a domain of its own.
+NETWORK = f'10.77.{os.getpid() % 250}'
+DOMAIN = 102 + os.getpid() % 100
 
 
 def reason_to_skip():
@@ -79,7 +82,8 @@ class Hosts:
     @contextmanager
     def running(self, number, command, log, **environment):
         """Run a command on a host, and end it."""
-        given = {**os.environ, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', **environment}
+        own = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_DOMAIN_ID': str(DOMAIN)}
+        given = {**os.environ, **own, **environment}
         process = subprocess.Popen(
             ['ip', 'netns', 'exec', self.names[number], *command],
             env=given,

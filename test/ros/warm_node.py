@@ -98,14 +98,20 @@ def bring_boxes(world, sources):
     if 'cloud' in sources:
         for count in (1, 500, 500, LARGE, LARGE, 100):
             world.publish('cloud', many(rng, count, False))
-        world.until(lambda: 0 < len(world.everything()) < LARGE)
+        # The last of them; a large change is made aside, and seen when it is done.
+        world.until(lambda: count_of('cloud#', world) == 100)
     if 'grid' in sources:
         grid = OccupancyGrid()
         grid.info.width = grid.info.height = 60
         grid.info.resolution = 1.0
         grid.data = [100, 0, 0, 100] * 900
         world.publish('grid', grid, qos=LATCHED)
-        world.until(world.everything)
+        world.until(lambda: count_of('grid#', world))
+
+
+def count_of(prefix, world):
+    """How many obstacles there are whose names begin so."""
+    return sum(name.startswith(prefix) for name in world.everything())
 
 
 def bring_shapes(world):

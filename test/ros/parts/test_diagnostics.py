@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from bvh_ros.ros.parts.refusals import LISTED, Refused
 from bvh_ros.ros.parts.timings import MOST, Timings
 from bvh_ros.ros.world import survey
+from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
 from bvh_ros.scene import Refusal, Scene
@@ -208,7 +209,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
 def test_a_world_whose_change_was_interrupted():
     """Nothing is answered before it is cleared, and diagnostics say so."""
     scene = Scene()
-    world = World(None, scene, None, (), (WHOLE,))
+    world = World(None, LargeChanges(scene), None, (), (WHOLE,))
     looks = survey.SceneStatistics(world)
     with pytest.raises(KeyboardInterrupt), scene._held.change:
         raise KeyboardInterrupt
