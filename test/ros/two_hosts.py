@@ -5,6 +5,7 @@
 import os
 import shutil
 import subprocess
+import time
 from contextlib import contextmanager, suppress
 
 # Tests that run at once share /dev/shm, where Fast DDS knows a host by its addresses and a port by
@@ -32,6 +33,16 @@ def _run(*command):
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
+def _wait_for_link(name):
+    """Wait until the link runs: a participant that is made before would not know it. The kernel
+    may take a second.
+    """
+    deadline = time.monotonic() + 10.0
+    while 'state UP' not in _run('ip', '-n', name, 'link', 'show', 'link0'):
+        assert time.monotonic() < deadline, 'the link does not come up'
+        time.sleep(0.01)
+
+
 class Hosts:
     """Hosts 0 and 1, joined by a link; all traffic stays between them."""
 
@@ -51,6 +62,8 @@ class Hosts:
                 _run('ip', '-n', name, 'addr', 'add', f'{NETWORK}.{number}/24', 'dev', 'link0')
                 _run('ip', '-n', name, 'link', 'set', 'link0', 'up')
                 _run('ip', '-n', name, 'link', 'set', 'lo', 'up')
+            for name in self.names:
+                _wait_for_link(name)
         except BaseException:
             self.__exit__()
             raise
