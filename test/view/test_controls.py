@@ -15,6 +15,7 @@ from view import pages
 from view.pages import press, text_of, until
 
 from bvh_ros import scenarios
+from bvh_ros.view.picking import REMEMBERED
 from bvh_ros.view.recorded import Tracks
 
 pytestmark = pytest.mark.slow
@@ -134,15 +135,16 @@ def test_no_step_is_lost_by_a_late_report_or_because_it_is_small(opened, page):
     done(page, lambda: page.world.seek(4.2))
     moved = page.world.scene.get('forklift/0').position - place
     assert moved[0] == pytest.approx(0.7)
-    until(lambda: np.allclose(camera.position - began, moved, atol=1e-3), 'a step is lost')
+    until(lambda: np.allclose(camera.position - began, moved, atol=5e-4), 'a step is lost')
 
     def creep():
-        for _ in range(5000):
+        for _ in range(REMEMBERED):  # reports of the browser may be later than all of them
             page._picking._following.go(np.array((0.0, 1e-5, 0.0)))
 
-    began = np.array(camera.position)
+    began = began + moved  # not what the camera says: a late report may stand there for a moment
     done(page, creep)
-    until(lambda: abs((camera.position - began)[1] - 0.05) < 1e-3, 'it stays behind')
+    crept = (0.0, 1e-5 * REMEMBERED, 0.0)
+    until(lambda: np.allclose(camera.position - began, crept, atol=5e-4), 'it stays behind')
 
 
 def test_a_name_of_any_length_stays_in_the_panel(opened, page):
