@@ -21,9 +21,8 @@ from bvh_ros.ros.parts.diagnostics import Diagnostics
 from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
 from bvh_ros.ros.parts.maintenance import Maintenance
 from bvh_ros.ros.parts.names import NamesPublisher
-from bvh_ros.ros.parts.on_demand import OnDemand
 from bvh_ros.ros.parts.query_drawing import QueryDrawing
-from bvh_ros.ros.parts.readiness import Readiness
+from bvh_ros.ros.parts.readiness import OnDemand, Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.config.settings import SourceSettings
-    from bvh_ros.ros.parts.batch import Batch
+    from bvh_ros.ros.parts.batches import Batch
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source
 
@@ -217,8 +216,7 @@ class BvhServer:
         """Create what answers many rays at once; who does without imports none of it."""
         node, world = self.node, self.world
         if self.settings.batch:
-            from bvh_ros.ros.parts.batch import RayBatch
-            from bvh_ros.ros.parts.volume_batches import BoxBatch, PathBatch, PointBatch
+            from bvh_ros.ros.parts.batches import BoxBatch, PathBatch, PointBatch, RayBatch
 
             for view in world.views:
                 yield RayBatch(node, world, view, kernels, drawing)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rclpy.node import Node
 
+    from bvh_ros.ros.parts.part import Timings
     from bvh_ros.ros.parts.refusals import Refused
     from bvh_ros.ros.parts.services import QueryServices
-    from bvh_ros.ros.parts.timings import Timings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.world import World
 

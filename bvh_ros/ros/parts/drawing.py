@@ -18,7 +18,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
-from bvh_ros.ros.parts.watched import OnDemandPublisher
+from bvh_ros.ros.parts.part import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
 from bvh_ros.tree.access import PALETTE
 

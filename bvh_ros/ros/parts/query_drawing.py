@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Floats
-from bvh_ros.ros.parts.watched import OnDemandPublisher
+from bvh_ros.ros.parts.part import OnDemandPublisher
 
 if TYPE_CHECKING:
     from rclpy.node import Node

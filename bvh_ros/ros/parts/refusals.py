@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from itertools import islice
 from typing import Protocol
 
-from bvh_ros.ros.seldom import Seldom
-from bvh_ros.ros.texts import LONGEST_LINE, shortened
+from bvh_ros.ros.texts import LONGEST_LINE, Seldom, shortened
 from bvh_ros.scene import Refusal
 
 LISTED = 100  # refused rows that are kept with their reasons, the latest

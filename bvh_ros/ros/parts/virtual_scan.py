@@ -16,9 +16,8 @@ from bvh_ros.ros.config.part_settings import LASER_SCAN
 from bvh_ros.ros.conversions import ray_clouds, rotations, scans
 from bvh_ros.ros.conversions.ray_clouds import Hits
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.part import NodePart
+from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.parts.refusals import Refused, explain
-from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.world.frames import Transform

@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
 
+from bvh_ros.ros.parts.part import Timings
 from bvh_ros.ros.parts.refusals import Refused, explain
-from bvh_ros.ros.parts.timings import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
-from bvh_ros.ros.sources.completeness import Completeness
-from bvh_ros.ros.sources.numbering import Heard
-from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Refusal, Refusals
 

@@ -1,41 +1,386 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscription that follows what the publishers offer, and counts what is lost."""
+"""Subscriptions that follow what publishers offer, and count what is lost."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH, Delivery
-from bvh_ros.ros.seldom import Seldom
-from bvh_ros.ros.sources.backlog import Backlog
-from bvh_ros.ros.sources.kinds import (
-    BEST_EFFORT,
-    KINDS,
-    LATCHED,
-    RELIABLE,
-    Kind,
-    asked,
-    is_kept,
-    unheard,
-)
-from bvh_ros.ros.sources.merging import HOLD, Merger, Told
-from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
-from bvh_ros.ros.sources.resting import Resting
+from bvh_ros.ros.texts import Seldom
 
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos_overriding_options import QoSOverridingOptions
     from rclpy.subscription import Subscription
+
+
+class Kind(NamedTuple):
+    """What a subscription asks for."""
+
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy
+
+
+LATCHED = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+BEST_EFFORT = Kind(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+KINDS = (LATCHED, RELIABLE, BEST_EFFORT)  # each hears all that the ones before it hear
+# What every publisher offers.
+LEAST = {'reliability': 'best_effort', 'durability': 'volatile'}
+
+
+def asked(kind: Kind, given: Mapping[str, Any]) -> Kind:
+    """Return what to ask for with the user's overrides."""
+    reliability, durability = given.get('reliability'), given.get('durability')
+    return Kind(
+        ReliabilityPolicy[reliability.upper()] if reliability else kind.reliability,
+        DurabilityPolicy[durability.upper()] if durability else kind.durability,
+    )
+
+
+def is_kept(kind: Kind) -> bool:
+    """Return whether publishers that are heard so keep messages for late joiners."""
+    return kind.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def unheard(topic: str, policy: str, kind: Kind) -> str:
+    """Say that a publisher offers less of a policy than is asked for, and the two ways out."""
+    policy = policy.lower()
+    if policy not in LEAST:
+        return f'a publisher is not heard: its {policy} is not what is asked for'
+    wanted = getattr(kind, policy).name.lower()
+    return (
+        f'a publisher is not heard: it offers less than the {policy} {wanted} that is asked for. '
+        f"Let it publish with {policy} {wanted}, or set this node's parameter "
+        f"'qos_overrides.{topic}.subscription.{policy}' to '{LEAST[policy]}'"
+    )
+
+
+# Which messages of a topic's publishers were never heard.
+#
+# Each publisher numbers its messages from 1. rclpy tells the number of a message, but not whose it
+# is. So a number is given to the publisher that was heard last of those it follows directly; where
+# it follows none, something is missing. Two publishers that count in step can be mistaken for each
+# other: a gap is then seen as soon as the other one speaks.
+
+SPARE = 16  # publishers that are gone already, while what they said still waits
+
+
+class Heard(NamedTuple):
+    """What the number of a message says about those before it."""
+
+    is_new: bool = False  # the first that is heard of its publisher
+    unheard: int = 0  # told by that publisher before
+    lost: int = 0  # of a publisher that was heard before
+
+
+NEXT = Heard()
+
+
+class Numbering:
+    """Follows the numbers of all publishers of one topic."""
+
+    def __init__(self) -> None:
+        self._last: list[int] = []  # of each publisher; who was heard last stands last
+        self._counts = True
+
+    def note(self, number: int | None, publishers: int) -> Heard:
+        """Take notice of a message.
+
+        Parameters
+        ----------
+        number : int or None
+            As its publisher counts; None where the middleware does not tell.
+        publishers : int
+            How many there are now.
+        """
+        if number is None:
+            # Nothing is known of what was told before, nor of what is lost later.
+            is_new, self._counts = self._counts, False
+            return Heard(is_new, unheard=1) if is_new else NEXT
+        for place in range(len(self._last) - 1, -1, -1):
+            if self._last[place] == number - 1:
+                del self._last[place]
+                self._last.append(number)
+                return NEXT
+        heard = self._irregular(number, publishers)
+        self._last.append(number)
+        del self._last[: max(len(self._last) - publishers - SPARE, 0)]
+        return heard
+
+    def _irregular(self, number: int, publishers: int) -> Heard:
+        if number == 1:
+            return Heard(is_new=True)
+        alive = self._last[-publishers:] if publishers else self._last
+        before = [last for last in alive if last < number]
+        if len(alive) < publishers or not before:
+            return Heard(is_new=True, unheard=number - 1)
+        last = max(before)
+        self._last.remove(last)
+        return Heard(lost=number - last - 1)
+
+
+# Whether a source has told all: what messages that only tell changes leave open.
+#
+# All is told by a message that says everything (a cloud without ids, a grid, markers after a
+# DELETEALL of all namespaces), by publishers that are heard from their first message on, and by
+# those that keep messages for late joiners. It is no longer once a message is lost, or a publisher
+# turns up that spoke before it was heard, until everything is said again.
+
+SETTLED = 0.2  # seconds without a further message: a late joiner has got what was kept for it
+
+
+class Completeness:
+    """Keeps account of what was told but not heard."""
+
+    def __init__(self) -> None:
+        self._unheard = ''
+        self._forgotten = ''
+        self._settles = 0.0  # on the monotonic clock; 0: not waited for
+
+    def note(self, heard: Heard, *, kept: bool) -> None:
+        """Take notice of how a message follows the others.
+
+        Parameters
+        ----------
+        kept : bool
+            Whether its publisher keeps messages for late joiners.
+        """
+        if heard.lost:
+            self._unheard = f'{heard.lost} of its messages were lost'
+        elif kept and (heard.is_new or self._settles):
+            self._settles = time.monotonic() + SETTLED
+        elif heard.unheard:
+            self._unheard = 'it had spoken before it was heard'
+
+    def note_all_told(self) -> None:
+        """A message said everything."""
+        self._unheard = self._forgotten = ''
+        self._settles = 0.0
+
+    def forget(self, reason: str) -> None:
+        """What was told is no longer known, or may have changed unheard."""
+        self._forgotten = reason
+
+    def missing(self) -> str:
+        """Say why not all is known, or return an empty text."""
+        if self._settles and time.monotonic() > self._settles:
+            self._settles, self._forgotten = 0.0, ''
+        settling = 'what it keeps for late joiners is still coming' if self._settles else ''
+        return self._unheard or settling or self._forgotten
+
+
+# Several subscriptions to one topic, each message taken once and in its publisher's order.
+#
+# A subscription that asks for less hears publishers that offer more, too. Who of two subscriptions
+# a message is for, rclpy does not tell. So what comes by the one that asks for less is held for a
+# moment: if it comes by the other as well, that one's word counts, which is complete and in order.
+
+HOLD = 0.05  # seconds: on the way, both copies are one packet
+REMEMBERED = 10_000  # messages
+
+
+class Told(NamedTuple):
+    """A message as it came."""
+
+    message: Any
+    number: int | None  # by its publisher's count
+    kept: bool  # its publisher keeps messages for late joiners
+
+
+class Merger:
+    """Passes each message on once.
+
+    Parameters
+    ----------
+    deliver : callable
+        Takes a `Told`.
+    hold : float
+        Seconds; 0 where the order does not matter.
+    """
+
+    def __init__(self, deliver: Callable[[Told], None], hold: float = HOLD) -> None:
+        self._deliver = deliver
+        self._hold = hold
+        self._known: dict[tuple[Any, Any], None] = {}
+        self._held: dict[tuple[Any, Any], tuple[float, Told]] = {}
+
+    @property
+    def is_holding(self) -> bool:
+        """Whether something waits for `release`."""
+        return bool(self._held)
+
+    def take(self, told: Told, sent: int, *, others_hear: bool, better_hear: bool) -> None:
+        """Take a message.
+
+        Parameters
+        ----------
+        sent : int
+            When its publisher sent it, ns: together with the number, whose it is.
+        others_hear : bool
+            Whether it may come by another subscription, too, or has come by one.
+        better_hear : bool
+            Whether it is likely to come by one that asks for more.
+        """
+        if not others_hear:
+            self._deliver(told)
+            return
+        key = sent, told.number
+        if key in self._known:
+            return
+        if better_hear and self._hold:
+            self._held.setdefault(key, (time.monotonic() + self._hold, told))
+            return
+        self._held.pop(key, None)
+        self._pass_on(key, told)
+
+    def release(self) -> None:
+        """Pass on what was held for long enough: nobody else hears it."""
+        now = time.monotonic()
+        for key, (due, told) in [*self._held.items()]:
+            if due > now:
+                return
+            del self._held[key]
+            self._pass_on(key, told)
+
+    def _pass_on(self, key: tuple[Any, Any], told: Told) -> None:
+        self._known[key] = None
+        if len(self._known) > REMEMBERED:
+            del self._known[next(iter(self._known))]
+        self._deliver(told)
+
+
+# Messages that wait: every change is needed, but of those that say everything only the newest.
+#
+# A publisher of large clouds that is faster than the node must make it neither late nor large.
+
+TOGETHER = 64  # messages
+KEPT = 10  # messages that say everything; the newest may yet be refused
+
+
+class Backlog:
+    """A queue that drops what newer messages make needless.
+
+    Parameters
+    ----------
+    says_everything : callable
+        Whether a message does.
+    joins : callable
+        Takes a message and what belongs to it; whether it may be handed over with those before.
+    """
+
+    def __init__(
+        self, says_everything: Callable[[Any], bool], joins: Callable[[Any, Any], bool]
+    ) -> None:
+        self.superseded = 0
+        self._says_everything = says_everything
+        self._joins = joins
+        self._waiting: deque[tuple[Any, Any, bool]] = deque()
+        self._whole = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, message: Any, more: Any) -> None:
+        """Append a message, with what belongs to it."""
+        whole = self._says_everything(message)
+        self._waiting.append((message, more, whole))
+        self._whole += whole
+        while self._whole > KEPT or (self._whole == KEPT and not self._waiting[0][2]):
+            self.superseded += 1
+            self._whole -= self._waiting.popleft()[2]
+
+    def next(self) -> tuple[list[Any], Any]:
+        """Take out the oldest message and those that join it, and what belongs to the oldest."""
+        message, more, whole = self._waiting.popleft()
+        self._whole -= whole
+        messages = [message]
+        while self._waiting and len(messages) < TOGETHER and self._joins(*self._waiting[0][:2]):
+            message, _, whole = self._waiting.popleft()
+            self._whole -= whole
+            messages.append(message)
+        return messages, more
+
+
+# A busy topic is looked at every few milliseconds; not every message wakes the node.
+
+REST = 0.01  # seconds, in which many small messages come for one round of the executor
+BUSY = 0.002  # seconds between messages
+
+
+class Resting:
+    """Lets a busy topic's subscriptions wake nobody, and looks at them by a timer.
+
+    An executor that does not know `resting`, a set of entities to leave out, goes on being woken.
+
+    Parameters
+    ----------
+    subscriptions : collection of rclpy.subscription.Subscription
+        As they are at any time.
+    take : callable
+        Takes and hands over what waits; returns how many messages that were.
+    """
+
+    def __init__(
+        self, node: Node, subscriptions: Collection[Subscription], take: Callable[[], int]
+    ) -> None:
+        self._node = node
+        self._subscriptions = subscriptions
+        self._take = take
+        self._woken = -1.0  # when, s
+        self._asleep: set[Subscription] | None = None  # what the executor leaves out
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(REST, self._look, clock=steady, autostart=False)
+
+    def woken(self) -> None:
+        """Take notice that the executor was woken for a message; sleep if that comes often."""
+        last, self._woken = self._woken, time.perf_counter()
+        if self._woken - last < BUSY:
+            self._asleep = getattr(self._node.executor, 'resting', None)
+            if self._asleep is not None:
+                self._asleep.update(self._subscriptions)
+                self._timer.reset()
+
+    def catch_up(self) -> None:
+        """Take what waits before somebody asks."""
+        if self._asleep is not None:
+            self._take()
+
+    def wake(self) -> None:
+        """Be woken by each message again."""
+        if self._asleep is not None:
+            self._asleep.difference_update(self._subscriptions)
+            self._asleep = None
+            self._timer.cancel()
+
+    def destroy(self) -> None:
+        """End for good, before the subscriptions do."""
+        self.wake()
+        self._node.destroy_timer(self._timer)
+
+    def _look(self) -> None:
+        if self._take() < 2:
+            self.wake()
+
+
+# A subscription that follows what the publishers offer, and counts what is lost.
 
 TURN = 0.01  # seconds after which others get a turn
 SMALL = 4096  # bytes of messages that may be handed over together

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
-from bvh_ros.ros.seldom import LOG_EVERY, Seldom
+from bvh_ros.ros.texts import LOG_EVERY, Seldom
 
 if TYPE_CHECKING:
     from rclpy.node import Node

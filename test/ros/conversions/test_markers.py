@@ -12,7 +12,7 @@ import pytest
 from ros.conversions.generators import ended
 
 from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.conversions.marker_table import table
+from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Scene, ShapeKind
 

@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+from bvh_ros.ros.parts.part import MOST, Timings
 from bvh_ros.ros.parts.refusals import LISTED, Refused
-from bvh_ros.ros.parts.timings import MOST, Timings
 from bvh_ros.ros.world import survey
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE

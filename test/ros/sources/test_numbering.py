@@ -6,11 +6,20 @@ import random
 
 import pytest
 
-from bvh_ros.ros.sources import completeness, merging
-from bvh_ros.ros.sources.backlog import KEPT, TOGETHER, Backlog
-from bvh_ros.ros.sources.completeness import SETTLED, Completeness
-from bvh_ros.ros.sources.merging import HOLD, Merger, Told
-from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
+from bvh_ros.ros.sources import subscribing
+from bvh_ros.ros.sources.subscribing import (
+    HOLD,
+    KEPT,
+    NEXT,
+    SETTLED,
+    TOGETHER,
+    Backlog,
+    Completeness,
+    Heard,
+    Merger,
+    Numbering,
+    Told,
+)
 
 NEW = Heard(is_new=True)
 
@@ -57,7 +66,7 @@ def test_every_gap_of_many_publishers_is_counted():
 
 def test_what_is_missing_until_all_is_told(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(completeness.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(subscribing.time, 'monotonic', lambda: now[0])
     told = Completeness()
     told.note(NEW, kept=False)
     assert told.missing() == ''
@@ -78,7 +87,7 @@ def test_what_is_missing_until_all_is_told(monkeypatch):
 
 def test_two_copies_are_one_and_the_better_one_orders(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(merging.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(subscribing.time, 'monotonic', lambda: now[0])
     out = []
     merger = Merger(lambda told: out.append(told.message))
 

@@ -171,12 +171,12 @@ class Clock:
 
 @pytest.mark.parametrize('row', [1e-7, 1e-6, 1e-5, 1e-4, 1e-3])
 def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(server, monkeypatch, row):
-    from bvh_ros.ros.parts import batch
+    from bvh_ros.ros.parts import batches
 
     clock, pieces = Clock(), []
-    monkeypatch.setattr(batch.time, 'perf_counter', clock.perf_counter)
-    one = object.__new__(batch.RayBatch)
-    one._rows, one._world = batch.FIRST_PIECE, server.world
+    monkeypatch.setattr(batches.time, 'perf_counter', clock.perf_counter)
+    one = object.__new__(batches.RayBatch)
+    one._rows, one._world = batches.FIRST_PIECE, server.world
 
     def answer(piece):
         pieces.append(piece)
@@ -189,7 +189,7 @@ def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(server, monkeypatc
         assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
         assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
     sizes = [piece.stop - piece.start for piece in pieces]
-    most = min(max(1.01 * batch.PIECE_TIME / row, batch.LEAST_PIECE), batch.LARGEST_PIECE)
+    most = min(max(1.01 * batches.PIECE_TIME / row, batches.LEAST_PIECE), batches.LARGEST_PIECE)
     assert max(sizes) <= most
     assert np.median(sizes) >= 0.25 * min(most, 50_000)
 
