@@ -102,7 +102,7 @@ def _jobs_of(parameters: Path) -> list[Job]:
     import rclpy
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.option import ConfigurationError
+    from bvh_ros.ros.config.parameters import ConfigurationError
     from bvh_ros.ros.server import BvhServer
 
     rclpy.init(args=['--ros-args', '--params-file', str(parameters)])

@@ -14,30 +14,31 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
 from bvh_ros.ros.config import qos_overrides
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.parameters import read_settings
-from bvh_ros.ros.config.part_settings import GROUPS, draw_settings, scan_settings
-from bvh_ros.ros.parts.diagnostics import Diagnostics
-from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
-from bvh_ros.ros.parts.maintenance import Maintenance
+from bvh_ros.ros.config.parameters import (
+    GROUPS,
+    ConfigurationError,
+    draw_settings,
+    read_settings,
+    scan_settings,
+)
+from bvh_ros.ros.parts.diagnostics import Diagnostics, Maintenance
+from bvh_ros.ros.parts.drawing import QueryDrawing, SceneDrawing, TreeDrawing
 from bvh_ros.ros.parts.names import NamesPublisher
-from bvh_ros.ros.parts.query_drawing import QueryDrawing
 from bvh_ros.ros.parts.readiness import OnDemand, Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
-from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
 from bvh_ros.ros.world.known_times import known_times
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
-from bvh_ros.ros.world.world import World
+from bvh_ros.ros.world.world import ClockJumps, World
 from bvh_ros.scene import Scene, ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.settings import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.parts.batches import Batch
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source

@@ -18,9 +18,8 @@ from rclpy.event_handler import EventHandler
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.timer import Timer
 
-from bvh_ros.ros.parts.refusals import explain
 from bvh_ros.ros.private_rclpy import guard_taking, spin_once
-from bvh_ros.ros.texts import Seldom
+from bvh_ros.ros.texts import Seldom, explain
 
 if TYPE_CHECKING:
     from threading import Event

@@ -24,12 +24,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.ros.cdr import marker_array
-from bvh_ros.ros.config.part_settings import LASER_SCAN, ScanSettings, scan_settings
+from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
 from bvh_ros.ros.conversions import ray_clouds, rotations
 from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.ros.conversions.outlines import TRIANGLES
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.maintenance import Maintenance
+from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.world.frames import FrameError, Frames, Transform
 from bvh_ros.scene import ShapeKind, Shapes

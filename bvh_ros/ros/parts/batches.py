@@ -22,15 +22,15 @@ from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
 from bvh_ros.ros.conversions.ray_clouds import Floats, Hits, RayCloud, Rays
 from bvh_ros.ros.parts.part import NodePart, Timings
-from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.scene import NO_NODE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.parts.query_drawing import QueryDrawing
+    from bvh_ros.ros.parts.drawing import QueryDrawing
     from bvh_ros.ros.parts.readiness import OnDemand
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.known_times import KnownTimes

@@ -18,8 +18,8 @@ from std_srvs.srv import Trigger
 from bvh_ros.ros.compile_jobs import NEAREST, NEAREST_THEN
 from bvh_ros.ros.conversions import plans
 from bvh_ros.ros.parts.part import NodePart, Timings
-from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.qos import repeated
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.known_times import NOW, Span, span_of
 from bvh_ros.ros.world.large_changes import PATIENCE
 from bvh_ros.scene import TooManyHitsError
@@ -27,7 +27,7 @@ from bvh_ros.scene import TooManyHitsError
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.parts.query_drawing import QueryDrawing
+    from bvh_ros.ros.parts.drawing import QueryDrawing
     from bvh_ros.ros.parts.readiness import OnDemand
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World

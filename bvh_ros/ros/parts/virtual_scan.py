@@ -12,20 +12,20 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from bvh_ros.ros.config.part_settings import LASER_SCAN
+from bvh_ros.ros.config.parameters import LASER_SCAN
 from bvh_ros.ros.conversions import ray_clouds, rotations, scans
 from bvh_ros.ros.conversions.ray_clouds import Hits
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.part import NodePart, Timings
-from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.frames import Transform
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.part_settings import ScanSettings
+    from bvh_ros.ros.config.parameters import ScanSettings
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import Scene

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from rclpy.serialization import deserialize_message
 
 from bvh_ros.ros.parts.part import Timings
-from bvh_ros.ros.parts.refusals import Refused, explain
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Refusal, Refusals
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.compile_jobs import Job
-    from bvh_ros.ros.config.settings import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
     from bvh_ros.scene.slicing import Parts

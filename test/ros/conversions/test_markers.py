@@ -332,7 +332,7 @@ def random_marker(random):
 def source_of():
     """A source of markers without a node."""
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-    from bvh_ros.ros.config.settings import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.sources.marker_array import MarkerArraySource
 
     def make(scene):

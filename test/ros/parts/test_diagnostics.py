@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+from bvh_ros.ros.parts import diagnostics
 from bvh_ros.ros.parts.part import MOST, Timings
-from bvh_ros.ros.parts.refusals import LISTED, Refused
-from bvh_ros.ros.world import survey
+from bvh_ros.ros.texts import LISTED, Refused
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
@@ -197,7 +197,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
         scene = SlowScene()
         views = (WHOLE,)
 
-    looks = survey.SceneStatistics(World())
+    looks = diagnostics.SceneStatistics(World())
     for _ in range(100):
         figures, _seen = looks.look()
         assert 'age of these figures' in figures
@@ -210,7 +210,7 @@ def test_a_world_whose_change_was_interrupted():
     """Nothing is answered before it is cleared, and diagnostics say so."""
     scene = Scene()
     world = World(None, LargeChanges(scene), None, (), (WHOLE,))
-    looks = survey.SceneStatistics(world)
+    looks = diagnostics.SceneStatistics(world)
     with pytest.raises(KeyboardInterrupt), scene._held.change:
         raise KeyboardInterrupt
     assert '~/clear' in world.problem(0)

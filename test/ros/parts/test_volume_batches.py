@@ -19,7 +19,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
-from bvh_ros.ros.config.settings import SHARED
+from bvh_ros.ros.config.parameters import SHARED
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
@@ -276,7 +276,7 @@ def test_an_incomplete_world(start_node, node):
 
 
 def test_a_footprint_that_is_none(configure):
-    from bvh_ros.ros.config.option import ConfigurationError
+    from bvh_ros.ros.config.parameters import ConfigurationError
 
     for wrong in ([1.0, 2.0], [-1.0], [math.inf], [0.0, 1.0, 1.0]):
         with pytest.raises(ConfigurationError, match='footprint'):

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.settings import ViewSettings
+from bvh_ros.ros.config.parameters import ConfigurationError, ViewSettings
 from bvh_ros.ros.world import views as world_views
 from bvh_ros.ros.world.views import Categoriser, create_views
 from bvh_ros.scene import Numbered, Scene, Shapes
