@@ -50,12 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _sections(options: argparse.Namespace) -> list[Section]:
     if options.part == 'soak':
         return [Section('soak', lambda page, _brief: soak.run(page, options.minutes))]
-    chosen = PARTS
     names = list(PARTS) if options.part == 'all' else [options.part]
     found = []
     for name in names:
-        found.append(Section(name, partial(_introduce, chosen[name].INTRODUCTION)))
-        found += [Section(f'{name}: {what}', run) for what, run in chosen[name].SECTIONS.items()]
+        found.append(Section(name, partial(_introduce, PARTS[name].INTRODUCTION)))
+        found += [Section(f'{name}: {what}', run) for what, run in PARTS[name].SECTIONS.items()]
     return found
 
 

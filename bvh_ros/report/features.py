@@ -24,7 +24,7 @@ from .peers import each, one_processor
 from .scenes import Boxes, Floats, query_edge, spread, uniform_boxes
 from .timing import Job, interleaved, memory
 
-# ---- Runs workloads, each in a process of its own.
+# ---- Workloads, each in a process of its own
 
 
 WORKLOAD = Path(__file__).with_name('workload.py')
@@ -72,8 +72,8 @@ def run_apart(job: Configuration) -> dict[str, Any]:
     )
     if result.returncode:
         raise RuntimeError(f'a workload failed: {result.stderr}')
-    told: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
-    return told
+    figures: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
+    return figures
 
 
 def run_in_turns(jobs: Mapping[str, Configuration], repeats: int) -> dict[str, dict[str, Any]]:
@@ -82,22 +82,21 @@ def run_in_turns(jobs: Mapping[str, Configuration], repeats: int) -> dict[str, d
     """
     for job in jobs.values():
         run_apart(job._replace(turns=1))
-    told: dict[str, list[dict[str, Any]]] = {name: [] for name in jobs}
+    figures: dict[str, list[dict[str, Any]]] = {name: [] for name in jobs}
     for _ in range(repeats):
         for name, job in jobs.items():
-            told[name].append(run_apart(job))
+            figures[name].append(run_apart(job))
     return {
         name: runs[0] | {
             key: statistics.median(run[key] for run in runs)
             for key, value in runs[0].items()
             if isinstance(value, float)
         }
-        for name, runs in told.items()
+        for name, runs in figures.items()
     }  # fmt: skip
 
 
-# ---- What each part of a scene costs when it is on; and that it costs nothing when off: what a
-# scene that does not use it imports, compiles and allocates.
+# ---- The cost of each part of a scene that is on, and what a scene without it does not load
 
 
 MICRO = 1e6
@@ -215,16 +214,16 @@ def _difference(name: str, without: dict, on: dict, count: int) -> list[Cell]:
     return [name, len(more), grown, ', '.join(kernel.rpartition('.')[2] for kernel in more[:4])]
 
 
-# ---- What it costs to ask where things will be, beside asking where they are.
+# ---- The cost of queries about another time
 
 
 BOXES, ROWS, CALLS, REPEATS = 10_000, 10_000, 300, 9
 SPEED, FAST, WAY, RADIUS = 1.5, 10.0, 5.0, 0.2  # m/s, standard deviation an axis; m
 ALONG, OF_SPEED = (17.0, 0.0, 0.0), (1.0, 0.1, 0.0)  # m/s, and shares: one carriageway
-SHORT = 0.9  # s: who goes on no longer has come to rest by the end of a way
+SHORT = 0.9  # s: obstacles predicted no longer than this rest at the end of a segment
 STEP = 0.1  # m
 SECOND = 10**9
-TOLD = 'all told anew'
+UPDATED = 'all updated'
 FEW = 1, 16  # rows of a small batch
 TOGETHER, LATER = {'at': 0, 'until': SECOND}, {'at': SECOND}  # a way takes a second
 PACED, THEN = {'at': 0.0, 'pace': 1.0}, {'at': 1.0}
@@ -281,7 +280,7 @@ def _of_tree(boxes: Boxes, velocities: Floats | None, asked: tuple[Floats, ...])
         **_small(tree.overlap_many, lo, hi, times=THEN),
         'nearest_many': (tree.nearest_many, (starts,), count, THEN),
         **_small(tree.nearest_many, starts, times=THEN),
-        TOLD: (refresh, (), len(ids), {}),
+        UPDATED: (refresh, (), len(ids), {}),
     }
 
 
@@ -321,7 +320,7 @@ def _of_scene(
         'nearest_many': (scene.nearest_many, (starts,), count, LATER),
         **_small(scene.nearest_many, starts, times=LATER),
         'clearance_many': (scene.clearance_many, (many,), len(many.kind), LATER),
-        TOLD: (update, (), len(names), {}),
+        UPDATED: (update, (), len(names), {}),
     }
 
 
@@ -376,8 +375,7 @@ def times(page: Page, brief: bool) -> None:
     page.table(Table('features_times', header, rows))
 
 
-# ---- What the parts of the node cost: how soon it serves, and its memory, with each
-# configuration.
+# ---- The node: time until it serves, and memory, by configuration
 
 
 LEAN = 'no batch, no tf, no source'

@@ -14,7 +14,7 @@ from .. import DynamicBVH, RayHits
 from .scenes import Boxes, Floats, Rays, incoherent_rays, moved, query_edge, spread, uniform_boxes
 from .timing import Job
 
-# ---- What is asked of every library.
+# ---- The work, the same for every library
 
 
 SOME = 32  # one box in so many jumps in the task `move_some`
@@ -96,7 +96,7 @@ class Library:
         return find_spec(self.module) is not None
 
 
-# ---- This package.
+# ---- This package
 
 
 def _boxes_hit(result: RayHits) -> int:
@@ -170,7 +170,7 @@ def rounded(distances: Floats) -> int:
     return round(float(np.sum(distances)) * 1e3)
 
 
-# ---- Embree 4, through embreex: a very fast ray caster. It knows triangles, so a box is twelve.
+# ---- Embree 4 by embreex: a box is twelve triangles
 
 
 # Corner k of a box takes x, y, z from its upper end where bit 0, 1, 2 of k is set.
@@ -232,7 +232,7 @@ def _hits(triangle: NDArray[np.int32]) -> int:
     return int(np.count_nonzero(triangle >= 0))
 
 
-# ---- FCL through python-fcl, and Coal (formerly hpp-fcl): their dynamic AABB trees.
+# ---- The dynamic AABB trees of FCL (python-fcl) and Coal (formerly hpp-fcl)
 
 
 def centers(boxes: Boxes) -> Floats:
@@ -381,7 +381,7 @@ class Coal(Fcl):
         return found
 
 
-# ---- scipy's cKDTree: points only.
+# ---- cKDTree of scipy: points only
 
 
 class KdTree(Library):

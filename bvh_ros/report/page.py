@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-# ---- A table, as text for the terminal, as Markdown for the page and as CSV for other programs.
+# ---- Tables: text, Markdown and CSV
 
 
 Cell = str | int | float | None
@@ -70,7 +70,7 @@ def _bar(cells: Iterable[str]) -> str:
     return '| ' + ' | '.join(cells) + ' |'
 
 
-# ---- The progress bar: on a terminal as it goes, elsewhere a line a minute at most.
+# ---- The progress bar: live on a terminal, elsewhere at most a line a minute
 
 
 Item = TypeVar('Item')
@@ -101,7 +101,7 @@ def say(text: str) -> None:
         tqdm.write(text)
 
 
-# ---- The page that a run of the report writes, section by section.
+# ---- The page
 
 
 LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'scipy')

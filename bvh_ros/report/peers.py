@@ -20,7 +20,7 @@ from .page import Cell, Page, Table
 from .scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, query_edge, spread, uniform_boxes
 from .timing import Job, Timing, interleaved
 
-# ---- Batches of every size and kind of rays, with Embree on the same in the same run.
+# ---- Batches of rays of every size and kind, beside Embree
 
 
 BATCH_BOXES = 1_000, 10_000, 100_000
@@ -143,7 +143,7 @@ def many_times(job: Job, brief: bool) -> Job:
     return Job(run, times * job.units)
 
 
-# ---- What one call of a tree or a scene costs from Python, all in, beside one of a peer.
+# ---- The full cost of one call from Python, beside a peer
 
 
 CALL_BOXES, CALLS, CALL_REPEATS = 10_000, 500, 9
@@ -324,7 +324,7 @@ def peer_jobs(asked: Asked) -> dict[str, Job]:
     return found
 
 
-# ---- `bvh_report peers`: other libraries on the same work in the same run.
+# ---- All libraries on the same work
 
 
 class Task(NamedTuple):

@@ -21,7 +21,7 @@ from .timing import Job, interleaved
 BOXES, ROWS, REPEATS = 10_000, (1, 100, 10_000), 7
 LOOPED = 300  # rows that peers are asked about
 LONG, RADIUS, SIZE, LARGE = 5.0, 0.2, (0.9, 0.6, 0.5), (3.6, 2.4, 2.0)  # m
-TINY = 1e-18  # m: a point, for who wants a size
+TINY = 1e-18  # m: a point as a box
 SWEPT = {'thin rays': 0.0, 'swept balls': RADIUS}
 
 
@@ -69,9 +69,9 @@ def loop(
 
     def one(item: Any) -> float:
         if coal:
-            told = getattr(module, f'{kind}CallBackDefault')()
-            ask(item, told)
-            result = told.data.result
+            callback_data = getattr(module, f'{kind}CallBackDefault')()
+            ask(item, callback_data)
+            result = callback_data.data.result
         else:
             data = getattr(module, f'{kind}Data')()
             ask(item, data, callback)
@@ -172,8 +172,8 @@ TEXT = (
     f'{LONG} m, balls of {RADIUS} m; boxes of {SIZE} m, few of which meet something, and of '
     f'{LARGE} m, turned in any way. Peers are asked in a loop, with objects that are ready, '
     'whether a box meets anything, and how far it, or a ball of 1 nm, is from what is nearest; '
-    f'the largest batch is held against them. *error*: of {LOOPED} answers, held against every '
-    'box, for segments in exact arithmetic; 1 where only one of both touches. *otherwise*: '
+    f'the largest batch is compared with theirs. *error*: of {LOOPED} answers, compared with '
+    'every box, for segments in exact arithmetic; 1 where only one of both touches. *otherwise*: '
     'answers that are not ours, to 1e-6.'
 )
 INTRODUCTION = '## Planner'

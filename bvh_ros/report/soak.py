@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from .soak_world import Answer
 
-# ---- What a soak has seen, and its verdict.
+# ---- The figures of a soak, and its verdict
 
 
 FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
@@ -87,8 +87,8 @@ class Record:
         page.add('## Soak')
         page.add(
             'A thousand boxes, half of them turning, come and go at 30 Hz, published by a process '
-            'of its own. The answers to random rays, balls and boxes are held against brute force '
-            'on the frame that the reply says it knows of.'
+            'of its own. The answers to random rays, balls and boxes are compared with brute '
+            'force on the frame that the reply says it knows of.'
         )
         rows: list[tuple[str, Cell]] = [
             ('length [min]', minutes[-1]),

@@ -25,7 +25,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from .scenes import Floats
 
-# ---- A thousand boxes that move, turn, come and go, and who meets what, by brute force.
+# ---- A thousand boxes that move, turn, come and go; brute force answers about them
 
 
 BOXES = 1000
@@ -56,7 +56,7 @@ class Scene(NamedTuple):
         return np.column_stack((c * x + s * y, c * y - s * x, z))
 
     def entries(self, start: Floats, way: Floats, grown: float) -> Floats:
-        """Where on start + t * way, 0 to 1, each box is entered; inf where it is not met."""
+        """Where on start + t * way, 0 to 1, each box is entered; inf where there is no hit."""
         half = HALF + grown
         origin, along = self.local(start - self.centre), self.local(np.tile(way, (BOXES, 1)))
         with np.errstate(divide='ignore'):
@@ -104,7 +104,7 @@ def scene_at(frame: int) -> Scene:
     )
 
 
-# ---- Random questions to the running node, each answer held against brute force.
+# ---- Random questions to the running node, checked by brute force
 
 
 TIMEOUT = 10.0  # seconds
@@ -263,7 +263,7 @@ def _order_fault(values: Floats) -> str:
     return 'the order is wrong' if (np.diff(values) < -REPORTED).any() else ''
 
 
-# ---- The process that publishes the soak's world until it is ended.
+# ---- The publisher of this world, a process of its own
 
 
 RATE = 30.0  # frames a second

@@ -25,7 +25,7 @@ from .page import Cell, Page, Table
 from .scenes import Boxes, Rays, incoherent_rays, moved, spread, uniform_boxes
 from .timing import Job, interleaved
 
-# ---- Growth: time and memory a box, and time a ray, from a thousand to a million boxes.
+# ---- Growth from a thousand to a million boxes
 
 
 GROWTH_SIZES = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
@@ -70,8 +70,7 @@ def _growth_row(size: int, asked: int) -> list[int | float]:
     return [size, *times.values(), bytes_a_box, tree.height, bound, tree.cost()]
 
 
-# ---- Cold start: from `import bvh_ros` to the first answer, with compiled kernels and without,
-# and what a node compiles, kernel by kernel.
+# ---- Cold start: time to the first answer, and what a node compiles
 
 
 WARM_RUNS = 5
@@ -158,7 +157,7 @@ def _first_answer(cache: str | None) -> tuple[float, float]:
     return imported, answered
 
 
-# ---- Policies: inserting again, refitting in place or building anew, by the share that moved.
+# ---- Policies of move_many: reinsert, refit or rebuild, by the share that moved
 
 
 POLICY_BOXES, POLICY_REPEATS = 10_000, 6
@@ -246,7 +245,7 @@ def _policy_row(size: int, share: float, kind: str) -> list[float]:
     ]
 
 
-# ---- Searches: greedy or branch and bound, next to a bulk build.
+# ---- Sibling searches: greedy, and branch and bound, beside a bulk build
 
 
 SEARCH_SIZES, SEARCH_SIZES_QUICK = (1_000, 10_000, 100_000), (200,)

@@ -16,7 +16,7 @@ from .error.truth import bits_below_the_point, brute_force, enter_slabs, whole
 from .page import Page, Table
 from .scenes import Boxes, Floats, Rays
 
-# ---- One row of the table of stability: what was asked, what is right, and what was answered.
+# ---- A case: one row of the table
 
 
 LARGEST = 1.7976931348623157e308
@@ -60,8 +60,7 @@ def within_2_ulp(t: float, exact: Fraction) -> bool:
     return abs(Fraction(t) - exact) <= Fraction(slack)
 
 
-# ---- Rays at one box, that may move: in the plane of a face, through corners, with zeros, and
-# at the ends of the range of doubles.
+# ---- Rays at one box: in the plane of a face, through corners, at the ends of the doubles
 
 
 Vector = Sequence[float]
@@ -137,14 +136,14 @@ QUESTIONS = (
     Question('barely missed, moving', *TENTHS, (-0.1, 0.5, -0.3), (0.1, -0.1, 0.3), 9, BACK),
     Question('contact at the end', (3, 0, 0), (4, 1, 1), (0, 1, 0), (1, 0, 0), 1.5, TOWARDS),
     Question('contact an ulp after it', (3, 0, 0), (4, 1, 1), (0, 1, 0), (1, 0, 0), SOON, TOWARDS),
-    Question('1e4 m/s, met by who stands', *UNIT, (1e4, 1, 0), (0, 0, 0), 1, Motion((1e4, 0, 0))),
-    Question('1e-9 m/s, met by who stands', *UNIT, (2, 1, 0), (0, 0, 0), 1e10, SLOWLY),
+    Question('1e4 m/s, a resting ray', *UNIT, (1e4, 1, 0), (0, 0, 0), 1, Motion((1e4, 0, 0))),
+    Question('1e-9 m/s, a resting ray', *UNIT, (2, 1, 0), (0, 0, 0), 1e10, SLOWLY),
     Question('fifty years later', *UNIT, (4.8e9 + 99, 1, 1), (-9, 0, 0), 9, LONG_AGO),
 )
 
 
 def ray_cases() -> list[Case]:
-    """Ask every question one by one, in a batch, and whether anything is met at all."""
+    """Ask every question one by one, in a batch, and whether anything is hit."""
     return [_ask(question) for question in QUESTIONS]
 
 
@@ -182,8 +181,8 @@ def _ask(question: Question) -> Case:
     batch = tree.raycast_many(*rays, t_max, mask=1, **when)
     answers = {hit.t if hit else None}
     answers |= {t if i >= 0 else None for i, t in zip(batch.ids, batch.t.tolist(), strict=True)}
-    met = {hit is not None, tree.occluded(origin, direction, t_max, mask=1, **when)}
-    right = met == {exact is not None} and all(_agrees(t, exact) for t in answers)
+    hits = {hit is not None, tree.occluded(origin, direction, t_max, mask=1, **when)}
+    right = hits == {exact is not None} and all(_agrees(t, exact) for t in answers)
     asked = f'box {_text(lo)} to {_text(hi)}; ray {_text(origin)} + t {_text(direction)}'
     if not math.isinf(t_max):
         asked += f', t <= {t_max!r}'
@@ -221,7 +220,7 @@ def _slab(question: Question, exact: Fraction | None) -> str:
     return _met(t) if _agrees(t, exact) else f'{_met(t)} (wrong)'
 
 
-# ---- Many boxes at every scale and speed, and rays at their corners, against whole numbers.
+# ---- Boxes of every scale and speed, and rays at their corners
 
 
 SCALES = (5e-324, 1e-300, 1e-160, 1e-3, 1.0, 1e8, 1e15, 1e150, 1e307)
@@ -307,8 +306,8 @@ def _entry(box: tuple[Any, ...], row: tuple[Any, ...]) -> Fraction | None:
 
 
 def _first(entries: Entries) -> tuple[Fraction, int] | None:
-    met = [(t, row) for row, t in enumerate(entries) if t is not None]
-    return min(met) if met else None
+    entered = [(t, row) for row, t in enumerate(entries) if t is not None]
+    return min(entered) if entered else None
 
 
 def _right(answer: tuple[int, float] | None, first: tuple[Fraction, int] | None) -> bool:
@@ -317,7 +316,7 @@ def _right(answer: tuple[int, float] | None, first: tuple[Fraction, int] | None)
     return answer[0] == first[1] and within_2_ulp(answer[1], first[0])
 
 
-# ---- Overlaps and distances of boxes; order of insertion and cost.
+# ---- Overlaps and distances of boxes; order of insertion, height and cost
 
 
 ULP_UP, FAR = 1 + 2**-52, 1e9
@@ -348,13 +347,13 @@ def pair_cases() -> Iterable[Case]:
     for name, (lo, hi), (low, high) in PAIRS:
         tree = DynamicBVH()
         tree.insert(lo, hi)
-        met = len(tree.overlap(low, high)) == 1
+        touches = len(tree.overlap(low, high)) == 1
         sides = list(zip(lo, hi, low, high, strict=True))
         expected = all(a <= d and c <= b for a, b, c, d in sides)
         both = len(tree.overlap_many([low], [high])[1]) == 1
         words, asked = {True: 'touch', False: 'apart'}, f'{lo} to {hi}; {low} to {high}'
-        told = words[expected], words[met], met == both == expected
-        yield Case(f'two boxes: {name}', asked, *told)
+        results = words[expected], words[touches], touches == both == expected
+        yield Case(f'two boxes: {name}', asked, *results)
 
 
 def nearest_cases() -> Iterable[Case]:
@@ -372,8 +371,8 @@ def nearest_cases() -> Iterable[Case]:
             apart = np.maximum(np.maximum(-np.array(point), np.array(point) - 1), 0.0)
             plain = float(np.sqrt((apart * apart).sum()))
         good = abs(plain - rounded(exact)) <= 4 * math.ulp(rounded(exact))
-        told = repr(rounded(exact)), repr(distance), right, _marked(repr(plain), good)
-        yield Case(name, f'{point}', *told)
+        results = repr(rounded(exact)), repr(distance), right, _marked(repr(plain), good)
+        yield Case(name, f'{point}', *results)
 
 
 def _marked(text: str, right: bool) -> str:
@@ -409,12 +408,11 @@ def _height(name: str, places: Floats, shifted: bool, at_once: bool = False) -> 
     tree.validate()
     bound, cost = 4 * math.log2(len(lo)) + 4, tree.cost()
     said = f'height <= {bound:.1f}; cost finite, above 0', f'height {tree.height}; cost {cost:.3g}'
-    kept = tree.height <= bound and 0 < cost < math.inf
-    return Case(name, f'{len(lo):,} boxes', *said, kept)
+    holds = tree.height <= bound and 0 < cost < math.inf
+    return Case(name, f'{len(lo):,} boxes', *said, holds)
 
 
-# ---- Long and stiff runs: a million moves, speeds thirteen decades apart, teleports, margins
-# and predictions.
+# ---- Long and stiff runs: a million moves, speeds thirteen decades apart, teleports
 
 
 WORST_COST = 1.25  # of a new build
@@ -438,7 +436,7 @@ def over_new_build(tree: DynamicBVH) -> float:
 
 
 def _bounds(tree: DynamicBVH) -> tuple[str, str, bool]:
-    """What is promised of cost and height, what there is, and whether it is kept."""
+    """The bounds of cost and height, their values, and whether they hold."""
     tree.validate()
     bound, cost = 4 * math.log2(len(tree)) + 4, over_new_build(tree)
     return (
@@ -459,11 +457,15 @@ def _many_moves(total: int) -> Case:
         rows = rng.choice(count, at_once, replace=False)
         lo[rows] = rng.uniform(0, 100, (at_once, 3))
         tree.move_many(handles[rows], lo[rows], lo[rows] + size[rows])
-    expected, got, kept = _bounds(tree)
+    expected, got, holds = _bounds(tree)
     grown = tree.stats()['bytes'] - before
     right = np.array_equal(tree.boxes(handles)[0], lo)
-    told = f'{expected}, 0 bytes more', f'{got}, {grown} bytes more', kept and grown == 0 and right
-    return Case(f'{total:,} moves to anywhere', f'{count:,} boxes, {at_once} a call', *told)
+    results = (
+        f'{expected}, 0 bytes more',
+        f'{got}, {grown} bytes more',
+        holds and grown == 0 and right,
+    )
+    return Case(f'{total:,} moves to anywhere', f'{count:,} boxes, {at_once} a call', *results)
 
 
 def _wrong_boxes(tree: DynamicBVH, lo: Floats, hi: Floats, rng: np.random.Generator) -> int:
@@ -517,9 +519,9 @@ def _teleports(times: int) -> Case:
 
 
 def _judged_run(tree: DynamicBVH, name: str, asked: str, wrong: int) -> Case:
-    expected, got, kept = _bounds(tree)
-    told = f'{expected}, 0 wrong overlaps', f'{got}, {wrong} wrong overlaps'
-    return Case(name, asked, *told, kept and wrong == 0)
+    expected, got, holds = _bounds(tree)
+    results = f'{expected}, 0 wrong overlaps', f'{got}, {wrong} wrong overlaps'
+    return Case(name, asked, *results, holds and wrong == 0)
 
 
 INTRODUCTION = """## Stability

@@ -19,7 +19,7 @@ from bvh_ros.scene import Mesh, Numbered, Scene, Shapes
 
 OVERLAPS = 100
 STEP = 0.05  # m that obstacles go from frame to frame
-SPEED, LATER = 1.5, 300_000_000  # m/s; ns after they were told
+SPEED, LATER = 1.5, 300_000_000  # m/s; ns after the update
 
 Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
 
@@ -45,10 +45,10 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
     names = Numbered('o', np.arange(count))
     scene = Scene(planar=job['planar'], margin=job['margin'])
     categories = 1 + np.arange(count) % 2 if job['masks'] else 1
-    told: dict[str, Any] = {'categories': categories}
+    options: dict[str, Any] = {'categories': categories}
     if job['moving']:
-        told['velocities'] = np.full((count, 3), SPEED)
-    refused = scene.update('a', names, shapes, stamp=0, **told)
+        options['velocities'] = np.full((count, 3), SPEED)
+    refused = scene.update('a', names, shapes, stamp=0, **options)
     if refused:
         raise ValueError(f'a row of the scene is refused: {refused[0].reason}')
     scene.raycast(*rays[0])
@@ -58,7 +58,7 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
         nonlocal frame
         frame += 1
         moved = shapes._replace(position=shapes.position + STEP * (frame % 2))
-        scene.update('a', names, moved, stamp=frame, **told)
+        scene.update('a', names, moved, stamp=frame, **options)
 
     ask: dict[str, Any] = {'mask': 2 if job['masks'] else 0xFFFFFFFF}
     if job['moving']:
@@ -79,7 +79,7 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
 def main(job: dict[str, Any]) -> dict[str, Any]:
     """Take turns."""
     scene, work = prepare(job)
-    told: dict[str, Any] = {'start': time.process_time()}
+    figures: dict[str, Any] = {'start': time.process_time()}
     for kind, (run, count) in work.items():
         run()
         took = []
@@ -87,15 +87,17 @@ def main(job: dict[str, Any]) -> dict[str, Any]:
             began = time.perf_counter()
             run()
             took.append((time.perf_counter() - began) / count)
-        told[kind] = min(took)
-    told['memory'] = memory()
+        figures[kind] = min(took)
+    figures['memory'] = memory()
     stats = scene.stats()
-    told['tree'] = float(stats['bytes'] + stats['tree']['bytes'] + stats['tree']['snapshot_bytes'])
-    told['kernels'] = kernels()
-    told['libraries'] = sorted(
+    figures['tree'] = float(
+        stats['bytes'] + stats['tree']['bytes'] + stats['tree']['snapshot_bytes']
+    )
+    figures['kernels'] = kernels()
+    figures['libraries'] = sorted(
         {name.partition('.')[0] for name in sys.modules} & {'rclpy', 'fcl', 'matplotlib'}
     )
-    return told
+    return figures
 
 
 if __name__ == '__main__':

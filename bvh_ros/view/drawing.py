@@ -20,7 +20,7 @@ from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.tree.access import CORNERS, EDGES, PALETTE
 from bvh_ros.view.worlds import Floats, Overlay
 
-# ---- Between the world, in metres and doubles, and the page, where seven digits are left.
+# ---- World coordinates (doubles) and page coordinates (float32)
 
 
 SMALLEST, LARGEST = 1e-2, 1e5  # m: worlds that the page shows in metres
@@ -66,7 +66,7 @@ class Placing:
         return places
 
 
-# ---- Obstacles and lines in viser's scene; only what has changed is sent.
+# ---- Obstacles and lines in the scene of viser; only changes are sent
 
 
 MOST_SHADOWS = 2_000  # obstacles; beyond, shadows cost the browser more than they show
@@ -170,19 +170,19 @@ def _by_mesh(shapes: Shapes) -> list[tuple[str, Triangles, Shapes]]:
         if len(rows):
             found.append((kind.name.lower(), triangles, shapes.take(rows)))
     rows_of: dict[bytes, list[int]] = {}
-    held: dict[bytes, Mesh] = {}
+    meshes: dict[bytes, Mesh] = {}
     for row in np.flatnonzero(is_mesh).tolist():
         mesh: Mesh = shapes.mesh[row]  # type: ignore[index]
         rows_of.setdefault(mesh.key, []).append(row)
-        held[mesh.key] = mesh
+        meshes[mesh.key] = mesh
     for key, several in rows_of.items():
-        triangles = Triangles(held[key].vertices, _wound(held[key]), True)
+        triangles = Triangles(meshes[key].vertices, _wound(meshes[key]), True)
         found.append((f'mesh_{key.hex()[:16]}', triangles, shapes.take(several)))
     return found
 
 
 def _wound(mesh: Mesh) -> NDArray[np.int32]:
-    """Its corners (m, 3), counter-clockwise seen from outside; in a mesh they are as they came."""
+    """Its corners (m, 3), counter-clockwise from outside; those of a mesh keep their order."""
     one, two, three = np.moveaxis(mesh.vertices[mesh.corners] / mesh.radius, 1, 0)
     inward = (np.cross(two - one, three - one) * mesh.normals).sum(axis=1) < 0.0
     return np.where(inward[:, None], mesh.corners[:, ::-1], mesh.corners)

@@ -45,7 +45,7 @@ from bvh_ros.view.worlds import (
     Wanted,
 )
 
-# ---- What the node draws for RViz on `~/scene`, `~/tree` and `~/queries`, read back as arrays.
+# ---- The pictures for RViz on `~/scene`, `~/tree` and `~/queries`, read as arrays
 
 
 NO_BOXES = (NO_POINTS, NO_POINTS, np.empty(0, np.int64))
@@ -111,7 +111,7 @@ def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
 
 
 def _of_triangles(points: Floats) -> Shapes:
-    """Boxes, each told by its twelve triangles."""
+    """Boxes from twelve triangles each."""
     corners = points.reshape(-1, CORNERS_A_BOX, 3)[:, FIRST]
     axes = corners[:, (1, 2, 4)] - corners[:, :1]  # (n, 3, 3): the edges along x, y and z
     sizes = np.linalg.norm(axes, axis=2)
@@ -143,7 +143,7 @@ def _joined(several: list[Shapes]) -> Shapes:
     return Shapes(*(np.concatenate([one[column] for one in several]) for column in range(4)))
 
 
-# ---- What a node tells everybody: its diagnostics, and the pictures that RViz shows, too.
+# ---- The topics of a node: diagnostics and pictures
 
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -172,7 +172,7 @@ class Topics:
         self._node, self._name = node, name
         self.figures: dict[str, str] = {}
         self.drawn: dict[str, Shapes] = {}  # what `~/scene` shows of each source
-        self.scenes = 0  # how often it was told
+        self.scenes = 0  # messages of ~/scene
         self.boxes: tuple[Floats, Floats, Integers] = NO_BOXES
         self.overlay = Overlay()
         self._source_topics: dict[str, str] = {}
@@ -185,7 +185,7 @@ class Topics:
         self._listen('scene', MarkerArray, self._draw, raw=True)
 
     def sources(self) -> dict[str, str]:
-        """The node's sources, and the topics that they listen to; empty until it told."""
+        """The sources of the node and their topics; empty before its first diagnostics."""
         return self._source_topics
 
     def place_scans_with(self, frames: Frames, settings: ScanSettings) -> None:
@@ -299,7 +299,7 @@ def _points_of(scan: LaserScan) -> Floats:
     return np.stack((ranges * np.cos(angles), ranges * np.sin(angles), 0.0 * ranges), axis=1)
 
 
-# ---- A node that runs: its sources are heard and decoded here, questions go to its services.
+# ---- A running node: its sources are decoded here, queries go to its services
 
 
 PATIENCE = 30.0  # seconds for parameters and diagnostics
@@ -312,7 +312,7 @@ class Live(ShownWorld):
     """A bvh node, as any client sees it.
 
     The messages of its sources are decoded here, as fast as they come, into a scene of our own.
-    Of a source that told something before we listened, `~/scene` is shown, once a second. Picks
+    Of a source that published before the view started, `~/scene` is shown, once a second. Picks
     and other questions are answered by the node itself. When the node ends, what was there stays;
     when it comes back, the view begins anew, with the parameters that it has then.
 
@@ -367,8 +367,8 @@ class Live(ShownWorld):
         for source in world.sources:
             source.subscribe()
         self._maintenance = Maintenance(self.node, world)
-        self._known: set[bytes] = set()  # the node's publishers, as first seen
-        self._present: set[bytes] = set()  # and as last seen
+        self._known: set[bytes] = set()  # the node's publishers at first
+        self._present: set[bytes] = set()  # and now
         self._looked_at = 0.0
 
     def prepare(self) -> None:
@@ -414,8 +414,8 @@ class Live(ShownWorld):
     def groups(self) -> list[Group]:
         """All obstacles by source: as heard here or, where that is not all, from `~/scene`."""
         heard = {group.source: group for group in super().groups()}
-        told = self.topics.drawn
-        for source, shapes in told.items():
+        drawn = self.topics.drawn
+        for source, shapes in drawn.items():
             mine = len(heard[source].handles) if source in heard else 0
             if mine < len(shapes.kind) and not self._knows_all(source):
                 heard[source] = Group(source, shapes, NO_HANDLES)
@@ -428,8 +428,8 @@ class Live(ShownWorld):
     def levels(self, first: int, last: int) -> tuple[Floats, Floats, Integers]:
         """Boxes of the node's tree, as it tells them on `~/tree`."""
         lo, hi, depths = self.topics.boxes
-        seen = (depths >= first) & (depths <= last)
-        return lo[seen], hi[seen], depths[seen]
+        shown = (depths >= first) & (depths <= last)
+        return lo[shown], hi[shown], depths[shown]
 
     @property
     def height(self) -> int:
@@ -520,5 +520,5 @@ def _until(node: Node, condition: Callable[[], Any], name: str, what: str) -> No
     deadline = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > deadline:
-            raise BvhTimeoutError(f"'{name}' told no {what} within {PATIENCE:g} s")
+            raise BvhTimeoutError(f"'{name}' sent no {what} within {PATIENCE:g} s")
         rclpy.spin_once(node, timeout_sec=0.1)

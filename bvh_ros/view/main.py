@@ -130,7 +130,7 @@ def _end_ros() -> None:
         rclpy.try_shutdown()
 
 
-# ---- `bvh_view` in a process of its own, beside a program that brings the node.
+# ---- `bvh_view` as a process beside the program that runs the node
 
 
 @contextmanager

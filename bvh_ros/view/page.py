@@ -28,7 +28,7 @@ TREE_EVERY = 0.5
 
 
 class Page:
-    """Shows a world until told to end."""
+    """Shows a world until it is stopped."""
 
     def __init__(self, server: LocalServer, world: ShownWorld) -> None:
         self.server, self.world = server, world

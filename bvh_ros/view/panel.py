@@ -17,7 +17,7 @@ from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY
 from bvh_ros.view.drawing import COLOURS, Dots, Lines, Placing
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, Recording, ShownWorld
 
-# ---- A segment or a box that is drawn by two handles, and what it meets.
+# ---- The probe: a segment or box between two handles, and its hits
 
 
 NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
@@ -106,7 +106,7 @@ class Probe:
 
 
 def in_words(answer: Answer) -> str:
-    """Who was met, where, and how long it took, as HTML."""
+    """The obstacles hit, where, and the time of the query, as HTML."""
     took = f'{answer.microseconds:,.0f} us'
     if not answer.hits:
         return f'<b>free</b> · {took}'
@@ -124,7 +124,7 @@ def in_digits(*metres: float) -> str:
     return ', '.join(f'{one:.6g}' for one in metres)
 
 
-# ---- The controls and figures beside the picture.
+# ---- The controls and figures beside the picture
 
 
 BY_SOURCE, BY_NAMESPACE = 'source', 'namespace'
@@ -184,7 +184,7 @@ class Panel:
         self.on(speed, lambda: setattr(recording, 'speed', float(speed.value)))
 
     def _seek(self, recording: Recording) -> None:
-        if abs(self._time.value - recording.t) > 0.02:  # else it is we who moved the slider
+        if abs(self._time.value - recording.t) > 0.02:  # else the view itself moved the slider
             recording.playing = False
             recording.seek(self._time.value)
 
@@ -230,11 +230,11 @@ class Panel:
         _set(self.legend, _text(lines))
 
     def tell_picked(self, lines: Sequence[str]) -> None:
-        """Write, as HTML, who was clicked."""
+        """Write the clicked obstacle as HTML."""
         _set(self.picked, _text(lines))
 
     def tell_answer(self, line: str) -> None:
-        """Write, as HTML, what was met."""
+        """Write the hits as HTML."""
         _set(self.answer, _text([line]))
 
 
@@ -251,6 +251,6 @@ def _text(lines: Sequence[str]) -> str:
 
 
 def _set(handle: Any, text: str) -> None:
-    """Write only what is new: everybody who looks is sent it."""
+    """Write only changes: each is sent to every browser."""
     if handle.content != text:
         handle.content = text

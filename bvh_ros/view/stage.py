@@ -15,7 +15,7 @@ from bvh_ros.view.drawing import Placing
 from bvh_ros.view.panel import Panel
 from bvh_ros.view.worlds import Floats, ShownWorld
 
-# ---- Viser's server, as this package uses it.
+# ---- The server of viser
 
 
 class LocalServer(viser.ViserServer):
@@ -37,11 +37,11 @@ class LocalServer(viser.ViserServer):
         return None
 
 
-# ---- What surrounds the obstacles: camera, light, grid and frames.
+# ---- Camera, light, grid and frames
 
 
 LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
-GROWN = 1.5  # times its size as last seen: then the world has another one
+GROWN = 1.5  # times its last size: then the grid is made anew
 NEAR, FAR = 1e-3, 30.0  # what a camera sees, in sizes of the world
 
 
@@ -51,7 +51,7 @@ class Stage:
     Parameters
     ----------
     placing : Placing
-        Is chosen when there is something to be seen for the first time.
+        Chosen when the first obstacle appears.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class Stage:
     def draw_frames(self) -> None:
         """Draw all frames, by numbers: a slash in a name would make it a part of another."""
         scene, length = self._server.scene, 0.05 * self.size
-        seen = self._panel.frames.value
+        visible = self._panel.frames.value
         scene.world_axes.visible = False
         own = self._world.frame_id or 'world'
         places = [(own, np.zeros(3), np.array((0.0, 0.0, 0.0, 1.0))), *self._world.frames()]
@@ -153,6 +153,6 @@ class Stage:
             scene.add_frame(
                 f'/frames/{number}', axes_length=length, axes_radius=0.05 * length,
                 wxyz=orientation[[3, 0, 1, 2]], position=self._placing.shown(position),
-                visible=seen,
+                visible=visible,
             )  # fmt: skip
-            scene.add_label(f'/frames/{number}/name', name, anchor='top-left', visible=seen)
+            scene.add_label(f'/frames/{number}/name', name, anchor='top-left', visible=visible)

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be looked at: a scene, what is drawn over it, and who answers questions about it."""
+"""The worlds that can be shown: a scene, its overlays, and the source of answers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.tree import DynamicBVH
 
-# ---- What can be looked at: a scene, what is drawn over it, and who answers questions about it.
-
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 MOST_BOXES = 20_000  # of the tree, in the browser
@@ -27,7 +24,7 @@ THIN = 0.01  # height of what has none, a share of the world's width
 
 
 class Named(Protocol):
-    """An obstacle that a question met: a `SceneHit`, or a client's `Hit`."""
+    """An obstacle that a query hit: a `SceneHit`, or the `Hit` of a client."""
 
     @property
     def name(self) -> str:
@@ -35,7 +32,7 @@ class Named(Protocol):
 
     @property
     def point(self) -> Sequence[float] | Floats:
-        """Where it is met, m."""
+        """The point of the hit, m."""
 
 
 class Met(NamedTuple):
@@ -46,7 +43,7 @@ class Met(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a question met, nearest first, and how long it took."""
+    """The hits of a query, nearest first, and its time."""
 
     hits: Sequence[Named]
     microseconds: float
@@ -165,7 +162,7 @@ class ShownWorld:
         return _answer(self.scene.overlap(lo, hi), began)
 
     def pick(self, start: Floats, direction: Floats, reach: float) -> Answer:
-        """Ask what somebody sees who looks this way; in a planar world what stands there."""
+        """Cast a ray from a camera; in a planar world, look up the ground point."""
         if not self.scene.planar:
             return self.raycast(start, start + direction * reach)
         down = -start[2] / direction[2] if direction[2] else 0.0
@@ -247,7 +244,7 @@ def _upright(corners: Floats) -> Floats:
     return np.pad(corners, ((0, 0), (0, 3 - corners.shape[1])))
 
 
-# ---- Obstacles by the beginning of their names.
+# ---- Groups of obstacles by the beginning of their names
 
 
 class Namespaces:
@@ -290,7 +287,7 @@ def namespace_of(name: str) -> str:
     return marker.rpartition('/')[0] or marker
 
 
-# ---- A world by a clock of its own: it can be played, paused and stepped through.
+# ---- A recording with its own clock: play, pause and step
 
 
 SECOND = 1_000_000_000  # ns

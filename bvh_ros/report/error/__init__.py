@@ -7,7 +7,7 @@ from . import pairs, traffic, worlds
 INTRODUCTION = """## Error against run time
 
 The truth is computed in whole numbers, by brute force behind a sound filter. *wrong first*: an
-object is met, but not the first; of objects entered at exactly the same distance any will do.
+object is hit, but not the first one; of objects entered at exactly the same distance any will do.
 *Plain float64 leaves*: the same kernels with the usual slab test in place of the exact decision.
 The ways take turns, each after an untimed run; medians. In the pictures the front joins what no
 cheaper way betters by more than a tenth."""

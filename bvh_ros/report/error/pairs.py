@@ -15,7 +15,7 @@ from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quate
 from ..page import Cell, Page, Table
 from ..scenes import Floats
 
-# ---- Pairs of shapes of which it is known how far they are apart.
+# ---- Pairs of shapes at a known distance
 
 
 FACING = 3  # one contact of so many is along an axis of the first shape
@@ -64,7 +64,7 @@ def farthest(shapes: Shapes, ways: Floats) -> Floats:
     return points
 
 
-# ---- Contacts of all kinds of shapes against python-fcl's `collide` and `distance`.
+# ---- The same pairs by this package and by python-fcl
 
 
 GAPS = (-1e-2, -1e-4, -1e-6, -1e-8, -1e-10, -1e-13, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)

@@ -27,7 +27,7 @@ from ..scenes import Boxes, Rays
 
 @inlined
 def _plain_slabs(lo, hi, ray, leave):
-    """(met, t, axis) by rounded arithmetic."""
+    """(hit, t, axis) by rounded arithmetic."""
     entry, leave, entered = slab.rounded_slabs(lo, hi, ray, leave)
     return entry <= leave, entry, entered
 
@@ -46,8 +46,8 @@ def _plain_is_before(tree, ray, hit, other):
 
 @inlined
 def _plain_verdict(lo, hi, ray, best_t):
-    met, t, axis = _plain_slabs(lo, hi, ray, best_t)
-    return best_hit.MEETS if met else best_hit.MISSES, t, axis
+    hit, t, axis = _plain_slabs(lo, hi, ray, best_t)
+    return best_hit.MEETS if hit else best_hit.MISSES, t, axis
 
 
 @inlined
@@ -77,15 +77,15 @@ def wide_kernel() -> Any:
 @contextmanager
 def replaced(**kernels: Any) -> Iterator[None]:
     """Batches of rays go through other kernels, all of them large ones."""
-    kept = {name: getattr(ray_batches, name) for name in ('rows_entry', 'cast_entry')}
-    kept['FEW_RAYS'] = ray_batches.FEW_RAYS
+    original = {name: getattr(ray_batches, name) for name in ('rows_entry', 'cast_entry')}
+    original['FEW_RAYS'] = ray_batches.FEW_RAYS
     try:
         ray_batches.FEW_RAYS = 0
         for name, kernel in kernels.items():
             setattr(ray_batches, name, lambda ndim, kernel=kernel: kernel)
         yield
     finally:
-        for name, value in kept.items():
+        for name, value in original.items():
             setattr(ray_batches, name, value)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each ray meets first, in exact arithmetic, and the errors of answers."""
+"""The first hit of each ray in exact arithmetic, and the errors of answers."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -14,8 +14,7 @@ from ...scene.shapes.shape import ShapeKind, Shapes
 from ..page import Cell
 from ..scenes import Boxes, Floats, Rays
 
-# ---- Where rays enter boxes, spheres and cylinders, in whole numbers: nothing of the tree is
-# used.
+# ---- Where rays enter boxes, spheres and cylinders, in whole numbers, without the tree
 
 
 Whole = list[int]
@@ -34,7 +33,7 @@ def whole(values: Iterable[float], bits: int) -> Whole:
 
 
 def enter_slabs(near: Sequence[int], far: Sequence[int], way: Sequence[int]) -> Fraction | None:
-    """Where a ray enters a closed box; near and far are its planes seen from the ray's origin."""
+    """Where a ray enters a closed box; near and far are its planes, from the origin of the ray."""
     entry, entry_over = 0, 1
     leave, leave_over = 1, 0  # infinity
     for a, b, d in zip(near, far, way, strict=True):
@@ -141,7 +140,7 @@ def _stretched_rotation(quaternion: list[float]) -> tuple[list[list[int]], int]:
     return [list(column) for column in columns], x * x + y * y + z * z + w * w
 
 
-# ---- The first thing that each ray meets, by brute force and without rounding.
+# ---- The first hit of each ray, by brute force and without rounding
 
 
 Rows = NDArray[np.int64]
@@ -152,7 +151,7 @@ class Truth(NamedTuple):
     """What real arithmetic says of n rays."""
 
     rows: Rows
-    """(n,) of the object met first, the lowest among equals; NOTHING where none is."""
+    """(n,) of the first object hit, the lowest among equals; NOTHING where none is."""
     ts: list[Fraction | None]
     """Exact distance to it."""
     entry: Callable[[int, int], Fraction | None]
@@ -229,10 +228,12 @@ def _settle(
     count = len(rays.origins)
     rows, ts = np.full(count, NOTHING, np.int64), []
     for ray in range(count):
-        met = [(t, row) for row in candidates(ray).tolist() if (t := entry(row, ray)) is not None]
-        ts.append(min(met)[0] if met else None)
-        if met:
-            rows[ray] = min(met)[1]
+        entered = [
+            (t, row) for row in candidates(ray).tolist() if (t := entry(row, ray)) is not None
+        ]
+        ts.append(min(entered)[0] if entered else None)
+        if entered:
+            rows[ray] = min(entered)[1]
     return Truth(rows, ts, entry, np.linalg.norm(rays.directions, axis=1))
 
 
@@ -246,21 +247,21 @@ def brute_force(boxes: Boxes, rays: Rays) -> tuple[Rows, Floats]:
             near, far = np.where(inverse > 0, first, last), np.where(inverse > 0, last, first)
             entry = np.fmax.reduce(near, axis=1, initial=0.0)  # 0 * inf is NaN: bounds nothing
             leave = np.fmin.reduce(far, axis=1, initial=np.inf)
-            met = np.flatnonzero(entry <= leave)
-            if len(met):
-                rows[ray] = met[entry[met].argmin()]
+            entered = np.flatnonzero(entry <= leave)
+            if len(entered):
+                rows[ray] = entered[entry[entered].argmin()]
                 ts[ray] = entry[rows[ray]]
     return rows, ts
 
 
-# ---- What is wrong with answers: counted against the truth, and measured in metres and in ulp.
+# ---- Wrong answers, counted; errors of distances in metres and in ulp
 
 
 class Answer(NamedTuple):
     """First objects on n rays."""
 
     rows: Rows
-    """(n,) NOTHING where nothing is met."""
+    """(n,) NOTHING where there is no hit."""
     ts: Floats
     """(n,) computed distances."""
 
@@ -270,13 +271,13 @@ class Score(NamedTuple):
 
     rays: int
     wrong_hits: int
-    """Something is met where there is nothing."""
+    """A hit where there is none."""
     wrong_misses: int
-    """Nothing is met where there is something."""
+    """No hit where there is one."""
     wrong_first: int
-    """An object is met first that is not: farther, or not met at all."""
+    """The wrong object comes first: it is farther, or not hit at all."""
     wrong_by: float
-    """How much farther at most, m; inf if it is not met at all."""
+    """How much farther at most, m; inf if it is not hit at all."""
     distances: Floats
     """|t - exact t| in metres, of all rays that meet something and should."""
     relative: float

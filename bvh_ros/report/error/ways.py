@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ways of answering, measured by error and run time, in a table and a picture."""
+"""Methods of answering, measured by error and run time, in a table and a picture."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from ..timing import Job, Timing, interleaved
 from . import plain
 from .truth import HEADER, NOTHING, Answer, Score, Truth, brute_force, cells, score
 
-# ---- Error against run time: a point a way, and the front of those that nothing beats in both.
+# ---- The picture: error against run time, and the front that no method beats in both
 
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; with the markers, one look a way.
@@ -101,7 +101,7 @@ def _panel(axes: Any, points: Sequence[Point], errors: Sequence[float], panel: P
     axes.spines[['top', 'right']].set_visible(False)
 
 
-# ---- Ways of answering: what each does, and a run of all of them that measures error and time.
+# ---- Methods, and a run of all of them that measures error and time
 
 
 Way = Callable[[], Answer]  # one way to answer the rays of a scene

@@ -19,7 +19,7 @@ from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform
 from .truth import NOTHING, Answer, Truth, boxes_truth, shapes_truth
 from .ways import MEAN, WRONG, Way, box_ways, compare, show, tree_answer
 
-# ---- Recorded input: a building, a laser scan, traffic and shelves, read from their CSV files.
+# ---- Recordings from CSV files: a building, a laser scan, traffic and shelves
 
 
 Line = dict[str, str]
@@ -91,7 +91,7 @@ def _track(rows: list[Line]) -> Track:
     return Track(_numbers(rows, 't_s')[:, 0], _numbers(rows, 'cx cy cz'), turns, size)
 
 
-# ---- Rays at axis-aligned boxes: random, adversarial, and a real scan in a real building.
+# ---- Axis-aligned boxes: random, adversarial, and a real scan in a real building
 
 
 PLACES, PLACES_QUICK = 20, 2  # in the building, each with as many beams
@@ -173,7 +173,7 @@ def _measure_boxes(
     show(page, name, f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays', ways, found)
 
 
-# ---- Rays at turned boxes, spheres and cylinders: what a simpler shape in their place costs.
+# ---- Turned boxes, spheres and cylinders; the error of simpler shapes in their place
 
 
 ShapesAndRays = tuple[Shapes, Rays]
@@ -203,7 +203,7 @@ def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
 
 
 def shelves(page: Page, brief: bool) -> None:
-    """Recorded tables and shelves, seen from round about."""
+    """Recorded tables and shelves, with rays from all around."""
     page.add('### Shelves and tables')
     path = page.data / 'manipulation_scenes' / 'scenes.csv'
     if page.misses([path]):
