@@ -14,7 +14,7 @@ from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.insertion import branch_and_bound_sibling, greedy_sibling
-from bvh_ros.tree.nodes import FREE_LEAF, NONE, ROOT, SLOT_MASK, is_leaf
+from bvh_ros.tree.nodes import FREE_LEAF, ROOT, SLOT_MASK, is_leaf
 
 SEARCHES = ['greedy', 'branch_and_bound']
 
@@ -255,45 +255,7 @@ def test_height(
     assert tree.height <= 4 * math.log2(len(tree)) + 4
 
 
-@pytest.mark.parametrize('boxes', [coincident_boxes, powers_of_two])
-@pytest.mark.parametrize('bulk', [False, True])
-def test_height_of_few(boxes: Callable[..., tuple[Floats, Floats]], bulk: bool) -> None:
-    for count in (*range(1, 40), 63, 64, 65, 127, 128, 129, 255, 256, 257):
-        check_height(count, boxes, bulk)
-
-
-def check_height(count: int, boxes: Callable[..., tuple[Floats, Floats]], bulk: bool) -> None:
-    lo, hi = boxes(count, 2)
-    tree = DynamicBVH.from_boxes(lo, hi) if bulk else DynamicBVH(2)
-    if not bulk:
-        for row in range(count):
-            tree.insert(lo[row], hi[row])
-    assert tree.height <= 4 * math.log2(count) + 4
-    for handle in tree.ids().tolist():
-        tree.remove(handle)
-        assert not len(tree) or tree.height <= 4 * math.log2(len(tree)) + 4
-    assert (tree.height, tree.cost(), tree.bounds, int(tree.state[ROOT])) == (0, 0.0, None, NONE)
-    tree.validate()
-
-
 # ---- many at once, and room for them
-
-
-@pytest.mark.parametrize('before', [0, 1, 10, 1000])
-@pytest.mark.parametrize('count', [0, 1, 2, 500])
-@pytest.mark.parametrize('margin', [0.0, 0.5])
-def test_insert_many_is_insert_of_each(before: int, count: int, margin: float) -> None:
-    rng = np.random.default_rng(before + count)
-    lo = rng.uniform(0, 100, (before + count, 3))
-    masks = rng.integers(0, 2**32, before + count, dtype=np.uint32)
-    tree = DynamicBVH(margin=margin, capacity=3)
-    first = tree.insert_many(lo[:before], lo[:before] + 1, masks[:before])
-    second = tree.insert_many(lo[before:], lo[before:] + 1, masks[before:])
-    tree.validate()
-    assert (first.shape, second.shape, second.dtype) == ((before,), (count,), np.int64)
-    assert tree.ids().tolist() == [*first.tolist(), *second.tolist()]
-    assert np.array_equal(tree.boxes(tree.ids())[0], lo)
-    assert np.array_equal(tree.masks(tree.ids()), masks)
 
 
 def test_storage_grows_and_places_are_used_again() -> None:

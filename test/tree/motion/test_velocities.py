@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tree.motion.exact import meetings
-from tree.motion.test_moving_boxes import tree_of
-from tree.motion.worlds import worlds
 
 from bvh_ros import DynamicBVH
 
@@ -176,26 +173,6 @@ def test_whole_nanoseconds_and_how_long_boxes_go_on_are_kept(tmp_path: Path):
         np.savez_compressed(tmp_path / 'damaged.npz', **(sound | {'left': left}))
         with pytest.raises(ValueError, match=r'no saved tree|not sound'):
             DynamicBVH.load(tmp_path / 'damaged.npz')
-
-
-def test_bounds_follow_the_tree_and_the_times():
-    """One tree that changes and is asked for all times, against one made for each question."""
-    for world, course, rng in worlds(5, 20):
-        tree, ids = tree_of(world), None
-        for _ in range(4):
-            ids = tree.ids()
-            for scale in (1.0, 1e3, -1e5, 0.0):
-                asked = course._replace(at=course.at * scale, high=course.low)
-                hits = meetings(world, asked)
-                times = {'at': asked.at, 'pace': asked.pace}
-                _, found, _ = tree.raycast_all_many([asked.low], [asked.direction], **times)
-                assert sorted(found) == sorted(ids[hit.row] for hit in hits)
-            row = rng.integers(len(ids))
-            world.lo[row], world.hi[row] = world.lo[0], world.hi[0]
-            tree.move(ids[row], world.lo[0], world.hi[0])
-            world.velocities[row] = world.velocities[1]
-            world.references[row] = world.references[1]
-            tree.set_velocities(ids[row : row + 1], world.velocities[1:2], world.references[1])
 
 
 def test_who_asks_while_velocities_change_is_right_or_refused():

@@ -95,21 +95,6 @@ def test_a_dense_batch_is_answered_as_point_by_point(ndim: int, scale: float, k:
         assert (distances[row, found:] == math.inf).all()
 
 
-@pytest.mark.parametrize('options', [{'margin': 5.0}, {'sibling_search': 'branch_and_bound'}])
-def test_the_answer_does_not_depend_on_the_tree(options: dict[str, object]) -> None:
-    rng = np.random.default_rng(8)
-    lo = coordinates(rng, (150, 3), 1.0)
-    plain, other = DynamicBVH.from_boxes(lo, lo + 0.1), DynamicBVH(3, **options)
-    handles = np.empty(150, np.int64)
-    for row in range(150):
-        handles[row] = other.insert(lo[row], lo[row] + 0.1)
-    points = coordinates(rng, (100, 3), 1.5)
-    ids, distances = plain.nearest_many(points, 10)
-    other_ids, other_distances = other.nearest_many(points, 10)
-    assert np.array_equal(distances, other_distances)
-    assert np.array_equal(np.searchsorted(plain.ids(), ids), np.searchsorted(handles, other_ids))
-
-
 def test_max_distance_at_the_box_counts() -> None:
     tree = DynamicBVH(2)
     handle = tree.insert([3, 4], [9, 9])
