@@ -12,8 +12,7 @@ from tree.motion.test_wide_casting import crowd, one_by_one
 from tree.motion.worlds import Random
 from tree.reference import effort, is_within_2_ulp, seen
 
-from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import ALL
+from bvh_ros import ALL, DynamicBVH
 
 pytestmark = pytest.mark.slow  # kernels of its own
 

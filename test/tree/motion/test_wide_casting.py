@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from tree.motion.exact import World, meetings
+from tree.motion.exact import World, meetings_until
 from tree.motion.test_moving_boxes import normal_of, tree_of
-from tree.motion.worlds import Random, worlds
+from tree.motion.worlds import Random, stopping
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
@@ -22,11 +22,16 @@ def is_swept(tree: DynamicBVH) -> bool:
     return tree.motion._wanted.sweep is not None
 
 
-def test_rows_are_those_of_exact_arithmetic():
-    """Rays beside one that is hard to decide about, each with a limit and a mask of its own."""
+@pytest.mark.parametrize('stops', [False, True])
+def test_rows_are_those_of_exact_arithmetic(stops: bool):
+    """Rays beside one that is hard to decide about, each with a limit and a mask of its own; among
+    boxes that go on for ever, or stop.
+    """
     swept = 0
-    for number, (world, course, rng) in enumerate(worlds(6, effort(60, 6000))):
-        tree, ndim = tree_of(world, margin=0.1 if number % 7 == 0 else 0.0), world.lo.shape[1]
+    for number, (world, course, left, rng) in enumerate(stopping(6, effort(60, 6000))):
+        left = left if stops else math.inf
+        tree = tree_of(world, 0.1 if number % 7 == 0 else 0.0, left)
+        ndim = world.lo.shape[1]
         ids, masks = tree.ids(), rng.integers(1, 8, RAYS).astype(np.uint32)
         box_masks = rng.integers(1, 8, len(ids)).astype(np.uint32)
         tree.set_masks(ids, box_masks)
@@ -37,7 +42,7 @@ def test_rows_are_those_of_exact_arithmetic():
         limits = rng.choice([1.0, 0.0, 0.5, 2.0], RAYS)
         paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
         every = [
-            meetings(world, course._replace(low=o, high=o, direction=w, pace=float(p)))
+            meetings_until(world, course._replace(low=o, high=o, direction=w, pace=float(p)), left)
             for o, w, p in zip(origins, ways, paces, strict=True)
         ]
         for row, hits in enumerate(every):  # contact exactly at the end
