@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from tree.reference import exact_hits
+from tree.reference import effort, exact_hits
 
 from bvh_ros import DynamicBVH
 from bvh_ros.report.error import plain, worlds
@@ -140,3 +140,19 @@ def test_vehicles_are_between_their_frames(shared_data):
         track = traffic[number]
         around = track.positions[(track.times > 0.15) & (track.times < 0.35)]
         assert np.allclose(place, around.mean(axis=0), atol=1e-9)
+
+
+def test_first_hits_among_recorded_shapes_are_those_of_exact_arithmetic(shared_data):
+    """Tables and shelves; distances to rounding over the slope of the surface that is entered."""
+    scenes = worlds.shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
+    assert len(scenes) == 17
+    met, rays = 0, effort(200, 10_000)
+    for number, shapes in enumerate(scenes.values()):
+        some = worlds.rays_round(shapes, rays, np.random.default_rng(number))
+        truth = shapes_truth(shapes, some)
+        found = score(worlds.scene_answer(worlds.scene_of(shapes), some), truth)
+        assert (found.wrong_hits, found.wrong_misses) == (0, 0)
+        assert found.wrong_by < 1e-14  # flush boards: decided in float64
+        assert found.distances.max(initial=0.0) < 1e-11
+        met += int(np.count_nonzero(truth.rows != NOTHING))
+    assert 0.3 < met / (rays * len(scenes)) < 0.99

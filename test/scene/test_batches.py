@@ -66,36 +66,6 @@ def as_row(hit):
     return hit.handle, hit.t, hit.point, hit.normal
 
 
-@pytest.mark.parametrize('skip_inside', [False, True])
-def test_sweeps(world, skip_inside):
-    scene, rng = world
-    starts, goals = points_of(rng, 300), points_of(rng, 300)
-    goals[::7] = starts[::7]
-    radii = rng.choice([0.0, 0.25, 0.5, 1.7], 300)
-    masks = rng.integers(0, 4, 300)
-    ones = [
-        as_row(scene.raycast(*row, skip_inside))
-        for row in zip(starts, goals, radii.tolist(), masks.tolist(), strict=True)
-    ]
-    for threads in (1, 3):
-        hits = scene.sweep_many(starts, goals, radii, masks, skip_inside, threads)
-        for column, expected in zip(hits, zip(*ones, strict=True), strict=True):
-            same(column, np.array(expected, column.dtype))
-    assert 20 < (hits.handles != NO_NODE).sum() < 290
-    ways = (goals - starts) / 4
-    rays = scene.raycast_many(starts, ways, 4.0, masks, skip_inside, radius=radii)
-    same(rays.handles, hits.handles)
-    thick = radii > 0
-    same(rays.t[thick], 4 * hits.t[thick])
-    same(rays.points[thick], hits.points[thick])
-    for radius in (0.0, 0.5):
-        hits = scene.sweep_many(starts, goals, radius)
-        expected = [
-            as_row(scene.raycast(*row, radius))[0] for row in zip(starts, goals, strict=True)
-        ]
-        same(hits.handles, np.array(expected, np.uint32))
-
-
 def assert_wants(lists, ask, *asked):
     """All forms of an answer say what these lists of hits say."""
     ask = partial(ask, *asked)
@@ -333,3 +303,23 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
             found = scene.sweep_many(starts, goals, 0.25, threads=threads)
             assert found.handles.tolist() == [1, NO_NODE, 1]
             assert found.t[0] == pytest.approx(5.25 / 9)
+
+
+@pytest.mark.parametrize('radius', [None, 0.0, 0.5, [0.0, 0.5, 0.0, 0.5, 0.5]])
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('turned', [False, True])
+def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
+    scene, turn = Scene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
+    scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
+    good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
+    for axis in range(3):
+        for bad in np.nan, np.inf, -np.inf:
+            rows[3] = 30.0
+            rows[3, axis] = bad
+            with pytest.raises(ValueError, match='origins must be finite: row 3'):
+                scene.raycast_many(rows, good, 1.0, radius=radius)
+            with pytest.raises(ValueError, match='directions must be finite: row 3'):
+                scene.raycast_many(good, rows, 0.0, radius=radius)
+    if radius:
+        with pytest.raises(ValueError, match='end the way of a ball: row 3 has none'):
+            scene.raycast_many(good, good, [1, 1, 1, np.inf, 1], radius=radius)

@@ -10,19 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene.reference import (
-    box_of_triangles,
-    bulging,
-    first_contact,
-    icosphere,
-    scene_of,
-    widest_gap,
-)
+from scene.reference import bulging, first_contact, icosphere, scene_of, widest_gap
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.shapes.mesh import convex_polygon
+from bvh_ros.scene import Mesh, Shapes
 
 
 class Outline(NamedTuple):
@@ -50,44 +42,6 @@ def world(rng, count):
         for place, turn, mesh in zip(places, unit, meshes, strict=True)
     ]
     return Shapes.of_meshes(meshes, places, turns), seen
-
-
-def test_boxes_given_as_triangles_answer_as_boxes():
-    rng = np.random.default_rng(2)
-    count = 30
-    sizes, places = rng.uniform(0.2, 2, (count, 3)), rng.uniform(-4, 4, (count, 3))
-    turns = rng.normal(size=(count, 4))
-    turns[:10, :2] = 0.0
-    turns[:5] = 0.0
-    plain = scene_of(Shapes.boxes(places, sizes, turns), planar=True)
-    meshes = [Mesh(box_of_triangles(size)) for size in sizes]
-    meshed = scene_of(Shapes.of_meshes(meshes, places, turns), planar=True)
-    assert sorted(plain.overlap_pairs()) == sorted(meshed.overlap_pairs()) != []
-    hits = 0
-
-    def same(one, other):
-        assert [hit.name for hit in one] == [hit.name for hit in other]
-        for hit, twin in zip(one, other, strict=True):
-            assert twin.t == pytest.approx(hit.t, abs=1e-9)
-            assert twin.point == pytest.approx(hit.point, abs=1e-6)
-            assert twin.normal == pytest.approx(hit.normal, abs=1e-6)
-
-    for _ in range(100):
-        start, goal = rng.uniform(-6, 6, (2, 3))
-        for radius in (0.0, 0.4):
-            one = plain.raycast_all(start, goal, radius)
-            same(one, meshed.raycast_all(start, goal, radius))
-            first = plain.raycast(start, goal, radius), meshed.raycast(start, goal, radius)
-            assert [hit and hit.name for hit in first] == [one[0].name if one else None] * 2
-            hits += len(one)
-        for tolerance in (0.0, 0.5):
-            query = (start, start + goal / 3, (0, 0, *rng.normal(size=2)), tolerance)
-            same(plain.overlap(*query), meshed.overlap(*query))
-        same(plain.nearest(start, 3), meshed.nearest(start, 3))
-    assert hits > 200
-    for name in map(str, range(count)):
-        one, other = plain.clearance(name), meshed.clearance(name)
-        assert other.distance == pytest.approx(one.distance, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -177,29 +131,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
     assert scene.raycast((1, -9, 0), (1, 9, 0)).name == 'box'
 
 
-def test_a_scene_without_meshes_has_no_polygons():
-    scene = scene_of(Shapes.boxes(np.eye(3), (1, 1, 1), np.ones((3, 4))), planar=True)
-    assert scene._held.columns.hulls is None
-    assert Scene(planar=True)._held.columns.meshes.nbytes == 0
-
-
 coordinates = st.integers(-8, 8)
-
-
-@settings(max_examples=200)
-@given(st.lists(st.tuples(coordinates, coordinates), min_size=3, max_size=40))
-def test_polygons_are_hulls_exactly(points):
-    """Whole numbers: many in a line, many twice."""
-    places = np.array(points, float)
-    if np.linalg.matrix_rank(places - places[0]) < 2:
-        return
-    polygon = convex_polygon(places)
-    expected = places[ConvexHull(places).vertices]
-    assert {tuple(p) for p in polygon.tolist()} == {tuple(p) for p in expected.tolist()}
-    assert len(polygon) == len(expected)
-    one, two, three = (np.roll(polygon, -k, axis=0) for k in range(3))
-    (x, y), (u, v) = (two - one).T, (three - two).T
-    assert (x * v > y * u).all()
 
 
 @settings(max_examples=60)

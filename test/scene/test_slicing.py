@@ -108,39 +108,6 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
     assert pauses > 15
 
 
-def test_what_happens_between_slices_is_not_undone():
-    random = np.random.default_rng(5)
-    scene = Scene()
-    shapes = Shapes.boxes(random.uniform(0, 9, (60, 3)), [1, 1, 1])
-    names = Numbered('c#', np.arange(60))
-    scene.update('s', names, shapes, stamp=1, expires=50)
-    part = Part(names, shapes._replace(position=shapes.position + 20), 2)
-    work = scene.in_slices('s', '', 60, part.cut, whole=True)
-    next(work), next(work)
-    assert scene.expire(60) == 46  # those not yet renewed; the shadows of the others go, too
-    scene.update('t', Numbered('d#', np.arange(40)), shapes.take(slice(40)), stamp=3)
-    assert len(list(work)) > 5
-    assert len(scene) == 100
-    scene.validate()
-    assert not scene.overlap([-1, -1, -1], [0, 0, 0])
-
-
-def test_clearing_ends_an_update():
-    scene = Scene()
-    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
-    names = Numbered('c#', np.arange(60))
-    scene.update('s', names, shapes, stamp=1)
-    moved = Part(names, shapes._replace(position=shapes.position + 20), 2)
-    for end in (scene.clear, lambda: None):
-        work = scene.in_slices('s', '', 60, moved.cut, whole=True)
-        next(work), next(work)
-        end()
-        work.close()
-        scene.validate()
-        assert len(scene) == (0 if end == scene.clear else 60)
-        scene.update('s', names, shapes, stamp=3)
-
-
 def test_too_many_are_refused_as_at_once():
     """Whatever is known, new, bad or too much, and however few rows replace how many."""
     random = np.random.default_rng(7)

@@ -16,20 +16,19 @@ from scene.distance.contacts import (
     CYLINDER,
     DIGITS,
     MESH,
+    answers,
     contacts,
     decimals,
+    farthest_outside,
     matrix,
-    outside,
-    pairs_of,
     scene_of,
+    touches_within,
 )
 from scene.reference import box_of_triangles
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.distance.narrow_phase import gap as distance_of
-from bvh_ros.scene.distance.narrow_phase import near_pairs
 
 COUNT = effort(400, 200_000)  # of each of five kinds
 BATCH = 2000
@@ -47,24 +46,18 @@ KINDS = [
 
 def faults(made, planar):
     """What is answered wrong: (fault, contact)."""
-    pairs, geometry, hulls = pairs_of(made, scene_of(made, planar))
-    found, points = np.empty((2, len(made)), np.bool_), np.empty((2, 2, 3))
-    for side, order in enumerate((pairs, pairs[:, ::-1].copy())):
-        near_pairs(geometry, hulls, order, planar, found[side])
-    for k, one in enumerate(made):
-        pair = geometry[pairs[k]]
-        distance = distance_of(pair[0], hulls, pair[1], hulls, planar, points[0])
-        if distance != distance_of(pair[1], hulls, pair[0], hulls, planar, points[1]):
+    for one in made:
+        touching, found, back = answers(one, planar)
+        if found.distance != back.distance:
             yield 'another distance from the other side', one
-        if (points[1, ::-1] != points[0]).any():
+        points, others = ([side.point, side.other_point] for side in (found, back))
+        if (np.subtract(points, others[::-1])[:, : 2 if planar else 3] != 0.0).any():
             yield 'other points from the other side', one
-        wrong = found[:, k] != (one.gap < 0)
-        if wrong.any() and abs(one.gap) >= DECIDED * one.size:
+        if touching != (one.gap < 0) and abs(one.gap) >= DECIDED * one.size:
             yield 'wrong decision', one
-        if abs(distance - max(one.gap, 0.0)) > EXACT * one.size:
-            yield f'wrong distance {distance}', one
-        places = zip(one.geometry_arrays, one.positions, one.turns, points[0], strict=True)
-        if max(outside(*place, planar) for place in places) > COMMON * one.size:
+        if abs(found.distance - max(one.gap, 0.0)) > EXACT * one.size:
+            yield f'wrong distance {found.distance}', one
+        if farthest_outside(one, found, planar) > COMMON * one.size:
             yield 'a point outside', one
 
 
@@ -83,14 +76,13 @@ def test_a_common_point_of_what_overlaps_deeply():
     made = contacts(COUNT, rng, ('free',), [0.01], (0.0,))
     for one in made:
         one.positions[1] = one.positions[0] + rng.uniform(-0.4, 0.4, 3) * one.size
-    pairs, geometry, hulls = pairs_of(made, scene_of(made))
-    points, common = np.empty((2, 3)), 0
-    for one, (a, b) in zip(made, pairs, strict=True):
-        if distance_of(geometry[a], hulls, geometry[b], hulls, False, points) == 0.0:
+    common = 0
+    for one in made:
+        _, found, _ = answers(one)
+        if found.distance == 0.0:
             common += 1
-            assert (points[0] == points[1]).all()
-            for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
-                assert outside(*place) <= COMMON * one.size
+            assert (found.point == found.other_point).all()
+            assert farthest_outside(one, found) <= COMMON * one.size
     assert common > COUNT / 4
 
 
@@ -101,12 +93,10 @@ def test_a_common_point_beside_cylinders():
     rng = np.random.default_rng(28)
     depths = [10.0**-k for k in range(5, 12)]
     made = contacts(COUNT, rng, ('parallel', 'nearly', 'free'), depths, NEAR, (CYLINDER, MESH))
-    pairs, geometry, hulls = pairs_of(made, scene_of(made))
-    points = np.empty((2, 3))
-    for one, (a, b) in zip(made, pairs, strict=True):
-        if distance_of(geometry[a], hulls, geometry[b], hulls, False, points) == 0.0:
-            for place in zip(one.geometry_arrays, one.positions, one.turns, points, strict=True):
-                assert outside(*place) <= EXACT * one.size, one
+    for one in made:
+        _, found, _ = answers(one)
+        if found.distance == 0.0:
+            assert farthest_outside(one, found) <= EXACT * one.size, one
 
 
 def test_how_many_are_compared_is_told():
@@ -133,19 +123,9 @@ def test_tolerances(gap):
     rng = np.random.default_rng(6)
     for one in contacts(100, rng, ('upright', 'parallel', 'nearly'), [gap], NEAR):
         if one.gap > 0.0:
-            scene, off = Scene(), 1e-12 * max(one.size, one.gap)
-            scene.update('test', ['it'], shape_of(one, 1), stamp=1)
+            off = 1e-12 * max(one.size, one.gap)
             for beyond in (-off, off):
-                found = scene.overlap_shape(shape_of(one, 0), tolerance=one.gap + beyond)
-                assert bool(found) == (beyond > 0)
-
-
-def shape_of(one, row):
-    body = one.geometry_arrays[row]
-    position, turn = one.positions[row : row + 1], one.turns[row : row + 1]
-    if body.mesh is not None:
-        return Shapes.of_meshes([body.mesh], position, turn)
-    return Shapes(np.array([body.kind], np.uint8), position, turn, 2 * body.half[None])
+                assert touches_within(one, one.gap + beyond) == (beyond > 0)
 
 
 @pytest.mark.parametrize(
@@ -153,9 +133,12 @@ def shape_of(one, row):
 )
 def test_more_digits_are_seldom_needed(manners, gaps):
     made = contacts(300, np.random.default_rng(7), manners, gaps, (0.0,), (BOX, MESH))
-    pairs, geometry, hulls = pairs_of(made, scene_of(made))
-    found = np.empty(len(made), np.bool_)
-    assert near_pairs(geometry, hulls, pairs, False, found) <= 0.1 * len(made)
+    needed = 0
+    for one in made:
+        scene = scene_of([one])
+        scene.overlap_pairs()
+        needed += scene.stats()['pairs_in_more_digits']
+    assert needed <= 0.1 * len(made)
 
 
 @pytest.mark.parametrize('kinds', [(BOX, BOX), (BOX, MESH), (MESH, MESH), (CYLINDER, CYLINDER)])

@@ -62,24 +62,6 @@ def test_every_shape_has_its_nearest(spread):
     assert apart > 0
 
 
-def test_as_python_fcl_between_boxes():
-    fcl = pytest.importorskip('fcl')
-    rng = np.random.default_rng(5)
-    for _ in range(100):
-        shapes = random_shapes(rng, 2, 3.0)
-        shapes = shapes._replace(kind=np.zeros(2, np.uint8))
-        scene = Scene()
-        scene.update('test', ['a', 'b'], shapes, stamp=1)
-        pair = [
-            fcl.CollisionObject(
-                fcl.Box(*(2 * solid.half)), fcl.Transform(solid.matrix, solid.position)
-            )
-            for solid in geometry_arrays(shapes)
-        ]
-        expected = 0.0 if fcl.collide(*pair) else fcl.distance(*pair)
-        assert scene.clearance('a').distance == pytest.approx(expected, abs=1e-9)
-
-
 def test_axis_aligned_boxes_exactly():
     scene = Scene()
     shapes = Shapes.boxes([[0, 0, 0], [4, 1, 9], [3, 4, 0]], [[2, 2, 2], [2, 2, 2], [2, 2, 2]])

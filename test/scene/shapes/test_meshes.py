@@ -7,12 +7,11 @@ import math
 import fcl
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, bulging, icosphere, scene_of
+from scene.reference import box_of_triangles, bulging, scene_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-from bvh_ros.scene.shapes.hull import MeshStore
 
 CUBE = box_of_triangles((1, 1, 1))
 
@@ -158,35 +157,6 @@ def test_pairs_of_meshes_and_mesh_queries_are_as_far_apart_as_python_fcl_says():
             assert (str(j) in found) == (distance <= 0.3)
 
 
-def test_a_ball_touches_a_mesh_of_many_faces_where_python_fcl_says():
-    rng = np.random.default_rng(9)
-    mesh, place, turn = Mesh(icosphere(3) * (1, 0.6, 0.3)), (0.5, -0.2, 0.1), rng.normal(size=4)
-    turn /= np.linalg.norm(turn)
-    scene = scene_of(Shapes.of_meshes([mesh], [place], [turn]))
-    model = as_model(mesh, scene.get('0').position, turn)
-    hits = 0
-
-    def distance(centre):
-        ball = fcl.CollisionObject(fcl.Sphere(0.25), fcl.Transform(centre))
-        return fcl.distance(ball, model)
-
-    for _ in range(60):
-        start = rng.normal(size=3)
-        start *= 3 / np.linalg.norm(start)
-        goal = rng.normal(size=3) * 1.2 - start
-        hit = scene.raycast(start, goal, 0.25)
-        if hit is None:
-            steps = np.linspace(0, 1, 200)[:, None]
-            assert min(distance(at) for at in start + steps * (goal - start)) > 0.0
-            continue
-        hits += 1
-        centre = start + hit.t * (goal - start)
-        assert distance(centre - 1e-6 * (goal - start)) == pytest.approx(0.0, abs=1e-5)
-        assert np.linalg.norm(hit.point - centre) == pytest.approx(0.25, abs=1e-9)
-        assert hit.normal == pytest.approx((centre - hit.point) / 0.25, abs=1e-6)
-    assert 15 < hits < 60
-
-
 def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     mesh, other = CUBE, CUBE * 2
     scene = scene_of(Shapes.of_meshes([Mesh(mesh), Mesh(mesh), Mesh(other)], np.eye(3) * 9))
@@ -204,21 +174,3 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert scene._held.columns.hulls is None
     assert scene.get('0').kind == ShapeKind.BOX
     assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
-
-
-def test_meshes_that_come_and_go_are_found_in_arrays_that_do_not_grow_for_ever():
-    store, rng = MeshStore(), np.random.default_rng(2)
-    meshes = [Mesh(CUBE * (1 + k)) for k in range(20)]
-    held = {}
-    for _ in range(3000):
-        mesh = meshes[rng.integers(20)]
-        if mesh.key in held and rng.random() < 0.6:
-            store.release(held.pop(mesh.key))
-        elif mesh.key not in held:
-            held[mesh.key] = store.take(mesh)
-        for known in meshes[:3]:
-            if known.key in held:
-                begin, end = store.hulls.spans[held[known.key]]['vertices']
-                assert np.array_equal(store.hulls.vertices[begin:end], known.vertices)
-    assert len(store) == len(held)
-    assert len(store.hulls.vertices) < 3000
