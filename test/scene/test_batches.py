@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
 
@@ -173,33 +172,6 @@ def test_clearances(world, signed):
 
 
 boxes = st.tuples(*[st.integers(-3, 3)] * 3, *[st.integers(0, 3)] * 3)
-
-
-@settings(max_examples=60)
-@given(st.lists(boxes, max_size=6), st.sampled_from([2.0**-1060, 2.0**-40, 0.1, 2.0**900]))
-def test_touching_at_any_scale(rows, scale):
-    """Ties, contacts to the last digit, and no obstacle at all."""
-    table = np.array(rows, float).reshape(-1, 6) * scale
-    scene = Scene()
-    scene.update(
-        'test', [*map(str, range(len(rows)))], Shapes.boxes(table[:, :3], table[:, 3:]), stamp=1
-    )
-    rng = np.random.default_rng(len(rows))
-    points = rng.integers(-4, 5, (8, 2, 3)) * scale
-    radius = float(rng.integers(0, 3) * scale)
-    hits = scene.sweep_many(points[:, 0], points[:, 1], radius)
-    lists = scene.overlap_many(points[:, 0], [scale] * 3, tolerance=radius, want='all')
-    near = scene.nearest_many(points[:, 0], 2)
-    for i, (start, goal) in enumerate(points):
-        row = as_row(scene.raycast(start, goal, radius))
-        for column, expected in zip(hits, row, strict=True):
-            same(column[i], np.asarray(expected, column.dtype))
-        touched = scene.overlap_shape(Shapes.boxes([start], [scale] * 3), radius)
-        found = lists[1][lists[0][i] : lists[0][i + 1]]
-        assert found.tolist() == [hit.handle for hit in touched]
-        ones = scene.nearest(start, 2)
-        assert near[0][i].tolist()[: len(ones)] == [hit.handle for hit in ones]
-        assert near[1][i].tolist()[: len(ones)] == [hit.t for hit in ones]
 
 
 def test_an_obstacle_at_two_places_is_one(monkeypatch):

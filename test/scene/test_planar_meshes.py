@@ -93,21 +93,6 @@ def test_overlaps_and_nearest_as_sampling_finds():
     assert touched > 50
 
 
-def test_a_mesh_asks_as_it_answers():
-    """overlap_shape, pairs and clearance look at the same polygons."""
-    rng = np.random.default_rng(7)
-    shapes, _ = world(rng, 25)
-    scene = scene_of(shapes, planar=True)
-    pairs = set(scene.overlap_pairs())
-    for row in range(25):
-        found = {hit.name for hit in scene.overlap_shape(shapes.take([row]))} - {str(row)}
-        assert found == {
-            one if other == str(row) else other for one, other in pairs if str(row) in (one, other)
-        }
-        assert (scene.clearance(str(row)).distance == 0.0) == bool(found)
-    assert 5 < len(pairs) < 250
-
-
 def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
     ball = icosphere(3)
     tilted = np.array([(0.3, 0.1, 0.2, 1.0)] * 3)

@@ -98,17 +98,6 @@ def test_node_handles_end_with_a_clear_error():
     assert scene.update('test', ['last'], BOX, stamp=3) == []
 
 
-def test_categories_follow_updates():
-    scene = Scene()
-    scene.update('test', ['x'], BOX, stamp=1, categories=1)
-    assert scene.raycast([-2, 0, 0], [2, 0, 0], mask=2) is None
-    scene.update('test', ['x'], BOX, stamp=1, categories=6)
-    assert scene.raycast([-2, 0, 0], [2, 0, 0], mask=2).name == 'x'
-    assert scene.raycast([-2, 0, 0], [2, 0, 0], mask=1) is None
-    assert [hit.name for hit in scene.overlap([0, 0, 0], [1, 1, 1], mask=4)] == ['x']
-    assert scene.overlap([0, 0, 0], [1, 1, 1], mask=1) == []
-
-
 def test_a_scene_of_aligned_boxes_compiles_and_imports_nothing_narrow():
     program = """
 import sys, numpy as np

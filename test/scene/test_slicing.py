@@ -163,32 +163,6 @@ def test_rows_with_meshes_take_turns_earlier(monkeypatch):
     assert list(Scene().in_slices('s', '', 7, part.cut, whole=False)) == []
 
 
-def test_what_fits_in_the_end_is_taken_and_no_more():
-    """Replacing costs no room; while it is under way others may have what it leaves, no more."""
-    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (100, 3)), [1, 1, 1])
-    for old, new, total in ((60, 60, 60), (60, 60, 80), (90, 40, 100), (40, 90, 100)):
-        scene = Scene(max_obstacles=total)
-        scene.update('s', Numbered('a#', np.arange(old)), shapes.take(slice(old)), stamp=1)
-        part = Part(Numbered('b#', np.arange(new)), shapes.take(slice(new)), 2)
-        work = scene.in_slices('s', '', new, part.cut, whole=True)
-        most = pauses = 0
-        for refusals in pausing(work):
-            if refusals is not None:
-                assert refusals == []
-                break
-            pauses += 1
-            if pauses == 3:
-                names = [f'other {k}' for k in range(total)]
-                given = Shapes.boxes(np.zeros((total, 3)), [1, 1, 1])
-                assert len(scene.update('t', names, given, stamp=3)) == new
-            most = max(most, len(scene))
-            scene.validate()
-        assert pauses > 5
-        assert old < most <= 2 * total
-        assert len(scene) == total
-        assert len(scene.update('s', ['one more'], shapes.take([0]), stamp=4)) == 1
-
-
 def test_whoever_is_late_does_not_pause():
     scene = Scene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])

@@ -64,32 +64,6 @@ def test_contacts(kind, size, start, goal, radius, t, point, normal):
     assert hit.normal == pytest.approx(normal, abs=1e-7)
 
 
-@pytest.mark.parametrize(
-    ('kind', 'size', 'start', 'goal', 'radius', 't', 'point', 'normal'), CONTACTS
-)
-def test_the_same_contacts_turned(kind, size, start, goal, radius, t, point, normal):
-    """Turned and moved as a whole, and pushed in by 1e-9: rounding may lose a grazing contact."""
-    turn = np.array([0.3, -0.2, 0.5, 0.8]) / math.sqrt(1.02)
-    x, y, z, w = turn
-    matrix = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    away = np.array([3.0, -8.0, 0.7])
-    inwards = np.array(point) * 1e-9
-    scene = scene_of(kind, size, turn, away)
-    hit = scene.raycast(
-        matrix @ (start - inwards) + away, matrix @ (goal - inwards) + away, radius
-    )
-    assert hit.t == pytest.approx(
-        t, abs=2e-5
-    )  # a grazing one moves by the root of what it was pushed
-    assert hit.point == pytest.approx(matrix @ point + away, abs=1e-3)
-
-
 @pytest.mark.parametrize('kind', list(ShapeKind))
 @pytest.mark.parametrize('radius', [0.0, 0.5])
 def test_a_start_inside_is_met_at_once_without_a_normal(kind, radius):
@@ -108,23 +82,6 @@ def test_just_out_of_reach(kind):
     assert scene.raycast((-5, 0, 0), (-1.5 - 1e-12, 0, 0), 0.5) is None
     assert scene.raycast((-5, 1.5 + 1e-12, 0), (5, 1.5 + 1e-12, 0), 0.5) is None
     assert scene.raycast((-1.5 - 1e-12, 0, 0), (-5, 0, 0), 0.5) is None
-
-
-@pytest.mark.parametrize('scale', [1e-100, 1e-6, 1e6, 1e100])
-def test_any_scale(scale):
-    for contact in CONTACTS:
-        check_scale(scale, *contact)
-
-
-def check_scale(scale, kind, size, start, goal, radius, t, point, normal):
-    part = np.array(start), np.array(goal), np.array(point)
-    start, goal, point = (p * scale for p in part)
-    inwards = np.array(point) * 1e-9
-    hit = scene_of(kind, np.array(size) * scale).raycast(
-        start - inwards, goal - inwards, radius * scale
-    )
-    assert hit.t == pytest.approx(t, abs=1e-4)
-    assert hit.point / scale == pytest.approx(point / scale, abs=1e-3)
 
 
 def test_a_far_start_costs_few_digits():

@@ -205,25 +205,6 @@ def gap_along_axes(places, turn, halves, round_ones, planar):
         return float(sum(x * x for x in outside).sqrt() if outside else max(beyond))
 
 
-def test_upright_boxes_edge_to_edge():
-    """Turned about z by angles that differ by anything from nothing to a right angle."""
-    rng = np.random.default_rng(8)
-    for angle in [0.0, *10.0 ** np.arange(-16.0, 0.0), math.pi / 4]:
-        for gap in (1e-12, -1e-12, 3e-8):
-            yaw = rng.uniform(-3, 3)
-            turns = Rotation.from_euler('z', [[yaw], [yaw + angle]])
-            # The corner of one towards the corner of the other, along its own diagonal.
-            way = turns[0].apply([1, 1, 0]) / math.sqrt(2)
-            ends = turns.apply([[1, 1, 0], [-1, -1, 0]])
-            places = [[0, 0, 0], ends[0] - ends[1] + gap * way]
-            scene = Scene()
-            boxes = Shapes.boxes(places, [2, 2, 1], turns.as_quat())
-            assert scene.update('test', ['a', 'b'], boxes, stamp=1) == []
-            assert len(scene.overlap_pairs()) == (gap < 0)
-            ways = [scene.clearance(name).distance for name in 'ab']
-            assert ways[0] == ways[1] == pytest.approx(max(gap, 0.0), abs=4e-13)
-
-
 def test_meshes_far_from_their_own_origin():
     """A mesh in world coordinates is where its triangles are."""
     cube = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

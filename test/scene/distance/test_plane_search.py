@@ -8,13 +8,11 @@ import itertools
 
 import numpy as np
 import pytest
-from scene import reference
 from scene.distance.contacts import (
     BOX,
     CAPSULE,
     CYLINDER,
     FEATURES,
-    MESH,
     SPHERE,
     Solid,
     answers,
@@ -24,7 +22,7 @@ from scene.distance.contacts import (
     touches_within,
 )
 
-from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene import Scene, Shapes
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]
 OTHERS = [
@@ -84,25 +82,6 @@ def test_distance_beside_a_cylinder(gap):
         between = np.linalg.norm(found.other_point - found.point)
         assert between == pytest.approx(found.distance, abs=1e-9)
         assert farthest_outside(one, found) < 1e-9
-
-
-@pytest.mark.parametrize('gap', [-1e-13, 1e-13, 1e-9])
-def test_meshes_beside_a_cylinder(gap):
-    rng = np.random.default_rng(10)
-    features = [(BOX, feature) for feature in FEATURES[MESH]]
-    for one, other, manner in itertools.product(ROUND_FEATURES, features, ('free', 'parallel')):
-        made = beside(one, other, (1.0, 1.0), gap, manner, rng)
-        if not made:
-            continue
-        (drum, box), (place, of_mesh), turns = made.geometry_arrays, made.positions, made.turns
-        mesh = Mesh(reference.box_of_triangles(2 * box.half))
-        scene = Scene()
-        scene.update('a', ['mesh'], Shapes.of_meshes([mesh], of_mesh[None], turns[1:]), stamp=1)
-        kind = np.array([CYLINDER], np.uint8)
-        drums = Shapes(kind, place[None], turns[:1], 2 * drum.half[None])
-        scene.update('a', ['cylinder'], drums, stamp=1)
-        assert len(scene.overlap_pairs()) == (gap < 0)
-        assert scene.clearance('mesh').distance == pytest.approx(max(made.gap, 0.0), abs=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,9 @@
 
 import math
 
-import fcl
 import numpy as np
 import pytest
 from scene.reference import box_of_triangles, bulging, scene_of
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
@@ -114,47 +112,6 @@ def test_an_inside_counts():
     assert scene.raycast((0, 0, 0), (9, 0, 0)).t == 0.0
     assert scene.raycast((0, 0, 0), (9, 0, 0), 0.1).t == 0.0
     assert scene.raycast((0, 0, 0), (9, 0, 0), skip_inside=True) is None
-
-
-def as_model(mesh, place, turn):
-    x, y, z, w = turn
-    hull = ConvexHull(mesh.vertices)
-    model = fcl.BVHModel()
-    model.beginModel(len(mesh.vertices), len(hull.simplices))
-    model.addSubModel(mesh.vertices, hull.simplices)
-    model.endModel()
-    return fcl.CollisionObject(model, fcl.Transform(np.array([w, x, y, z]), np.asarray(place)))
-
-
-def test_pairs_of_meshes_and_mesh_queries_are_as_far_apart_as_python_fcl_says():
-    rng = np.random.default_rng(4)
-    sizes = [*rng.integers(5, 40, 30), *rng.integers(70, 300, 10)]  # the larger are climbed
-    meshes = [Mesh(bulging(rng, int(size))) for size in sizes]
-    turns = rng.normal(size=(40, 4))
-    turns /= np.linalg.norm(turns, axis=1)[:, None]
-    rows = Shapes.of_meshes(meshes, rng.uniform(-2.5, 2.5, (40, 3)), turns)
-    scene = scene_of(rows)
-    centres = np.array([scene.get(str(i)).position for i in range(40)])
-    models = [as_model(*row) for row in zip(meshes, centres, turns, strict=True)]
-
-    def holds(i, j):
-        """Whether mesh i has a corner of j inside: to python-fcl meshes are surfaces."""
-        corner = Rotation.from_quat(turns[j]).apply(meshes[j].vertices[0]) + centres[j]
-        local = Rotation.from_quat(turns[i]).inv().apply(corner - centres[i])
-        faces = meshes[i].vertices[meshes[i].corners[:, 0]]
-        return (np.einsum('ni,ni->n', meshes[i].normals, local - faces) <= 0.0).all()
-
-    pairs = set(scene.overlap_pairs())
-    assert 20 < len(pairs) < 500
-    for i in range(40):
-        found = {hit.name for hit in scene.overlap_shape(rows.take([i]), 0.3)}
-        for j in range(40):
-            distance = fcl.distance(models[i], models[j])
-            if holds(i, j) or holds(j, i):
-                distance = 0.0
-            if i < j:
-                assert ((str(i), str(j)) in pairs) == (distance <= 0.0)
-            assert (str(j) in found) == (distance <= 0.3)
 
 
 def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():

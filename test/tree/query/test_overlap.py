@@ -4,53 +4,12 @@
 of it is exact.
 """
 
-import math
-
 import numpy as np
 import pytest
 from tree.adversary import SCALES, each_scale, some_boxes
-from tree.reference import LARGEST, SMALLEST, overlapping_pairs, overlapping_rows
+from tree.reference import overlapping_pairs, overlapping_rows
 
 from bvh_ros import ALL, DynamicBVH
-
-UP = math.nextafter(1.0, 2.0)
-
-TOUCHING = {
-    # two boxes in 2D, and whether they touch
-    'inside': ([0, 0], [4, 4], [1, 1], [2, 2], True),
-    'the same': ([0, 0], [1, 1], [0, 0], [1, 1], True),
-    'a common face': ([0, 0], [1, 1], [1, 0], [2, 1], True),
-    'a common corner': ([0, 0], [1, 1], [1, 1], [2, 2], True),
-    'one ulp apart': ([0, 0], [1, 1], [UP, 0], [2, 1], False),
-    'apart in y': ([0, 0], [1, 1], [0, 1.5], [1, 2], False),
-    'a flat one on a face': ([0, 0], [1, 1], [1, 0], [1, 1], True),
-    'two crossing lines': ([0, 1], [2, 1], [1, 0], [1, 2], True),
-    'a point on a corner': ([0, 0], [1, 1], [1, 1], [1, 1], True),
-    'two equal points': ([3, 3], [3, 3], [3, 3], [3, 3], True),
-    'signed zeros': ([-1, -1], [-0.0, -0.0], [0.0, 0.0], [1, 1], True),
-    'subnormals apart': ([0, 0], [SMALLEST, 1], [2 * SMALLEST, 0], [1, 1], False),
-    'all doubles': ([-LARGEST, -LARGEST], [LARGEST, LARGEST], [LARGEST, 0], [LARGEST, 0], True),
-}
-
-
-@pytest.mark.parametrize(
-    ('lo', 'hi', 'low', 'high', 'touch'), TOUCHING.values(), ids=TOUCHING.keys()
-)
-@pytest.mark.parametrize('margin', [0.0, 1.0])
-def test_two_boxes(
-    lo: list[float],
-    hi: list[float],
-    low: list[float],
-    high: list[float],
-    touch: bool,
-    margin: float,
-) -> None:
-    for (a_lo, a_hi), (b_lo, b_hi) in (((lo, hi), (low, high)), ((low, high), (lo, hi))):
-        tree = DynamicBVH(2, margin=margin)
-        a = tree.insert(a_lo, a_hi)
-        assert tree.overlap(b_lo, b_hi).tolist() == ([a] if touch else [])
-        b = tree.insert(b_lo, b_hi)
-        assert tree.overlap_pairs().tolist() == ([[a, b]] if touch else [])
 
 
 @each_scale
