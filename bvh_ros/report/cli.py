@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from . import error, features, peers, planner, soak, speed, stability
-from .page import Page, bar, say
+from .page import Page, bar
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
 # A part is a module with an INTRODUCTION and SECTIONS: by name, functions of the page and of
@@ -37,37 +37,38 @@ class Section(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chosen parts and write the page."""
     options = _options(arguments)
-    if find_spec('matplotlib') is None:
-        sys.exit("bvh_report draws with matplotlib: pip install 'bvh_ros[report]'")
-    page = Page(options.out, say, options.data)
-    sections = bar(_sections(options), lambda section: section.name)
-    failed = sum(section.run(page, options.quick) or 0 for section in sections)
+    if not all(map(find_spec, ('matplotlib', 'tqdm'))):
+        sys.exit("bvh_report needs matplotlib and tqdm: pip install 'bvh_ros[report]'")
+    page, failed = Page(options.out, options.data), 0
+    for section in bar(_sections(options), lambda section: section.name):
+        failed += section.run(page, options.quick) or 0
     print(f'written: {page.write()}')
     if failed:
         sys.exit(f'{failed} cases failed')
 
 
 def _sections(options: argparse.Namespace) -> list[Section]:
-    if options.part == 'soak':
-        return [Section('soak', lambda page, _brief: soak.run(page, options.minutes))]
-    names = list(PARTS) if options.part == 'all' else [options.part]
     found = []
-    for name in names:
-        found.append(Section(name, partial(_introduce, PARTS[name].INTRODUCTION)))
+    for name in PARTS if 'all' in options.part else dict.fromkeys(options.part):
+        if name == 'soak':
+            found.append(Section(name, lambda page, _brief: soak.run(page, options.minutes)))
+            continue
+        found.append(Section(name, partial(_begin, PARTS[name].INTRODUCTION)))
         found += [Section(f'{name}: {what}', run) for what, run in PARTS[name].SECTIONS.items()]
     return found
 
 
-def _introduce(text: str, page: Page, _brief: bool) -> None:
-    page.add(text)
+def _begin(introduction: str, page: Page, _brief: bool) -> None:
+    page.begin(introduction)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
     parser.add_argument(
         'part',
+        nargs='+',
         choices=[*PARTS, 'all', 'soak'],
-        help='error: how wrong each way of answering is, against its time; '
+        help='error: how wrong each method of answering is, against its time; '
         'features: what each part costs when it is on, and when it is off; '
         'peers: other libraries on the same work; '
         'planner: batches of swept balls, turned boxes, points and distances; '
@@ -76,7 +77,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         'soak: a node under load over ROS 2, exits with 1 if an answer is wrong or memory grows',
     )
     parser.add_argument(
-        '--out', type=Path, default=Path('report_out'), help='folder to write to (%(default)s)'
+        '--out',
+        type=Path,
+        default=Path('report_out'),
+        help='folder to write to; parts of earlier runs stay on its page (%(default)s)',
     )
     parser.add_argument(
         '--data', type=Path, default=DATA, help='folder of the recordings (%(default)s)'

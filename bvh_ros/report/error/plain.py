@@ -14,27 +14,18 @@ from typing import Any
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree.batch import streams as best_hit
-from ...tree.batch import streams as wide_raycasting
+from ...tree.batch import streams
 from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
-from ...tree.query import ray as ray_hits
-from ...tree.query import ray as raycasting
-from ...tree.query import ray_queries as ray_batches
-from ...tree.query import slab as slab
+from ...tree.query import ray, ray_queries, slab
 from ..scenes import Boxes, Rays
 
 
 @inlined
-def _plain_slabs(lo, hi, ray, leave):
+def _plain_slabs(lo, hi, ray, t_max):
     """(hit, t, axis) by rounded arithmetic."""
-    entry, leave, entered = slab.rounded_slabs(lo, hi, ray, leave)
+    entry, leave, entered = slab.rounded_slabs(lo, hi, ray, t_max)
     return entry <= leave, entry, entered
-
-
-@inlined
-def _plain_meets(lo, hi, ray, t_max):
-    return _plain_slabs(lo, hi, ray, t_max)
 
 
 @inlined
@@ -47,7 +38,7 @@ def _plain_is_before(tree, ray, hit, other):
 @inlined
 def _plain_verdict(lo, hi, ray, best_t):
     hit, t, axis = _plain_slabs(lo, hi, ray, best_t)
-    return best_hit.MEETS if hit else best_hit.MISSES, t, axis
+    return streams.MEETS if hit else streams.MISSES, t, axis
 
 
 @inlined
@@ -57,36 +48,36 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 
 @cache
 def binary_kernel() -> Any:
-    """`ray_hits.raycast_rows` without the exact decision."""
-    one = rewired(raycasting.raycast, intersect_exact=_plain_meets, is_before=_plain_is_before)
-    return rewired(ray_hits.raycast_rows, raycast_row=rewired(ray_hits.raycast_row, raycast=one))
+    """`ray.raycast_rows` without the exact decision."""
+    one = rewired(ray.raycast, intersect_exact=_plain_slabs, is_before=_plain_is_before)
+    return rewired(ray.raycast_rows, raycast_row=rewired(ray.raycast_row, raycast=one))
 
 
 @cache
 def wide_kernel() -> Any:
-    """`wide.raycasting.cast_rows` without the exact decision."""
-    better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
+    """`streams.cast_rows` without the exact decision."""
+    better = rewired(streams.is_better, quick_decision=_plain_verdict)
     pile = rewired(
-        wide_raycasting.cast_pile,
-        is_first=rewired(wide_raycasting.is_first, is_better=better),
-        write_hit=rewired(wide_raycasting.write_hit, exact_entry_axis=_plain_axis),
+        streams.cast_pile,
+        is_first=rewired(streams.is_first, is_better=better),
+        write_hit=rewired(streams.write_hit, exact_entry_axis=_plain_axis),
     )
-    return rewired(wide_raycasting.cast_rows, cast_pile=pile)
+    return rewired(streams.cast_rows, cast_pile=pile)
 
 
 @contextmanager
 def replaced(**kernels: Any) -> Iterator[None]:
     """Batches of rays go through other kernels, all of them large ones."""
-    original = {name: getattr(ray_batches, name) for name in ('rows_entry', 'cast_entry')}
-    original['FEW_RAYS'] = ray_batches.FEW_RAYS
+    names = ('rows_entry', 'cast_entry', 'FEW_RAYS')
+    original = {name: getattr(ray_queries, name) for name in names}
     try:
-        ray_batches.FEW_RAYS = 0
+        ray_queries.FEW_RAYS = 0
         for name, kernel in kernels.items():
-            setattr(ray_batches, name, lambda ndim, kernel=kernel: kernel)
+            setattr(ray_queries, name, lambda ndim, kernel=kernel: kernel)
         yield
     finally:
         for name, value in original.items():
-            setattr(ray_batches, name, value)
+            setattr(ray_queries, name, value)
 
 
 def rounded_decisions() -> Any:
@@ -108,10 +99,10 @@ def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
     rounded = arrays._replace(nodes=_rounded(arrays.nodes), tight=_rounded(arrays.tight))
     kernel = binary_kernel()
 
-    def rows(_: Any, version: int, asked: Any, hits: RayHits) -> Any:
-        origins, directions, t_max = (part.astype(np.float32) for part in asked[:3])
-        asked = asked._replace(origins=origins, directions=directions, t_max=t_max)
-        return kernel(rounded, version, asked, hits)
+    def rows(_: Any, version: int, batch: Any, hits: RayHits) -> Any:
+        origins, directions, t_max = (part.astype(np.float32) for part in batch[:3])
+        batch = batch._replace(origins=origins, directions=directions, t_max=t_max)
+        return kernel(rounded, version, batch, hits)
 
     def run() -> RayHits:
         with replaced(rows_entry=rows):
