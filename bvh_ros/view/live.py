@@ -43,6 +43,7 @@ from bvh_ros.view.worlds import (
     Overlay,
     ShownWorld,
     Wanted,
+    answer,
 )
 
 # ---- The pictures for RViz on `~/scene`, `~/tree` and `~/queries`, read as arrays
@@ -466,14 +467,13 @@ class Live(ShownWorld):
         self._refuse_if_gone()
         began = time.perf_counter()
         hit = self._client.raycast(start.tolist(), goal.tolist())
-        return Answer([] if hit is None else [hit], 1e6 * (time.perf_counter() - began))
+        return answer([] if hit is None else [hit], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the node for all obstacles that touch a box."""
         self._refuse_if_gone()
         began = time.perf_counter()
-        hits = self._client.overlap(lo.tolist(), hi.tolist())
-        return Answer(hits, 1e6 * (time.perf_counter() - began))
+        return answer(self._client.overlap(lo.tolist(), hi.tolist()), began)
 
     @property
     def _is_gone(self) -> bool:

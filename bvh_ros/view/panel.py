@@ -34,13 +34,13 @@ class Probe:
         self._spots = Dots(server, placing, '/ask/hits', BLOCKED_WAY)
         self._handles: list[viser.TransformControlsHandle] = []
         self._label: viser.LabelHandle | None = None
-        self._asked: Hashable = None
+        self._query: Hashable = None
         self.kind = NOTHING
         self.answer = ''
 
     def choose(self, kind: str, middle: Floats, size: float) -> None:
         """Begin with two handles about the middle of the world, or end; both as on the page."""
-        self.kind, self._asked, self.answer = kind, None, ''
+        self.kind, self._query, self.answer = kind, None, ''
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
@@ -63,7 +63,8 @@ class Probe:
     def ends(self) -> tuple[Floats, Floats]:
         """Where the handles are in the world, two of (3,), m."""
         one, other = (
-            self._placing.meant(np.array(handle.position, np.float64)) for handle in self._handles
+            self._placing.in_world(np.array(handle.position, np.float64))
+            for handle in self._handles
         )
         return one, other
 
@@ -72,10 +73,10 @@ class Probe:
         if self.kind == NOTHING:
             return
         one, other = self.ends()
-        asked = (*one.tolist(), *other.tolist(), version)
-        if asked == self._asked:
+        query = (*one.tolist(), *other.tolist(), version)
+        if query == self._query:
             return
-        self._asked = asked
+        self._query = query
         try:
             answer = (world.raycast if self.kind == SEGMENT else world.overlap)(one, other)
         except (RuntimeError, ValueError) as error:

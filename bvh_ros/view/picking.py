@@ -41,15 +41,15 @@ class Following:
         """Let cameras go on from where they look now."""
         self._aims, self._targets = {}, {}
 
-    def go(self, way: Floats) -> None:
+    def go(self, step: Floats) -> None:
         """Move all cameras, in units of the page."""
         for number, client in self._server.get_clients().items():
-            place, target = _seen(client.camera)
+            place, target = _view(client.camera)
             targets = self._targets.setdefault(number, deque([target], REMEMBERED))
             reach = SAME * np.linalg.norm(target - place)
             if np.linalg.norm(np.array(targets) - target, axis=1).min() > reach:
                 self._aims[number] = target  # where a hand has moved it
-            aim = self._aims[number] = self._aims.get(number, target) + way
+            aim = self._aims[number] = self._aims.get(number, target) + step
             owed = aim - target
             if np.allclose(aim, target) or np.allclose(place + owed, place):
                 continue  # viser would not tell the browser: with the next steps
@@ -58,7 +58,7 @@ class Following:
             targets.append(aim)
 
 
-def _seen(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
+def _view(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
     """Where a camera is, and where it looks, both of one report."""
     while True:
         target, place = camera.look_at, camera.position
@@ -86,12 +86,12 @@ class Picking:
 
     def pick(self, origin: object, direction: object) -> None:
         """Cast a ray from the camera, and mark the obstacle that it hits."""
-        eye, way = np.array(origin, np.float64), np.array(direction, np.float64)
-        start = self._placing.meant(eye)
+        eye, ahead = np.array(origin, np.float64), np.array(direction, np.float64)
+        start = self._placing.in_world(eye)
         reach = self._placing.unit * (REACH * self._stage.size + float(np.linalg.norm(eye)))
         self._picked = ''
         try:
-            answer = self._world.pick(start, way, reach)
+            answer = self._world.pick(start, ahead, reach)
         except (RuntimeError, ValueError) as error:
             self._answered = escape(f'no answer: {error}')
         else:

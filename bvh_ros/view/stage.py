@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import viser
@@ -100,18 +101,18 @@ class Stage:
         middle[2] = lo[2]
         away = (0.0, -0.02, 1.0) if self._world.scene.planar else (-0.42, -0.72, 0.52)
         place = middle + 1.05 * self.size * np.array(away)
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = place, middle
-        for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = place, middle
+        for camera in self._cameras():
+            camera.position, camera.look_at = place, middle
 
     def _set_reach(self) -> None:
         """What is nearer or farther than that, no camera sees."""
-        near, far = NEAR * self.size, FAR * self.size
-        camera = self._server.initial_camera
-        camera.near, camera.far = near, far
-        for client in self._server.get_clients().values():
-            client.camera.near, client.camera.far = near, far
+        for camera in self._cameras():
+            camera.near, camera.far = NEAR * self.size, FAR * self.size
+
+    def _cameras(self) -> list[Any]:
+        """Those of later visitors, and of all present ones."""
+        clients = self._server.get_clients().values()
+        return [self._server.initial_camera, *(client.camera for client in clients)]
 
     def set_theme(self) -> None:
         """Light or dark, with the grid and shadows that the panel says."""
