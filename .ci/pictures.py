@@ -58,7 +58,7 @@ def draw_view(file: Path, quick: bool) -> str:
 
     world = Tracks('warehouse', list(scenarios.warehouse()))
     server, ended = LocalServer('127.0.0.1', 8300), threading.Event()
-    page, browser = Page(server, world), chromium.open_browser(1200, 760)
+    page, browser = Page(server, world), chromium.open_browser(1200, 860)
     thread = threading.Thread(target=page.run, args=(ended.is_set,))
     thread.start()
     try:

@@ -270,6 +270,8 @@ def _search_rows(size: int, many: int) -> list[list[Cell]]:
     before, after = (DynamicBVH.from_boxes(*state) for state in (boxes, places[-1]))
     rows: list[list[Cell]] = []
     for search in ('greedy', 'branch_and_bound'):
+        few = Boxes(boxes.lo[:9], boxes.hi[:9])
+        _insert(DynamicBVH(sibling_search=search), few)  # compiles
         tree = DynamicBVH(capacity=size, sibling_search=search)
         inserted = seconds(partial(_insert, tree, boxes)) * 1e9 / size
         row: list[Cell] = [size, search, inserted, *_quality(tree, before, rays)]
