@@ -12,7 +12,13 @@ from tree.reference import effort, exact_hits
 from bvh_ros.report.error.methods import box_methods, front
 from bvh_ros.report.error.traffic import moments_of, observer, tracks, traffic_truths, world_at
 from bvh_ros.report.error.truth import NOTHING, Answer, boxes_truth, joined, score, shapes_truth
-from bvh_ros.report.error.worlds import corner_rays
+from bvh_ros.report.error.worlds import (
+    corner_rays,
+    rays_round,
+    scene_of,
+    scene_rows,
+    shapes_by_scene,
+)
 from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -145,13 +151,13 @@ def test_vehicles_are_between_their_frames(traffic):
 
 def test_first_hits_among_recorded_shapes_are_those_of_exact_arithmetic(shared_data):
     """Tables and shelves; distances to rounding over the slope of the surface that is entered."""
-    scenes = worlds.shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
+    scenes = shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
     assert len(scenes) == 17
     met, rays = 0, effort(200, 10_000)
     for number, shapes in enumerate(scenes.values()):
-        some = worlds.rays_round(shapes, rays, np.random.default_rng(number))
+        some = rays_round(shapes, rays, np.random.default_rng(number))
         truth = shapes_truth(shapes, some)
-        found = score(worlds.scene_answer(worlds.scene_of(shapes), some), truth)
+        found = score(scene_rows(scene_of(shapes).raycast_many(*some)), truth)
         assert (found.wrong_hits, found.wrong_misses) == (0, 0)
         assert found.wrong_by < 1e-14  # flush boards: decided in float64
         assert found.distances.max(initial=0.0) < 1e-11
