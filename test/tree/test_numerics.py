@@ -166,7 +166,7 @@ VARIANTS = {
 @each_ndim
 def test_answers_do_not_depend_on_the_tree(ndim: int, scale: float) -> None:
     """Margins, searches, order of insertion, rebuilding: the same hits in the same order."""
-    world = make_world(2000, ndim, scale, rays=120)
+    world = make_world(2000, ndim, scale, rays=80)
     orders = [
         np.arange(BOXES),
         np.arange(BOXES)[::-1],
@@ -189,7 +189,7 @@ def test_answers_do_not_depend_on_the_tree(ndim: int, scale: float) -> None:
 @each_ndim
 def test_a_larger_tree_decides_exactly(ndim: int, scale: float) -> None:
     """Deep enough that inner nodes have to prune, and must not prune a hit."""
-    world = make_world(3000, ndim, scale, boxes=200, rays=100)
+    world = make_world(3000, ndim, scale, boxes=200, rays=50)
     tree = DynamicBVH.from_boxes(world.lo, world.hi, mask=world.masks)
     check_every_hit(tree, tree.ids(), world, True, False)
     check_first_hit(tree, tree.ids(), world, True)

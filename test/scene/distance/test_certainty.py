@@ -225,7 +225,7 @@ KINDS = [(kind, planar) for kind in ShapeKind for planar in (False, True)]
 def test_thin_rays(kind, planar):
     rng = np.random.default_rng([int(kind), planar, 1])
     none, passed, met = np.zeros(400), 0, 0
-    for _ in range(effort(40, 500)):
+    for _ in range(effort(20, 500)):
         body = Body(rng, kind, planar)
         starts, goals, touch = segments(rng, body, 400, none)
         begin, end = starts + body.position, goals + body.position
@@ -253,7 +253,7 @@ def test_thin_rays(kind, planar):
 def test_balls(kind, planar):
     rng = np.random.default_rng([int(kind), planar, 2])
     passed, met, count = 0, 0, 60
-    for _ in range(effort(40, 500)):
+    for _ in range(effort(20, 500)):
         body = Body(rng, kind, planar)
         radius = 10.0 ** rng.uniform(-9, 1, count) * body.size
         starts, goals, touch = segments(rng, body, count, radius)
@@ -291,7 +291,7 @@ def test_what_overlaps_at_an_end_is_met(kind, planar):
     """Also where it is only by rounding that an end touches."""
     rng = np.random.default_rng([int(kind), planar, 3])
     touching = 0
-    for _ in range(effort(30, 300)):
+    for _ in range(effort(20, 300)):
         body = Body(rng, kind, planar)
         normals = units(rng, 20, planar)
         ends = body.farthest(normals) + body.position
@@ -312,7 +312,7 @@ def test_what_overlaps_at_an_end_is_met(kind, planar):
 def test_the_normal_of_a_ball_at_the_start_is_none_or_outwards(kind, planar):
     """From within the surface's rounding: zero; a little above it: outwards."""
     rng = np.random.default_rng([int(kind), planar, 4])
-    for _ in range(effort(30, 300)):
+    for _ in range(effort(20, 300)):
         body = Body(rng, kind, planar)
         normals = units(rng, 20, planar)
         places = body.farthest(normals)
