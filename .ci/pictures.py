@@ -27,7 +27,7 @@ def draw_error(file: Path, quick: bool) -> str:
 
     with tempfile.TemporaryDirectory() as folder:
         page = Page(Path(folder))
-        page.begin('## Error')
+        page.begin('Error', '')
         worlds.adversarial_scene(page, quick)
         shutil.copy(Path(folder) / 'error_adversarial.png', file)
     return ''

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report features`: the cost of each part that is on, and that it is absent when off."""
+"""The cost of each part that is on, and that it is absent when off."""
 
 import json
 import statistics
@@ -65,7 +65,11 @@ def run_apart(job: Configuration) -> dict[str, Any]:
 
 
 def parts_on(page: Page, brief: bool) -> None:
-    """Medians of each configuration's figures, in turns."""
+    """2,000 obstacles on a floor, in a scene of its own process; each row but the first turns one
+    part on. *update*: all obstacles move by 5 cm. *raycast*, *overlap*: one call from Python.
+    *start*: processor time from the start of Python to the first answer, with compiled kernels.
+    *memory*: of the whole process, Python, numpy and numba included.
+    """
     count = 200 if brief else COUNT
     jobs = {
         name: Configuration(count, **options)
@@ -89,21 +93,14 @@ def parts_on(page: Page, brief: bool) -> None:
         times = [figures[key] * MICRO for key in ('update', 'raycast', 'overlap')]
         batch = figures['batch'] * MICRO if 'batch' in figures else None
         rows.append([name, *times, batch, figures['start'], figures['memory']])
-    page.add('### Each part on')
-    page.add(
-        f'{count:,} obstacles on a floor, in a scene of its own process; each row but the first '
-        'turns one part on. *update*: all obstacles move by 5 cm. *raycast*, *overlap*: one call '
-        'from Python. *start*: processor time from the start of Python to the first answer, with '
-        'compiled kernels. *memory*: of the whole process, Python, numpy and numba included.'
-    )
     header = ['part', 'us an obstacle, update', 'us, raycast', 'us, overlap']
     header += ['us a ray in a batch', 's, start', 'MB, memory']
     page.table('features_on', header, rows)
 
 
 def parts_off(page: Page, brief: bool) -> int:
-    """Compare a scene that uses no part with one that uses just that part; return how many
-    libraries were imported though no part needs them.
+    """200 axis-aligned boxes, thin rays and overlaps. A row turns one part on and says what comes
+    with it; off, none of that is there.
     """
     off = run_apart(Configuration(COUNT_OFF, turns=1))
     rows: list[list[Cell]] = []
@@ -114,13 +111,10 @@ def parts_off(page: Page, brief: bool) -> int:
         more = sorted(set(on['kernels']) - set(off['kernels']))
         examples = ', '.join(kernel.rpartition('.')[2] for kernel in more[:4])
         rows.append([name, len(more), (on['tree'] - off['tree']) / COUNT_OFF, examples])
-    page.add('### Each part off')
     page.add(
-        f'{COUNT_OFF} axis-aligned boxes, thin rays and overlaps: {len(off["kernels"])} kernels '
-        f'have machine code, {off["tree"] / COUNT_OFF:.0f} bytes a box are allocated, and of '
-        f'rclpy, python-fcl and matplotlib {", ".join(off["libraries"]) or "none"} is '
-        'imported. A row turns one part on and says what comes with it; off, none of that is '
-        'there.'
+        f'Without any part {len(off["kernels"])} kernels have machine code, '
+        f'{off["tree"] / COUNT_OFF:.0f} bytes a box are allocated, and of rclpy, python-fcl and '
+        f'matplotlib {", ".join(off["libraries"]) or "none"} is imported.'
     )
     header = ('part', 'kernels more when on', 'bytes a box more', 'for example')
     page.table('features_off', header, rows)
@@ -165,7 +159,11 @@ def _scene(
 
 
 def times(page: Page, brief: bool) -> None:
-    """Measure."""
+    """10,000 boxes that fill 2 % of a cube of 100 m, and as many that move at 1.5 m/s on each
+    axis, or at 10; or one way, at 17 m/s and so much more or less; or for 0.9 s and then no more.
+    Segments of 5 m, which take a second; boxes, points and shapes a second later. us a call, row
+    or box, without velocities and with them.
+    """
     rng = np.random.default_rng(7)
     boxes, starts = uniform_boxes(200 if brief else BOXES, rng), spread(50 if brief else ROWS, rng)
     slow, directions = SPEED * rng.normal(size=boxes.lo.shape), rng.normal(size=starts.shape)
@@ -197,14 +195,6 @@ def times(page: Page, brief: bool) -> None:
         for name in then:
             pair = [found[f'{which}: {name}'].microseconds for which in ('at rest', 'then')]
             rows.append([world, name, *pair, pair[1] / pair[0]])
-    page.add('### Queries about another time')
-    page.add(
-        f'{len(slow):,} boxes that fill 2 % of a cube of 100 m, and as many that move at {SPEED} '
-        f'm/s on each axis, or at {FAST}; or one way, at {ALONG[0]:g} m/s and so much more or '
-        f'less; or for {SHORT} s and then no more. Segments of {LENGTH} m, which take a second; '
-        'boxes, points and shapes a second later. us a call, row or box, without velocities and '
-        'with them.'
-    )
     header = ['world', 'question', 'us, at rest', 'us, at a time', 'ratio']
     page.table('features_times', header, rows)
 
@@ -225,8 +215,9 @@ NODE_TURNS = 3  # the first is not timed: it compiles what is not compiled yet
 
 
 def node_parts(page: Page, brief: bool) -> None:
-    """Start nodes, in turns."""
-    page.add('### The node')
+    """Processes of their own over ROS 2, compiled before: from the start of the process until it
+    serves, and its memory then.
+    """
     if find_spec('rclpy') is None:
         page.add("Left out: there is no rclpy (pip install 'bvh_ros[ros]').")
         return
@@ -246,10 +237,6 @@ def node_parts(page: Page, brief: bool) -> None:
                     runs[name].append(_start(space, parameters, log))
     finally:
         rclpy.try_shutdown()
-    page.add(
-        'Processes of their own over ROS 2, compiled before: from the start of the process until '
-        'it serves, and its memory then.'
-    )
     rows: list[list[Cell]] = [
         [name, *(statistics.median(column) for column in zip(*some[1:], strict=True))]
         for name, some in runs.items()
@@ -273,5 +260,9 @@ def _start(space: str, parameters: dict[str, object], log: Any) -> tuple[float, 
     return figures
 
 
-INTRODUCTION = '## Features'
-SECTIONS = {'on': parts_on, 'off': parts_off, 'other times': times, 'the node': node_parts}
+SECTIONS = {
+    'Each part on': parts_on,
+    'Each part off': parts_off,
+    'Queries about another time': times,
+    'The node': node_parts,
+}

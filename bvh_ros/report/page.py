@@ -80,14 +80,11 @@ class Page:
         self.folder, self.data = folder, data
         self._parts: dict[str, list[str]] = {}  # paragraphs by the title of the part
 
-    def begin(self, introduction: str) -> None:
-        """Begin a part; the first line is its heading."""
-        title, _, text = introduction.partition('\n')
-        self._parts[title] = []
-        self.add(title)
-        self.add(machine())
-        if text.strip():
-            self.add(text.strip())
+    def begin(self, title: str, text: str) -> None:
+        """Begin a part."""
+        self._parts[f'## {title}'] = []
+        for paragraph in (f'## {title}', machine(), text):
+            self.add(paragraph)
 
     def add(self, text: str) -> None:
         """Add a heading or a paragraph to the last part."""

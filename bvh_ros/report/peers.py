@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report peers`: other libraries on the same work in the same run."""
+"""Other libraries on the same work in the same run."""
 
 from collections.abc import Callable, Iterator
 from itertools import cycle
@@ -14,7 +14,7 @@ from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows
 from .page import BLUE, ORANGE, RED, Cell, Page
 from .questions import Queries, of_scene, of_tree
 from .scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, query_edge, spread, uniform_boxes
-from .timing import WARM_SECONDS, Job, each, interleaved, one_processor, repeated
+from .timing import Job, each, interleaved, one_processor, repeated
 
 # ---- All libraries on the same work
 
@@ -149,15 +149,12 @@ REPEATS, REPEATS_QUICK = 15, 3
 
 
 def all_tasks(page: Page, brief: bool) -> None:
-    """Measure every task that two or more installed libraries can do."""
+    """Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to
+    anywhere. One processor. The libraries take turns, each with untimed runs for 10 ms before the
+    timed one, and the medians of the turns are shown. *ours / this* below 1: bvh_ros is faster.
+    """
     libraries = [library for library in LIBRARIES if library.installed()]
     absent = [library.name for library in LIBRARIES if not library.installed()]
-    page.add(
-        'Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to '
-        'anywhere. One processor. The libraries take turns, each with untimed runs for '
-        f'{WARM_SECONDS * 1e3:.0f} ms before the timed one, and the medians of the '
-        'turns are shown. *ours / this* below 1: bvh_ros is faster.'
-    )
     page.add('\n'.join(f'- **{library.name}**: {library.note}.' for library in libraries))
     page.add(
         f'Not installed here, and so left out: {", ".join(absent)}.'
@@ -184,7 +181,7 @@ def _measure(page: Page, task: Task, libraries: list[Library], brief: bool) -> N
         header.append(task.answers)
         for name, timing in found.items():
             rows[name].append(timing.answers)
-    page.add(f'### {task.title}')
+    page.add(f'**{task.title}**')
     page.table(f'peers_{task.name}', header, [*rows.values()])
 
 
@@ -238,7 +235,11 @@ def every_batch(brief: bool) -> Iterator[tuple[str, list[Batch]]]:
 
 
 def batches(page: Page, brief: bool) -> None:
-    """Measure every kind and size."""
+    """One call with so many rays, input checks included, other rays each time: a processor learns
+    rays that are repeated. bvh_ros takes float64 and returns id, distance and normal, as Embree
+    does from float32 arrays that are ready (`run(..., output=True)`); the *triangle alone* is what
+    its default query returns.
+    """
     if not EMBREE.installed():
         page.add('Embree is not installed here, and so batches of rays are left out.')
         return
@@ -251,13 +252,6 @@ def batches(page: Page, brief: bool) -> None:
             times = _batch_times(tree, scene, turns, brief)
             ratios = [times[0] / time for time in times[1:]]
             rows.append([size, kind, len(turns[0].origins), *times, *ratios])
-    page.add('### Batches of rays')
-    page.add(
-        'One call with so many rays, input checks included, other rays each time: a processor '
-        'learns rays that are repeated. bvh_ros takes float64 and returns id, distance and '
-        'normal, as Embree does from float32 arrays that are ready (`run(..., output=True)`); '
-        'the *triangle alone* is what its default query returns.'
-    )
     columns = [f'{name}, us' for name in PEERS]
     columns += [f'ours / {name}' for name in [*PEERS][1:]]
     page.table('peers_batches', ['boxes', 'rays', 'in a batch', *columns], rows)
@@ -307,7 +301,11 @@ STEP = 0.01  # m that an obstacle goes
 
 
 def calls(page: Page, brief: bool) -> None:
-    """Measure."""
+    """10,000 boxes, one call after the other, us a call with all that it takes: input checked, in
+    a scene names looked up, points and normals of the hits. coal returns the pairs of the same
+    box, without names, points or normals, or moves the same box; Embree returns the triangle
+    alone. *move* is to a place nearby and back.
+    """
     size, count, repeats = (300, 20, 3) if brief else (CALL_BOXES, CALLS, CALL_REPEATS)
     rng = np.random.default_rng(1)
     boxes, (starts, directions) = uniform_boxes(size, rng), incoherent_rays(count, rng)
@@ -331,13 +329,6 @@ def calls(page: Page, brief: bool) -> None:
             peer = peers[name][0]
             theirs = found[f'{name} of {peer}'].microseconds
             rows[-1][2:] = [peer, theirs, time / theirs]
-    page.add('### Calls')
-    page.add(
-        f'{size:,} boxes, one call after the other, us a call with all that it takes: input '
-        'checked, in a scene names looked up, points and normals of the hits. coal returns '
-        'the pairs of the same box, without names, points or normals, or moves the same box; '
-        'Embree returns the triangle alone. *move* is to a place nearby and back.'
-    )
     page.table(
         'peers_calls', ['call', 'us a call', 'peer', 'us a call there', 'ours / peer'], rows
     )
@@ -405,9 +396,8 @@ def _peer_jobs(boxes: Boxes, queries: Queries) -> dict[str, tuple[str, Job]]:
     return found
 
 
-INTRODUCTION = '## Peers'
 SECTIONS = {
-    'all tasks': one_processor()(all_tasks),
-    'batches of rays': one_processor()(batches),
-    'calls': calls,
+    'The same work': one_processor()(all_tasks),
+    'Batches of rays': one_processor()(batches),
+    'Calls': calls,
 }

@@ -1,6 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report soak`: a node under load; every answer is checked, memory is watched."""
+"""A node under load; every answer is checked, memory is watched.
+
+A thousand boxes, half of them turning, come and go at 30 Hz, published by a process of its own.
+The answers to random rays, balls and boxes are compared with brute force on the frame that the
+reply says it knows of.
+"""
 
 import subprocess
 import sys
@@ -69,11 +74,6 @@ def _write(page: Page, answers: list[Any], levels: Any, figures: dict[str, str])
     growth = 0.0
     if len(levels) > settled + 1:
         growth = float(60.0 * np.polyfit(minutes[settled:], megabytes[settled:], 1)[0])
-    page.begin(
-        '## Soak\n\nA thousand boxes, half of them turning, come and go at 30 Hz, published by a '
-        'process of its own. The answers to random rays, balls and boxes are compared with brute '
-        'force on the frame that the reply says it knows of.'
-    )
     rows: dict[str, Cell] = {
         'length [min]': float(minutes[-1]),
         'answers': len(answers),

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report speed`: growth, policies of moving, sibling searches and cold start."""
+"""Growth, policies of moving, sibling searches and cold start."""
 
 import os
 import resource
@@ -38,16 +38,14 @@ GROWTH_HEADER = (
 
 
 def growth(page: Page, brief: bool) -> None:
-    """Measure."""
+    """Uniform boxes that fill 2 % of the cube; incoherent rays in batches, after so many that the
+    wide snapshot was worth building; margin 0. *bytes a box*: the arrays of a tree built at this
+    size.
+    """
     sizes = GROWTH_SIZES_QUICK if brief else GROWTH_SIZES
     rows = [_growth_row(size, 200 if brief else GROWTH_RAYS) for size in sizes]
-    page.add('### Growth')
-    page.add(
-        'Uniform boxes that fill 2 % of the cube; incoherent rays in batches, after so many that '
-        'the wide snapshot was worth building; margin 0. '
-        '*bytes a box*: the arrays of a tree built at this size. The process has used '
-        f'{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:,.0f} MB at most.'
-    )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    page.add(f'The process has used {peak:,.0f} MB at most.')
     page.table('speed_growth', GROWTH_HEADER, rows)
 
 
@@ -84,7 +82,9 @@ print(imported - start, time.perf_counter() - start)
 
 
 def cold_start(page: Page, brief: bool) -> None:
-    """Measure in processes of their own; unless in brief, with an empty cache folder first."""
+    """One box, one ray, in a new process. The first start ever compiles the kernels that it needs;
+    later ones load them.
+    """
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
         cache = {} if brief else {'NUMBA_CACHE_DIR': folder}
@@ -92,11 +92,6 @@ def cold_start(page: Page, brief: bool) -> None:
             rows.append(['empty', *_printed(FIRST_ANSWER, **cache)])
         runs = [_printed(FIRST_ANSWER, **cache) for _ in range(1 if brief else WARM_RUNS)]
     rows.append(['warm', *(statistics.median(column) for column in zip(*runs, strict=True))])
-    page.add('### Cold start')
-    page.add(
-        'One box, one ray, in a new process. The first start ever compiles the kernels that it '
-        'needs; later ones load them.'
-    )
     header = 'kernel cache', 's, import', 's, import to first answer'
     page.table('speed_cold_start', header, rows)
 
@@ -114,8 +109,9 @@ print(time.perf_counter() - began)
 
 
 def kernels(page: Page, brief: bool) -> None:
-    """Compile what a node without configuration calls, in one process, then in several."""
-    page.add('### Cold start of a node')
+    """What a node without configuration calls, compiled in one process, then in several. What a
+    kernel calls is compiled as part of it, unless that came before.
+    """
     if brief:
         page.add('Left out: with an empty cache it takes two minutes.')
         return
@@ -129,8 +125,7 @@ def kernels(page: Page, brief: bool) -> None:
     page.add(
         f'A node without configuration calls {len(found)} kernels. One process compiles them in '
         f'{alone:.1f} s; the node has it done by several, and has them after {wall:.1f} s on the '
-        f'{processors()} processors that it may use here. What a kernel calls is compiled as part '
-        'of it, unless that came before.'
+        f'{processors()} processors that it may use here.'
     )
     page.table('speed_cold_kernels', ('kernel', 's', 's of that in LLVM'), rows)
 
@@ -158,15 +153,14 @@ POLICIES = {
 
 
 def policies(page: Page, brief: bool) -> None:
-    """Measure both kinds of movement."""
+    """10,000 boxes; a share of them, others each time, moves nearby (up to one edge) or anywhere.
+    us a call; *cost* is the tree's cost after 7 calls over that of a new build. *refit* inserts
+    those that move far again.
+    """
     size = 300 if brief else POLICY_BOXES
-    page.add('### Policies of move_many')
     page.add(
-        f'{size:,} boxes; a share of them, others each time, moves nearby (up to one edge) or '
-        f"anywhere. us a call; *cost* is the tree's cost after {POLICY_REPEATS + 1} calls over "
-        'that of a new build. *refit* inserts those that move far again. `move_many` refits from '
-        f'a share of {dynamic_bvh.REFIT_SHARE}, and builds anew if {dynamic_bvh.REBUILD_SHARE} '
-        'move far.'
+        f'`move_many` refits from a share of {dynamic_bvh.REFIT_SHARE}, and builds anew if '
+        f'{dynamic_bvh.REBUILD_SHARE} move far.'
     )
     boxes = uniform_boxes(size, np.random.default_rng(3))
     header = ['share', *(f'{what}, {name}' for what in ('us', 'cost') for name in POLICIES)]
@@ -249,16 +243,13 @@ SEARCH_HEADER = (
 
 
 def searches(page: Page, brief: bool) -> None:
-    """Measure the trees."""
+    """Boxes inserted one by one in random order; then every box moved one edge at most, one by
+    one, three times over. *cost / SAH*: cost of the tree over that of a bulk build of the same
+    boxes.
+    """
     rows: list[list[Cell]] = []
     for size in SEARCH_SIZES_QUICK if brief else SEARCH_SIZES:
         rows += _search_rows(size, 200 if brief else SEARCH_RAYS)
-    page.add('### Sibling searches')
-    page.add(
-        'Boxes inserted one by one in random order; then every box moved one edge at most, one by '
-        'one, three times over. *cost / SAH*: cost of the tree over that of a bulk build of the '
-        'same boxes.'
-    )
     page.table('speed_searches', SEARCH_HEADER, rows)
 
 
@@ -311,11 +302,10 @@ def _quality(tree: DynamicBVH, built: DynamicBVH, rays: Rays) -> list[Cell]:
     return [tree.cost() / built.cost(), tree.height, time_of_ray]
 
 
-INTRODUCTION = '## Speed'
 SECTIONS = {
-    'growth': growth,
-    'policies': policies,
-    'searches': searches,
-    'cold start': cold_start,
-    'cold start of a node': kernels,
+    'Growth': growth,
+    'Policies of move_many': policies,
+    'Sibling searches': searches,
+    'Cold start': cold_start,
+    'Cold start of a node': kernels,
 }

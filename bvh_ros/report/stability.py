@@ -1,6 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report stability`: extreme and stiff cases, each with its verdict."""
+"""Extreme and stiff cases, each with its verdict.
+
+What is expected is computed in rationals. A ray is cast one by one, in a batch and as a query
+whether it hits anything; a distance may be 2 ulp off. *float64 slab* is the usual test (numpy,
+0 * inf bounds nothing).
+"""
 
 import math
 import pickle
@@ -488,28 +493,20 @@ def _teleports(times: int) -> Case:
     return _judged(tree, 'teleports by 1e15 m and back', given, wrong_overlaps=wrong)
 
 
-INTRODUCTION = """## Stability
-
-What is expected is computed in rationals. A ray is cast one by one, in a batch and as a query
-whether it hits anything; a distance may be 2 ulp off. *float64 slab* is the usual test (numpy,
-0 * inf bounds nothing)."""
-
-
 def judge(title: str, cases: Callable[[bool], Iterable[Case]], page: Page, brief: bool) -> int:
     """Add a table of cases; return how many failed."""
     found = list(cases(brief))
     failed = sum(not case.passed for case in found)
     rows = [[*case[:4], 'PASS' if case.passed else 'FAIL', case.slab] for case in found]
-    page.add(f'### {title}')
     page.table(f'stability_{title.lower()}', HEADER, rows)
     page.add(f'**{len(found) - failed} of {len(found)} cases passed.**')
     return failed
 
 
 SECTIONS = {
-    'rays': partial(judge, 'Rays', lambda brief: ray_cases()),
-    'scales': partial(judge, 'Scales', scale_cases),
-    'boxes': partial(judge, 'Boxes', lambda brief: (*pair_cases(), *nearest_cases())),
-    'order': partial(judge, 'Order', height_cases),
-    'motion': partial(judge, 'Motion', motion_cases),
+    'Rays': partial(judge, 'Rays', lambda brief: ray_cases()),
+    'Scales': partial(judge, 'Scales', scale_cases),
+    'Boxes': partial(judge, 'Boxes', lambda brief: (*pair_cases(), *nearest_cases())),
+    'Order': partial(judge, 'Order', height_cases),
+    'Motion': partial(judge, 'Motion', motion_cases),
 }

@@ -47,7 +47,7 @@ def test_tables_are_rectangular_and_filled(written):
 def test_parts_of_several_runs_share_a_page(tmp_path):
     for part in ('stability', 'planner', 'stability'):
         page = Page(tmp_path)
-        page.begin(f'## {part.title()}\n\nText.')
+        page.begin(part.title(), 'Text.')
         page.add(f'### More of {part}')
         page.write()
     text = (tmp_path / 'report.md').read_text(encoding='utf-8')

@@ -82,16 +82,13 @@ class Answers(NamedTuple):
 
 
 def against_fcl(page: Page, brief: bool) -> None:
-    """Contacts, made so that the gap is known."""
-    page.add('### Pairs of shapes against python-fcl')
+    """Turned boxes, spheres, cylinders and capsules of 0.05 to 2 m, also 1 cm thin ones, put so
+    that the gap is known; a negative gap is a depth. Touching is what `collide` of python-fcl
+    says. It iterates for all but a few kinds of pairs and ends at about 1e-6 m.
+    """
     if find_spec('fcl') is None:
         page.add('Left out: python-fcl is not installed.')
         return
-    page.add(
-        'Turned boxes, spheres, cylinders and capsules of 0.05 to 2 m, also 1 cm thin ones, put '
-        'so that the gap is known; a negative gap is a depth. Touching is what `collide` of '
-        'python-fcl says. It iterates for all but a few kinds of pairs and ends at about 1e-6 m.'
-    )
     rng = np.random.default_rng(31)
     rows: list[list[Cell]] = []
     for gap in GAPS:

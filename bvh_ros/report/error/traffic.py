@@ -151,20 +151,16 @@ def traffic_truths(traffic: Traffic, moments: list[Moment]) -> list[Truth]:
 
 
 def stale_traffic(page: Page, brief: bool) -> None:
-    """US-101 at several refresh rates."""
-    page.add('### Traffic on US-101: a stale world')
+    """22 recorded vehicles, 198 moments of 40 level rays from places on the road in all
+    directions. Time is that of the refreshes and of the rays, over the rays. *Predicted*: rays are
+    cast `at` the moment, and every vehicle goes on as between the last two refreshes. Between two
+    frames (10 Hz) the true vehicles go straight: above 10 Hz the recording flatters prediction.
+    """
     path = page.data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
     if page.misses([path]):
         return
     traffic = tracks(path)
     moments = moments_of(traffic, 0.4 if brief else 7.9, np.random.default_rng(6))
-    page.add(
-        f'{len(traffic)} recorded vehicles, {len(moments)} moments of {RAYS_PER_MOMENT} level '
-        'rays from places on the road in all directions. Time is that of the refreshes and of '
-        'the rays, over the rays. *Predicted*: rays are cast `at` the moment, and every vehicle '
-        'goes on as between the last two refreshes. Between two frames (10 Hz) the true '
-        'vehicles go straight: above 10 Hz the recording flatters prediction.'
-    )
     methods = {'true world at every query': observer(traffic, moments, None)}
     for predicted, more in ((False, ''), (True, ', predicted')):
         for rate in RATES:

@@ -56,25 +56,20 @@ PLACES, PLACES_QUICK = 20, 2  # in the building, each with as many beams
 
 
 def random_scene(page: Page, brief: bool) -> None:
-    """Boxes everywhere, rays from anywhere to anywhere."""
+    """10,000 boxes that fill 2 % of a cube of 100 m, 20,000 rays."""
     rng = np.random.default_rng(1)
     count, many = (300, 200) if brief else (10_000, 20_000)
     boxes, rays = uniform_boxes(count, rng), incoherent_rays(many, rng)
-    page.add('### Random boxes')
-    page.add(f'{count:,} boxes that fill 2 % of a cube of 100 m, {many:,} rays.')
     _compare_boxes(page, brief, 'random', 'Random boxes, random rays', boxes, rays)
 
 
 def adversarial_scene(page: Page, brief: bool) -> None:
-    """Boxes on a lattice of tenths, rays through their corners, edges and face planes."""
+    """2,000 boxes, some flat, whose corners are multiples of 0.1 m, 20,000 rays aimed at corners,
+    edges and faces from other such points, many in the plane of a face. Where a ray only touches,
+    rounding decides, unless the decision is exact.
+    """
     count, many = (100, 200) if brief else (2_000, 20_000)
     boxes, rays = corner_rays(count, many, np.random.default_rng(2))
-    page.add('### Adversarial rays')
-    page.add(
-        f'{count:,} boxes, some flat, whose corners are multiples of 0.1 m, {many:,} rays aimed '
-        'at corners, edges and faces from other such points, many in the plane of a face. '
-        'Where a ray only touches, rounding decides, unless the decision is exact.'
-    )
     _compare_boxes(page, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
 
 
@@ -98,8 +93,9 @@ def corner_rays(count: int, many: int, rng: np.random.Generator) -> tuple[Boxes,
 
 
 def building_scene(page: Page, brief: bool) -> None:
-    """A real building, and the beams of a real scanner set up in its free places."""
-    page.add('### Building 079, Freiburg')
+    """Cubes of an OctoMap of the building; 500 beams of a laser scan at each of 20 places in its
+    free space. The scan was taken at a place of its own; its directions are what is real here.
+    """
     names = 'octomap_fr079/occupied_voxels', 'octomap_fr079/free_voxels_sample'
     files = [page.data / f'{name}.csv' for name in (*names, 'freiburg_scan3d/scan')]
     if page.misses(files):
@@ -109,11 +105,6 @@ def building_scene(page: Page, brief: bool) -> None:
     stand = np.random.default_rng(3).choice(len(free.lo), places, replace=False)
     ends = columns(table(files[2]), 'ex ey ez')
     directions = units(ends)[np.linspace(0, len(ends) - 1, beams).astype(int)]
-    page.add(
-        f'{len(boxes.lo):,} cubes of an OctoMap of the building; {beams} beams of a laser scan '
-        f'at each of {places} places in its free space (the scan was taken at a place of its own; '
-        'its directions are what is real here).'
-    )
     rays = Rays(np.repeat(free.centers[stand], beams, axis=0), np.tile(directions, (places, 1)))
     _compare_boxes(page, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
 
@@ -137,15 +128,12 @@ class ShapeWorld(NamedTuple):
 
 
 def random_shapes(page: Page, brief: bool) -> None:
-    """Turned boxes, spheres and cylinders everywhere."""
+    """3,000 turned boxes, spheres and cylinders (a half, a quarter, a quarter) in a cube of 100 m,
+    5,000 rays. Square roots of the truth are cut off after 256 bits.
+    """
     rng = np.random.default_rng(4)
     count, many = (100, 200) if brief else (3_000, 5_000)
     world = ShapeWorld(some_shapes(count, rng), incoherent_rays(many, rng))
-    page.add('### Random shapes')
-    page.add(
-        f'{count:,} turned boxes, spheres and cylinders (a half, a quarter, a quarter) in a cube '
-        f'of 100 m, {many:,} rays. Square roots of the truth are cut off after 256 bits.'
-    )
     title = f'Random shapes: {count:,} shapes, {many:,} rays'
     _compare_shapes(page, brief, 'shapes', title, [world])
 
@@ -160,20 +148,16 @@ def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
 
 
 def shelves(page: Page, brief: bool) -> None:
-    """Recorded tables and shelves, with rays from all around."""
-    page.add('### Shelves and tables')
+    """Planning scenes of boxes and cylinders; 500 rays at each scene, from 1.5 m round its middle
+    towards points in its bounds. Turned shapes are decided in float64: where boards are flush,
+    less than 1e-15 m decides which of them is first.
+    """
     path = page.data / 'manipulation_scenes' / 'scenes.csv'
     if page.misses([path]):
         return
     rng, many = np.random.default_rng(5), 20 if brief else 500
     scenes = shapes_by_scene(path).values()
     worlds = [ShapeWorld(shapes, rays_round(shapes, many, rng)) for shapes in scenes]
-    count = sum(len(shapes.kind) for shapes in scenes)
-    page.add(
-        f'{len(worlds)} planning scenes, {count} boxes and cylinders; {many} rays at each scene, '
-        'from 1.5 m round its middle towards points in its bounds. Turned shapes are decided in '
-        'float64: where boards are flush, less than 1e-15 m decides which of them is first.'
-    )
     title = f'Shelves and tables: {len(worlds)} scenes, {many * len(worlds):,} rays'
     _compare_shapes(page, brief, 'shelves', title, worlds)
 
