@@ -148,12 +148,18 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         self._held.change.require_none()
         self._held.tree.rebuild()
 
-    def prepare_batch(self, count: int) -> None:
+    # Another thread may call these while nothing changes the scene.
+
+    def prepare_rays(self, count: int) -> None:
         """Prepare what a batch of `count` rays needs, as the batch itself would do. It takes
-        0.5 us an obstacle; another thread may call it while nothing changes the scene.
+        0.5 us an obstacle.
         """
         tree = self._held.tree
         tree.snapshot_for(2 * count, tree.view())  # once more by the batch
+
+    prepare_times = method_of('_timed', TimedQueries.prepare)
+    is_prepared = method_of('_timed', TimedQueries.is_prepared)
+    refit = method_of('_timed', TimedQueries.refit)
 
     # ---- what there is
 

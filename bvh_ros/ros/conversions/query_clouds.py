@@ -195,6 +195,10 @@ class QueryCloud:
         """Whether the rows are about other times than now."""
         return 't0' in self._names
 
+    def times(self) -> Floats:
+        """`since` of all rows, of a cloud that `has_times`."""
+        return self._column(self._points, 't0', 0.0)
+
     def rows(self, begin: int, end: int) -> Points | Boxes:
         """Return some of the rows."""
         points = self._points[begin:end]

@@ -154,6 +154,14 @@ class RayCloud:
         """Whether the rays are about other times than now."""
         return not {'t0', 'duration'}.isdisjoint(self._points.dtype.names or ())
 
+    def times(self) -> tuple[Floats, Floats | None]:
+        """`since` and `durations` of all rows, of a cloud that `has_times`."""
+        names = self._points.dtype.names or ()
+        since, durations = (
+            columns(self._points, [name])[:, 0] if name in names else None for name in OPTIONAL[2:]
+        )
+        return np.zeros(len(self)) if since is None else since, durations
+
     def rows(self, begin: int, end: int) -> Rays:
         """Return some of the rays."""
         points = self._points[begin:end]

@@ -55,9 +55,17 @@ class Spans(NamedTuple):
         return Spans(self.at[rows], self.until[rows], self.which[rows], self.states)
 
 
+class KnownSpans(NamedTuple):
+    """When n rows begin and end."""
+
+    spans: Spans
+    unknown: NDArray[np.bool_]
+    """(n,) which of the rows cannot be answered."""
+
+
 def spans_of(
     since: Floats, durations: Floats | None, stamp: int, known: KnownTimes, now: int
-) -> tuple[Spans, NDArray[np.bool_]]:
+) -> KnownSpans:
     """When rows begin, so long (s) after the stamp of their cloud, and end, and which of them
     cannot be answered.
     """
@@ -67,16 +75,22 @@ def spans_of(
     at, more = (np.rint(np.where(sane, c, 0.0)).astype(np.int64) for c in (begin, length))
     at += stamp
     spans, unknown = spans_between(at, at + more, known, now)
-    return spans, unknown | ~sane
+    return KnownSpans(spans, unknown | ~sane)
 
 
-def spans_between(
-    at: Times, until: Times, known: KnownTimes, now: int
-) -> tuple[Spans, NDArray[np.bool_]]:
+def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> KnownSpans:
     """Rows that begin and end at these times, ns, and which of them cannot be answered."""
     states, which = known.states(at, now)
     good = (which >= 0) & known.within(at, until, now)
-    return Spans(at, until, which, states), np.logical_not(good)
+    return KnownSpans(Spans(at, until, which, states), np.logical_not(good))
+
+
+def by_state(known: KnownSpans) -> Iterator[tuple[Scene, Times, Times]]:
+    """Each state of the world that is asked about, and when its rows begin and end."""
+    spans = known.spans.take(~known.unknown)
+    for number in np.unique(spans.which).tolist():
+        rows = spans.which == number
+        yield spans.states[number], spans.at[rows], spans.until[rows]
 
 
 def fill(told: Any, spans: Spans, ask: Callable[[Scene, Any, Times], Any]) -> Any:
@@ -114,8 +128,9 @@ def _cast(
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
 
 QOS_PERIOD = 1.0  # seconds
-FIRST_PIECE, LEAST_PIECE, LARGEST_PIECE = 256, 32, 8192  # rows
+SMALLEST_PIECE, LARGEST_PIECE = 32, 8192  # rows
 PIECE_TIME = 0.005  # seconds
+GROWTH = 8.0  # at most, from a piece to the next: rows may take 100 times as long as others
 # What a batch of so many rows needs of so many obstacles takes longer than a turn.
 MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
 TURN = 0.01  # seconds after which others get a turn
@@ -155,7 +170,6 @@ class Batch(NodePart):
         self.timings = Timings()
         self._world = world
         self._kernels = kernels
-        self._rows = FIRST_PIECE  # of the next piece
         # Questions that wait, the first begun: their bytes, and what answers them.
         self._work: deque[tuple[bytes, Iterator[None]]] = deque()
         self._turn = node.create_guard_condition(self._go_on)
@@ -234,21 +248,45 @@ class Batch(NodePart):
         """Make the cloud that says that nothing is answered."""
         raise NotImplementedError
 
+    def _prepare(self, count: int, spans: Callable[[], KnownSpans] | None) -> Iterator[None]:
+        """Prepare in the helper thread what would take longer than a turn; pause until it is done.
+
+        Parameters
+        ----------
+        count : int
+            Rows that are rays.
+        spans : callable, optional
+            When the rows begin and end, as things are when it is called; None: now.
+        """
+        changes = self._world.changes
+        if len(changes.visible) < MANY_OBSTACLES:
+            return
+
+        def prepare() -> None:
+            if spans is None:
+                changes.visible.prepare_rays(count)
+                return
+            for state, at, until in by_state(spans()):
+                state.prepare_times(min(count, len(at)), at, until)
+
+        if count >= MANY_ROWS or (
+            spans is not None
+            and not all(state.is_prepared(at, until) for state, at, until in by_state(spans()))
+        ):
+            yield from changes.read(self, prepare)
+
     def _in_pieces(self, count: int, answer: Callable[[slice], None]) -> Iterator[None]:
         """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
-        changes, begin = self._world.changes, 0
-        if count >= MANY_ROWS and len(changes.visible) >= MANY_OBSTACLES:
-            yield from changes.read(self, partial(changes.visible.prepare_batch, count))
+        begin, rows = 0, SMALLEST_PIECE
         while begin < count:
             if begin:
                 yield
             began = time.perf_counter()
-            end = min(begin + self._rows, count)
+            end = min(begin + rows, count)
             answer(slice(begin, end))
             took = max(time.perf_counter() - began, 1e-6)
-            rows = int((end - begin) * min(PIECE_TIME / took, 4.0))
-            if rows < self._rows or end - begin == self._rows:
-                self._rows = min(max(rows, LEAST_PIECE), LARGEST_PIECE)
+            rows = int((end - begin) * min(PIECE_TIME / took, GROWTH))
+            rows = min(max(rows, SMALLEST_PIECE), LARGEST_PIECE)
             begin = end
 
     def _now(self) -> Scene:
@@ -260,7 +298,7 @@ class Batch(NodePart):
 
     def _spans(
         self, since: NDArray[np.float64], durations: NDArray[np.float64] | None, stamp: int
-    ) -> tuple[Spans, NDArray[np.bool_]]:
+    ) -> KnownSpans:
         """When rows begin and end, and which of them cannot be answered."""
         if self._world.times is None:
             raise ValueError(
@@ -313,6 +351,8 @@ class RayBatch(Batch):
             hits = self._answer(rays, piece.start, transform, stamp)
             ray_clouds.write_hits(table[piece], hits)
 
+        spans = partial(self._spans, *cloud.times(), stamp) if cloud.has_times else None
+        yield from self._prepare(len(cloud), spans)
         yield from self._in_pieces(len(cloud), answer)
         return ray_clouds.table_cloud(table, request.height, request.width, table['t'])
 
@@ -405,6 +445,8 @@ class VolumeBatch(Batch):
             rows = cloud.rows(piece.start, piece.stop)
             put(told, piece, *self._answer(rows, piece.start, transform, stamp))
 
+        spans = partial(self._spans, cloud.times(), None, stamp) if cloud.has_times else None
+        yield from self._prepare(0, spans)
         yield from self._in_pieces(len(cloud), answer)
         return query_clouds.answers_cloud(told, request.height, request.width, cloud.real)
 
@@ -522,6 +564,10 @@ class PathBatch(Batch):
                 found = moved_back(transform, found)
             put(told, piece, good, found)
 
+        times, at = self._world.times, request.stamps[request.stamps != 0]
+        if times is not None and len(at):
+            now = self.node.get_clock().now().nanoseconds
+            yield from self._prepare(0, partial(spans_between, at, at, times, now))
         yield from self._in_pieces(len(request.places), answer)
         return query_clouds.answers_cloud(told, 1, len(request.places), np.dtype(np.float64))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from types import coroutine
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import Scene, SceneHit
 
+FEW = 10_000  # obstacles, of which the tree is built anew in some 5 ms
 Acting = Generator[None, None, str]  # pauses, and returns the reply
 Answer = Callable[['Scene', plans.Query, Span], 'Sequence[SceneHit]']
 
@@ -174,6 +175,7 @@ class TriggerServices(NodePart):
         self._world = world
         self._sources = world.sources
         self._group = MutuallyExclusiveCallbackGroup()
+        self._work: Iterable[None] = ()  # in the helper thread
         for name, act in (
             ('~/clear', self._clear),
             ('~/rebuild', self._rebuild),
@@ -209,9 +211,19 @@ class TriggerServices(NodePart):
 
     def _rebuild(self) -> Acting:
         yield from self._until_unchanged()
-        self._world.scene.rebuild()
+        scene = self._world.scene
+        if len(scene) < FEW:
+            scene.rebuild()
+        else:
+            self._work = self._world.changes.make(self, scene.rebuild)
+            yield from self._work
         yield
         return self._tree_in_words()
+
+    def finish(self) -> None:
+        """Build the tree anew until it is done."""
+        for _ in self._work:
+            pass
 
     def _validate(self) -> Acting:
         if self._world.compiling:

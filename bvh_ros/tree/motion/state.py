@@ -364,6 +364,30 @@ class Motion:
         view.tree.state[ASKS] = LOOKED - self._asks
         return moving
 
+    def holds(self, version: int, first: float, last: float) -> bool:
+        """Whether bounds are fitted that hold for a span of time."""
+        moving = self.moving
+        return moving.version == version and moving.start <= first and last <= moving.stop
+
+    def prepare(self, tree: Any, count: int, first: float, last: float) -> None:
+        """Fit bounds for a span of time; sweep a snapshot if so many rays in it would do so."""
+        view = tree.view()
+        if not self.holds(view.version, first, last):
+            self.fit(tree, first, last, moments=False)
+        wanted, enough = self._wanted, RAYS_PER_BOX * view.tree.state.item(COUNT)
+        before = wanted.rays if wanted.version == view.version else 0
+        if (
+            count
+            and before + 2 * count >= enough  # once more by the batch
+            and self.ready_sweep(view.tree, count, first, last) is None
+        ):
+            self.swept_for(tree, view, max(count, math.ceil(enough)), (first, last))
+
+    def refit(self, tree: Any, first: float) -> None:
+        """Fit bounds to the time from `first` on, if any were fitted before."""
+        if self.moving.version != NOT_FITTED and not self.holds(tree.view().version, first, first):
+            self.fit(tree, first, first, moments=False)
+
     def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
         """What is swept for rays, so many, whose times lie in a span; None while that does not pay
         or would not help. The rays of small batches wait until they are enough for one together.

@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.scene import Scene, slicing
+from bvh_ros.scene import Numbered, Scene, Shapes, slicing
 
 PARAMETERS = {
     'sources': ['given', 'followed', 'markers'],
@@ -176,37 +176,87 @@ def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(server, monkeypatc
     clock, pieces = Clock(), []
     monkeypatch.setattr(batches.time, 'perf_counter', clock.perf_counter)
     one = object.__new__(batches.RayBatch)
-    one._rows, one._world = batches.FIRST_PIECE, server.world
+    one._world = server.world
 
     def answer(piece):
         pieces.append(piece)
         clock.now += row * (piece.stop - piece.start)
 
-    for _ in range(3):
-        pieces.clear()
-        for _ in one._in_pieces(50_000, answer):
-            pass
-        assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
-        assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
+    for _ in one._in_pieces(50_000, answer):
+        pass
+    assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
+    assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
     sizes = [piece.stop - piece.start for piece in pieces]
-    most = min(max(1.01 * batches.PIECE_TIME / row, batches.LEAST_PIECE), batches.LARGEST_PIECE)
+    most = min(max(1.01 * batches.PIECE_TIME / row, batches.SMALLEST_PIECE), batches.LARGEST_PIECE)
     assert max(sizes) <= most
     assert np.median(sizes) >= 0.25 * min(most, 50_000)
 
 
-def test_a_scene_that_is_prepared_answers_a_batch_as_one_that_is_not():
-    from bvh_ros.scene import Numbered, Shapes
-
+def boxes_and_ends(count=3000):
+    """A scene of boxes with velocities, and ends of rays."""
     random = np.random.default_rng(3)
-    places, ends = random.uniform(0, 20, (2, 3000, 3))
+    places, ends = random.uniform(0, 20, (2, count, 3))
+    scene, names = Scene(), Numbered('b', np.arange(count))
+    speeds = random.uniform(-1, 1, (count, 3))
+    scene.update('s', names, Shapes.boxes(places, (0.5,) * 3), stamp=1, velocities=speeds)
+    return scene, places, ends
+
+
+@pytest.mark.parametrize('until', [None, 0, 10**8])
+def test_a_scene_that_is_prepared_answers_a_batch_as_one_that_is_not(until):
     answers = []
     for prepared in (False, True):
-        scene = Scene()
-        scene.update(
-            's', Numbered('b', np.arange(3000)), Shapes.boxes(places, (0.5,) * 3), stamp=1
-        )
+        scene, places, ends = boxes_and_ends()
+        at = None if until is None else np.linspace(2, 10**9, len(ends)).astype(np.int64)
+        then = None if at is None else at + until
         if prepared:
-            scene.prepare_batch(3000)
-        answers.append(scene.raycast_many(ends, ends - places))
+            scene.prepare_rays(len(ends))
+            if at is not None:
+                assert not scene.is_prepared(at, then)
+                scene.prepare_times(len(ends), at, then)
+                assert scene.is_prepared(at, then)
+        answers.append(scene.raycast_many(ends, ends - places, 1.0, at=at, until=then))
     for one, other in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_scene_is_prepared_again_where_others_than_now_were_asked_for():
+    scene = boxes_and_ends()[0]
+    scene.refit()
+    at = np.array([2])
+    assert not scene.is_prepared(at, at)
+    scene.raycast((0, 0, 0), (1, 0, 0), at=2)
+    assert scene.is_prepared(at, at)
+    scene.update(
+        's', ['b0'], Shapes.boxes([(0, 0, 0)], (1, 1, 1)), stamp=2, velocities=[(1, 0, 0)]
+    )
+    assert not scene.is_prepared(at, at)
+    scene.refit()
+    assert scene.is_prepared(at, at)
+
+
+def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, messages, monkeypatch):
+    from bvh_ros.ros.parts import services
+
+    monkeypatch.setattr(services, 'FEW', 300)
+    for _ in source(server, 'given')._applying([serialize_message(cloud(messages, 1000, 0))], 1):
+        pass
+    threads = []
+    rebuild = Scene.rebuild
+    monkeypatch.setattr(
+        Scene,
+        'rebuild',
+        lambda scene: threads.append(threading.current_thread()) or rebuild(scene),
+    )
+    triggers = services.TriggerServices(server.node, server.world)
+    for _ in triggers._rebuild():
+        assert is_there(server.world.scene, 0)
+    assert server.world.changes.owner is None
+    (thread,) = threads
+    assert thread is not threading.current_thread()
+    work = triggers._rebuild()
+    next(work)
+    server.world.finish_changes()
+    assert server.world.changes.owner is None
+    assert list(work) == [None]
+    triggers.destroy()
