@@ -89,7 +89,7 @@ MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
 
 def empty(needs: Needs) -> Scene:
-    """One in which who moves comes to rest."""
+    """A scene in which moving obstacles come to rest."""
     meshes = ShapeKind.MESH in needs.kinds
     return Scene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
 
@@ -185,18 +185,18 @@ def _overlaps(needs: Needs) -> None:
 
 
 def _rays(needs: Needs) -> None:
-    held = _no_shapes(needs)
+    store = _no_shapes(needs)
     ends = np.zeros(3), np.zeros(3)
-    first_of_one(held.tree, held.columns, ends, (0.0, np.uint32(1), False))
+    first_of_one(store.tree, store.columns, ends, (0.0, np.uint32(1), False))
     scene = with_shapes(needs)
     scene.raycast(START, GOAL)
     scene.raycast_all(START, GOAL)
 
 
 def _batches_of_rays(needs: Needs) -> None:
-    held, row = _no_shapes(needs), np.zeros((1, 3))
+    store, row = _no_shapes(needs), np.zeros((1, 3))
     rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False)
-    first_hits(held.tree, held.columns, rays)
+    first_hits(store.tree, store.columns, rays)
     with_shapes(needs).raycast_many([START], [GOAL])
 
 
@@ -207,7 +207,7 @@ def _no_shapes(needs: Needs) -> Obstacles:
 
 # Jobs for sources that predict.
 
-LATER = 10**10  # ns: by then who moves has come to rest
+LATER = 10**10  # ns: by then all obstacles are at rest
 
 
 def _moving_scenes(needs: Needs) -> Iterator[Scene]:

@@ -112,8 +112,8 @@ class BvhServer:
         """The topics that this configuration subscribes and whose QoS can be overridden."""
         topics = [source.settings.topic for source in self.world.sources]
         if self.settings.batch:
-            asked = 'rays', 'boxes', 'points', *(['paths'] if self.settings.footprint else [])
-            topics += [view.topic(name) for view in self.world.views for name in asked]
+            names = 'rays', 'boxes', 'points', *(['paths'] if self.settings.footprint else [])
+            topics += [view.topic(name) for view in self.world.views for name in names]
         if self._scan.pose_topic:
             topics.append(self._scan.pose_topic)
         for topic in topics:
@@ -195,7 +195,7 @@ class BvhServer:
         yield drawing
         kernels = OnDemand(node, later_jobs(self._needs()))
         yield kernels
-        # Before the services: who hears an answer knows then which life of the node it comes from.
+        # Before the services: a client that gets an answer knows which run of the node it is of.
         yield NamesPublisher(node, world)
         queries: list[QueryServices] = []
         for view in world.views:
@@ -214,7 +214,7 @@ class BvhServer:
     def _create_answerers(
         self, drawing: QueryDrawing, kernels: OnDemand
     ) -> Iterator[Batch | VirtualScan]:
-        """Create what answers many rays at once; who does without imports none of it."""
+        """Create the parts that answer batches; none of it is imported where there are none."""
         node, world = self.node, self.world
         if self.settings.batch:
             from bvh_ros.ros.parts.batches import BoxBatch, PathBatch, PointBatch, RayBatch

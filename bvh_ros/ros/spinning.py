@@ -49,12 +49,12 @@ class Interrupts:
         self.received = threading.Event()
         self.wake: Callable[[], None] = lambda: None
         self._starting = False
-        self._heard, self._told = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
-        os.set_blocking(self._heard, True)
+        self._read_end, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        os.set_blocking(self._read_end, True)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         # The number of every signal is written there as soon as it comes.
-        signal.set_wakeup_fd(self._told, warn_on_full_buffer=False)
+        signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
         threading.Thread(target=self._end_soon, name='interrupts', daemon=True).start()
 
     @contextmanager
@@ -83,7 +83,7 @@ class Interrupts:
 
     def _end_soon(self) -> None:
         wanted = signal.SIGINT, signal.SIGTERM
-        while os.read(self._heard, 1)[0] not in wanted:
+        while os.read(self._read_end, 1)[0] not in wanted:
             pass
         self.received.set()
         self.wake()

@@ -111,7 +111,7 @@ class Refused:
     Parameters
     ----------
     what : str
-        Who was refused, as the log says it: `query`, `source 'markers'`.
+        What was refused, as the log says it: `query`, `source 'markers'`.
     """
 
     def __init__(self, logger: Logger, what: str) -> None:
@@ -135,9 +135,9 @@ class Refused:
         """Count the rows of an update that were refused."""
         if refusals:
             self._row_count += len(refusals)
-            told = [_in_words(refusal) for refusal in islice(refusals, LISTED)]
-            self._rows.extend(told)
-            self.add(told[0], len(refusals))
+            lines = [_in_words(refusal) for refusal in islice(refusals, LISTED)]
+            self._rows.extend(lines)
+            self.add(lines[0], len(refusals))
 
     def rows(self) -> dict[str, object]:
         """Return the latest rows with their reasons, and how many are not among them."""
@@ -148,5 +148,5 @@ class Refused:
 
 
 def _in_words(refusal: Refusal) -> str:
-    who = f"'{shortened(refusal.name)}'" if refusal.name else f'row {refusal.row}'
-    return shortened(f'{who}: {refusal.reason}', LONGEST_LINE)
+    what = f"'{shortened(refusal.name)}'" if refusal.name else f'row {refusal.row}'
+    return shortened(f'{what}: {refusal.reason}', LONGEST_LINE)

@@ -254,8 +254,8 @@ NODE_OPTIONS = (
     Option(
         'max_prediction',
         1.0,
-        'So far ahead of the newest data (s) there are answers, where a source predicts; who was '
-        'not told for longer stays where it is predicted last.',
+        'So far ahead of the newest data (s) there are answers, where a source '
+        'predicts. An obstacle without an update for longer stays at its last predicted place.',
         *(0.0, 1e6),
     ),
     Option(

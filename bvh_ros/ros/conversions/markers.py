@@ -283,8 +283,8 @@ class Change(NamedTuple):
 
     clears: bool  # everything of the source goes
     namespaces: list[str]  # whose obstacles go
-    removed: Families  # who goes, as a single obstacle or as a list
-    names: Families  # (n,) who comes or is modified: single ones, and elements of lists
+    removed: Families  # that leave, as a single obstacle or as a list
+    names: Families  # (n,) that come or are modified: single ones, and elements of lists
     shapes: Shapes  # (n,)
     stamp: Integers  # (n,) ns
     expires: Integers  # (n,) ns on the node's clock, 0 = never
@@ -474,11 +474,11 @@ class _Reader:
         """Obstacles in the node's frame; `of` is the marker that each comes from."""
         shapes = yield from self._placed(rows, of)
         if self.meshes:
-            held = np.empty(len(of), object)
+            given = np.empty(len(of), object)
             for at in np.flatnonzero(self.table.type[of] == TRIANGLES).tolist():
-                held[at] = mesh = self.meshes[int(of[at])]
+                given[at] = mesh = self.meshes[int(of[at])]
                 shapes.kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
-            shapes = shapes._replace(mesh=held)
+            shapes = shapes._replace(mesh=given)
         if self.moved is not None:
             yield from self._move(shapes, of)
         return shapes

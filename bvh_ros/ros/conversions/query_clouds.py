@@ -123,16 +123,18 @@ def unanswered(kind: type[Answer], count: int) -> Answer:
     return kind(*(filled[name] for name in kind._fields))
 
 
-def answers_cloud(told: Near | Touched, height: int, width: int, real: DTypeLike) -> PointCloud2:
+def answers_cloud(
+    answers: Near | Touched, height: int, width: int, real: DTypeLike
+) -> PointCloud2:
     """Write answers into a cloud of height x width points, its header left to the caller."""
     kinds = [
         (field, real if values.dtype.kind == 'f' else np.dtype('u4'))
-        for name, values in told._asdict().items()
+        for name, values in answers._asdict().items()
         for field in FIELDS[name]
     ]
     table = np.zeros(height * width, np.dtype(kinds, align=True))
     with np.errstate(over='ignore'):  # farther than the largest float32 is inf in one
-        for name, values in told._asdict().items():
+        for name, values in answers._asdict().items():
             put_columns(table, FIELDS[name], values.reshape(len(table), len(FIELDS[name])))
     return table_cloud(table, height, width, table['distance'])
 
@@ -143,13 +145,13 @@ def read_answers(cloud: PointCloud2, kind: type[Answer]) -> Answer:
     rows = structured(cloud, wanted)
     if not all_or_none(rows.dtype.names or (), wanted):
         raise ValueError(f'the cloud has no fields {", ".join(wanted)}')
-    told: dict[str, Any] = {}
+    answers: dict[str, Any] = {}
     for name in kind._fields:
         values = columns(rows, FIELDS[name])
-        told[name] = values if len(FIELDS[name]) > 1 else values[:, 0]
-    for name in {'obstacles', 'counts'} & {*told}:
-        told[name] = told[name].astype(np.uint32)
-    return kind(**told)
+        answers[name] = values if len(FIELDS[name]) > 1 else values[:, 0]
+    for name in {'obstacles', 'counts'} & {*answers}:
+        answers[name] = answers[name].astype(np.uint32)
+    return kind(**answers)
 
 
 class QueryCloud:
@@ -222,21 +224,21 @@ class QueryCloud:
         return np.full(len(points), otherwise)
 
 
-def take(asked: Question, rows: Any) -> Question:
+def take(questions: Question, rows: Any) -> Question:
     """Return some of the rows."""
-    given = asked._asdict().items()
+    given = questions._asdict().items()
     some: Any = {name: values[rows] for name, values in given if values is not None}
-    return asked._replace(**some)
+    return questions._replace(**some)
 
 
-def fault(asked: Points | Boxes, number: int) -> tuple[NDArray[np.bool_], str]:
+def fault(questions: Points | Boxes, number: int) -> tuple[NDArray[np.bool_], str]:
     """Return which rows (n,) cannot be answered, and of the first of them why; `number` is that of
     the first row in its cloud.
     """
-    return first_fault(asked.faults(), number)
+    return first_fault(questions.faults(), number)
 
 
-def questions_cloud(asked: Points | Boxes, real: DTypeLike) -> PointCloud2:
+def questions_cloud(questions: Points | Boxes, real: DTypeLike) -> PointCloud2:
     """Write points or boxes into a cloud of one row, its header left to the caller."""
     names = {
         'places': ORIGIN,
@@ -248,9 +250,9 @@ def questions_cloud(asked: Points | Boxes, real: DTypeLike) -> PointCloud2:
         'since': ('t0',),
     }
     own = {'masks': np.dtype('u4'), 'since': np.dtype('f8')}
-    given = {name: values for name, values in asked._asdict().items() if values is not None}
+    given = {name: values for name, values in questions._asdict().items() if values is not None}
     kinds = [(field, own.get(name, real)) for name in given for field in names[name]]
-    table = np.empty(len(asked.places), kinds)
+    table = np.empty(len(questions.places), kinds)
     for name, values in given.items():
         put_columns(table, names[name], values.reshape(len(table), len(names[name])))
     return table_cloud(table, 1, len(table), table['x'])

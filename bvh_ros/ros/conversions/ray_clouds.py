@@ -70,14 +70,14 @@ class Rays(NamedTuple):
                 np.isfinite(self.radii) & (self.radii >= 0.0)
             )
             with np.errstate(over='ignore', invalid='ignore'):
-                ways = self.directions * self.t_max[:, None]
+                vectors = self.directions * self.t_max[:, None]
             faults['it has a radius, and no end by t_max'] = (self.radii > 0.0) & np.logical_not(
-                np.isfinite(ways).all(axis=1)
+                np.isfinite(vectors).all(axis=1)
             )
         if self.durations is not None:
             with np.errstate(over='ignore', invalid='ignore'):
-                ways = self.directions * self.t_max[:, None]
-            ends = (self.durations == 0.0) | np.isfinite(ways).all(axis=1)
+                vectors = self.directions * self.t_max[:, None]
+            ends = (self.durations == 0.0) | np.isfinite(vectors).all(axis=1)
             faults['its duration is not finite, or negative'] = np.logical_not(
                 np.isfinite(self.durations) & (self.durations >= 0.0)
             )

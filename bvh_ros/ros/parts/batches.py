@@ -93,18 +93,18 @@ def by_state(known: KnownSpans) -> Iterator[tuple[Scene, Times, Times]]:
         yield spans.states[number], spans.at[rows], spans.until[rows]
 
 
-def fill(told: Any, spans: Spans, ask: Callable[[Scene, Any, Times], Any]) -> Any:
+def fill(answers: Any, spans: Spans, ask: Callable[[Scene, Any, Times], Any]) -> Any:
     """Fill in what ask(scene, rows, at) answers, each state's rows at once; return it."""
     for number in np.unique(spans.which).tolist():
         rows = np.flatnonzero(spans.which == number)
         found = ask(spans.states[number], rows, spans.at[rows])
-        for column, part in zip(told, found, strict=True):
+        for column, part in zip(answers, found, strict=True):
             column[rows] = part
-    return told
+    return answers
 
 
 def cast(rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans) -> Hits:
-    """First hits of rays; who takes time goes to its t_max in that time."""
+    """First hits of rays; a ray that takes time reaches its t_max at the end of that time."""
     hits = Hits.unanswered(len(masks))
     for number in np.unique(spans.which).tolist():
         rows = spans.which == number
@@ -116,12 +116,18 @@ def cast(rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans:
 def _cast(
     scene: Scene, rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans
 ) -> Hits:
-    takes = spans.until > spans.at
-    whole = np.where(takes, rays.t_max, 1.0)  # the scene's rays end at t = 1 then
-    ways, limits = rays.directions * whole[:, None], np.where(takes, 1.0, rays.t_max)
-    asked: Any = rays.origins, ways, limits, masks, skip, threads, rays.radii, *spans[:2]
-    found = scene.raycast_many(*asked)
-    hits = Hits(*found)
+    takes_time = spans.until > spans.at
+    whole = np.where(takes_time, rays.t_max, 1.0)  # the scene's rays end at t = 1 then
+    limits = np.where(takes_time, 1.0, rays.t_max)
+    hits = Hits(
+        *scene.raycast_many(
+            *(rays.origins, rays.directions * whole[:, None], limits, masks, skip),
+            threads=threads,
+            radius=rays.radii,
+            at=spans.at,
+            until=spans.until,
+        )
+    )
     return hits._replace(t=np.where(np.isfinite(hits.t), hits.t * whole, hits.t))
 
 
@@ -158,14 +164,14 @@ class Batch(NodePart):
         What is compiled when somebody asks.
     """
 
-    asked, told = 'rays', 'ray_hits'
+    question_topic, answer_topic = 'rays', 'ray_hits'
     message: type = PointCloud2
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
         super().__init__(node)
         self.view = view
-        self.refused = Refused(node.get_logger(), view.topic(self.asked))
-        self.what = f'{self.asked} of {view.name}' if view.name else self.asked
+        self.refused = Refused(node.get_logger(), view.topic(self.question_topic))
+        self.what = f'{self.question_topic} of {view.name}' if view.name else self.question_topic
         self.answered = 0  # rows
         self.timings = Timings()
         self._world = world
@@ -174,10 +180,10 @@ class Batch(NodePart):
         self._work: deque[tuple[bytes, Iterator[None]]] = deque()
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
-        self._publisher = self.publisher(PointCloud2, view.topic(self.told), DEPTH)
+        self._publisher = self.publisher(PointCloud2, view.topic(self.answer_topic), DEPTH)
         delivery = Delivery(ordered=False, raw=True)
         subscription = FollowingSubscription(
-            node, self.message, view.topic(self.asked), self.receive, delivery
+            node, self.message, view.topic(self.question_topic), self.receive, delivery
         )
         self._close.append(subscription.destroy)
         self.every(QOS_PERIOD, subscription.check)
@@ -408,19 +414,19 @@ def moved(transform: Transform, rays: Rays) -> Rays:
         )
 
 
-def moved_back(transform: Transform, told: Any) -> Any:
+def moved_back(transform: Transform, answers: Any) -> Any:
     """Return answers in the frame that the questions came from."""
     back = transform.inverse()
     with np.errstate(over='ignore', invalid='ignore'):
-        told = told._replace(points=back.points(told.points))
-        if 'normals' in told._fields:
-            told = told._replace(normals=back.vectors(told.normals))
-    return told
+        answers = answers._replace(points=back.points(answers.points))
+        if 'normals' in answers._fields:
+            answers = answers._replace(normals=back.vectors(answers.normals))
+    return answers
 
 
 # `~/boxes` to `~/box_hits`, `~/points` to `~/nearest_hits`, `~/paths` to `~/path_hits`.
 
-Told = Near | Touched
+Answers = Near | Touched
 LEAST_FIELD = 4  # bytes
 
 
@@ -439,87 +445,87 @@ class VolumeBatch(Batch):
         cloud, stamp = QueryCloud(request, self.question), self._stamp_of(request)
         if cloud.has_times:
             self._kernels.require(self.needed_then)
-        told = query_clouds.unanswered(self.answer, len(cloud))
+        answers = query_clouds.unanswered(self.answer, len(cloud))
 
         def answer(piece: slice) -> None:
             rows = cloud.rows(piece.start, piece.stop)
-            put(told, piece, *self._answer(rows, piece.start, transform, stamp))
+            put(answers, piece, *self._answer(rows, piece.start, transform, stamp))
 
         spans = partial(self._spans, cloud.times(), None, stamp) if cloud.has_times else None
         yield from self._prepare(0, spans)
         yield from self._in_pieces(len(cloud), answer)
-        return query_clouds.answers_cloud(told, request.height, request.width, cloud.real)
+        return query_clouds.answers_cloud(answers, request.height, request.width, cloud.real)
 
     def _answer(
-        self, asked: Any, number: int, transform: Transform | None, stamp: int
-    ) -> tuple[NDArray[np.bool_], Told]:
+        self, questions: Any, number: int, transform: Transform | None, stamp: int
+    ) -> tuple[NDArray[np.bool_], Answers]:
         """Which of some rows are good, and the answers to these; `number` is that of the first
         row, and `stamp` that of the cloud, ns.
         """
         scene, spans = self._now(), None
         if transform is not None:
             with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-                asked = asked.moved(transform)
-        bad, reason = query_clouds.fault(asked, number)
-        if asked.since is not None:
-            spans, unknown = self._spans(asked.since, None, stamp)
+                questions = questions.moved(transform)
+        bad, reason = query_clouds.fault(questions, number)
+        if questions.since is not None:
+            spans, unknown = self._spans(questions.since, None, stamp)
             bad, reason = bad | unknown, reason or UNKNOWN_TIME
         good = self._count(bad, reason)
-        some = query_clouds.take(asked, good)
+        some = query_clouds.take(questions, good)
         if spans is None:
             found = self._ask(scene, some)
         else:
             found = self._elsewhen(some, spans.take(good))
         return good, found if transform is None else moved_back(transform, found)
 
-    def _elsewhen(self, asked: Any, spans: Spans) -> Told:
+    def _elsewhen(self, questions: Any, spans: Spans) -> Answers:
         """Ask about other times."""
-        told = query_clouds.unanswered(self.answer, len(spans.at))
+        answers = query_clouds.unanswered(self.answer, len(spans.at))
         return fill(
-            *(told, spans),
-            lambda scene, rows, at: self._ask(scene, query_clouds.take(asked, rows), at),
+            *(answers, spans),
+            lambda scene, rows, at: self._ask(scene, query_clouds.take(questions, rows), at),
         )
 
-    def _ask(self, scene: Scene, asked: Any, at: NDArray[np.int64] | None = None) -> Told:
+    def _ask(self, scene: Scene, questions: Any, at: NDArray[np.int64] | None = None) -> Answers:
         """Ask the scene, about now or (n,) times in ns."""
         raise NotImplementedError
 
     def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
         height, width = ray_clouds.rows_of(request, self.least)
         self.refused.add(reason, height * width)
-        told = query_clouds.unanswered(self.answer, height * width)
-        return query_clouds.answers_cloud(told, height, width, np.dtype(np.float32))
+        answers = query_clouds.unanswered(self.answer, height * width)
+        return query_clouds.answers_cloud(answers, height, width, np.dtype(np.float32))
 
 
 class PointBatch(VolumeBatch):
     """Answers points by the obstacles nearest to them."""
 
-    asked, told = 'points', 'nearest_hits'
+    question_topic, answer_topic = 'points', 'nearest_hits'
 
-    def _ask(self, scene: Scene, asked: Points, at: NDArray[np.int64] | None = None) -> Near:
-        masks = self._masks(asked.masks)
+    def _ask(self, scene: Scene, questions: Points, at: NDArray[np.int64] | None = None) -> Near:
+        masks = self._masks(questions.masks)
         handles, distances, points = scene.nearest_many(
-            *(asked.places, 1, asked.reaches, masks),
+            *(questions.places, 1, questions.reaches, masks),
             threads=self._world.settings.threads_for(len(masks)),
             at=at,
         )
-        return near(asked.places, points[:, 0], distances[:, 0], handles[:, 0])
+        return near(questions.places, points[:, 0], distances[:, 0], handles[:, 0])
 
 
 class BoxBatch(VolumeBatch):
     """Answers boxes by what touches them."""
 
-    asked, told = 'boxes', 'box_hits'
+    question_topic, answer_topic = 'boxes', 'box_hits'
     question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
     least = 6 * LEAST_FIELD
 
-    def _ask(self, scene: Scene, asked: Boxes, at: NDArray[np.int64] | None = None) -> Touched:
+    def _ask(self, scene: Scene, questions: Boxes, at: NDArray[np.int64] | None = None) -> Touched:
         hits = scene.overlap_many(
-            *(asked.places, asked.sizes, asked.turns, asked.tolerances),
+            *(questions.places, questions.sizes, questions.turns, questions.tolerances),
             *(
-                self._masks(asked.masks),
+                self._masks(questions.masks),
                 'hits',
-                self._world.settings.threads_for(len(asked.masks)),
+                self._world.settings.threads_for(len(questions.masks)),
             ),
             at=at,
         )
@@ -538,7 +544,7 @@ class PathBatch(Batch):
         Edge lengths of a box, or the radius of a ball, m; centred on each pose.
     """
 
-    asked, told = 'paths', 'path_hits'
+    question_topic, answer_topic = 'paths', 'path_hits'
     message = Path
 
     def __init__(
@@ -553,7 +559,7 @@ class PathBatch(Batch):
     def _reply(self, request: paths.Poses) -> Generator[None, None, PointCloud2]:
         self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        told = query_clouds.unanswered(Near, len(request.places))
+        answers = query_clouds.unanswered(Near, len(request.places))
 
         def answer(piece: slice) -> None:
             rows = request.rows(piece)
@@ -562,14 +568,14 @@ class PathBatch(Batch):
             good, found = self._answer(rows, piece.start)
             if transform is not None:
                 found = moved_back(transform, found)
-            put(told, piece, good, found)
+            put(answers, piece, good, found)
 
         times, at = self._world.times, request.stamps[request.stamps != 0]
         if times is not None and len(at):
             now = self.node.get_clock().now().nanoseconds
             yield from self._prepare(0, partial(spans_between, at, at, times, now))
         yield from self._in_pieces(len(request.places), answer)
-        return query_clouds.answers_cloud(told, 1, len(request.places), np.dtype(np.float64))
+        return query_clouds.answers_cloud(answers, 1, len(request.places), np.dtype(np.float64))
 
     def _answer(self, rows: paths.Poses, number: int) -> tuple[NDArray[np.bool_], Near]:
         """Which of some poses are good, and the answers to these."""
@@ -583,15 +589,15 @@ class PathBatch(Batch):
         timed, (bad, reason) = rows.stamps != 0, rows.fault(number)
         good = self._count(bad | (unknown & timed), reason or UNKNOWN_TIME)
         some, timed = rows.rows(good), timed[good]
-        told, later = query_clouds.unanswered(Near, len(timed)), some.rows(timed)
-        put(told, slice(None), ~timed, self._ask(scene, some.rows(~timed)))
+        answers, later = query_clouds.unanswered(Near, len(timed)), some.rows(timed)
+        put(answers, slice(None), ~timed, self._ask(scene, some.rows(~timed)))
 
         def ask(state: Scene, places: Any, at: NDArray[np.int64]) -> Near:
             return self._ask(state, later.rows(places), at)
 
         found = query_clouds.unanswered(Near, len(later.stamps))
-        put(told, slice(None), timed, fill(found, spans.take(good).take(timed), ask))
-        return good, told
+        put(answers, slice(None), timed, fill(found, spans.take(good).take(timed), ask))
+        return good, answers
 
     def _ask(self, scene: Scene, rows: paths.Poses, at: NDArray[np.int64] | None = None) -> Near:
         shapes = paths.shapes(rows, self._footprint)
@@ -605,13 +611,13 @@ class PathBatch(Batch):
     def _refusal(self, request: paths.Poses, reason: str) -> PointCloud2:
         count = max(len(request.places), 1)
         self.refused.add(reason, count)
-        told = query_clouds.unanswered(Near, count)
-        return query_clouds.answers_cloud(told, 1, count, np.dtype(np.float64))
+        answers = query_clouds.unanswered(Near, count)
+        return query_clouds.answers_cloud(answers, 1, count, np.dtype(np.float64))
 
 
-def put(told: Any, piece: slice, good: NDArray[np.bool_], found: Any) -> None:
+def put(answers: Any, piece: slice, good: NDArray[np.bool_], found: Any) -> None:
     """Write the answers to the good rows of a piece."""
-    for column, rows in zip(told, found, strict=True):
+    for column, rows in zip(answers, found, strict=True):
         column[piece][good] = rows
 
 

@@ -43,7 +43,7 @@ class SceneStatistics:
         self._work: Iterator[None] | None = None
         self._spent = 0.0  # s on the look that is being taken
         self._figures: dict[str, Any] = {}
-        self._seen = dict.fromkeys((view.name for view in world.views), 0)
+        self._visible = dict.fromkeys((view.name for view in world.views), 0)
         self._taken = -float('inf')
         self._due = -float('inf')
 
@@ -61,16 +61,19 @@ class SceneStatistics:
                 break
         now = time.monotonic()
         self._spent += now - began
-        return {**self._figures, 'age of these figures': f'{now - self._taken:.1f} s'}, self._seen
+        return {
+            **self._figures,
+            'age of these figures': f'{now - self._taken:.1f} s',
+        }, self._visible
 
     def _take(self) -> Iterator[None]:
         if self._world.scene.interrupted:
             return  # nobody knows what it holds
-        seen = {}
+        visible = {}
         for view in self._world.views:
-            seen[view.name] = self._world.scene.count(view.mask)
+            visible[view.name] = self._world.scene.count(view.mask)
             yield
-        self._figures, self._seen = self._take_figures(), seen
+        self._figures, self._visible = self._take_figures(), visible
 
     def _take_figures(self) -> dict[str, Any]:
         scene = self._world.scene
@@ -187,13 +190,13 @@ class Diagnostics(NodePart):
     def publish(self) -> None:
         """Publish the state as it is now."""
         now = self._clock.now()
-        figures, seen = self._survey.look()
+        figures, visible = self._survey.look()
         problem = self._world.problem(now.nanoseconds)
         message = DiagnosticArray()
         message.header.stamp = now.to_msg()
         message.status = [
             self._world_status(figures, now.nanoseconds, problem),
-            *(self._query_status(queries, seen, problem) for queries in self._queries),
+            *(self._query_status(queries, visible, problem) for queries in self._queries),
             *(self._answerer_status(answerer, problem) for answerer in self._answerers),
             *(self._source_status(source, now.nanoseconds) for source in self._world.sources),
         ]
@@ -227,14 +230,14 @@ class Diagnostics(NodePart):
         return self._status('world', level, text, values)
 
     def _query_status(
-        self, queries: QueryServices, seen: Mapping[str, int], problem: str
+        self, queries: QueryServices, visible: Mapping[str, int], problem: str
     ) -> DiagnosticStatus:
         refused, view = queries.refused, queries.view.name
         name = f'queries of {view}' if view else 'queries'
         level, text = self._refused_since(name, refused.count, refused.last)
         if problem:
             level, text = ERROR, f'nothing is answered: {problem}'
-        count = seen[view]
+        count = visible[view]
         nothing = f'no obstacle matches the view {view}' if view and not count else 'answering'
         values = {
             'obstacles seen': count,
@@ -285,10 +288,10 @@ class Diagnostics(NodePart):
         listening = 'receiving' if source.has_spoken else 'has not spoken yet'
         return self._status(f'source {source.name}', level, text or listening, values)
 
-    def _refused_since(self, who: str, count: int, last: str) -> tuple[bytes, str]:
+    def _refused_since(self, part: str, count: int, last: str) -> tuple[bytes, str]:
         """Warn while something is being refused, not for ever after."""
-        before = self._refused_before.get(who, 0)
-        self._refused_before[who] = count
+        before = self._refused_before.get(part, 0)
+        self._refused_before[part] = count
         return (WARN, f'refused {count - before}: {last}') if count > before else (OK, '')
 
     def _status(

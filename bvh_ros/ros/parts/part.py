@@ -224,8 +224,8 @@ TELL = 2  # times that a newcomer is told: it may find us a moment after we foun
 class OnDemandPublisher(NodePart):
     """Publishes at most once a second, latched, and only while there are subscribers.
 
-    What is latched reaches only who asks for it. Others would wait until something changes: when
-    somebody new subscribes, the last message is published again.
+    Only subscribers that ask for it get a latched message. The others would wait for a change:
+    when there is a new subscriber, the last message is published again.
     """
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:

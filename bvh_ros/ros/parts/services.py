@@ -86,14 +86,14 @@ class QueryServices(NodePart):
 
     def _raycast(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
-        hit = scene.raycast(*way, *span)
+        ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        hit = scene.raycast(*ray, *span)
         return () if hit is None else (hit,)
 
     def _raycast_all(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
-        return scene.raycast_all(*way, self._most, *span)
+        ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        return scene.raycast_all(*ray, self._most, *span)
 
     def _overlap(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         box = query.start, query.goal, query.orientation, query.tolerance, self.view.mask

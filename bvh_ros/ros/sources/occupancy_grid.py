@@ -32,7 +32,7 @@ class OccupancyGridSource(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes."""
-        self.tells_all = True
+        self.is_whole = True
         options = self.settings.options
         shapes = yield from occupancy_grid.boxes(
             message,

@@ -47,7 +47,7 @@ class PointCloud2Source(Source):
         read = partial(point_cloud2.BoxCloud, given, voxel=options['voxel'], moving=moving)
         large = given.width * given.height >= MANY
         cloud = (yield from run_in_thread(read)) if large else read()
-        self.tells_all = not cloud.by_id
+        self.is_whole = not cloud.by_id
         stamp = given.stamp
         transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'

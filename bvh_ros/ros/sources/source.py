@@ -62,7 +62,7 @@ class Source(ABC):
         # Called after each message; may pause.
         self.on_applied: Callable[[Source, int], Iterable[None]] = lambda source, now: ()
         self.changes = LargeChanges(scene)
-        self.tells_all = False  # whether the message that is being applied says everything
+        self.is_whole = False  # whether the message that is being applied says everything
         # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
         self.raw = self.together = False
         self.follow = _follower(settings)
@@ -114,9 +114,9 @@ class Source(ABC):
         if self.subscription is not None:
             self.subscription.catch_up()
 
-    def _note(self, heard: Heard, kept: bool) -> None:
+    def _note(self, heard: Heard, latched: bool) -> None:
         """The message that comes now does not just follow those before it."""
-        self._then(partial(self.completeness.note, heard, kept=kept))
+        self._then(partial(self.completeness.note, heard, latched=latched))
 
     def receive(self, messages: Sequence[bytes]) -> None:
         """Apply a message, or several small ones as one, after those before."""
@@ -186,7 +186,7 @@ class Source(ABC):
     def _applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
         """Apply messages; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
-        alone, self.tells_all = len(messages) == 1, False
+        alone, self.is_whole = len(messages) == 1, False
         try:
             items, refusals = yield from self.apply(self._read(messages), now)
             useless = 0 < items == len(refusals)
@@ -197,8 +197,8 @@ class Source(ABC):
             yield from self.on_applied(self, now)
             if not useless:
                 self.spoke_at, self.has_spoken = now, True
-                if self.tells_all:
-                    self.completeness.note_all_told()
+                if self.is_whole:
+                    self.completeness.note_all_known()
             return
         except ValueError as error:
             reason = str(error)

@@ -46,7 +46,7 @@ KINDS = (LATCHED, RELIABLE, BEST_EFFORT)  # each hears all that the ones before 
 LEAST = {'reliability': 'best_effort', 'durability': 'volatile'}
 
 
-def asked(kind: Kind, given: Mapping[str, Any]) -> Kind:
+def with_overrides(kind: Kind, given: Mapping[str, Any]) -> Kind:
     """Return what to ask for with the user's overrides."""
     reliability, durability = given.get('reliability'), given.get('durability')
     return Kind(
@@ -55,7 +55,7 @@ def asked(kind: Kind, given: Mapping[str, Any]) -> Kind:
     )
 
 
-def is_kept(kind: Kind) -> bool:
+def is_latched(kind: Kind) -> bool:
     """Return whether publishers that are heard so keep messages for late joiners."""
     return kind.durability == DurabilityPolicy.TRANSIENT_LOCAL
 
@@ -87,7 +87,7 @@ class Heard(NamedTuple):
     """What the number of a message says about those before it."""
 
     is_new: bool = False  # the first that is heard of its publisher
-    unheard: int = 0  # told by that publisher before
+    unheard: int = 0  # messages of that publisher before
     lost: int = 0  # of a publisher that was heard before
 
 
@@ -98,7 +98,7 @@ class Numbering:
     """Follows the numbers of all publishers of one topic."""
 
     def __init__(self) -> None:
-        self._last: list[int] = []  # of each publisher; who was heard last stands last
+        self._last: list[int] = []  # of each publisher; the one heard last comes last
         self._counts = True
 
     def note(self, number: int | None, publishers: int) -> Heard:
@@ -112,7 +112,7 @@ class Numbering:
             How many there are now.
         """
         if number is None:
-            # Nothing is known of what was told before, nor of what is lost later.
+            # Neither earlier messages are known, nor later losses.
             is_new, self._counts = self._counts, False
             return Heard(is_new, unheard=1) if is_new else NEXT
         for place in range(len(self._last) - 1, -1, -1):
@@ -137,46 +137,46 @@ class Numbering:
         return Heard(lost=number - last - 1)
 
 
-# Whether a source has told all: what messages that only tell changes leave open.
+# Whether all obstacles of a source are known. Messages that only bring changes leave that open.
 #
-# All is told by a message that says everything (a cloud without ids, a grid, markers after a
-# DELETEALL of all namespaces), by publishers that are heard from their first message on, and by
-# those that keep messages for late joiners. It is no longer once a message is lost, or a publisher
-# turns up that spoke before it was heard, until everything is said again.
+# All are known after a message that replaces everything: a cloud without ids, a grid, markers
+# after a DELETEALL of all namespaces. So they are where publishers are heard from their first
+# message on, or keep messages for late joiners. They no longer are once a message is lost, or a
+# publisher turns up that has published before, until everything is replaced again.
 
 SETTLED = 0.2  # seconds without a further message: a late joiner has got what was kept for it
 
 
 class Completeness:
-    """Keeps account of what was told but not heard."""
+    """Whether a message may be missing, and why."""
 
     def __init__(self) -> None:
         self._unheard = ''
         self._forgotten = ''
         self._settles = 0.0  # on the monotonic clock; 0: not waited for
 
-    def note(self, heard: Heard, *, kept: bool) -> None:
+    def note(self, heard: Heard, *, latched: bool) -> None:
         """Take notice of how a message follows the others.
 
         Parameters
         ----------
-        kept : bool
+        latched : bool
             Whether its publisher keeps messages for late joiners.
         """
         if heard.lost:
             self._unheard = f'{heard.lost} of its messages were lost'
-        elif kept and (heard.is_new or self._settles):
+        elif latched and (heard.is_new or self._settles):
             self._settles = time.monotonic() + SETTLED
         elif heard.unheard:
             self._unheard = 'it had spoken before it was heard'
 
-    def note_all_told(self) -> None:
+    def note_all_known(self) -> None:
         """A message said everything."""
         self._unheard = self._forgotten = ''
         self._settles = 0.0
 
     def forget(self, reason: str) -> None:
-        """What was told is no longer known, or may have changed unheard."""
+        """Earlier messages are no longer known, or changes since may be missing."""
         self._forgotten = reason
 
     def missing(self) -> str:
@@ -187,47 +187,47 @@ class Completeness:
         return self._unheard or settling or self._forgotten
 
 
-# Several subscriptions to one topic, each message taken once and in its publisher's order.
+# Several subscriptions to one topic: each message is taken once and in its publisher's order.
 #
-# A subscription that asks for less hears publishers that offer more, too. Who of two subscriptions
-# a message is for, rclpy does not tell. So what comes by the one that asks for less is held for a
-# moment: if it comes by the other as well, that one's word counts, which is complete and in order.
+# A best-effort subscription hears reliable publishers, too, and rclpy does not say by which
+# subscription a message would have come. A message of the weaker subscription is delayed for a
+# moment. If it comes by the stronger one as well, that copy counts: it is complete and in order.
 
-HOLD = 0.05  # seconds: on the way, both copies are one packet
+DELAY = 0.05  # seconds: on the way, both copies are one packet
 REMEMBERED = 10_000  # messages
 
 
-class Told(NamedTuple):
-    """A message as it came."""
+class Received(NamedTuple):
+    """A message, and what the middleware says of it."""
 
     message: Any
     number: int | None  # by its publisher's count
-    kept: bool  # its publisher keeps messages for late joiners
+    latched: bool  # its publisher keeps messages for late joiners
 
 
 class Merger:
-    """Passes each message on once.
+    """Passes each message on once, whichever subscriptions it comes by.
 
     Parameters
     ----------
     deliver : callable
-        Takes a `Told`.
-    hold : float
-        Seconds; 0 where the order does not matter.
+        Takes a `Received`.
+    delay : float
+        Of messages of the weaker subscription, s; 0 where the order does not matter.
     """
 
-    def __init__(self, deliver: Callable[[Told], None], hold: float = HOLD) -> None:
+    def __init__(self, deliver: Callable[[Received], None], delay: float = DELAY) -> None:
         self._deliver = deliver
-        self._hold = hold
+        self._delay = delay
         self._known: dict[tuple[Any, Any], None] = {}
-        self._held: dict[tuple[Any, Any], tuple[float, Told]] = {}
+        self._delayed: dict[tuple[Any, Any], tuple[float, Received]] = {}
 
     @property
-    def is_holding(self) -> bool:
+    def is_delaying(self) -> bool:
         """Whether something waits for `release`."""
-        return bool(self._held)
+        return bool(self._delayed)
 
-    def take(self, told: Told, sent: int, *, others_hear: bool, better_hear: bool) -> None:
+    def take(self, received: Received, sent: int, *, others_hear: bool, better_hear: bool) -> None:
         """Take a message.
 
         Parameters
@@ -240,83 +240,93 @@ class Merger:
             Whether it is likely to come by one that asks for more.
         """
         if not others_hear:
-            self._deliver(told)
+            self._deliver(received)
             return
-        key = sent, told.number
+        key = sent, received.number
         if key in self._known:
             return
-        if better_hear and self._hold:
-            self._held.setdefault(key, (time.monotonic() + self._hold, told))
+        if better_hear and self._delay:
+            self._delayed.setdefault(key, (time.monotonic() + self._delay, received))
             return
-        self._held.pop(key, None)
-        self._pass_on(key, told)
+        self._delayed.pop(key, None)
+        self._pass_on(key, received)
 
     def release(self) -> None:
-        """Pass on what was held for long enough: nobody else hears it."""
+        """Pass on messages that were delayed for long enough: no other subscription has them."""
         now = time.monotonic()
-        for key, (due, told) in [*self._held.items()]:
+        for key, (due, received) in [*self._delayed.items()]:
             if due > now:
                 return
-            del self._held[key]
-            self._pass_on(key, told)
+            del self._delayed[key]
+            self._pass_on(key, received)
 
-    def _pass_on(self, key: tuple[Any, Any], told: Told) -> None:
+    def _pass_on(self, key: tuple[Any, Any], received: Received) -> None:
         self._known[key] = None
         if len(self._known) > REMEMBERED:
             del self._known[next(iter(self._known))]
-        self._deliver(told)
+        self._deliver(received)
 
 
-# Messages that wait: every change is needed, but of those that say everything only the newest.
+# Messages that wait. Every change is needed; of messages that replace everything only the newest.
 #
-# A publisher of large clouds that is faster than the node must make it neither late nor large.
+# A publisher of large clouds may be faster than the node, which must not fall behind, nor grow.
 
 TOGETHER = 64  # messages
-KEPT = 10  # messages that say everything; the newest may yet be refused
+MOST_WHOLE = 10  # messages that say everything; the newest may yet be refused
+
+
+class Waiting(NamedTuple):
+    """A message that waits."""
+
+    received: Received
+    heard: Heard
+    is_whole: bool  # replaces all before it
 
 
 class Backlog:
-    """A queue that drops what newer messages make needless.
+    """A queue that drops messages that newer ones replace.
 
     Parameters
     ----------
     says_everything : callable
-        Whether a message does.
+        Whether a message replaces all before it.
     joins : callable
-        Takes a message and what belongs to it; whether it may be handed over with those before.
+        Whether a waiting message may be handed over with those before it.
     """
 
     def __init__(
-        self, says_everything: Callable[[Any], bool], joins: Callable[[Any, Any], bool]
+        self, says_everything: Callable[[Any], bool], joins: Callable[[Waiting], bool]
     ) -> None:
         self.superseded = 0
         self._says_everything = says_everything
         self._joins = joins
-        self._waiting: deque[tuple[Any, Any, bool]] = deque()
+        self._waiting: deque[Waiting] = deque()
         self._whole = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, message: Any, more: Any) -> None:
-        """Append a message, with what belongs to it."""
-        whole = self._says_everything(message)
-        self._waiting.append((message, more, whole))
-        self._whole += whole
-        while self._whole > KEPT or (self._whole == KEPT and not self._waiting[0][2]):
+    def add(self, received: Received, heard: Heard) -> None:
+        """Append a message, and what its number says about those before it."""
+        self._waiting.append(Waiting(received, heard, self._says_everything(received.message)))
+        self._whole += self._waiting[-1].is_whole
+        while self._whole > MOST_WHOLE or (
+            self._whole == MOST_WHOLE and not self._waiting[0].is_whole
+        ):
             self.superseded += 1
-            self._whole -= self._waiting.popleft()[2]
+            self._take()
 
-    def next(self) -> tuple[list[Any], Any]:
-        """Take out the oldest message and those that join it, and what belongs to the oldest."""
-        message, more, whole = self._waiting.popleft()
-        self._whole -= whole
-        messages = [message]
-        while self._waiting and len(messages) < TOGETHER and self._joins(*self._waiting[0][:2]):
-            message, _, whole = self._waiting.popleft()
-            self._whole -= whole
-            messages.append(message)
-        return messages, more
+    def next(self) -> list[Waiting]:
+        """Take out the oldest message and those that join it."""
+        some = [self._take()]
+        while self._waiting and len(some) < TOGETHER and self._joins(self._waiting[0]):
+            some.append(self._take())
+        return some
+
+    def _take(self) -> Waiting:
+        first = self._waiting.popleft()
+        self._whole -= first.is_whole
+        return first
 
 
 # A busy topic is looked at every few milliseconds; not every message wakes the node.
@@ -423,7 +433,7 @@ class FollowingSubscription:
         callback: Callable[[list[Any]], None],
         delivery: Delivery,
         *,
-        on_irregular: Callable[[Heard, bool], None] = lambda _heard, _kept: None,
+        on_irregular: Callable[[Heard, bool], None] = lambda _heard, _latched: None,
         says_everything: Callable[[Any], bool] | None = None,
         is_full: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -438,9 +448,11 @@ class FollowingSubscription:
         self.lost = 0  # messages
         self._losses = Seldom(lambda text: node.get_logger().warning(text))
         self._numbering = Numbering()
-        self._merger = Merger(self._deliver, HOLD if delivery.ordered else 0.0)
+        self._merger = Merger(self._deliver, DELAY if delivery.ordered else 0.0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._holding = node.create_timer(HOLD / 2, self._release, clock=steady, autostart=False)
+        self._release_timer = node.create_timer(
+            DELAY / 2, self._release, clock=steady, autostart=False
+        )
         # Subscriptions come and go outside of their own events' callbacks.
         self._change = node.create_guard_condition(self.check)
         self._supersedes = says_everything is not None
@@ -448,7 +460,7 @@ class FollowingSubscription:
         self._more = node.create_guard_condition(self._hand_over_some)
         self._is_handing_over = False
         given = overrides(node, self.topic)
-        wanted = asked(LATCHED if delivery.latched else RELIABLE, given)
+        wanted = with_overrides(LATCHED if delivery.latched else RELIABLE, given)
         self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=delivery.depth)
         self._subscriptions: dict[Kind, Subscription] = {}
         self._resting = Resting(node, self._subscriptions.values(), self._take_what_waits)
@@ -489,7 +501,7 @@ class FollowingSubscription:
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
-        self._node.destroy_timer(self._holding)
+        self._node.destroy_timer(self._release_timer)
         self._node.destroy_guard_condition(self._change)
         self._node.destroy_guard_condition(self._more)
 
@@ -507,7 +519,7 @@ class FollowingSubscription:
         return int(self._node.count_publishers(self.topic))
 
     def figures(self) -> dict[str, object]:
-        """Return who is heard, how, and what was lost, as /diagnostics shows it."""
+        """Return how publishers are heard and what was lost, as /diagnostics shows it."""
         counts = self._counts()
         kinds = [kind for kind, count in counts.items() if count] or [*counts]
         figures: dict[str, object] = {
@@ -546,35 +558,35 @@ class FollowingSubscription:
 
     def _take_what_waits(self) -> int:
         """Take and hand over what waits; return how many messages came."""
-        # Who is replaced by a newer message is known once that is taken.
+        # A newer message may replace those that wait: it has to be taken first.
         limit = math.inf if self._supersedes else TURN
         taken = sum(self._take_the_rest(kind, limit) for kind in self._subscriptions)
         self._hand_over_some()
         return taken
 
     def _take(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
-        told = Told(message, info['publication_sequence_number'], is_kept(kind))
+        received = Received(message, info['publication_sequence_number'], is_latched(kind))
         counts = self._counts()
         place = KINDS.index(kind) if kind in KINDS else 0
         self._merger.take(
-            told,
+            received,
             info['source_timestamp'],
-            # Whoever is counted: a publisher may be gone while what it said still waits.
+            # By count: a publisher may have ended while its messages still wait.
             others_hear=len(counts) > 1,
             better_hear=any(counts.get(other) for other in KINDS[:place]),
         )
-        if self._merger.is_holding and self._holding.is_canceled():
-            self._holding.reset()
+        if self._merger.is_delaying and self._release_timer.is_canceled():
+            self._release_timer.reset()
 
     def _release(self) -> None:
         self._merger.release()
-        if not self._merger.is_holding:
-            self._holding.cancel()
+        if not self._merger.is_delaying:
+            self._release_timer.cancel()
         self._hand_over_some()
 
-    def _deliver(self, told: Told) -> None:
+    def _deliver(self, received: Received) -> None:
         publishers = max(self._counts().values(), default=0)
-        heard = self._numbering.note(told.number, publishers)
+        heard = self._numbering.note(received.number, publishers)
         if heard.lost:
             self.lost += heard.lost
             self._losses.add(
@@ -582,7 +594,7 @@ class FollowingSubscription:
                 'were taken, or on a connection that loses some',
                 heard.lost,
             )
-        self._backlog.add(told.message, (told, heard))
+        self._backlog.add(received, heard)
 
     def _hand_over_some(self) -> None:
         """Hand over what waits until the turn is over, and go on after others had theirs."""
@@ -590,19 +602,18 @@ class FollowingSubscription:
         self._is_handing_over = True
         try:
             while self._backlog and not self._is_full() and time.perf_counter() < end:
-                self._hand_over(*self._backlog.next())
+                self._hand_over(self._backlog.next())
         finally:
             self._is_handing_over = False
             self.resume()
 
-    def _joins(self, message: Any, more: tuple[Told, Heard]) -> bool:
-        return self._together and more[1] is NEXT and len(message) <= SMALL
+    def _joins(self, one: Waiting) -> bool:
+        return self._together and one.heard is NEXT and len(one.received.message) <= SMALL
 
-    def _hand_over(self, messages: list[Any], first: tuple[Told, Heard]) -> None:
-        told, heard = first
-        if heard is not NEXT:
-            self._on_irregular(heard, told.kept)
-        self._callback(messages)
+    def _hand_over(self, some: list[Waiting]) -> None:
+        if some[0].heard is not NEXT:
+            self._on_irregular(some[0].heard, some[0].received.latched)
+        self._callback([one.received.message for one in some])
 
     def _take_the_rest(self, kind: Kind, limit: float) -> int:
         """Take what already waits, for so many seconds; return how many messages that were."""
@@ -626,7 +637,7 @@ class FollowingSubscription:
     def _on_incompatible(self, kind: Kind, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         if kind == LATCHED and RELIABLE in self._subscriptions:
-            return  # that one hears who keeps nothing
+            return  # that one hears publishers that keep nothing
         if self._follows and policy == 'RELIABILITY':
             self._change.trigger()
             return

@@ -35,7 +35,7 @@ class Past:
 
     def __init__(self, changes: LargeChanges, history: float) -> None:
         self._changes = changes
-        self._kept: list[tuple[int, Scene]] = []  # newest stamp included, ns, and what was known
+        self._states: list[tuple[int, Scene]] = []  # newest stamp included, ns, and what was known
         self.length = round(history * 1e9)
 
     def note(self, source: Source, now: int) -> Iterator[None]:
@@ -50,21 +50,21 @@ class Past:
         else:
             copy = yield from self._changes.read(source, scene.copy)
         stamp = min(copy.newest, now)  # no data are newer than now, whatever they say
-        if self._kept and self._kept[-1][0] >= stamp:
-            stamp = self._kept.pop()[0]
-        self._kept.append((stamp, copy))
+        if self._states and self._states[-1][0] >= stamp:
+            stamp = self._states.pop()[0]
+        self._states.append((stamp, copy))
         # The last one before the time that is kept says what was known at its beginning.
-        before = [k for k, (one, _) in enumerate(self._kept) if one <= stamp - self.length]
-        del self._kept[: max(before, default=0)]
+        before = [k for k, (one, _) in enumerate(self._states) if one <= stamp - self.length]
+        del self._states[: max(before, default=0)]
 
     def forget(self) -> None:
         """Forget all."""
-        self._kept.clear()
+        self._states.clear()
 
     def states(self) -> tuple[NDArray[np.int64], list[Scene]]:
         """What was known, and since when (n,), ns; ascending."""
-        stamps = np.array([stamp for stamp, _ in self._kept], np.int64)
-        return stamps, [scene for _, scene in self._kept]
+        stamps = np.array([stamp for stamp, _ in self._states], np.int64)
+        return stamps, [scene for _, scene in self._states]
 
 
 # The times that a node can be asked about: as much of the past as it keeps, and then so far as it
@@ -116,10 +116,10 @@ class KnownTimes:
         first, last = self._ends(now)
         stop = span.at if span.until is None else span.until
         if span.at < first:
-            kept = self.past.length
+            length = self.past.length
             raise ValueError(
-                f'the time asked for is {seconds(first - span.at + kept)} s before the newest '
-                f'data, more than history ({seconds(kept)} s)'
+                f'the time asked for is {seconds(first - span.at + length)} s before the newest '
+                f'data, more than history ({seconds(length)} s)'
             )
         self.state(span.at, now)
         if stop > last:

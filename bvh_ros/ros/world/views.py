@@ -149,10 +149,10 @@ class Patterns:
 
     def match_all(self, prefix: str, digits: Digits) -> NDArray[np.bool_]:
         """Whether one of the patterns matches all of each name, see `digits_of`."""
-        seen = np.zeros(len(digits), bool)
+        matched = np.zeros(len(digits), bool)
         for automaton in self._automata:
-            seen |= automaton.match(prefix, digits)
-        return seen
+            matched |= automaton.match(prefix, digits)
+        return matched
 
     def same_for_all_numbers(self, prefix: str) -> bool:
         """Whether every name `prefix` + number is answered alike, as far as can be seen."""
@@ -222,9 +222,11 @@ class Categoriser:
                 continue
             if len(numbers) < FEW:
                 names = (f'{prefix}{number}' for number in numbers.tolist())
-                seen = np.array([include.match(one) and not exclude.match(one) for one in names])
+                matched = np.array(
+                    [include.match(one) and not exclude.match(one) for one in names]
+                )
             else:
                 digits = digits_of(numbers) if digits is None else digits
-                seen = include.match_all(prefix, digits) & ~exclude.match_all(prefix, digits)
-            masks[seen] |= bit
+                matched = include.match_all(prefix, digits) & ~exclude.match_all(prefix, digits)
+            masks[matched] |= bit
         return masks

@@ -116,8 +116,8 @@ class World:
             self.times.past.forget()
 
     def shift(self, by: int, now: int) -> None:
-        """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Who
-        moved is at rest until it is told again, and the past is forgotten.
+        """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Moving
+        obstacles are at rest until their next update, and the past is forgotten.
         """
         self.finish_changes()
         self.scene.shift_expiries(by)
