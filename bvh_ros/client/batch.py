@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client.asking import Patience, Question
 from bvh_ros.client.errors import BvhError
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Rays
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Rays
 from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS
 
 # Fast DDS sends a heartbeat with each message of a publisher that keeps only the latest one, so

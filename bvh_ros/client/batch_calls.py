@@ -15,9 +15,16 @@ from bvh_ros.client import volumes
 from bvh_ros.client.batch import as_rays, earliest, since, with_times
 from bvh_ros.client.channels import Channels
 from bvh_ros.client.waiting import Waiting
-from bvh_ros.ros.conversions import ray_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Touched
-from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits, Rays
+from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.conversions.query_clouds import (
+    EVERYTHING,
+    Boxes,
+    Hits,
+    Near,
+    Points,
+    Rays,
+    Touched,
+)
 
 
 class BatchCalls:
@@ -81,7 +88,9 @@ class BatchCalls:
         rays, stamp = self._timed(
             as_rays(origins, directions, t_max, mask, radius), at, until, frame_id, stamp
         )
-        return self._ask('rays', ray_clouds.rays_cloud(rays), frame_id, stamp, timeout)
+        return self._ask(
+            'rays', query_clouds.questions_cloud(rays, rays.real), frame_id, stamp, timeout
+        )
 
     def nearest_many(
         self,
@@ -202,7 +211,7 @@ class BatchCalls:
         rays, stamp = self._timed(
             as_rays(origins, directions, t_max, mask, radius), at, until, frame_id, stamp
         )
-        cloud = ray_clouds.rays_cloud(rays)
+        cloud = query_clouds.questions_cloud(rays, rays.real)
         answer, question = self.channels.open('rays').ask(
             cloud, frame_id, stamp, self.node.executor
         )

@@ -18,13 +18,13 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.client.batch import Channel, NameChannel, tellers_of_names
 from bvh_ros.client.errors import BvhTimeoutError
 from bvh_ros.client.waiting import Pending, Waiting
-from bvh_ros.ros.conversions import query_clouds, ray_clouds
-from bvh_ros.ros.conversions.query_clouds import Near, Touched
+from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.conversions.query_clouds import Hits, Near, Touched
 
 PATIENCE = 0.2  # seconds for an answer to nothing
 # The topic of questions: that of answers, the type of questions, and how answers are read.
 BATCHES: dict[str, tuple[str, type, Callable[[PointCloud2], Any]]] = {
-    'rays': ('ray_hits', PointCloud2, ray_clouds.hits),
+    'rays': ('ray_hits', PointCloud2, partial(query_clouds.read_answers, kind=Hits)),
     'points': ('nearest_hits', PointCloud2, partial(query_clouds.read_answers, kind=Near)),
     'boxes': ('box_hits', PointCloud2, partial(query_clouds.read_answers, kind=Touched)),
     'paths': ('path_hits', Path, partial(query_clouds.read_answers, kind=Near)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.client.coverage import Coverage
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
 
 HANDLE_BITS = 32  # of an obstacle's number; above them stands whose handle it is
 

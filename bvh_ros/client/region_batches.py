@@ -18,8 +18,7 @@ from bvh_ros.client.layout import LEAVES, Layout
 from bvh_ros.client.merging import Nearest
 from bvh_ros.client.region_rows import Rows
 from bvh_ros.client.waiting import Pending, left
-from bvh_ros.ros.conversions.query_clouds import Near, Touched
-from bvh_ros.ros.conversions.ray_clouds import EVERYTHING, Hits
+from bvh_ros.ros.conversions.query_clouds import EVERYTHING, Hits, Near, Touched
 
 if TYPE_CHECKING:
     from bvh_ros.client.client import BvhClient

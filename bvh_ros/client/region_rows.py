@@ -14,8 +14,7 @@ from bvh_ros.client import volumes
 from bvh_ros.client.batch import earliest, since, times, with_times
 from bvh_ros.client.coverage import Box, Floats, grown, ways
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, Question, Touched
-from bvh_ros.ros.conversions.ray_clouds import Hits, Rays, rays_cloud
+from bvh_ros.ros.conversions.query_clouds import Boxes, Hits, Near, Points, Rays, Touched
 
 
 class Rows(NamedTuple):
@@ -45,14 +44,14 @@ def of_rays(rays: Rays, at: ArrayLike | None, until: ArrayLike | None) -> Rows:
         return rays if at is None and until is None else with_times(rays, at, until, stamp)
 
     def message(some: NDArray[np.int64], stamp: int) -> Any:
-        return rays_cloud(timed(stamp).take(some))
+        return query_clouds.questions_cloud(query_clouds.take(timed(stamp), some), rays.real)
 
     def around(t: Floats) -> Box:
         return ways(rays.origins, rays.directions, t, radii)
 
     timed(0)  # what are no times is refused at once
     begin = earliest(at, len(rays.t_max))
-    return Rows('rays', Hits, rays.fault()[0], rays.t_max, around, begin, message)
+    return Rows('rays', Hits, query_clouds.fault(rays)[0], rays.t_max, around, begin, message)
 
 
 def of_points(asked: Points, at: ArrayLike | None) -> Rows:
@@ -98,7 +97,9 @@ def of_poses(
     return Rows('paths', Near, bad, np.full(len(places), np.inf), around, None, message)
 
 
-def _cloud_of(asked: Question, at: ArrayLike | None) -> Callable[[NDArray[np.int64], int], Any]:
+def _cloud_of(
+    asked: Points | Boxes, at: ArrayLike | None
+) -> Callable[[NDArray[np.int64], int], Any]:
     when = None if at is None else times('at', at, len(asked.places))
 
     def message(some: NDArray[np.int64], stamp: int) -> Any:

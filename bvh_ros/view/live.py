@@ -25,9 +25,10 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.ros.cdr import marker_array
 from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
-from bvh_ros.ros.conversions import ray_clouds, rotations
+from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.ros.conversions.outlines import TRIANGLES
+from bvh_ros.ros.conversions.query_clouds import Hits, read_answers
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.ros.server import BvhServer
@@ -277,9 +278,9 @@ class Topics:
         if isinstance(scan, LaserScan):
             points = place.points(_points_of(scan))
         elif scan.header.frame_id == self._frames.frame_id:
-            points = ray_clouds.hits(scan).points
+            points = read_answers(scan, Hits).points
         else:
-            points = place.points(ray_clouds.hits(scan).points)
+            points = place.points(read_answers(scan, Hits).points)
         self.overlay = self.overlay._replace(scan=points[np.isfinite(points).all(axis=1)])
 
     def _place_of(self, stamped: PoseStamped) -> Transform:

@@ -18,9 +18,26 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.compile_jobs import BALLS, BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
-from bvh_ros.ros.conversions import paths, query_clouds, ray_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Near, Points, QueryCloud, Touched
-from bvh_ros.ros.conversions.ray_clouds import Floats, Hits, RayCloud, Rays
+from bvh_ros.ros.conversions import paths
+from bvh_ros.ros.conversions.paths import PathPoses, Poses
+from bvh_ros.ros.conversions.query_clouds import (
+    AnswerTable,
+    Boxes,
+    Floats,
+    Hits,
+    Masks,
+    Near,
+    Points,
+    QueryCloud,
+    Rays,
+    Touched,
+    answers_cloud,
+    fault,
+    put,
+    size_of_reply,
+    take,
+    unanswered,
+)
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
@@ -40,95 +57,47 @@ if TYPE_CHECKING:
 
 Times = NDArray[np.int64]
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
+NOW = -2  # instead of a state: rows about now
 
 
 class Spans(NamedTuple):
-    """When n rows begin and end, ns, and what was known when they begin."""
+    """When n rows begin and end, and what was known when they begin."""
 
-    at: Times
-    until: Times
-    which: Times
+    at: Times  # (n,) ns
+    until: Times  # (n,) ns
+    which: Times  # (n,) which of the states; NOW
     states: list[Scene]
+    unknown: NDArray[np.bool_]  # (n,) rows that cannot be answered
 
-    def take(self, rows: NDArray[np.bool_]) -> Spans:
+    def take(self, rows: Any) -> Spans:
         """Some of the rows."""
-        return Spans(self.at[rows], self.until[rows], self.which[rows], self.states)
+        at, until, which = (column[rows] for column in self[:3])
+        return Spans(at, until, which, self.states, self.unknown[rows])
+
+    def groups(self) -> Iterator[NDArray[np.int64]]:
+        """The rows of one state after the other."""
+        for number in np.unique(self.which).tolist():
+            yield np.flatnonzero(self.which == number)
 
 
-class KnownSpans(NamedTuple):
-    """When n rows begin and end."""
-
-    spans: Spans
-    unknown: NDArray[np.bool_]
-    """(n,) which of the rows cannot be answered."""
-
-
-def spans_of(
+def spans_after(
     since: Floats, durations: Floats | None, stamp: int, known: KnownTimes, now: int
-) -> KnownSpans:
-    """When rows begin, so long (s) after the stamp of their cloud, and end, and which of them
-    cannot be answered.
-    """
+) -> Spans:
+    """Rows that begin so long (s) after the stamp of their cloud, and take so long."""
     begin = since * 1e9
     length = 0.0 * begin if durations is None else durations * 1e9
     sane = (np.abs(begin) < LONGEST) & (length < LONGEST) & (length >= 0.0)
     at, more = (np.rint(np.where(sane, c, 0.0)).astype(np.int64) for c in (begin, length))
     at += stamp
-    spans, unknown = spans_between(at, at + more, known, now)
-    return KnownSpans(spans, unknown | ~sane)
+    spans = spans_between(at, at + more, known, now)
+    return spans._replace(unknown=spans.unknown | ~sane)
 
 
-def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> KnownSpans:
-    """Rows that begin and end at these times, ns, and which of them cannot be answered."""
+def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> Spans:
+    """Rows that begin and end at these times, ns."""
     states, which = known.states(at, now)
-    good = (which >= 0) & known.within(at, until, now)
-    return KnownSpans(Spans(at, until, which, states), np.logical_not(good))
-
-
-def by_state(known: KnownSpans) -> Iterator[tuple[Scene, Times, Times]]:
-    """Each state of the world that is asked about, and when its rows begin and end."""
-    spans = known.spans.take(~known.unknown)
-    for number in np.unique(spans.which).tolist():
-        rows = spans.which == number
-        yield spans.states[number], spans.at[rows], spans.until[rows]
-
-
-def fill(answers: Any, spans: Spans, ask: Callable[[Scene, Any, Times], Any]) -> Any:
-    """Fill in what ask(scene, rows, at) answers, each state's rows at once; return it."""
-    for number in np.unique(spans.which).tolist():
-        rows = np.flatnonzero(spans.which == number)
-        found = ask(spans.states[number], rows, spans.at[rows])
-        for column, part in zip(answers, found, strict=True):
-            column[rows] = part
-    return answers
-
-
-def cast(rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans) -> Hits:
-    """First hits of rays; a ray that takes time reaches its t_max at the end of that time."""
-    hits = Hits.unanswered(len(masks))
-    for number in np.unique(spans.which).tolist():
-        rows = spans.which == number
-        some = rays.take(rows), masks[rows], skip, threads, spans.take(rows)
-        hits = hits.put(rows, _cast(spans.states[number], *some))
-    return hits
-
-
-def _cast(
-    scene: Scene, rays: Rays, masks: NDArray[np.uint32], skip: bool, threads: int, spans: Spans
-) -> Hits:
-    takes_time = spans.until > spans.at
-    whole = np.where(takes_time, rays.t_max, 1.0)  # the scene's rays end at t = 1 then
-    limits = np.where(takes_time, 1.0, rays.t_max)
-    hits = Hits(
-        *scene.raycast_many(
-            *(rays.origins, rays.directions * whole[:, None], limits, masks, skip),
-            threads=threads,
-            radius=rays.radii,
-            at=spans.at,
-            until=spans.until,
-        )
-    )
-    return hits._replace(t=np.where(np.isfinite(hits.t), hits.t * whole, hits.t))
+    unknown = (which < 0) | ~known.within(at, until, now)
+    return Spans(at, until, which, states, unknown)
 
 
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
@@ -165,6 +134,9 @@ class Batch(NodePart):
     """
 
     question_topic, answer_topic = 'rays', 'ray_hits'
+    question: type = Rays
+    answer: type = Hits
+    needed = needed_then = ''  # kernels, see `OnDemand`; the second ones at other times than now
     message: type = PointCloud2
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
@@ -242,42 +214,81 @@ class Batch(NodePart):
         reply.header.frame_id = request.frame_id
         self._publisher.publish(reply)
 
+    # What paths have otherwise than clouds.
+
     def _read(self, serialised: bytes) -> Any:
         """Read a message; ValueError if it is none."""
         return decoder.read(serialised)
 
-    def _reply(self, request: Any) -> Generator[None, None, PointCloud2]:
-        """Make the cloud of answers, with pauses; ValueError if there can be none."""
-        raise NotImplementedError
+    def _questions(self, request: Any) -> QueryCloud | PathPoses:
+        """What is asked; ValueError if it cannot be read."""
+        return QueryCloud(request, self.question)
+
+    def _spans(self, moments: Any, stamp: int) -> Spans | None:
+        """When rows begin and end; None: now."""
+        if moments.since is None:
+            return None
+        if self._world.times is None:
+            raise ValueError(
+                't0 and duration have no meaning: no source predicts, and there is no history'
+            )
+        given = moments.since, moments.durations, stamp
+        return spans_after(*given, self._world.times, self.node.get_clock().now().nanoseconds)
 
     def _refusal(self, request: Any, reason: str) -> PointCloud2:
         """Make the cloud that says that nothing is answered."""
-        raise NotImplementedError
+        height, width = size_of_reply(request, self.question)
+        self.refused.add(reason, height * width)
+        return answers_cloud(unanswered(self.answer, height * width), height, width, np.float32)
 
-    def _prepare(self, count: int, spans: Callable[[], KnownSpans] | None) -> Iterator[None]:
-        """Prepare in the helper thread what would take longer than a turn; pause until it is done.
+    # A reply.
 
-        Parameters
-        ----------
-        count : int
-            Rows that are rays.
-        spans : callable, optional
-            When the rows begin and end, as things are when it is called; None: now.
+    def _reply(self, request: Any) -> Generator[None, None, PointCloud2]:
+        """Make the cloud of answers, with pauses; ValueError if there can be none."""
+        self._now()
+        transform = self._world.frames.into_node(request.frame_id, request.stamp)
+        questions = self._questions(request)
+        self._require(questions)
+        stamp = request.stamp or self.node.get_clock().now().nanoseconds
+        table = AnswerTable(self.answer, request.height, request.width, questions.real)
+
+        def answer(piece: slice) -> None:
+            rows = questions.rows(piece.start, piece.stop)
+            table.write(piece, self._answer(rows, piece.start, transform, stamp))
+
+        yield from self._prepare(questions, stamp)
+        yield from self._in_pieces(len(questions), answer)
+        return table.cloud()
+
+    def _require(self, questions: Any) -> None:
+        """IncompleteWorldError while kernels are compiled."""
+        self._kernels.require(self.needed)
+        if questions.has_times:
+            self._kernels.require(self.needed_then)
+
+    def _prepare(self, questions: Any, stamp: int) -> Iterator[None]:
+        """Prepare in the helper thread what would take longer than a turn; pause until it is
+        done.
         """
-        changes = self._world.changes
+        changes, rays = self._world.changes, len(questions) if self.question is Rays else 0
         if len(changes.visible) < MANY_OBSTACLES:
             return
 
-        def prepare() -> None:
-            if spans is None:
-                changes.visible.prepare_rays(count)
-                return
-            for state, at, until in by_state(spans()):
-                state.prepare_times(min(count, len(at)), at, until)
+        def states() -> Iterator[tuple[Scene, Times, Times]]:
+            spans = self._spans(questions.moments(), stamp)
+            if spans is not None:
+                spans = spans.take(~spans.unknown & (spans.which != NOW))
+                for rows in spans.groups():
+                    yield spans.states[spans.which[rows[0]]], spans.at[rows], spans.until[rows]
 
-        if count >= MANY_ROWS or (
-            spans is not None
-            and not all(state.is_prepared(at, until) for state, at, until in by_state(spans()))
+        def prepare() -> None:
+            if not questions.has_times:
+                changes.visible.prepare_rays(rays)
+            for scene, at, until in states():
+                scene.prepare_times(min(rays, len(at)), at, until)
+
+        if rays >= MANY_ROWS or not all(
+            scene.is_prepared(at, until) for scene, at, until in states()
         ):
             yield from changes.read(self, prepare)
 
@@ -298,24 +309,57 @@ class Batch(NodePart):
     def _now(self) -> Scene:
         return self._world.at(self.node.get_clock().now().nanoseconds)
 
-    def _stamp_of(self, request: Any) -> int:
-        """When a cloud was stamped, ns; now, if it was not."""
-        return request.stamp or self.node.get_clock().now().nanoseconds
+    def _answer(self, questions: Any, number: int, transform: Transform | None, stamp: int) -> Any:
+        """Answers to some rows, the first of which has this number; `stamp` is that of the
+        message, ns.
+        """
+        scene = self._now()
+        if transform is not None:
+            with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
+                questions = questions.moved(transform)
+        bad, reason = fault(questions, number)
+        spans = self._spans(questions, stamp)
+        if spans is not None:
+            bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
+        good = self._count(bad, reason)
+        if good.all():
+            answers = self._ask_all(scene, questions, spans)
+        else:
+            answers = unanswered(self.answer, len(good))
+            some = None if spans is None else spans.take(good)
+            put(answers, good, self._ask_all(scene, take(questions, good), some))
+        self._draw(questions, answers)
+        return answers if transform is None else moved_back(transform, answers)
 
-    def _spans(
-        self, since: NDArray[np.float64], durations: NDArray[np.float64] | None, stamp: int
-    ) -> KnownSpans:
-        """When rows begin and end, and which of them cannot be answered."""
-        if self._world.times is None:
-            raise ValueError(
-                't0 and duration have no meaning: no source predicts, and there is no history'
-            )
-        now = self.node.get_clock().now().nanoseconds
-        return spans_of(since, durations, stamp, self._world.times, now)
+    def _ask_all(self, scene: Scene, questions: Any, spans: Spans | None) -> Any:
+        """Ask about now, or about each row's time what was known then."""
+        if spans is None:
+            return self._ask(scene, questions)
+        answers = unanswered(self.answer, len(spans.at))
+        for rows in spans.groups():
+            some, number = take(questions, rows), spans.which[rows[0]]
+            if number == NOW:
+                found = self._ask(scene, some)
+            else:
+                found = self._ask(spans.states[number], some, spans.at[rows], spans.until[rows])
+            put(answers, rows, found)
+        return answers
 
-    def _masks(self, masks: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    def _ask(
+        self, scene: Scene, questions: Any, at: Times | None = None, until: Times | None = None
+    ) -> Any:
+        """Ask the scene, about now or (n,) times in ns."""
+        raise NotImplementedError
+
+    def _draw(self, questions: Any, answers: Any) -> None:
+        """Show questions and answers to viewers."""
+
+    def _masks(self, masks: Masks) -> Masks:
         """What of these masks this view shows."""
         return masks & np.uint32(self.view.mask)
+
+    def _threads(self, rows: int) -> int:
+        return self._world.settings.threads_for(rows)
 
     def _count(self, bad: NDArray[np.bool_], reason: str) -> NDArray[np.bool_]:
         """Count rows that are answered, and not; return which are."""
@@ -334,7 +378,7 @@ class RayBatch(Batch):
     node, world, view, kernels
         As of a `Batch`.
     drawing : QueryDrawing
-        Is told of rays and hits while somebody looks.
+        Shows rays and hits to viewers.
     """
 
     def __init__(
@@ -343,190 +387,70 @@ class RayBatch(Batch):
         super().__init__(node, world, view, kernels)
         self._drawing = drawing
 
-    def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
-        self._now()
-        transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        cloud = RayCloud(request)
-        if cloud.has_radii and not cloud.has_times:
+    def _require(self, questions: Any) -> None:
+        if questions.has_radii and not questions.has_times:
             self._kernels.require(BALLS)
-        stamp = self._stamp_of(request)
-        table = ray_clouds.hits_table(len(cloud), cloud.real)
 
-        def answer(piece: slice) -> None:
-            rays = cloud.rows(piece.start, piece.stop)
-            hits = self._answer(rays, piece.start, transform, stamp)
-            ray_clouds.write_hits(table[piece], hits)
-
-        spans = partial(self._spans, *cloud.times(), stamp) if cloud.has_times else None
-        yield from self._prepare(len(cloud), spans)
-        yield from self._in_pieces(len(cloud), answer)
-        return ray_clouds.table_cloud(table, request.height, request.width, table['t'])
-
-    def _answer(self, rays: Rays, number: int, transform: Transform | None, stamp: int) -> Hits:
-        """Hits of some rays, the first of which has this number; `stamp` is their cloud's, ns."""
-        scene = self._now()
-        if transform is not None:
-            rays = moved(transform, rays)
-        bad, reason = rays.fault(number)
-        if rays.since is None:
-            spans = None
-        else:
-            spans, unknown = self._spans(rays.since, rays.durations, stamp)
-            reason = reason or UNKNOWN_TIME
-            bad = bad | unknown
-        good = self._count(bad, reason)
-        if good.all():
-            hits = self._cast(scene, rays, spans)
-        else:
-            some = None if spans is None else spans.take(good)
-            hits = self._cast(scene, rays.take(good), some)
-            hits = Hits.unanswered(len(good)).put(good, hits)
+    def _draw(self, questions: Rays, answers: Hits) -> None:
         if self._drawing.is_watched:
-            self._drawing.add_rays(rays, hits)
-        return hits if transform is None else moved_back(transform, hits)
+            self._drawing.add_rays(questions, answers)
 
-    def _cast(self, scene: Scene, rays: Rays, spans: Spans | None) -> Hits:
-        masks = self._masks(rays.masks)
-        if spans is not None:
-            threads = self._world.settings.threads_for(len(masks))
-            return cast(rays, masks, self.view.skip_inside, threads, spans)
-        return Hits(
+    def _ask(
+        self, scene: Scene, questions: Rays, at: Times | None = None, until: Times | None = None
+    ) -> Hits:
+        """First hits; a ray that takes time reaches its t_max at the end of that time."""
+        directions, limits, whole = questions.directions, questions.t_max, np.ones(1)
+        if at is not None and until is not None:
+            takes_time = until > at
+            whole = np.where(takes_time, limits, 1.0)  # the scene's rays end at t = 1 then
+            limits = np.where(takes_time, 1.0, limits)
+            directions = directions * whole[:, None]
+        masks = self._masks(questions.masks)
+        hits = Hits(
             *scene.raycast_many(
-                *(rays.origins, rays.directions, rays.t_max, masks, self.view.skip_inside),
-                radius=rays.radii,
-                threads=self._world.settings.threads_for(len(masks)),
+                *(questions.origins, directions, limits, masks, self.view.skip_inside),
+                threads=self._threads(len(masks)),
+                radius=questions.radii,
+                at=at,
+                until=until,
             )
         )
-
-    def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
-        height, width = ray_clouds.rows_of(request, ray_clouds.LEAST_RAY)
-        self.refused.add(reason, height * width)
-        return ray_clouds.hits_cloud(
-            Hits.unanswered(height * width), height, width, np.dtype(np.float32)
-        )
+        if at is None:
+            return hits
+        return hits._replace(t=np.where(np.isfinite(hits.t), hits.t * whole, hits.t))
 
 
-def moved(transform: Transform, rays: Rays) -> Rays:
-    """Return rays in the node's frame; lengths, and with them t, are the same there."""
-    with np.errstate(over='ignore', invalid='ignore'):  # rows that leave the doubles are refused
-        return rays._replace(
-            origins=transform.points(rays.origins), directions=transform.vectors(rays.directions)
-        )
-
-
-def moved_back(transform: Transform, answers: Any) -> Any:
-    """Return answers in the frame that the questions came from."""
-    back = transform.inverse()
-    with np.errstate(over='ignore', invalid='ignore'):
-        answers = answers._replace(points=back.points(answers.points))
-        if 'normals' in answers._fields:
-            answers = answers._replace(normals=back.vectors(answers.normals))
-    return answers
-
-
-# `~/boxes` to `~/box_hits`, `~/points` to `~/nearest_hits`, `~/paths` to `~/path_hits`.
-
-Answers = Near | Touched
-LEAST_FIELD = 4  # bytes
-
-
-class VolumeBatch(Batch):
-    """What batches of points and boxes share."""
-
-    question: type = Points
-    answer: Any = Near
-    needed, needed_then = POINTS, NEAREST_THEN
-    least = 3 * LEAST_FIELD  # bytes of a row
-
-    def _reply(self, request: PointCloud) -> Generator[None, None, PointCloud2]:
-        self._now()
-        self._kernels.require(self.needed)
-        transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        cloud, stamp = QueryCloud(request, self.question), self._stamp_of(request)
-        if cloud.has_times:
-            self._kernels.require(self.needed_then)
-        answers = query_clouds.unanswered(self.answer, len(cloud))
-
-        def answer(piece: slice) -> None:
-            rows = cloud.rows(piece.start, piece.stop)
-            put(answers, piece, *self._answer(rows, piece.start, transform, stamp))
-
-        spans = partial(self._spans, cloud.times(), None, stamp) if cloud.has_times else None
-        yield from self._prepare(0, spans)
-        yield from self._in_pieces(len(cloud), answer)
-        return query_clouds.answers_cloud(answers, request.height, request.width, cloud.real)
-
-    def _answer(
-        self, questions: Any, number: int, transform: Transform | None, stamp: int
-    ) -> tuple[NDArray[np.bool_], Answers]:
-        """Which of some rows are good, and the answers to these; `number` is that of the first
-        row, and `stamp` that of the cloud, ns.
-        """
-        scene, spans = self._now(), None
-        if transform is not None:
-            with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-                questions = questions.moved(transform)
-        bad, reason = query_clouds.fault(questions, number)
-        if questions.since is not None:
-            spans, unknown = self._spans(questions.since, None, stamp)
-            bad, reason = bad | unknown, reason or UNKNOWN_TIME
-        good = self._count(bad, reason)
-        some = query_clouds.take(questions, good)
-        if spans is None:
-            found = self._ask(scene, some)
-        else:
-            found = self._elsewhen(some, spans.take(good))
-        return good, found if transform is None else moved_back(transform, found)
-
-    def _elsewhen(self, questions: Any, spans: Spans) -> Answers:
-        """Ask about other times."""
-        answers = query_clouds.unanswered(self.answer, len(spans.at))
-        return fill(
-            *(answers, spans),
-            lambda scene, rows, at: self._ask(scene, query_clouds.take(questions, rows), at),
-        )
-
-    def _ask(self, scene: Scene, questions: Any, at: NDArray[np.int64] | None = None) -> Answers:
-        """Ask the scene, about now or (n,) times in ns."""
-        raise NotImplementedError
-
-    def _refusal(self, request: PointCloud, reason: str) -> PointCloud2:
-        height, width = ray_clouds.rows_of(request, self.least)
-        self.refused.add(reason, height * width)
-        answers = query_clouds.unanswered(self.answer, height * width)
-        return query_clouds.answers_cloud(answers, height, width, np.dtype(np.float32))
-
-
-class PointBatch(VolumeBatch):
-    """Answers points by the obstacles nearest to them."""
+class PointBatch(Batch):
+    """Answers points by the obstacles nearest to them: `~/points` to `~/nearest_hits`."""
 
     question_topic, answer_topic = 'points', 'nearest_hits'
+    question, answer, needed, needed_then = Points, Near, POINTS, NEAREST_THEN
 
-    def _ask(self, scene: Scene, questions: Points, at: NDArray[np.int64] | None = None) -> Near:
+    def _ask(
+        self, scene: Scene, questions: Points, at: Times | None = None, until: Times | None = None
+    ) -> Near:
         masks = self._masks(questions.masks)
         handles, distances, points = scene.nearest_many(
             *(questions.places, 1, questions.reaches, masks),
-            threads=self._world.settings.threads_for(len(masks)),
+            threads=self._threads(len(masks)),
             at=at,
         )
         return near(questions.places, points[:, 0], distances[:, 0], handles[:, 0])
 
 
-class BoxBatch(VolumeBatch):
-    """Answers boxes by what touches them."""
+class BoxBatch(Batch):
+    """Answers boxes by what touches them: `~/boxes` to `~/box_hits`."""
 
     question_topic, answer_topic = 'boxes', 'box_hits'
     question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
-    least = 6 * LEAST_FIELD
 
-    def _ask(self, scene: Scene, questions: Boxes, at: NDArray[np.int64] | None = None) -> Touched:
+    def _ask(
+        self, scene: Scene, questions: Boxes, at: Times | None = None, until: Times | None = None
+    ) -> Touched:
+        masks = self._masks(questions.masks)
         hits = scene.overlap_many(
             *(questions.places, questions.sizes, questions.turns, questions.tolerances),
-            *(
-                self._masks(questions.masks),
-                'hits',
-                self._world.settings.threads_for(len(questions.masks)),
-            ),
+            *(masks, 'hits', self._threads(len(masks))),
             at=at,
         )
         return Touched(hits.points, hits.distances, hits.handles, hits.counts.astype(np.uint32))
@@ -534,7 +458,8 @@ class BoxBatch(VolumeBatch):
 
 class PathBatch(Batch):
     """Answers the poses of paths by how far the footprint is from the nearest obstacle there:
-    where they touch, minus the depth, and the normal is the shortest way out.
+    where they touch, minus the depth, and the normal is the shortest way out. `~/paths` to
+    `~/path_hits`.
 
     Parameters
     ----------
@@ -545,6 +470,7 @@ class PathBatch(Batch):
     """
 
     question_topic, answer_topic = 'paths', 'path_hits'
+    question, answer, needed_then = Poses, Near, PATHS_THEN
     message = Path
 
     def __init__(
@@ -553,72 +479,45 @@ class PathBatch(Batch):
         self._footprint = footprint
         super().__init__(node, world, view, kernels)
 
-    def _read(self, serialised: bytes) -> paths.Poses:
-        return paths.read(serialised)
+    def _read(self, serialised: bytes) -> PathPoses:
+        return PathPoses(serialised)
 
-    def _reply(self, request: paths.Poses) -> Generator[None, None, PointCloud2]:
-        self._now()
-        transform = self._world.frames.into_node(request.frame_id, request.stamp)
-        answers = query_clouds.unanswered(Near, len(request.places))
+    def _questions(self, request: PathPoses) -> PathPoses:
+        return request
 
-        def answer(piece: slice) -> None:
-            rows = request.rows(piece)
-            if transform is not None:
-                rows = rows.moved(transform)
-            good, found = self._answer(rows, piece.start)
-            if transform is not None:
-                found = moved_back(transform, found)
-            put(answers, piece, good, found)
-
-        times, at = self._world.times, request.stamps[request.stamps != 0]
-        if times is not None and len(at):
-            now = self.node.get_clock().now().nanoseconds
-            yield from self._prepare(0, partial(spans_between, at, at, times, now))
-        yield from self._in_pieces(len(request.places), answer)
-        return query_clouds.answers_cloud(answers, 1, len(request.places), np.dtype(np.float64))
-
-    def _answer(self, rows: paths.Poses, number: int) -> tuple[NDArray[np.bool_], Near]:
-        """Which of some poses are good, and the answers to these."""
-        times, scene = self._world.times, self._now()
-        if times is None or not rows.stamps.any():  # as ever, stamps say nothing
-            good = self._count(*rows.fault(number))
-            return good, self._ask(scene, rows.rows(good))
-        self._kernels.require(PATHS_THEN)
+    def _spans(self, moments: Poses, stamp: int) -> Spans | None:
+        """As ever, stamps say nothing where there are no other times than now."""
+        stamps, times = moments.stamps, self._world.times
+        if times is None or not stamps.any():
+            return None
         now = self.node.get_clock().now().nanoseconds
-        spans, unknown = spans_between(rows.stamps, rows.stamps, times, now)
-        timed, (bad, reason) = rows.stamps != 0, rows.fault(number)
-        good = self._count(bad | (unknown & timed), reason or UNKNOWN_TIME)
-        some, timed = rows.rows(good), timed[good]
-        answers, later = query_clouds.unanswered(Near, len(timed)), some.rows(timed)
-        put(answers, slice(None), ~timed, self._ask(scene, some.rows(~timed)))
+        spans, timed = spans_between(stamps, stamps, times, now), stamps != 0
+        which = np.where(timed, spans.which, NOW)
+        return spans._replace(which=which, unknown=spans.unknown & timed)
 
-        def ask(state: Scene, places: Any, at: NDArray[np.int64]) -> Near:
-            return self._ask(state, later.rows(places), at)
-
-        found = query_clouds.unanswered(Near, len(later.stamps))
-        put(answers, slice(None), timed, fill(found, spans.take(good).take(timed), ask))
-        return good, answers
-
-    def _ask(self, scene: Scene, rows: paths.Poses, at: NDArray[np.int64] | None = None) -> Near:
-        shapes = paths.shapes(rows, self._footprint)
+    def _ask(
+        self, scene: Scene, questions: Poses, at: Times | None = None, until: Times | None = None
+    ) -> Near:
+        shapes = paths.shapes(questions, self._footprint)
         handles, distances, places, points = scene.clearance_many(
-            *(shapes, np.inf, self.view.mask, True),
-            self._world.settings.threads_for(len(rows.places)),
-            at=at,
+            *(shapes, np.inf, self.view.mask, True), self._threads(len(questions.places)), at=at
         )
         return near(places, points, distances, handles)
 
-    def _refusal(self, request: paths.Poses, reason: str) -> PointCloud2:
-        count = max(len(request.places), 1)
+    def _refusal(self, request: PathPoses, reason: str) -> PointCloud2:
+        count = max(len(request), 1)
         self.refused.add(reason, count)
-        answers = query_clouds.unanswered(Near, count)
-        return query_clouds.answers_cloud(answers, 1, count, np.dtype(np.float64))
+        return answers_cloud(unanswered(Near, count), 1, count, np.float64)
 
 
-def put(answers: Any, piece: slice, good: NDArray[np.bool_], found: Any) -> None:
-    """Write the answers to the good rows of a piece."""
-    for column, rows in zip(answers, found, strict=True):
-        column[piece][good] = rows
+def moved_back(transform: Transform, answers: Any) -> Any:
+    """Return answers in the frame that the questions came from."""
+    back = transform.inverse()
+    with np.errstate(over='ignore', invalid='ignore'):
+        answers = answers._replace(points=back.points(answers.points))
+        if hasattr(answers, 'normals'):
+            answers = answers._replace(normals=back.vectors(answers.normals))
+    return answers
 
 
 def near(

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Floats
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.part import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
 from bvh_ros.tree.access import PALETTE
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.config.parameters import DrawSettings
     from bvh_ros.ros.conversions.plans import Query
-    from bvh_ros.ros.conversions.ray_clouds import Hits, Rays
+    from bvh_ros.ros.conversions.query_clouds import Hits, Rays
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import SceneHit
 

@@ -13,8 +13,8 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from bvh_ros.ros.config.parameters import LASER_SCAN
-from bvh_ros.ros.conversions import ray_clouds, rotations, scans
-from bvh_ros.ros.conversions.ray_clouds import Hits
+from bvh_ros.ros.conversions import rotations, scans
+from bvh_ros.ros.conversions.query_clouds import Hits, answers_cloud, unanswered
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import Delivery
@@ -87,7 +87,7 @@ class VirtualScan(NodePart):
         began = time.perf_counter_ns()
         now = self.node.get_clock().now()
         place = Transform(np.zeros(3), np.array(rotations.IDENTITY))
-        hits, reason = Hits.unanswered(len(self._pattern.directions)), ''
+        hits, reason = unanswered(Hits, len(self._pattern.directions)), ''
         try:
             place = self._place(pose)
             hits = self._measure(self._world.at(now.nanoseconds), place)
@@ -139,4 +139,4 @@ class VirtualScan(NodePart):
             normals = place.inverse().vectors(normals)
         points = np.where(np.isfinite(measured)[:, None], points, np.nan)
         found = Hits(hits.obstacles, measured, points, normals)
-        return ray_clouds.hits_cloud(found, settings.channels, len(given.angles), np.float32)
+        return answers_cloud(found, settings.channels, len(given.angles), np.float32)
