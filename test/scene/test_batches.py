@@ -10,7 +10,7 @@ import pytest
 from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
 
-from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes, slicing
+from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes
 
 NOBODY = np.full(3, np.nan)
 
@@ -174,10 +174,9 @@ def test_clearances(world, signed):
 boxes = st.tuples(*[st.integers(-3, 3)] * 3, *[st.integers(0, 3)] * 3)
 
 
-def test_an_obstacle_at_two_places_is_one(monkeypatch):
+def test_an_obstacle_at_two_places_is_one(set_slices):
     """Halfway through an update in slices, see slicing.py."""
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 30)
+    set_slices(20, 30)
     rng = np.random.default_rng(5)
     scene, before = Scene(), random_shapes(rng, 60)
     scene.update('test', Numbered('c#', np.arange(60)), before, stamp=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene.test_then import some_shapes
 
-from bvh_ros.scene import NO_NODE, Numbered, Part, Scene, ShapeKind, Shapes, slicing
+from bvh_ros.scene import NO_NODE, Numbered, Part, Scene, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
@@ -87,9 +87,8 @@ def test_the_world_as_last_told_and_at_rest():
     assert len(scene) == 1
 
 
-def test_updates_in_slices_keep_velocities(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 7)
+def test_updates_in_slices_keep_velocities(set_slices):
+    set_slices(20, 7)
     scene, count = Scene(), 50
     boxes = Shapes.boxes(10.0 * np.arange(3.0 * count).reshape(count, 3), [1, 1, 1])
     names, speeds = Numbered('b#', np.arange(count)), np.full((count, 3), 2.0)

@@ -9,9 +9,8 @@ from bvh_ros.scene import Numbered, Part, Scene, Shapes, slicing
 
 
 @pytest.fixture(autouse=True)
-def small_slices(monkeypatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 7)
+def small_slices(set_slices):
+    set_slices(20, 7)
 
 
 def state(scene):
@@ -66,9 +65,8 @@ def test_few_rows_in_place_of_very_many_take_many_turns():
     assert sorted(name for _, name in scene.names()) == ['d#0', 'd#1']
 
 
-def test_rows_with_meshes_take_turns_earlier(monkeypatch):
-    monkeypatch.setattr(slicing, 'COSTLY_AT_ONCE', 6)
-    monkeypatch.setattr(slicing, 'COSTLY_SLICE', 2)
+def test_rows_with_meshes_take_turns_earlier(set_slices):
+    set_slices(6, 2, 'COSTLY_')
     scene = Scene()
     shapes = Shapes.boxes(np.zeros((7, 3)), [1, 1, 1])
     part = Part(Numbered('c#', np.arange(7)), shapes, 1)

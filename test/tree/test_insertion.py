@@ -14,7 +14,7 @@ from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.insertion import branch_and_bound_sibling, greedy_sibling
-from bvh_ros.tree.nodes import FREE_LEAF, ROOT, SLOT_MASK, is_leaf
+from bvh_ros.tree.nodes import FREE_LEAF, ROOT, is_leaf
 
 SEARCHES = ['greedy', 'branch_and_bound']
 
@@ -111,55 +111,6 @@ def test_greedy_finds_the_best_of_one_descent(ndim: int) -> None:
 
 
 # ---- handles
-
-
-def test_handles_ascend_in_order_of_insertion() -> None:
-    rng = np.random.default_rng(1)
-    tree = DynamicBVH(2, capacity=1)
-    given: list[int] = []
-    for step in range(60):
-        count = int(rng.integers(0, 5))
-        lo = rng.normal(size=(count, 2))
-        given += tree.insert_many(lo, lo).tolist()
-        given.append(tree.insert([0, 0], [1, 1]))
-        live = tree.ids()
-        tree.remove_many(rng.choice(live, len(live) // 2, replace=False))
-        if step == 40:
-            tree.clear()
-        tree.rebuild()
-    assert given == sorted(set(given))
-    assert min(given) >= 0
-    assert set(tree.ids().tolist()) <= set(given)
-    assert tree.ids().dtype == np.int64
-
-
-@pytest.mark.parametrize('reuse', ['insert', 'insert_many', 'clear', 'file'])
-def test_stale_handles_stay_stale(reuse: str) -> None:
-    """Also after their place in the storage is taken by another box."""
-    tree = DynamicBVH(2, capacity=2)
-    old = tree.insert_many([[0, 0], [5, 5]], [[1, 1], [6, 6]])
-    if reuse == 'clear':
-        tree.clear()
-    else:
-        tree.remove_many(old)
-    if reuse == 'file':
-        tree.__setstate__(tree.__getstate__())
-    if reuse == 'insert_many':
-        new = tree.insert_many([[0, 0], [5, 5]], [[1, 1], [6, 6]]).tolist()
-    else:
-        new = [tree.insert([0, 0], [1, 1]), tree.insert([5, 5], [6, 6])]
-    assert sorted(handle & SLOT_MASK for handle in new) == sorted((old & SLOT_MASK).tolist())
-    for handle in old.tolist():
-        assert handle not in tree
-        for act in (
-            tree.remove,
-            lambda h: tree.move(h, [0, 0], [1, 1]),
-            lambda h: tree.boxes([h]),
-        ):
-            with pytest.raises(KeyError, match=str(handle)):
-                act(handle)
-    assert tree.ids().tolist() == new
-    assert [new[0] in tree, list(tree)] == [True, new]
 
 
 # ---- height
@@ -271,14 +222,3 @@ def test_storage_grows_and_places_are_used_again() -> None:
     assert tree.stats()['capacity'] == capacity
     assert len(tree) == 100
     tree.validate()
-
-
-def test_mask_of_one_for_all_and_by_default() -> None:
-    tree = DynamicBVH(2)
-    boxes = [[0, 0]] * 3, [[1, 1]] * 3
-    assert tree.masks(tree.insert_many(*boxes)).tolist() == [1, 1, 1]
-    assert tree.masks(tree.insert_many(*boxes, 6)).tolist() == [6, 6, 6]
-    assert tree.masks(tree.insert_many(*boxes, [0, 1, 2**32 - 1])).tolist() == [0, 1, 2**32 - 1]
-    assert tree.masks([tree.insert([0, 0], [1, 1])]).tolist() == [1]
-    assert tree.masks([tree.insert([0, 0], [1, 1], 0)]).tolist() == [0]
-    assert DynamicBVH.from_boxes(*boxes, mask=[4, 5, 6]).masks([]).tolist() == []

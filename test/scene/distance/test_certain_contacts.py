@@ -6,25 +6,18 @@ Decisions are right from a gap or depth of 1e-12 of the pair on, distances to 1e
 from either side; a common point lies in both. `contacts` measures the truth in 50 digits.
 """
 
-import math
-from decimal import localcontext
-
 import numpy as np
 import pytest
 from scene.distance.contacts import (
     BOX,
     CYLINDER,
-    DIGITS,
     MESH,
     answers,
     contacts,
-    decimals,
     farthest_outside,
-    matrix,
     scene_of,
     touches_within,
 )
-from scene.reference import box_of_triangles
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
@@ -139,70 +132,6 @@ def test_more_digits_are_seldom_needed(manners, gaps):
         scene.overlap_pairs()
         needed += scene.stats()['pairs_in_more_digits']
     assert needed <= 0.1 * len(made)
-
-
-@pytest.mark.parametrize('kinds', [(BOX, BOX), (BOX, MESH), (MESH, MESH), (CYLINDER, CYLINDER)])
-@pytest.mark.parametrize('planar', [False, True])
-def test_corners_next_to_each_other_whose_faces_lie_along_each_other(kinds, planar):
-    """The way between two corners is short, those to the next corners are long, and nearly as
-    far along it.
-
-    Both are turned alike: what is between them along each axis of theirs is all that matters.
-    """
-    rng = np.random.default_rng(11)
-    for _ in range(COUNT // 8):
-        halves = 10.0 ** rng.uniform(-2, 0, (2, 3))
-        if CYLINDER in kinds:
-            halves[:, 1] = halves[:, 0]
-        turn = rng.normal(size=4)
-        if planar:
-            turn[:2] = 0.0
-        size = 2 * float(halves.max())
-        way = 10.0 ** rng.uniform(-16, 0, 3) * rng.choice([-1.0, 1.0], 3)
-        way[rng.integers(3)] = rng.choice([-1.0, 1.0])
-        local = halves.sum(axis=0) * rng.choice([-1.0, 1.0], 3)
-        if CYLINDER in kinds:
-            angle = rng.uniform(-3, 3)
-            local[:2] = np.array([math.cos(angle), math.sin(angle)]) * abs(local[0])
-        local += way * rng.choice(GAPS) * size
-        places = np.array([[0, 0, 0], Rotation.from_quat(turn).apply(local)])
-        held = np.empty(2, object)
-        held[:] = [
-            Mesh(box_of_triangles(2 * half)) if kind == MESH else None
-            for kind, half in zip(kinds, halves, strict=True)
-        ]
-        turns = np.array([turn, turn])
-        scene = Scene(planar=planar)
-        shapes = Shapes(np.array(kinds, np.uint8), places, turns, 2 * halves, held)
-        assert scene.update('test', ['a', 'b'], shapes, stamp=1) == []
-        gap = gap_along_axes(places, turn, halves, CYLINDER in kinds, planar)
-        if abs(gap) >= DECIDED * size:
-            assert len(scene.overlap_pairs()) == (gap < 0)
-        found = [scene.clearance(name) for name in 'ab']
-        assert found[0].distance == found[1].distance
-        assert abs(found[0].distance - max(gap, 0.0)) <= EXACT * size
-        if gap > 0:
-            between = np.linalg.norm(found[0].point - found[0].other_point)
-            assert abs(between - gap) <= 1e-14 * size
-
-
-def gap_along_axes(places, turn, halves, round_ones, planar):
-    """The distance of two boxes or cylinders of the same orientation, in 50 digits; negative: so
-    deep.
-    """
-    with localcontext() as context:
-        context.prec = DIGITS
-        local = decimals(places[1]) @ matrix(turn)
-        reach = [sum(decimals(pair)) for pair in halves.T]
-        if round_ones:
-            across = (local[0] ** 2 + local[1] ** 2).sqrt()
-            beyond = [across - reach[0], abs(local[2]) - reach[2]]
-        else:
-            beyond = [abs(x) - most for x, most in zip(local, reach, strict=True)]
-        if planar:
-            beyond = beyond[: 1 if round_ones else 2]
-        outside = [x for x in beyond if x > 0]
-        return float(sum(x * x for x in outside).sqrt() if outside else max(beyond))
 
 
 def test_meshes_far_from_their_own_origin():

@@ -40,31 +40,6 @@ def test_a_tree_without_velocities_imports_nothing_of_it():
     subprocess.run([sys.executable, '-c', OFF], check=True)
 
 
-def test_boxes_that_come_and_go_and_move():
-    tree = moving_tree()
-    first, *others = tree.ids().tolist()
-    tree.remove(first)
-    new = tree.insert([0, 0], [1, 1])  # in its place
-    assert tree.velocities([new])[0].tolist() == [[0, 0]]
-    assert tree.raycast([-1, 0.5], [1, 0], at=100.0).id == new
-    tree.move(others[0], [0, 50], [1, 51])
-    velocities, references = tree.velocities(others)
-    assert velocities[:, 0].tolist() == list(range(1, 9))
-    assert references.tolist() == [2.0] * 8
-    assert tree.overlap([3, 50], [3, 51], at=5.0).tolist() == [others[0]]
-    many = tree.insert_many(np.full((99, 2), 1e3), np.full((99, 2), 1e3))  # the arrays grow
-    tree.set_velocities(many[-1:], [[1, 1]])
-    tree.rebuild()
-    assert tree.velocities(others)[0][:, 0].tolist() == list(range(1, 9))
-    tree.set_velocities(others, np.zeros((8, 2)))
-    assert not tree.velocities(others)[0].any()
-    assert tree.overlap([0, 50], [1, 51], at=1e6).tolist() == [others[0]]
-    tree.clear()
-    again = tree.insert([0, 0], [1, 1])
-    assert tree.velocities([again])[0].tolist() == [[0, 0]]
-    assert DynamicBVH().raycast([0, 0, 0], [1, 0, 0], at=1.0) is None
-
-
 def test_what_is_refused_changes_nothing():
     tree = moving_tree()
     ids, one = tree.ids(), [[1.0, 2.0]]

@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 import pytest
-from tree.reference import exact_hits, seen
 
 from bvh_ros import ALL, DynamicBVH, RayHit, RayHits
 
@@ -214,29 +213,3 @@ def test_limits_row_by_row() -> None:
     ]
     assert tree.raycast_all_many(origins, directions, t_max, masks)[0].tolist() == [0, 0, 1, 2, 2]
     assert tree.raycast_many(origins, directions, t_max=0.5).ids.tolist() == [-1] * 4
-
-
-@pytest.mark.parametrize('way', [(3.0, 1.0, 0.0), (-3.0, -1.0, 0.0), (1.0, 0.1, 0.0)])
-def test_hundreds_of_hits_in_order(way: tuple[float, ...]) -> None:
-    """More than there is room for at first, many of them at one distance (3 y is x on the way) or
-    at zero, and of many boxes twice.
-    """
-    rng = np.random.default_rng(8)
-    lo = np.c_[rng.integers(-90, 90, (400, 1)), np.zeros((400, 2))]
-    lo[::2, :2] = np.c_[lo[::2, 0] * 3, lo[::2, 0]]
-    lo[-90:] = lo[:90]
-    hi = lo + np.c_[rng.integers(1, 200, 400), rng.integers(5, 90, 400), np.zeros(400)]
-    lo[::3, 1] -= 100.0
-    tree = DynamicBVH.from_boxes(lo, hi)
-    origins, ways = np.array([[-200.0, -66, 0], [0, 0, 0], [200, 66, 0]]), np.array([way] * 3)
-    offsets, ids, ts = tree.raycast_all_many(origins, ways)
-    for row, hits in enumerate(exact_hits(lo, hi, origins, ways)):
-        some = slice(offsets[row], offsets[row + 1])
-        own = seen(hits, tree.ids())
-        assert ids[some].tolist() == [tree.ids()[hit.row] for hit in own]
-        assert (np.diff(ts[some]) >= 0.0).all()
-        one_by_one = tree.raycast_all(origins[row], way)
-        assert [(hit.id, hit.t) for hit in one_by_one] == list(
-            zip(ids[some], ts[some], strict=True)
-        )
-    assert len(ids) > 400
