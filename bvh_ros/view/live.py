@@ -459,30 +459,30 @@ class Live(ShownWorld):
 
     def figures(self) -> dict[str, str]:
         """What the node's diagnostics tell."""
-        if self._is_gone:
+        if self._has_ended:
             return {'the node': 'has ended; this is what was there'}
         return self.topics.figures
 
     def raycast(self, start: Floats, goal: Floats) -> Answer:
         """Ask the node for the first obstacle on a segment; the time is that of the round trip."""
-        self._refuse_if_gone()
-        began = time.perf_counter()
+        began = self._begin()
         hit = self._client.raycast(start.tolist(), goal.tolist())
         return answer([] if hit is None else [hit], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the node for all obstacles that touch a box."""
-        self._refuse_if_gone()
-        began = time.perf_counter()
+        began = self._begin()
         return answer(self._client.overlap(lo.tolist(), hi.tolist()), began)
 
-    @property
-    def _is_gone(self) -> bool:
-        return bool(self._known) and not self._present
-
-    def _refuse_if_gone(self) -> None:
-        if self._is_gone:
+    def _begin(self) -> float:
+        """When a query begins; RuntimeError if the node has ended."""
+        if self._has_ended:
             raise RuntimeError(f'{self._name} has ended')
+        return time.perf_counter()
+
+    @property
+    def _has_ended(self) -> bool:
+        return bool(self._known) and not self._present
 
     def close(self) -> None:
         """Destroy the node."""

@@ -12,7 +12,7 @@ import viser
 
 from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.view.drawing import Lines, Placing, edges_of
-from bvh_ros.view.panel import Panel, in_digits, in_words
+from bvh_ros.view.panel import Panel, in_digits, in_words, write
 from bvh_ros.view.stage import LocalServer, Stage
 from bvh_ros.view.worlds import Floats, ShownWorld
 
@@ -122,7 +122,7 @@ class Picking:
                 lines.append(f'stamp {1e-9 * known.stamp:.3f} s, age {age:.2f} s')
         elif self._picked:
             lines.append('not heard here: source and shape are known to the node only')
-        self._panel.tell_picked(lines)
+        write(self._panel.picked, *lines)
 
     def go_on(self) -> None:
         """Keep the mark on whom was clicked, and the cameras with him."""
