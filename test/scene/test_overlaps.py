@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scene.reference import geometry_arrays, random_shapes
+from scene.reference import random_shapes
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
@@ -93,33 +93,3 @@ def test_turned_boxes_overlap_as_python_fcl_says(tolerance):
                 assert abs(fcl.distance(query, other) - tolerance) < 1e-3, (i, shapes.kind[i])
             touching += expected
     assert touching > 300
-
-
-@pytest.mark.parametrize('planar', [False, True])
-def test_ball_queries_equal_brute_force(planar):
-    rng = np.random.default_rng(12)
-    shapes = random_shapes(rng, 60)
-    world = geometry_arrays(shapes)
-    scene = Scene(planar=planar)
-    scene.update('test', [str(i) for i in range(60)], shapes, stamp=1)
-    touching = 0
-    for _ in range(60):
-        centre, radius = rng.uniform(-4, 4, 3), float(rng.choice([0.0, 0.5, 2.0, 4.0]))
-        found = {hit.name: hit for hit in scene.overlap(centre, centre, tolerance=radius)}
-        for i, solid in enumerate(world):
-            distance = (solid.distances_from_above if planar else solid.distances)(centre[None])[0]
-            hit = found.get(str(i))
-            assert (hit is not None) == (distance <= radius) or abs(distance - radius) < 1e-9
-            if hit is not None:
-                touching += 1
-                assert hit.t == pytest.approx(distance, abs=1e-9)
-                away = centre - hit.point
-                assert np.linalg.norm(away) == pytest.approx(distance, abs=1e-9)
-                assert (solid.distances_from_above if planar else solid.distances)(
-                    hit.point[None]
-                )[0] < 1e-9
-                if distance > 1e-6:
-                    assert hit.normal == pytest.approx(away / distance, abs=1e-6)
-                elif distance == 0.0:
-                    assert hit.normal.tolist() == [0.0, 0.0, 0.0]
-    assert touching > 100

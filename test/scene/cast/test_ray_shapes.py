@@ -101,3 +101,35 @@ def test_a_ray_without_an_end_that_misses(kind):
         scene = scene_of(kind, (2, 2, 2 + 2 * (kind == CAPSULE)), turn)
         hits = scene.raycast_many([(-5, 1.4, 1.4)], [(1, 0.3, 0.3)])
         assert (hits.handles[0], hits.t[0]) == (NO_NODE, math.inf)
+
+
+def test_thin_rays_among_boxes_stay_exact_beside_other_shapes():
+    """A ray along the common edge of boxes, decided as the tree alone decides it."""
+    boxes = Shapes.boxes([[0.1 * i, 0.1, 0.1] for i in range(30)], [0.1, 0.1, 0.1])
+    scene = Scene()
+    scene.update('test', [f'b{i}' for i in range(30)], boxes, stamp=1)
+    rays = [
+        ([-1, y, z], [4, y, z]) for y in (0.05, 0.15, 0.1) for z in (0.05, 0.15000000000000002)
+    ]
+    rays += [([-1, -1 / 3, 0.1], [4, 4 / 3, 0.1]), ([0.05, 0.05, -1], [0.05, 0.05, 1])]
+    alone = [
+        [(h.name, h.t, h.point.tolist(), h.normal.tolist()) for h in scene.raycast_all(*ray)]
+        for ray in rays
+    ]
+    first = [scene.raycast(*ray) for ray in rays]
+    scene.update(
+        'test',
+        ['ball'],
+        Shapes(np.array([1]), np.array([[0, 9.0, 9]]), np.zeros((1, 4)), np.ones((1, 3))),
+        stamp=1,
+    )
+    beside = [
+        [(h.name, h.t, h.point.tolist(), h.normal.tolist()) for h in scene.raycast_all(*ray)]
+        for ray in rays
+    ]
+    assert sum(map(len, alone)) > 60
+    for ray, one, other, hit in zip(rays, alone, beside, first, strict=True):
+        assert one == other
+        again = scene.raycast(*ray)
+        assert (hit is None) == (again is None)
+        assert hit is None or (hit.name, hit.t) == (again.name, again.t)

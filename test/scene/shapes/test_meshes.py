@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 from scene.reference import box_of_triangles, bulging, scene_of
-from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
@@ -62,44 +61,6 @@ def test_a_row_needs_its_mesh():
         'test', ['c'], rows.take([1])._replace(size=np.ones((1, 3)) * 2), stamp=1
     )
     assert 'size of it' in refusal.reason
-
-
-def test_boxes_given_as_triangles_answer_as_boxes():
-    rng = np.random.default_rng(2)
-    count = 40
-    sizes, places = rng.uniform(0.2, 2, (count, 3)), rng.uniform(-4, 4, (count, 3))
-    turns, shift = rng.normal(size=(count, 4)), rng.uniform(-1, 1, (count, 3))
-    turns[:5] = 0.0
-    unit = np.where(turns.any(axis=1)[:, None], turns, (0, 0, 0, 1))
-    # The triangles need not lie about the origin of their frame.
-    meshes = [Mesh(box_of_triangles(size) + by) for size, by in zip(sizes, shift, strict=True)]
-    frames = places - Rotation.from_quat(unit).apply(shift)
-    plain = scene_of(Shapes.boxes(places, sizes, turns))
-    meshed = scene_of(Shapes.of_meshes(meshes, frames, turns))
-    assert sorted(plain.overlap_pairs()) == sorted(meshed.overlap_pairs()) != []
-    hits = 0
-    for _ in range(150):
-        start, goal = rng.uniform(-6, 6, (2, 3))
-        for radius in (0.0, 0.4):
-            one, other = (
-                plain.raycast_all(start, goal, radius),
-                meshed.raycast_all(start, goal, radius),
-            )
-            assert {hit.name for hit in one} == {hit.name for hit in other}
-            by_name = {hit.name: hit for hit in other}
-            for hit in one:
-                hits += 1
-                twin = by_name[hit.name]
-                assert twin.t == pytest.approx(hit.t, abs=1e-9)
-                assert twin.point == pytest.approx(hit.point, abs=1e-6)
-                assert twin.normal == pytest.approx(hit.normal, abs=1e-6)
-        query = (start, start + goal / 3, rng.normal(size=4))
-        for tolerance in (0.0, 0.5):
-            one, other = plain.overlap(*query, tolerance), meshed.overlap(*query, tolerance)
-            assert [hit.name for hit in one] == [hit.name for hit in other]
-            for hit, twin in zip(one, other, strict=True):
-                assert twin.point == pytest.approx(hit.point, abs=1e-9)
-    assert hits > 300
 
 
 def test_an_inside_counts():

@@ -17,33 +17,6 @@ def fast_world(rng, ndim):
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
-def test_many_questions_about_fast_boxes(ndim):
-    rng = np.random.default_rng(ndim)
-    lo, hi, velocities = fast_world(rng, ndim)
-    masks = rng.integers(1, 4, len(lo))
-    tree = DynamicBVH.from_boxes(lo, hi, mask=masks)
-    ids = tree.ids()
-    tree.set_velocities(ids, velocities)
-    live = np.ones(len(lo), bool)
-    for at in (1.0, 0.0, 0.5):
-        gone = rng.choice(np.flatnonzero(live), 3)
-        live[gone] = False
-        tree.remove_many(np.unique(ids[gone]))
-        low = lo + velocities * at
-        points = rng.integers(-40, 200, (400, ndim)).astype(float)
-        for point in points:
-            near = (low <= point + 4).all(axis=1) & (low + 1 >= point - 4).all(axis=1) & live
-            assert tree.overlap(point - 4, point + 4, at=at).tolist() == ids[near].tolist()
-        apart = np.maximum(np.maximum(low - points[:, None], points[:, None] - low - 1.0), 0.0)
-        apart = np.sqrt((apart**2).sum(axis=2))
-        apart[:, ~live | (masks == 2)] = np.inf
-        found, distances = tree.nearest_many(points, mask=1, at=at)
-        assert (apart.min(axis=1) == distances[:, 0]).all()
-        assert (ids[apart.argmin(axis=1)] == found[:, 0]).all()
-        assert (tree.motion.bounds is not tree.motion.moving) == (at != 0.0)
-
-
-@pytest.mark.parametrize('ndim', [2, 3])
 def test_many_rays_at_a_time_among_fast_boxes(ndim):
     rng = np.random.default_rng(ndim)
     lo, hi, velocities = fast_world(rng, ndim)
