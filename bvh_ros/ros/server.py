@@ -150,12 +150,12 @@ class BvhServer:
         that wait until somebody asks.
         """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
-        needs, has_paths = self._needs(), self.settings.batch and self.settings.footprint
+        needs, has_paths = self.needs(), self.settings.batch and self.settings.footprint
         chosen, paths = jobs(needs), path_jobs(needs) if has_paths else []
         early, later = [job for job in chosen if job.early], later_jobs(needs) if wholly else []
         return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *later]
 
-    def _needs(self) -> Needs:
+    def needs(self) -> Needs:
         return Needs(
             planar=self.settings.planar,
             margin=self.settings.margin,
@@ -193,7 +193,7 @@ class BvhServer:
         node, world = self.node, self.world
         drawing = QueryDrawing(node, world, self._draw)
         yield drawing
-        kernels = OnDemand(node, later_jobs(self._needs()))
+        kernels = OnDemand(node, later_jobs(self.needs()))
         yield kernels
         # Before the services: a client that gets an answer knows which run of the node it is of.
         yield NamesPublisher(node, world)

@@ -113,6 +113,21 @@ DONE = object()
 UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
 
 
+def in_pieces(count: int, answer: Callable[[slice], None]) -> Iterator[None]:
+    """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
+    begin, rows = 0, SMALLEST_PIECE
+    while begin < count:
+        if begin:
+            yield
+        began = time.perf_counter()
+        end = min(begin + rows, count)
+        answer(slice(begin, end))
+        took = max(time.perf_counter() - began, 1e-6)
+        rows = int((end - begin) * min(PIECE_TIME / took, GROWTH))
+        rows = min(max(rows, SMALLEST_PIECE), LARGEST_PIECE)
+        begin = end
+
+
 class Batch(NodePart):
     """Answers each message of questions by a cloud of answers, in the request's frame.
 
@@ -257,7 +272,7 @@ class Batch(NodePart):
             table.write(piece, self._answer(rows, piece.start, transform, stamp))
 
         yield from self._prepare(questions, stamp)
-        yield from self._in_pieces(len(questions), answer)
+        yield from in_pieces(len(questions), answer)
         return table.cloud()
 
     def _require(self, questions: Any) -> None:
@@ -291,20 +306,6 @@ class Batch(NodePart):
             scene.is_prepared(at, until) for scene, at, until in states()
         ):
             yield from changes.read(self, prepare)
-
-    def _in_pieces(self, count: int, answer: Callable[[slice], None]) -> Iterator[None]:
-        """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
-        begin, rows = 0, SMALLEST_PIECE
-        while begin < count:
-            if begin:
-                yield
-            began = time.perf_counter()
-            end = min(begin + rows, count)
-            answer(slice(begin, end))
-            took = max(time.perf_counter() - began, 1e-6)
-            rows = int((end - begin) * min(PIECE_TIME / took, GROWTH))
-            rows = min(max(rows, SMALLEST_PIECE), LARGEST_PIECE)
-            begin = end
 
     def _now(self) -> Scene:
         return self._world.at(self.node.get_clock().now().nanoseconds)

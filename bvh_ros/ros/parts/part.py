@@ -40,7 +40,7 @@ class Timings:
     """Durations between two looks."""
 
     def __init__(self) -> None:
-        self._durations: deque[int] = deque(maxlen=MOST)
+        self.durations: deque[int] = deque(maxlen=MOST)
         self._count = 0
         self._longest = 0
         self._since = time.monotonic()
@@ -48,7 +48,7 @@ class Timings:
     def add(self, began: int) -> None:
         """Note that something that began at `began` (time.perf_counter_ns) is done."""
         took = time.perf_counter_ns() - began
-        self._durations.append(took)
+        self.durations.append(took)
         self._count += 1
         self._longest = max(self._longest, took)
 
@@ -56,10 +56,10 @@ class Timings:
         """Return what happened since the last look, and begin anew."""
         now = time.monotonic()
         rate = self._count / max(now - self._since, 1e-9)
-        ordered = sorted(self._durations)
+        ordered = sorted(self.durations)
         median, p99 = (_quantile(ordered, share) for share in (0.5, 0.99))
         summary = Summary(rate, median, p99, self._longest / 1e6 if ordered else float('nan'))
-        self._durations.clear()
+        self.durations.clear()
         self._count, self._longest, self._since = 0, 0, now
         return summary
 

@@ -177,9 +177,9 @@ class TriggerServices(NodePart):
         self._group = MutuallyExclusiveCallbackGroup()
         self._work: Iterable[None] = ()  # in the helper thread
         for name, act in (
-            ('~/clear', self._clear),
-            ('~/rebuild', self._rebuild),
-            ('~/validate', self._validate),
+            ('~/clear', self.clear),
+            ('~/rebuild', self.rebuild),
+            ('~/validate', self.validate),
         ):
             self._serve(name, act)
 
@@ -199,7 +199,8 @@ class TriggerServices(NodePart):
 
         self.service(Trigger, name, callback, callback_group=self._group)
 
-    def _clear(self) -> Acting:
+    def clear(self) -> Acting:
+        """Remove all obstacles; sources begin anew."""
         self._world.catch_up()
         yield from self._until_unchanged()
         removed = self._world.scene.clear()
@@ -209,7 +210,8 @@ class TriggerServices(NodePart):
         yield
         return f'removed {removed} obstacles'
 
-    def _rebuild(self) -> Acting:
+    def rebuild(self) -> Acting:
+        """Build the tree anew: a large one in the helper thread, while a copy answers."""
         yield from self._until_unchanged()
         scene = self._world.scene
         if len(scene) < FEW:
@@ -225,7 +227,8 @@ class TriggerServices(NodePart):
         for _ in self._work:
             pass
 
-    def _validate(self) -> Acting:
+    def validate(self) -> Acting:
+        """Check everything, bit by bit."""
         if self._world.compiling:
             raise RuntimeError(self._world.compiling)
         yield from self._until_unchanged()

@@ -128,12 +128,12 @@ class Source(ABC):
         """Apply a message at once, as if it came at `now` (ns on whatever clock)."""
         self.messages += 1
         self._hurried = True
-        for _ in self._applying([serialised], now):
+        for _ in self.applying([serialised], now):
             pass
 
     def _begin(self, messages: Sequence[bytes], now: int) -> None:
         self._size = sum(map(len, messages))
-        self._work = self._applying(messages, now)
+        self._work = self.applying(messages, now)
 
     def _then(self, act: Callable[[], object], size: int = 0) -> None:
         """Do this when all before is applied."""
@@ -183,7 +183,7 @@ class Source(ABC):
         if (self._work is not None or self._waiting) and self._turn is not None:
             self._turn.trigger()
 
-    def _applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
+    def applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
         """Apply messages; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
         alone, self.is_whole = len(messages) == 1, False
@@ -209,7 +209,7 @@ class Source(ABC):
             self.refused.add(reason)
             return
         for message in messages:  # some may be of use
-            yield from self._applying([message], now)
+            yield from self.applying([message], now)
 
     def _in_slices(
         self, group: str, total: int, parts: Parts, *, whole: bool, costly: bool = False

@@ -298,4 +298,4 @@ def test_what_paths_need_is_compiled_at_the_start(configure):
             names = [job.name for job in server.jobs(wholly=wholly)]
             assert names.count('paths') == has_paths
             assert wholly == ('nearest' in names)
-        assert 'paths' not in {job.name for job in later_jobs(server._needs())}
+        assert 'paths' not in {job.name for job in later_jobs(server.needs())}
