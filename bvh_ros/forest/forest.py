@@ -51,7 +51,7 @@ class Forest:
     [500]
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, verify: bool = False) -> None:
         self._folder = folder.resolve()
         text = (self._folder / building.HEADER).read_bytes()
         self._mark = zlib.crc32(text)
@@ -63,14 +63,32 @@ class Forest:
                     f'it has version {header["version"]}; this is for {building.VERSION}'
                 )
             counts = [checks.whole('boxes of a part', count, 1) for count, _ in header['parts']]
-            self._checksums = [checksum for _, checksum in header['parts']]
+            self._checksums = [checks.whole('checksum', crc, 0) for _, crc in header['parts']]
             self._count, self._ndim = sum(counts), header['ndim']
-            self._top = DynamicBVH.load(top, mmap=True)
+            self._top = DynamicBVH.load(top, mmap=True, verify=True)
             known = self._ndim, len(counts), header['top']
             if (self._top.ndim, len(self._top), mapped.checksum(top)) != known:
                 raise ValueError('its top tree is of another forest')
+            if verify:
+                self._verify(counts)
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f'{folder} is no forest: {error}') from None
+
+    def _verify(self, counts: list[int]) -> None:
+        """ValueError unless every part is sound, and each id is given to one box."""
+        given = np.zeros(self._count, np.bool_)
+        for number, (count, checksum) in enumerate(zip(counts, self._checksums, strict=True)):
+            file = building.part_file(self._folder, number)
+            tree = DynamicBVH.load(file, mmap=True, verify=True)
+            if (len(tree), mapped.checksum(file)) != (count, checksum):
+                raise ValueError(f'{file} is of another forest or part')
+            beside = building.ids_file(self._folder, number)
+            ids = mapped.map_array(beside, count + 1)
+            if ids[-1] != checksum or ids[:-1].min() < 0 or ids[:-1].max() >= self._count:
+                raise ValueError(f'{beside} is of another forest or part')
+            given[ids[:-1]] = True
+        if not given.all():
+            raise ValueError(f'no box has the id {np.argmin(given)}')
 
     @classmethod
     def build(
@@ -97,13 +115,19 @@ class Forest:
             If the folder exists.
         """
         path = Path(checks.path('folder', folder))
-        building.build(path, chunks, checks.capacity('max_boxes', max_boxes))
+        building.build(
+            path, checks.iterator('chunks', chunks), checks.capacity('max_boxes', max_boxes)
+        )
         return cls(path)
 
     @classmethod
-    def open(cls, folder: str | PathLike[str]) -> Forest:
-        """Open what `build` wrote. ValueError if it is no forest, or of another version."""
-        return cls(Path(checks.path('folder', folder)))
+    def open(cls, folder: str | PathLike[str], verify: bool = False) -> Forest:
+        """Open what `build` wrote. ValueError if it is no forest, or of another version.
+
+        The first time that a process opens a part, it checks the links between its nodes, see
+        `DynamicBVH.load`. `verify` reads and checks all parts now (0.4 s a million boxes).
+        """
+        return cls(Path(checks.path('folder', folder)), checks.flag('verify', verify))
 
     def __reduce__(self) -> Any:
         return _open_again, (self._folder, self._mark)

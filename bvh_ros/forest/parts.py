@@ -47,11 +47,8 @@ def _open(folder: str, number: int, checksum: int) -> Part:
     tree = DynamicBVH.load(file, mmap=True)
     if mapped.checksum(file) != checksum:
         raise ValueError(f'{file} is of another forest or part')
-    try:
-        ids = np.load(beside, mmap_mode='r')
-    except EOFError:
-        raise ValueError(f'{beside} is empty') from None
-    if ids.shape != (len(tree) + 1,) or ids.dtype != np.int64 or ids[-1] != checksum:
+    ids = mapped.map_array(beside, len(tree) + 1)
+    if ids[-1] != checksum or tree.slots(tree.ids()).max(initial=-1) >= len(tree):
         raise ValueError(f'{beside} is of another part')
     return Part(tree, ids)
 

@@ -102,6 +102,7 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origin, direction, radius = boxes.segment(start, goal, radius)
+        most = checks.whole_or_none('most', most, 0)
         held, seen, skip = self._held, checks.mask(mask), bool(skip_inside)
         sweep = Sweep(origin, direction, radius, seen, skip, True)
         if self._timed.time_matters(at, until, 1):

@@ -155,7 +155,9 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         0.5 us an obstacle.
         """
         tree = self._held.tree
-        tree.snapshot_for(2 * count, tree.view())  # once more by the batch
+        tree.snapshot_for(
+            2 * checks.whole('count', count, 0), tree.view()
+        )  # once more by the batch
 
     prepare_times = method_of('_timed', TimedQueries.prepare)
     is_prepared = method_of('_timed', TimedQueries.is_prepared)

@@ -167,9 +167,11 @@ class Shapes(NamedTuple):
         cls, meshes: Sequence[Mesh], position: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
         """Convex meshes; without `orientation` (n, 4) unturned."""
-        meshes = list(meshes)
-        if not all(isinstance(mesh, Mesh) for mesh in meshes):
-            raise ValueError('meshes must be a sequence of Mesh')
+        given, meshes = checks.iterator('meshes', meshes), []
+        for mesh in given:
+            if not isinstance(mesh, Mesh):
+                raise ValueError('meshes must be a sequence of Mesh')
+            meshes.append(mesh)
         sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
         if len(_rows('position', position, 3)) != len(meshes):
             raise ValueError(f'there must be one position for each of {len(meshes)} meshes')
