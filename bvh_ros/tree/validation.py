@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.rebuilding import height_limit
 from .compiler import kernel
 from .nodes import (
     COUNT,
@@ -25,6 +24,7 @@ from .nodes import (
     STATE_PLACES,
     Tree,
     box_dtype,
+    height_limit,
     is_leaf,
     node_dtype,
 )

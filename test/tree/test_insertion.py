@@ -13,7 +13,7 @@ import pytest
 from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.insertion import branch_and_bound_sibling, greedy_sibling
+from bvh_ros.tree.insertion import MOST_TRIES, branch_and_bound_sibling, greedy_sibling
 from bvh_ros.tree.nodes import FREE_LEAF, ROOT, is_leaf
 
 SEARCHES = ['greedy', 'branch_and_bound']
@@ -181,9 +181,6 @@ def test_height(
     backwards: bool,
 ) -> None:
     """By one insertion after the other; then by removals; then by moves."""
-    if search == 'branch_and_bound' and boxes in (coincident_boxes, nested_boxes):
-        count = 1000  # no bound prunes there: the search visits every node
-        bound = 4 * math.log2(count) + 4
     lo, hi = boxes(count, ndim)
     if backwards:
         lo, hi = lo[::-1], hi[::-1]
@@ -204,6 +201,79 @@ def test_height(
         tree.move(handles[row], lo[row - 1], hi[row - 1])
     tree.validate()
     assert tree.height <= 4 * math.log2(len(tree)) + 4
+
+
+def boxes_of_600_decades(count: int, ndim: int) -> tuple[Floats, Floats]:
+    lo, hi = boxes_of_all_scales(count, ndim)
+    scale = 10.0 ** np.random.default_rng(1).uniform(-300, 285, (count, 1))
+    return lo * scale, hi * scale
+
+
+def some_endless_boxes(count: int, ndim: int) -> tuple[Floats, Floats]:
+    """Bars of 1e300 m among crates: on their scale the areas of all crates vanish."""
+    rng = np.random.default_rng(4)
+    center, size = rng.uniform(-500, 500, (count, ndim)), rng.uniform(0.01, 0.4, (count, ndim))
+    size[np.arange(count), rng.integers(0, ndim, count)] *= np.where(
+        rng.random(count) < 0.2, 1e300, 1.0
+    )
+    return center - size * 0.5, center + size * 0.5
+
+
+class CountsWork(DynamicBVH):
+    """Counts the nodes that are rewritten since the tree is too high."""
+
+    rewritten = 0
+
+    def _settle_soon(self) -> None:
+        before = self.view().tree.nodes.copy()
+        super()._settle_soon()
+        self.rewritten += int(np.count_nonzero(self.view().tree.nodes != before))
+
+
+STIFF_BOXES = boxes_of_600_decades, some_endless_boxes, nested_boxes, powers_of_two
+
+
+@pytest.mark.parametrize('boxes', STIFF_BOXES)
+@pytest.mark.parametrize('search', SEARCHES)
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_boxes_of_all_sizes_cost_no_rebuilding(
+    boxes: Callable[..., tuple[Floats, Floats]], search: str, ndim: int
+) -> None:
+    """SAH wants a list of such boxes, so the tree is at its height limit all the time."""
+    count = 3000
+    lo, hi = boxes(count, ndim)
+    tree = CountsWork(ndim, sibling_search=search, capacity=count)
+    order = np.random.default_rng(ndim).permutation(count)
+    handles = [tree.insert(lo[row], hi[row]) for row in order]
+    assert tree.rewritten <= 2 * count
+    for step in range(count):
+        tree.move(handles[step], lo[step], hi[step])
+    assert tree.rewritten <= 4 * count
+    for step in range(count // 2):  # the limit falls by 4 levels at 2,048
+        tree.remove(handles[step])
+        tree.insert(lo[step], hi[step])
+        tree.remove(handles[-1 - step])
+    assert tree.rewritten <= 8 * count
+    tree.validate()
+
+
+@pytest.mark.parametrize(
+    ('count', 'exhaustive'), [(MOST_TRIES // 2, True), (20 * MOST_TRIES, False)]
+)
+def test_a_search_ends_early_where_no_bound_prunes(count: int, exhaustive: bool) -> None:
+    """A box within all others is best beside the smallest, which may be anywhere."""
+    hi, found = np.full((count, 3), 10.0), []
+    tree = DynamicBVH(capacity=count + 1)
+    slots = tree.slots(tree.insert_many(-hi, hi))
+    leaf = int(tree.state[FREE_LEAF])
+    nodes, heights = tree.view().tree[:2]
+    nodes[leaf]['lo'], nodes[leaf]['hi'] = -1.0, 1.0
+    for smallest in (2 * slots[:: count // 6]).tolist():
+        nodes[smallest]['lo'], nodes[smallest]['hi'] = -9.0, 9.0
+        sibling = branch_and_bound_sibling(nodes, heights, int(tree.state[ROOT]), leaf)
+        found.append(int(sibling) == smallest)
+        nodes[smallest]['lo'], nodes[smallest]['hi'] = -10.0, 10.0
+    assert all(found) == exhaustive
 
 
 # ---- many at once, and room for them
