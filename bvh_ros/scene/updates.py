@@ -37,10 +37,13 @@ def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | 
     """Corners of a box that may be infinite; ValueError if it is none."""
     if given is None:
         return None
-    try:
-        lo, hi = (np.array(corner, np.float64) for corner in given)
-    except (TypeError, ValueError):
-        raise ValueError('region must be two corners') from None
+    corners = [
+        checks.unless_refused('region', corner, (ndim,))
+        for corner, _ in zip(checks.iterator('region', given), range(3), strict=False)
+    ]
+    if len(corners) != 2:
+        raise ValueError('region must be two corners')
+    lo, hi = corners
     if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
         raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
     return lo, hi

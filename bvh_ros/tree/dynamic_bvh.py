@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
+import copy
 import inspect
 from os import PathLike
 from pathlib import Path
@@ -297,6 +298,18 @@ class DynamicBVH(RayQueries, BoxQueries):
         own = vars(DynamicBVH(self.ndim))
         added = {name: value for name, value in vars(self).items() if name not in own}
         return files.pack(self) | {'added': added}
+
+    def __copy__(self) -> 'DynamicBVH':
+        twin = type(self).__new__(type(self))
+        twin.__setstate__(files.Copied(self.__getstate__()))
+        return twin
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> 'DynamicBVH':
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        state = self.__getstate__()
+        new = {name: copy.deepcopy(state[name], memo) for name in {*state} - files.COPIED}
+        twin.__setstate__(files.Copied(state | new))
+        return twin
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         added = state.get('added', {}) if isinstance(state, dict) else {}

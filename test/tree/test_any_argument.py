@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Anything for any argument of any method: it is taken, or refused with a ValueError that names
-the argument (a KeyError where a handle is meant), and then the tree is as it was.
-"""
+"""Numbers that numpy takes for others, and subclasses of a tree; see test_odd_arguments, too."""
 
 import copy
 import pickle
@@ -12,62 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from odd_values import VALUES, masked
-from tree.arguments import ARGUMENTS, HI, LO, LOW, ONE
+from odd_values import masked
+from tree.arguments import HI, LO, LOW, ONE, some_tree
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
-
-
-def some_tree() -> DynamicBVH:
-    lo = np.random.default_rng(1).uniform(0, 20, (8, 3))
-    return DynamicBVH.from_boxes(lo, lo + 1)
-
-
-def too_many_to_ask(what: str, value: Any) -> bool:
-    """So many queries, moves or handles may be asked for: what lacks is memory."""
-    many = isinstance(value, np.ndarray) and len(np.shape(value)) > 1 and len(value) == 2**40
-    return many and what in (
-        'raycast_many origins',
-        'occluded_many origins',
-        'nearest_many points',
-        'raycast_all_many origins',
-        'overlap_many lo',
-        'exits origins',
-    )
-
-
-@pytest.mark.filterwarnings('ignore')
-def test_anything_for_any_argument(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    failures = []
-    for what, call in ARGUMENTS.items():
-        name = what.split()[1].rstrip(',')
-        tree = some_tree()
-        before = snapshot(tree)
-        refused = (ValueError, *([KeyError] if name in ('handle', 'id') else []))
-        if name == 'path':
-            refused = (*refused, OSError)
-        for position, value in enumerate(VALUES):
-            if too_many_to_ask(what, value):
-                continue
-            shown = f'value {position}, a {type(value).__name__}'
-            try:
-                call(tree, value)
-                tree = some_tree()
-            except refused as error:
-                # Where there are no rows, it is the other arguments that have too many.
-                named = name in str(error) or 'shape (0, 3)' in str(error)
-                named = named and '\n' not in str(error)
-                if not isinstance(error, OSError) and not named:
-                    failures.append(f'{what}: {shown}: {error}')
-                if snapshot(tree) != before:
-                    failures.append(f'{what}: {shown} has changed the tree')
-                    tree = some_tree()
-            except Exception as error:
-                failures.append(f'{what}: {shown}: {type(error).__name__}: {error}')
-    assert not failures, '\n'.join(failures)
-
 
 NEVER = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400] * 3, [None] * 3]
 
@@ -134,6 +81,25 @@ def test_a_subclass_is_copied_with_what_it_adds(way: Callable[[Any], Any]) -> No
     assert (twin.tags is tree.tags) == (way is copy.copy)
     twin.remove(handle)
     assert handle in tree
+
+
+def test_only_a_copy_is_not_validated(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = some_tree()
+    tree.set_velocities(tree.ids()[:3], LO[:3] + 1)
+    pickled, state = pickle.dumps(tree), tree.__getstate__()
+
+    def refuse(_: DynamicBVH) -> None:
+        raise RuntimeError('looked at')
+
+    monkeypatch.setattr(DynamicBVH, 'validate', refuse)
+    for copied in (copy.copy(tree), copy.deepcopy(tree)):
+        assert snapshot(copied) == snapshot(tree)
+        assert np.array_equal(copied.velocities(tree.ids())[0], tree.velocities(tree.ids())[0])
+        copied.insert(ONE, ONE)
+    assert len(tree) == 8
+    for load in (lambda: pickle.loads(pickled), lambda: DynamicBVH().__setstate__(state)):
+        with pytest.raises(ValueError, match='looked at'):
+            load()
 
 
 def test_a_subclass_is_loaded_and_built(tmp_path: Path) -> None:

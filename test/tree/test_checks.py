@@ -10,17 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tree.arguments import ARGUMENTS, HI, LO, ONE
+from tree.arguments import ARGUMENTS, HI, LO, ONE, ask, some_tree
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
 
 NAN, INF = float('nan'), float('inf')
-
-
-def some_tree() -> DynamicBVH:
-    lo = np.random.default_rng(1).uniform(0, 20, (40, 3))
-    return DynamicBVH.from_boxes(lo, lo + 1, margin=0.1)
 
 
 def with_row(row: int, value: Any, array: Any = LO) -> Any:
@@ -67,14 +62,14 @@ OTHERS: dict[str, list[Any]] = {
     'nearest_many k': COUNTS,
     'raycast_many threads': COUNTS,
     'overlap_many threads': COUNTS,
-    'remove_many handle': [[0.5]],
-    'boxes handle': [np.zeros((2, 2), int)],
-    'new ndim': [1, 4, '3', True, None],
-    'new margin': MARGINS,
+    'remove_many handles': [[0.5]],
+    'boxes handles': [np.zeros((2, 2), int)],
+    '__init__ ndim': [1, 4, '3', True, None],
+    '__init__ margin': MARGINS,
     'from_boxes margin': MARGINS,
     'from_boxes mask': [[1]],
-    'new sibling_search': ['best', None],
-    'new capacity': [0, 1.5],
+    '__init__ sibling_search': ['best', None],
+    '__init__ capacity': [0, 1.5],
 }
 
 
@@ -84,7 +79,7 @@ def bad_values() -> dict[str, list[tuple[Any, str]]]:
     for what in ARGUMENTS:
         method, name = what.split(' ', 1)
         if name in COORDINATES.split():
-            rows = method.endswith('_many') or method in ('from_boxes', 'exits')
+            rows = method.endswith('_many') or method in ('from_boxes', 'exits', 'query_ball')
             values = ROWS if rows else [(point, '') for point in POINTS]
             if name == 'displacement':  # None is no displacement
                 values = values[:-1]
@@ -96,7 +91,7 @@ def bad_values() -> dict[str, list[tuple[Any, str]]]:
 def test_bad_arguments(what: str, values: list[tuple[Any, str]]) -> None:
     name = '(lo|hi)' if what == 'from_boxes lo' else what.split(' ')[1]
     for value, why in values:
-        check_refused(lambda t, value=value: ARGUMENTS[what](t, value), rf'\b{name}s?\b.*({why})')
+        check_refused(lambda t, value=value: ask(t, what, value), rf'\b{name}\b.*({why})')
 
 
 MISTAKES: list[tuple[Callable[[DynamicBVH], Any], str]] = [
@@ -140,7 +135,7 @@ def check_refused(
     call: Callable[[DynamicBVH], Any], says: str, error: type[Exception] = ValueError
 ) -> None:
     """One plain sentence, and the tree as it was."""
-    tree = some_tree()
+    tree = some_tree(40, 0.1)
     before = snapshot(tree)
     with pytest.raises(error) as caught:
         call(tree)
@@ -150,7 +145,7 @@ def check_refused(
     tree.validate()
     assert snapshot(tree) == before
     # Nothing is used up either: the next handle is the one it would have been.
-    assert tree.insert(ONE, ONE) == some_tree().insert(ONE, ONE)
+    assert tree.insert(ONE, ONE) == some_tree(40, 0.1).insert(ONE, ONE)
 
 
 NO_HANDLES = [0, 5, -1, -(2**63), 2**63 - 1, 2**70, 'crate', '0', None, 1.5, NAN, (1, 2), True]
@@ -158,7 +153,7 @@ NO_HANDLES = [0, 5, -1, -(2**63), 2**63 - 1, 2**70, 'crate', '0', None, 1.5, NAN
 
 @pytest.mark.parametrize('handle', NO_HANDLES, ids=repr)
 def test_what_never_was_a_handle(handle: Any) -> None:
-    for tree in (some_tree(), DynamicBVH(3)):
+    for tree in (some_tree(40, 0.1), DynamicBVH(3)):
         assert handle not in tree
         for call in (tree.remove, lambda h, tree=tree: tree.move(h, ONE, ONE)):
             with pytest.raises(KeyError, match=re.escape(repr(handle))):
@@ -166,7 +161,7 @@ def test_what_never_was_a_handle(handle: Any) -> None:
 
 
 def test_a_handle_is_any_integer_of_its_value() -> None:
-    tree = some_tree()
+    tree = some_tree(40, 0.1)
     a, b, c = tree.ids()[:3]
     assert all(kind(a) in tree for kind in (int, np.int64, np.uint64))
     tree.remove(int(a))

@@ -152,4 +152,4 @@ def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
 
 def repair_heights(tree: DynamicBVH) -> None:
     for node in inner_nodes(tree):
-        refit_node(tree.view().tree.nodes, tree.view().tree.heights, node, HIGHEST)
+        refit_node(tree.view().tree.nodes, tree.view().tree.heights, node)

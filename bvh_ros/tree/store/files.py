@@ -29,6 +29,7 @@ VERSIONS = VERSION, WITH_MOTION
 MOTION = ('moving', 'velocities', 'references')
 LEFT = 'left'  # is told beside them, where times are whole nanoseconds
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
+COPIED = {*ARRAYS, *MOTION}  # by `pack`
 # A letter of numpy's for each kind of number or text that a value may be.
 VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
 
@@ -36,6 +37,10 @@ VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 's
 # (those of an empty tree). What is yet smaller would fill the memory with what is no tree.
 SMALLEST_SHARE = 64
 LARGEST_VALUE = 4096  # bytes
+
+
+class Copied(dict[str, Any]):
+    """What `pack` returned, of a tree in this process: it needs no validation."""
 
 
 def pack(tree: Any) -> dict[str, Any]:
@@ -220,7 +225,8 @@ def unpack(tree: Any, packed: Any) -> None:
     storage.tree.state[TURN] = 0
     tree._storage = storage
     try:
-        tree.validate()
+        if not isinstance(packed, Copied):
+            tree.validate()
         if kept['version'] == WITH_MOTION:
             if LEFT in packed:
                 tree.count_nanoseconds(checks.limit(LEFT, packed[LEFT]))
