@@ -17,7 +17,7 @@ import pytest
 from odd_files import WITH_TESTS
 
 from bvh_ros import DynamicBVH
-from bvh_ros.forest import Forest, asking, building, hilbert
+from bvh_ros.forest import Forest, building, queries
 
 COUNT, ASKED = 3000, 1500
 
@@ -88,8 +88,8 @@ def answers(world: Any, rng: np.random.Generator, at: Any, **how: Any) -> list[A
 @pytest.mark.parametrize('ndim', [pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize('scene', [lattice, far, decades, one_place, anywhere])
 def test_a_forest_answers_as_one_tree(tmp_path, monkeypatch, ndim, scene):
-    monkeypatch.setattr(asking, 'ROWS_AT_ONCE', 1000)
-    monkeypatch.setattr(asking, 'ROWS_A_TASK', 90)
+    monkeypatch.setattr(queries, 'ROWS_AT_ONCE', 1000)
+    monkeypatch.setattr(queries, 'ROWS_A_TASK', 90)
     monkeypatch.setattr(building, 'ROWS_AT_ONCE', 500)
     rng = np.random.default_rng(ndim)
     lo, hi = scene(rng, ndim)
@@ -130,9 +130,9 @@ def test_parts_hold_each_box_once_and_no_more_than_asked(tmp_path):
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_the_curve_goes_from_neighbour_to_neighbour(ndim):
-    side = 1 << hilbert.CELL_BITS
+    side = 1 << building.CELL_BITS
     cells = np.stack(np.meshgrid(*(np.arange(side),) * ndim), -1).reshape(-1, ndim)
-    numbers = hilbert.cells(cells + 0.5, np.zeros(ndim), np.full(ndim, side))
+    numbers = building.cells(cells + 0.5, np.zeros(ndim), np.full(ndim, side))
     assert sorted(numbers) == list(range(side**ndim))
     steps = np.abs(np.diff(cells[np.argsort(numbers)], axis=0)).sum(axis=1)
     assert (steps == 1).all()

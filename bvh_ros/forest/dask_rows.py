@@ -5,22 +5,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from ..tree import RayHits
 
-if TYPE_CHECKING:
-    from .forest import Forest
-
-
 VALUES = 't_max', 'max_distance', 'mask'  # one for all rows, or one a row
+Query = Callable[..., Any]  # a method of `Forest`
 
 
-def are_meant(executor: Any, *columns: Any) -> bool:
-    """Whether one of the columns is a dask array; ValueError if there is an executor beside it,
-    which nobody would ask.
+def are_given(executor: Any, *columns: Any) -> bool:
+    """Whether one of the columns is a dask array; ValueError if there is an executor, too, which
+    would not be used.
     """
     if not any(map(is_dask, columns)):
         return False
@@ -34,48 +32,35 @@ def is_dask(array: Any) -> bool:
     return type(array).__module__.partition('.')[0] == 'dask'
 
 
-def raycast(
-    forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
-) -> RayHits:
+def raycast(query: Query, ndim: int, *rest: Any, **columns: Any) -> RayHits:
     """`Forest.raycast_many`; ids, t and normals are dask arrays."""
-    asked = _rays(forest.ndim, origins, directions, t_max, mask)
-    outputs = ((), np.int64), ((), np.float64), ((forest.ndim,), np.float64)
-    return RayHits(*_map(forest, 'raycast_many', (*asked, *rest), outputs))
+    outputs = ((), np.int64), ((), np.float64), ((ndim,), np.float64)
+    return RayHits(*_map(query, (*_same_blocks(ndim, **columns), *rest), outputs))
 
 
-def occluded(
-    forest: Forest, origins: Any, directions: Any, t_max: Any, mask: Any, *rest: Any
-) -> Any:
+def occluded(query: Query, ndim: int, *rest: Any, **columns: Any) -> Any:
     """`Forest.occluded_many` as a dask array."""
-    asked = _rays(forest.ndim, origins, directions, t_max, mask)
-    return _map(forest, 'occluded_many', (*asked, *rest), (((), np.bool_),))[0]
+    return _map(query, (*_same_blocks(ndim, **columns), *rest), (((), np.bool_),))[0]
 
 
-def nearest(forest: Forest, points: Any, k: int, max_distance: Any, mask: Any) -> Any:
+def nearest(query: Query, ndim: int, k: int, points: Any, max_distance: Any, mask: Any) -> Any:
     """`Forest.nearest_many`; ids and distances are dask arrays."""
-    where, reach, masks = _same_blocks(
-        forest.ndim, points=points, max_distance=max_distance, mask=mask
-    )
-    outputs = ((k,), np.int64), ((k,), np.float64)
-    return _map(forest, 'nearest_many', (where, k, reach, masks), outputs)
+    where, reach, masks = _same_blocks(ndim, points=points, max_distance=max_distance, mask=mask)
+    return _map(query, (where, k, reach, masks), (((k,), np.int64), ((k,), np.float64)))
 
 
-def overlap(forest: Forest, lo: Any, hi: Any, mask: Any, threads: int) -> Any:
+def overlap(query: Query, ndim: int, threads: int, **columns: Any) -> Any:
     """`Forest.overlap_many`; offsets and ids are dask arrays, the ids in blocks of sizes that are
     known once they are computed.
     """
     import dask.array as da
 
-    asked = *_same_blocks(forest.ndim, lo=lo, hi=hi, mask=mask), threads
-    sizes, ids = _map(forest, 'overlap_many', asked, (((), np.int64),) * 2, ragged=1)
+    given = *_same_blocks(ndim, **columns), threads
+    sizes, ids = _map(query, given, (((), np.int64),) * 2, ragged=True)
     return da.concatenate([da.zeros(1, np.int64), da.cumsum(sizes)]), ids
 
 
-def _rays(ndim: int, origins: Any, directions: Any, t_max: Any, mask: Any) -> tuple[Any, ...]:
-    return _same_blocks(ndim, origins=origins, directions=directions, t_max=t_max, mask=mask)
-
-
-def _same_blocks(ndim: int, **columns: Any) -> tuple[Any, ...]:
+def _same_blocks(ndim: int, **columns: Any) -> list[Any]:
     """Arrays of shape (n, ndim) or (n,), cut where the first is; a value for all rows stays."""
     import dask.array as da
 
@@ -95,31 +80,27 @@ def _same_blocks(ndim: int, **columns: Any) -> tuple[Any, ...]:
             shape = ', '.join(map(str, ('n', *wide)))
             raise ValueError(f'{name} must have shape ({shape}), all of one n, not {array.shape}')
         cut.append(array.rechunk((first.chunks[0], *((-1,) * len(wide)))))
-    return tuple(cut)
+    return cut
 
 
-def _map(
-    forest: Forest, query: str, asked: tuple[Any, ...], outputs: Any, *, ragged: int = 0
-) -> list[Any]:
+def _map(query: Query, arguments: Any, outputs: Any, *, ragged: bool = False) -> list[Any]:
     """Ask for each block; the outputs of all blocks, one array each, of these shapes and types.
-    The last `ragged` ones have as many rows as the answer has.
+    `ragged`: the answers are offsets, which become sizes, and rows of any number.
     """
     import dask
     import dask.array as da
 
-    blocks = asked[0].chunks[0]
-    cut = [one.to_delayed().ravel() if is_dask(one) else [one] * len(blocks) for one in asked]
+    blocks = arguments[0].chunks[0]
+    cut = [one.to_delayed().ravel() if is_dask(one) else [one] * len(blocks) for one in arguments]
     answered = [
-        dask.delayed(_ask_block, nout=len(outputs))(forest, query, *block)
+        dask.delayed(_ask_block, nout=len(outputs))(query, ragged, *block)
         for block in zip(*cut, strict=True)
     ]
     return [
         da.concatenate(
             [
                 da.from_delayed(
-                    answer[i],
-                    (np.nan if i >= len(outputs) - ragged else rows, *shape),
-                    np.dtype(dtype),
+                    answer[i], (np.nan if ragged and i else rows, *shape), np.dtype(dtype)
                 )
                 for answer, rows in zip(answered, blocks, strict=True)
             ]
@@ -128,8 +109,8 @@ def _map(
     ]
 
 
-def _ask_block(forest: Forest, query: str, *asked: Any) -> tuple[Any, ...]:
-    answer = getattr(forest, query)(*asked)
-    if query == 'overlap_many':
+def _ask_block(query: Query, ragged: bool, *arguments: Any) -> tuple[Any, ...]:
+    answer = query(*arguments)
+    if ragged:
         return np.diff(answer[0]), answer[1]
     return answer if isinstance(answer, tuple) else (answer,)
