@@ -197,7 +197,7 @@ class QueryCloud:
 
     def __init__(self, cloud: PointCloud | PointCloud2, kind: Any) -> None:
         self._kind = kind
-        self._columns = [name for name in QUESTION_FIELDS if hasattr(kind, name)]
+        self._columns = [name for name in QUESTION_FIELDS if name in kind._fields]
         wanted = [field for name in self._columns for field in QUESTION_FIELDS[name]]
         points = structured(cloud, wanted)
         self._points = points.ravel()

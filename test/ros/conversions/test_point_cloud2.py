@@ -156,7 +156,9 @@ def test_the_fields_of_questions():
         for kinds, real in (({}, 'f4'), ({optional: 'f8'}, 'f8'), ({'x': 'f8'}, 'f8')):
             for mask in ('u1', 'u2', 'u4'):
                 asked = plain_cloud(columns, kinds={'mask': mask, **kinds})
-                assert QueryCloud(asked, kind_of_rows).real == np.dtype(real)
+                questions = QueryCloud(asked, kind_of_rows)
+                assert questions.real == np.dtype(real)
+                assert len(questions.rows(0, 1).masks) == 1
         for wrong, kind, needed in (
             ('mask', 'i4', "'mask' is int32; it has to be an unsigned integer"),
             (optional, 'i2', f"'{optional}' is int16; it has to be float32 or float64"),
