@@ -8,11 +8,10 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from itertools import cycle
 from typing import NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -170,22 +169,12 @@ def policies(page: Page, brief: bool) -> None:
             moves = _moves(boxes, share, kind)
             movers = {name: Mover(boxes, moves, shares) for name, shares in POLICIES.items()}
             jobs = {name: Job(mover.step, 1) for name, mover in movers.items()}
-            times = interleaved(jobs, POLICY_REPEATS, warm=False)
+            with patch.object(dynamic_bvh, 'SHARES'):  # put back at the end
+                times = interleaved(jobs, POLICY_REPEATS, warm=False)
             costs = [_over_new_build(mover.tree) for mover in movers.values()]
             rows.append([share, *(timing.microseconds for timing in times.values()), *costs])
         page.add(f'Moved {kind}:')
         page.table(f'speed_policies_{kind}', header, rows)
-
-
-@contextmanager
-def policy(shares: tuple[float, float]) -> Iterator[None]:
-    """Let move_many follow one policy, whatever the share."""
-    before = dynamic_bvh.SHARES
-    dynamic_bvh.SHARES = shares
-    try:
-        yield
-    finally:
-        dynamic_bvh.SHARES = before
 
 
 class Moved(NamedTuple):
@@ -220,8 +209,8 @@ class Mover:
     def step(self) -> None:
         """Make the next move."""
         rows, boxes = next(self._moves)
-        with policy(self._shares):
-            self.tree.move_many(self._ids[rows], *boxes)
+        dynamic_bvh.SHARES = self._shares
+        self.tree.move_many(self._ids[rows], *boxes)
 
 
 def _over_new_build(tree: DynamicBVH) -> float:

@@ -159,12 +159,12 @@ def exact_entry(
     lo: Vector, hi: Vector, origin: Vector, direction: Vector, motion: Motion | None = None
 ) -> Fraction | None:
     """Where a ray enters a closed box, in rationals."""
-    velocity, *times = motion or Motion((0.0,) * len(lo))
-    at, pace, reference = exact(times)
-    low, high, start, ahead, speed = map(exact, (lo, hi, origin, direction, velocity))
-    start = [o - v * (at - reference) for o, v in zip(start, speed, strict=True)]
-    ahead = [d - v * pace for d, v in zip(ahead, speed, strict=True)]
-    return enter_box(low, high, start, ahead)
+    motion = motion or Motion((0.0,) * len(lo))
+    since, pace = Fraction(motion.at) - Fraction(motion.reference), Fraction(motion.pace)
+    speed = exact(motion.velocity)
+    start = [o - v * since for o, v in zip(exact(origin), speed, strict=True)]
+    ahead = [d - v * pace for d, v in zip(exact(direction), speed, strict=True)]
+    return enter_box(exact(lo), exact(hi), start, ahead)
 
 
 def _cast(question: Question) -> Case:
@@ -226,16 +226,13 @@ BOXES, MANY, RAYS, RAYS_QUICK = 24, 250, 400, 70
 
 def scale_cases(brief: bool) -> Iterable[Case]:
     """One case a scale, then scales mixed in one scene."""
-    count = RAYS_QUICK if brief else RAYS
-    for scale in SCALES:
-        boxes, rays = corner_scene(np.random.default_rng(1), np.full((BOXES, 1), scale), count)
-        yield _compare(f'corner rays at scale {scale:g}', boxes, rays)
-    ratio = 10.0 ** np.linspace(-15, 15, BOXES)[:, None]
-    boxes, rays = corner_scene(np.random.default_rng(2), ratio, count)
-    yield _compare('scales 1e-15 to 1e15 in one scene', boxes, rays)
-    ends = np.resize([5e-324, 1e-308, 1e-150, 1.0, 1e150, 1e307], BOXES)[:, None]
-    boxes, rays = corner_scene(np.random.default_rng(3), ends, count)
-    yield _compare('5e-324 to 1.7e308 in one scene', boxes, rays)
+    scenes = {f'corner rays at scale {scale:g}': (1, [scale] * BOXES) for scale in SCALES}
+    scenes['scales 1e-15 to 1e15 in one scene'] = 2, [*10.0 ** np.linspace(-15, 15, BOXES)]
+    ends = 5e-324, 1e-308, 1e-150, 1.0, 1e150, 1e307
+    scenes['5e-324 to 1.7e308 in one scene'] = 3, [*np.resize(ends, BOXES)]
+    for name, (seed, scales) in scenes.items():
+        rng, column = np.random.default_rng(seed), np.array(scales)[:, None]
+        yield _compare(name, *corner_scene(rng, column, RAYS_QUICK if brief else RAYS))
     yield _at_all_speeds(BOXES if brief else MANY, RAYS_QUICK if brief else 10 * RAYS)
 
 

@@ -93,16 +93,16 @@ def tree(message: bytes, first_depth: int, planar: bool) -> tuple[Floats, Floats
     return NO_BOXES
 
 
-def queries(message: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return the lines (n, 2, 3) of `~/queries`, their colours (n, 3) and the hits (m, 3)."""
-    table = marker_array.read(message)
-    lines, colours, spots = np.empty((0, 2, 3)), np.empty((0, 3)), NO_POINTS
+def queries(message: bytes) -> Overlay:
+    """Return what `~/queries` shows."""
+    table, shown = marker_array.read(message), Overlay()
     for row, kind in enumerate(table.type.tolist()):
         if kind == Marker.LINE_LIST:
-            lines, colours = table.points(row).reshape(-1, 2, 3), table.colours(row)[::2, :3]
+            lines = table.points(row).reshape(-1, 2, 3)
+            shown = shown._replace(lines=lines, colours=table.colours(row)[::2, :3])
         elif kind == Marker.SPHERE_LIST:
-            spots = table.points(row)
-    return lines, colours, spots
+            shown = shown._replace(spots=table.points(row))
+    return shown
 
 
 def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
@@ -258,8 +258,7 @@ class Topics:
         self.boxes = tree(message, first, planar)
 
     def _draw_queries(self, message: bytes) -> None:
-        lines, colours, spots = queries(message)
-        self.overlay = Overlay(lines, colours, spots, self.overlay.scan)
+        self.overlay = queries(message)._replace(scan=self.overlay.scan)
 
     def _keep_pose(self, pose: PoseStamped) -> None:
         self._poses[nanoseconds(pose.header.stamp)] = pose

@@ -6,10 +6,10 @@ They are compiled again from the same source, with another function in the place
 decides. What is left is the slab test as it is usually written.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -65,19 +65,12 @@ def wide_kernel() -> Any:
     return rewired(streams.cast_rows, cast_pile=pile)
 
 
-@contextmanager
-def replaced(**kernels: Any) -> Iterator[None]:
-    """Batches of rays go through other kernels, all of them large ones."""
-    names = ('rows_entry', 'cast_entry', 'FEW_RAYS')
-    original = {name: getattr(ray_queries, name) for name in names}
-    try:
-        ray_queries.FEW_RAYS = 0
-        for name, kernel in kernels.items():
-            setattr(ray_queries, name, lambda ndim, kernel=kernel: kernel)
-        yield
-    finally:
-        for name, value in original.items():
-            setattr(ray_queries, name, value)
+def replaced(**kernels: Any) -> Any:
+    """A context in which batches of rays go through other kernels, all of them large ones."""
+    values: dict[str, Any] = {'FEW_RAYS': 0}
+    for name, kernel in kernels.items():
+        values[name] = lambda ndim, kernel=kernel: kernel
+    return patch.multiple(ray_queries, **values)
 
 
 def rounded_decisions() -> Any:

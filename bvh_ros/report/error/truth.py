@@ -286,6 +286,13 @@ def score(answer: Answer, truth: Truth) -> Score:
 
 def joined(scores: Sequence[Score]) -> Score:
     """The score of several worlds together."""
-    rays, hits, misses, firsts, by, distances, relative, ulps = zip(*scores, strict=True)
-    counts = sum(rays), sum(hits), sum(misses), sum(firsts)
-    return Score(*counts, max(by), np.concatenate(distances), max(relative), max(ulps))
+    return Score(
+        sum(one.rays for one in scores),
+        sum(one.wrong_hits for one in scores),
+        sum(one.wrong_misses for one in scores),
+        sum(one.wrong_first for one in scores),
+        max(one.wrong_by for one in scores),
+        np.concatenate([one.distances for one in scores]),
+        max(one.relative for one in scores),
+        max(one.ulps for one in scores),
+    )
