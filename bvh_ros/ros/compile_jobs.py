@@ -263,7 +263,7 @@ FEW = 128  # rays that go through the snapshot one by one, where there is one
 
 # What is compiled only when somebody asks.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
-BOXES_ASKED = 'batches of boxes'
+BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
 
 
@@ -288,7 +288,7 @@ def later_jobs(needs: Needs) -> list[Job]:
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
-        *([(POINTS, 10.0, _points)] if needs.batch else []),
+        *([(POINTS, 10.0, _points), (CLEARANCES, 20.0, _paths)] if needs.batch else []),
         *_moving(needs)[1:],
     ]
     return _named(calls, needs)

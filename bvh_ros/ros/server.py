@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
 from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
@@ -40,8 +41,15 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.parts.batches import Batch
+    from bvh_ros.ros.parts.typed_services import TypedServices
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source
+
+
+def has_typed_services() -> bool:
+    """Whether the package bvh_msgs is installed."""
+    spec = find_spec('bvh_msgs')
+    return spec is not None and spec.origin is not None  # else a folder of sources
 
 
 class Destroyable(Protocol):
@@ -202,7 +210,7 @@ class BvhServer:
             queries.append(QueryServices(node, world, view, drawing, kernels))
             yield queries[-1]
         yield TriggerServices(node, world)
-        answerers: list[Batch | VirtualScan] = []
+        answerers: list[Batch | TypedServices | VirtualScan] = []
         for answerer in self._create_answerers(drawing, kernels):
             answerers.append(answerer)
             yield answerer
@@ -213,7 +221,7 @@ class BvhServer:
 
     def _create_answerers(
         self, drawing: QueryDrawing, kernels: OnDemand
-    ) -> Iterator[Batch | VirtualScan]:
+    ) -> Iterator[Batch | TypedServices | VirtualScan]:
         """Create the parts that answer batches; none of it is imported where there are none."""
         node, world = self.node, self.world
         if self.settings.batch:
@@ -225,6 +233,11 @@ class BvhServer:
                 yield PointBatch(node, world, view, kernels)
                 if self.settings.footprint:
                     yield PathBatch(node, world, view, kernels, self.settings.footprint)
+            if has_typed_services():
+                from bvh_ros.ros.parts.typed_services import TypedServices
+
+                for view in world.views:
+                    yield TypedServices(node, world, view, kernels)
         if self._scan.pose_topic:
             from bvh_ros.ros.parts.virtual_scan import VirtualScan
 
@@ -277,6 +290,7 @@ class BvhServer:
             'region' if settings.region else 'region of its own': settings.region is not None,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
+            'typed services': settings.batch and has_typed_services(),
             f'{threads} threads' if threads > 1 else 'threads': threads > 1,
             'other times than now': self.world.times is not None,
             'virtual scan': bool(self._scan.pose_topic),

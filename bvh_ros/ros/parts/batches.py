@@ -113,6 +113,42 @@ DONE = object()
 UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
 
 
+def prepare(
+    owner: Any, world: World, rays: int, spans_of: Callable[[], Spans | None]
+) -> Iterator[None]:
+    """Prepare in the helper thread what would take longer than a turn; pause until it is done.
+
+    Parameters
+    ----------
+    owner : object
+        The part of the node that answers.
+    rays : int
+        How many there are; 0 for other questions.
+    spans_of : callable
+        When all rows begin and end; None: now.
+    """
+    changes = world.changes
+    if len(changes.visible) < MANY_OBSTACLES:
+        return
+    timed = spans_of() is not None
+
+    def states() -> Iterator[tuple[Scene, Times, Times]]:
+        spans = spans_of() if timed else None
+        if spans is not None:
+            spans = spans.take(~spans.unknown & (spans.which != NOW))
+            for rows in spans.groups():
+                yield spans.states[spans.which[rows[0]]], spans.at[rows], spans.until[rows]
+
+    def prepare_all() -> None:
+        if not timed:
+            changes.visible.prepare_rays(rays)
+        for scene, at, until in states():
+            scene.prepare_times(min(rays, len(at)), at, until)
+
+    if rays >= MANY_ROWS or not all(scene.is_prepared(at, until) for scene, at, until in states()):
+        yield from changes.read(owner, prepare_all)
+
+
 def in_pieces(count: int, answer: Callable[[slice], None]) -> Iterator[None]:
     """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
     begin, rows = 0, SMALLEST_PIECE
@@ -271,7 +307,9 @@ class Batch(NodePart):
             rows = questions.rows(piece.start, piece.stop)
             table.write(piece, self._answer(rows, piece.start, transform, stamp))
 
-        yield from self._prepare(questions, stamp)
+        rays = len(questions) if self.question is Rays else 0
+        spans = partial(self._spans, questions.moments(), stamp)
+        yield from prepare(self, self._world, rays, spans)
         yield from in_pieces(len(questions), answer)
         return table.cloud()
 
@@ -280,32 +318,6 @@ class Batch(NodePart):
         self._kernels.require(self.needed)
         if questions.has_times:
             self._kernels.require(self.needed_then)
-
-    def _prepare(self, questions: Any, stamp: int) -> Iterator[None]:
-        """Prepare in the helper thread what would take longer than a turn; pause until it is
-        done.
-        """
-        changes, rays = self._world.changes, len(questions) if self.question is Rays else 0
-        if len(changes.visible) < MANY_OBSTACLES:
-            return
-
-        def states() -> Iterator[tuple[Scene, Times, Times]]:
-            spans = self._spans(questions.moments(), stamp)
-            if spans is not None:
-                spans = spans.take(~spans.unknown & (spans.which != NOW))
-                for rows in spans.groups():
-                    yield spans.states[spans.which[rows[0]]], spans.at[rows], spans.until[rows]
-
-        def prepare() -> None:
-            if not questions.has_times:
-                changes.visible.prepare_rays(rays)
-            for scene, at, until in states():
-                scene.prepare_times(min(rays, len(at)), at, until)
-
-        if rays >= MANY_ROWS or not all(
-            scene.is_prepared(at, until) for scene, at, until in states()
-        ):
-            yield from changes.read(self, prepare)
 
     def _now(self) -> Scene:
         return self._world.at(self.node.get_clock().now().nanoseconds)

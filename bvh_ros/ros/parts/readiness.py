@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bvh_ros.ros.compilation import Compilation, Progress
 from bvh_ros.ros.parts.part import NodePart
-from bvh_ros.ros.world.world import IncompleteWorldError
+from bvh_ros.ros.world.world import CompilingError
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -38,7 +38,7 @@ class OnDemand(NodePart):
 
         Raises
         ------
-        IncompleteWorldError
+        CompilingError
             If they are not, with how far they have come.
         """
         job = self._jobs.get(name)
@@ -52,7 +52,7 @@ class OnDemand(NodePart):
         compilation = self._under_way[name]
         compilation.go_on()
         if not compilation.is_done:
-            raise IncompleteWorldError(compilation.in_words())
+            raise CompilingError(compilation.in_words())
         self._end(name)
         del self._jobs[name]
 

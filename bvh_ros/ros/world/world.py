@@ -32,6 +32,10 @@ class IncompleteWorldError(ValueError):
     """What the answers depend on is missing: a source, or kernels. The text says which and why."""
 
 
+class CompilingError(IncompleteWorldError):
+    """Kernels are missing; the text says how far compiling has come."""
+
+
 @dataclass
 class World:
     """What is known, where it comes from, and whether that is enough to answer.
@@ -76,7 +80,7 @@ class World:
         early = thin_ray and not self.scene.any_shaped
         problem = self._silence(now) if early else self.problem(now)
         if problem:
-            raise IncompleteWorldError(problem)
+            raise (CompilingError if problem == self.compiling else IncompleteWorldError)(problem)
         self.expire(now)
         return self.scene
 
