@@ -338,15 +338,14 @@ def _changes(boxes: Boxes, count: int, scene: Scene, names: list[str]) -> dict[s
     """Changes of a tree and of a scene, by name."""
     tree, centers, edges = DynamicBVH.from_boxes(*boxes), boxes.centers, boxes.edges
     handles, shifts = tree.ids()[:count].tolist(), cycle((STEP, 0.0))
+    few = Boxes(boxes.lo[:count], boxes.hi[:count])
 
     def move() -> None:
-        moved = boxes.moved(next(shifts))
-        for handle, low, high in zip(handles, *moved, strict=False):
+        for handle, low, high in zip(handles, *few.moved(next(shifts)), strict=True):
             tree.move(handle, low, high)
 
     def insert_and_remove() -> None:
-        some = zip(boxes.lo[:count], boxes.hi[:count], strict=True)
-        for handle in [tree.insert(*box) for box in some]:
+        for handle in [tree.insert(*box) for box in zip(*few, strict=True)]:
             tree.remove(handle)
 
     def updates(many: int) -> Job:
