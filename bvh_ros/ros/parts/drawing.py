@@ -109,24 +109,19 @@ def obstacles(
         rest = np.ones(len(some.kind), bool)
         for rows in _alike(some) if kind in LISTS else ():
             rest[rows] = False
-            one = some.take(rows[0])
+            size, turn = some.size[rows[0]], some.orientation[rows[0]]
             yield (
                 Drawing(
-                    LISTS[kind], one.size, colour, namespace, (0, 0, 0), one.orientation,
-                    _unturned(some.position[rows], one.orientation),
+                    LISTS[kind], size, colour, namespace, (0, 0, 0), turn,
+                    _unturned(some.position[rows], turn),
                 ),
                 len(rows),
             )  # fmt: skip
         some = some.take(rest)
         if kind in SINGLES:
             for row in range(min(len(some.kind), MOST_SINGLES)):
-                one = some.take(row)
-                yield (
-                    Drawing(
-                        SINGLES[kind], one.size, colour, namespace, one.position, one.orientation
-                    ),
-                    1,
-                )
+                place = some.position[row], some.orientation[row]
+                yield Drawing(SINGLES[kind], some.size[row], colour, namespace, *place), 1
         elif len(some.kind):
             corners = outlines.triangles(some)
             yield (
