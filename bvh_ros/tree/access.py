@@ -46,8 +46,10 @@ from .query.ray import (
     EVERY,
     NO_HITS,
     NO_RAYS,
+    Found,
+    Hit,
     Rays,
-    descend,
+    enter_box,
     every_hit,
     locate,
     of_row,
@@ -71,6 +73,7 @@ from .query.slab import (
     set_swept_box,
     traversal_distance,
 )
+from .query.traversal import Stack, next_leaf, push_root
 from .query.within import boxes_within
 from .results import RayHits
 from .simd.float32x16 import seen16, stream16

@@ -29,10 +29,9 @@ def _plain_slabs(lo, hi, ray, t_max):
 
 
 @inlined
-def _plain_is_before(tree, ray, hit, other):
-    return hit[1] < other[1] or (
-        hit[1] == other[1] and tree.handles[hit[0]] < tree.handles[other[0]]
-    )
+def _plain_precedes(path, hit, other):
+    handles = path.tree.handles
+    return hit.t < other.t or (hit.t == other.t and handles[hit.slot] < handles[other.slot])
 
 
 @inlined
@@ -49,7 +48,8 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 @cache
 def binary_kernel() -> Any:
     """`ray.raycast_rows` without the exact decision."""
-    one = rewired(ray.raycast, intersect_exact=_plain_slabs, is_before=_plain_is_before)
+    decide = rewired(ray.decide_box, intersect_exact=_plain_slabs)
+    one = rewired(ray.raycast, decide_box=decide, precedes=_plain_precedes)
     return rewired(ray.raycast_rows, raycast_row=rewired(ray.raycast_row, raycast=one))
 
 

@@ -32,12 +32,12 @@ from ...tree.access import (
     INSIDE,
     NONE,
     ORIGIN,
-    PAD,
     RAY_ROWS,
-    TINY,
-    descend,
-    intersect_node,
+    Stack,
+    enter_box,
+    next_leaf,
     prepare_ray,
+    push_root,
     set_ray,
     traversal_distance,
 )
@@ -60,6 +60,14 @@ class Surface(NamedTuple):
     nodes: Any
     root: Any
     radius: Any
+
+
+class Line(NamedTuple):
+    """What `enter_box` reads."""
+
+    ray: Any
+    mask: Any
+    wide: Any
 
 
 class Shear(NamedTuple):
@@ -111,21 +119,14 @@ def first_crossing(surface, ray):
     set_ray(ray, ray[ORIGIN], ray[DIRECTION])
     best, met, frame = np.inf, np.int64(NONE), shear(ray[DIRECTION])
     scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    limit = traversal_distance(4.0 * surface.radius, scale)
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = (
-        root,
-        intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide),
-        1,
-    )
+    line, limit = Line(ray, ALL, wide), traversal_distance(4.0 * surface.radius, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, line, limit, stack, enter_box)
     while top > 0:
-        top -= 1
-        if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
-            continue
-        node, top = descend(nodes, ray, limit, wide, ALL, stack, entries, top)
-        if node == NONE:
-            continue
-        face = np.int64(node >> 1)
+        leaf, _, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+        if leaf == NONE:
+            break
+        face = np.int64(leaf >> 1)
         depth = cross_triangle(surface.vertices, surface.corners[face], ray[ORIGIN], frame)
         s = depth / ray[DIRECTION, frame.z]
         if s < best:

@@ -24,15 +24,18 @@ from ...tree.access import (
     LARGEST,
     NONE,
     NOT_FINITE,
-    PAD,
     RAY_ROWS,
     ROOT,
-    TINY,
+    Found,
+    Stack,
     end_query,
+    next_leaf,
     of_row,
+    push_root,
     set_ray,
     set_swept_box,
 )
+from ...tree.access import Hit as TreeHit
 from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     FRONTS,
@@ -41,14 +44,16 @@ from ...tree.motion.access import (
     box_of,
     course_of,
     covers,
-    descend,
     elapsed,
+    enter_bounds,
     is_before,
     locate,
     meet_box,
     moments_of,
     moves,
+    path_at,
     set_fronts,
+    sort_hits_at,
     span_of,
 )
 from ..results import NO_NODE, require_few
@@ -241,10 +246,9 @@ def update_first_hit(cast, i, course, room, slot, first):
     contact = meet_obstacle(cast, i, course, slot)
     box, other, stopped = first
     if contact.hit and contact.kind == EXACT_BOX:
-        hit = slot, contact.t, contact.feature
-        if box.slot == NONE or is_before(
-            *(cast.tree, cast.moving, course, hit), (box.slot, box.t, box.feature)
-        ):
+        hit = TreeHit(slot, contact.t, contact.feature)
+        before = TreeHit(box.slot, box.t, box.feature)
+        if box.slot == NONE or is_before(cast.tree, cast.moving, course, hit, before):
             box = Hit(slot, contact.t, contact.feature)
     elif contact.hit:
         nearer = contact.t < other.t
@@ -282,26 +286,21 @@ def reach_of(rays, i):
 @inlined
 def walk_moving(cast, i, course, room, kept, visit):
     """Hand the leaves that a ray may meet to a visitor; return what it keeps, `kept` at first."""
-    rays, moving, root = cast.rays, cast.moving, cast.world.root
-    nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
+    rays, nodes, fronts = cast.rays, cast.moving.nodes, stack_array(FRONTS, np.float64)
     corners, more = stack_array((2, 3), np.float64), reach_of(rays, i)
     for axis in range(rays.origins.shape[1]):
         corners[0, axis] = rays.origins[i, axis] - more
         corners[1, axis] = rays.origins[i, axis] + more
-    set_fronts(fronts, moving, corners[0], corners[1], rays.directions[i])
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = root, 0.0, (0 if root == NONE else 1)
-    at, pace, mask, limit = course.at, course.pace, of_row(rays.masks, i), of_row(rays.t_max, i)
-    bounded = covers(moving, at, pace, limit) > 0
+    set_fronts(fronts, cast.moving, corners[0], corners[1], rays.directions[i])
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    limit = of_row(rays.t_max, i)
+    path = path_at(cast.tree, cast.moving, course, limit, of_row(rays.masks, i), fronts)
+    top = push_root(nodes, cast.world.root, path, limit, stack, enter_bounds)
     while top > 0:
-        top -= 1
-        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
-            continue
-        waiting = stack, entries, top
-        node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
-        if node == NONE or nodes[node].mask & mask == 0:
-            continue
-        kept, t = visit(cast, i, course, room, np.int64(node >> 1), kept)
+        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter_bounds)
+        if leaf == NONE:
+            break
+        kept, t = visit(cast, i, course, room, np.int64(leaf >> 1), kept)
         limit = min(limit, t)
     return kept
 
@@ -437,24 +436,13 @@ def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals)
     scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
     cast = cast_of(shapes, tree, moving, rays, 0, scratch)
     course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
-    slots, ts, features, kinds = hits
-    for j in range(1, boxes):
-        hit, place = (slots[j], ts[j], features[j]), j
-        while place > 0 and is_before(
-            *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], features[place - 1])
-        ):
-            slots[place], ts[place] = slots[place - 1], ts[place - 1]
-            features[place] = features[place - 1]
-            place -= 1
-        slots[place], ts[place], features[place] = hit
-    for j in range(slots.shape[0]):
-        if 0 < j < boxes:
-            ts[j] = max(ts[j], ts[j - 1])
-        hit = Hit(slots[j], ts[j], features[j])
+    sort_hits_at(tree, moving, course, Found(hits.slots, hits.ts, hits.features), boxes)
+    for j in range(hits.slots.shape[0]):
+        hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
         if j < boxes:
             _locate_box(cast, 0, course, hit, points[j], normals[j])
         else:
-            _touch_moving(cast, 0, hit, kinds[j] == STOPPED, points[j], normals[j])
+            _touch_moving(cast, 0, hit, hits.kinds[j] == STOPPED, points[j], normals[j])
 
 
 # ---- one ray

@@ -21,25 +21,26 @@ import numpy as np
 
 from ...tree.access import (
     ALL32,
+    DEEPEST,
     DIRECTION,
     FARTHEST_ORIGIN,
     INSIDE,
     NONE,
     ORIGIN,
-    PAD,
     STACK,
-    TINY,
     DynamicBVH,
+    Stack,
     child_of,
     compare_hits,
     intersect_node,
-    is_leaf,
     leaf_box,
     limit32,
+    next_leaf,
     octant_of,
     prepare_ray,
     push_children,
     push_loose,
+    push_root,
     seen16,
     set_ray,
     start_ray,
@@ -332,46 +333,47 @@ def grow(node, radius, box):
             box[1, axis] += abs(box[1, axis]) * 2.0**-52
 
 
+class GrownPath(NamedTuple):
+    """A ray or ball on its way through the nodes of the tree."""
+
+    ray: Any
+    box: Any
+    """Scratch, (2, ndim)."""
+    mask: Any
+    wide: Any
+    """See `prepare_ray`."""
+    reach: Any
+    """By how much nodes are grown."""
+
+
+@inlined
+def enter_grown(nodes, node, path, limit):
+    """Where a ray may enter a node that is grown."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    grow(nodes[node], path.reach, path.box)
+    return intersect_node(path.box[0], path.box[1], path.ray, limit, path.wide)
+
+
 @inlined
 def walk_tree(world, query, scratch, room, kept, visit):
     """Hand the leaves to a visitor that a ray may meet; return what it keeps, `kept` at first."""
     nodes, root, ray, bounds = world.nodes, world.root, scratch.ray, scratch.box
-    stack, entries, top = scratch.stack, scratch.entries, 0
-    reach, scale, limit, wide = reach_of(query, ray), 1.0, 0.0, False
-    if root != NONE and nodes[root].mask & query.mask != 0:
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    reach, scale, wide = reach_of(query, ray), np.int64(0), False
+    if root != NONE:
         grow(nodes[root], reach, bounds)
         scale, wide = prepare_ray(ray, bounds[0], bounds[1])
-        limit = traversal_distance(query.t_max, scale)
-        stack[0], entries[0] = root, intersect_node(bounds[0], bounds[1], ray, limit, wide)
-        top = 1
+    limit = traversal_distance(query.t_max, scale)
+    path = GrownPath(ray, bounds, query.mask, wide, reach)
+    top = push_root(nodes, root, path, limit, stack, enter_grown)
     while top > 0:
-        top -= 1
-        node, entry = stack[top], entries[top]
-        if entry > limit * PAD + TINY or entry == np.inf:
-            continue
-        if is_leaf(node):
-            kept, t = visit(world, query, scratch, room, np.int64(node >> 1), kept)
-            limit = traversal_distance(t, scale)
-        else:
-            top = push_nodes(nodes, node, query.mask, reach, limit, wide, scratch, top)
+        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter_grown)
+        if leaf == NONE:
+            break
+        kept, t = visit(world, query, scratch, room, np.int64(leaf >> 1), kept)
+        limit = traversal_distance(t, scale)
     return kept
-
-
-@lean_kernel
-def push_nodes(nodes, node, mask, radius, limit, wide, scratch, top):
-    """Put the children that the ray may enter on the stack, the nearer on top."""
-    box, stack, entries, bottom = scratch.box, scratch.stack, scratch.entries, top
-    for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
-        if nodes[child].mask & mask != 0:
-            grow(nodes[child], radius, box)
-            entry = intersect_node(box[0], box[1], scratch.ray, limit, wide)
-            if entry < np.inf:
-                stack[top], entries[top] = child, entry
-                top += 1
-    if top == bottom + 2 and entries[bottom] < entries[bottom + 1]:
-        stack[bottom], stack[bottom + 1] = stack[bottom + 1], stack[bottom]
-        entries[bottom], entries[bottom + 1] = entries[bottom + 1], entries[bottom]
-    return top
 
 
 @inlined
@@ -392,7 +394,7 @@ def walk_snapshot(world, snapshot, segment, query, scratch, room, kept, visit):
         stack[0] = 0
         top = push_loose(snapshot, stack, 1)
     while top > 0:
-        slot, top = next_leaf(snapshot, records, octant, query.mask, limits, stack, top)
+        slot, top = next_wide_leaf(snapshot, records, octant, query.mask, limits, stack, top)
         # What was written since is removed, or has another mask now.
         if slot == NONE or (snapshot.loose > 0 and world.nodes[2 * slot].mask & query.mask == 0):
             continue
@@ -418,7 +420,7 @@ def widen(record, reach):
 
 
 @inlined
-def next_leaf(snapshot, records, octant, mask, limits, stack, top):
+def next_wide_leaf(snapshot, records, octant, mask, limits, stack, top):
     """(slot of the next leaf that the ray may meet before its limit, or NONE; the new top)."""
     nearest, met = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
     first = stack_array(1, np.int32)

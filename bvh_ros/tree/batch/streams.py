@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array, trailing_zeros
 from ..entries import entry_points
 from ..nodes import ALL, NONE, aligned_empty, leaf_box
-from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, is_before, of_row, raycast_row
+from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, Hit, is_before, of_row, raycast_row
 from ..query.slab import (
     DIRECTION,
     EXACT,
@@ -100,7 +100,7 @@ def is_better(tree, ray, t_max, skip_inside, slot, best):
         return True, t, axis
     best_lo, best_hi = leaf_box(tree.nodes, tree.tight, 2 * best_slot)
     best_axis = exact_entry_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
-    better = is_before(tree, ray, (slot, t, axis), (best_slot, best_t, best_axis))
+    better = is_before(tree, ray, Hit(slot, t, axis), Hit(best_slot, best_t, best_axis))
     return better, t, axis
 
 

@@ -4,7 +4,7 @@
 
 from ..simd.moving_sides import FRONTS
 from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, set_fronts
-from .entries import descend, locate
+from .entries import enter_bounds, locate, path_at, sort_hits_at
 from .exact_contact import (
     box_of,
     course_of,

@@ -16,20 +16,21 @@ from ..batch.streams import RAYS_AT_ONCE
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, is_leaf
-from ..query.ray import ANY, CLOSEST, EVERY, Asked, Found, more_room, of_row, room_for_hits
-from ..query.ray_queries import room_for_rays, rows_of
-from ..query.slab import (
-    DIRECTION,
-    EXACT,
-    INSIDE,
-    ORIGIN,
-    PAD,
-    RAY_ROWS,
-    TINY,
-    UPPER,
-    set_swept_box,
+from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree, View
+from ..query.ray import (
+    ANY,
+    CLOSEST,
+    EVERY,
+    Asked,
+    Found,
+    cast,
+    more_room,
+    of_row,
+    room_for_hits,
+    sort_hits,
 )
+from ..query.ray_queries import room_for_rays, rows_of
+from ..query.slab import DIRECTION, EXACT, INSIDE, ORIGIN, RAY_ROWS, UPPER, set_swept_box
 from ..results import RayHits
 from ..simd.moving_sides import FRONTS
 from ..store.turns import NOT_FINITE, accepted, count_rays, end_query
@@ -65,74 +66,79 @@ class Places(NamedTuple):
     normals: Floats
 
 
-@lean_kernel
-def cast(tree, moving, course, asked, found, filled):
-    """Write the hits of a course, `asked` as of `Asked`, to `found` from `filled` on; return where
-    the next would go. See `rays.raycasting.raycast`; instead of axes, faces of `meet_box`.
+class PathAt(NamedTuple):
+    """A ray, or a swept box, among boxes that move."""
 
-    What the bounds do not hold for visits all boxes.
-    """
-    nodes, root, mask = moving.nodes, tree.state[ROOT], asked.mask
-    slots, ts, faces, ray = found.slots, found.ts, found.axes, course.ray
-    if root == NONE:
-        return filled
-    bounded = covers(moving, course.at, course.pace, asked.t_max) > 0
-    ahead, limit = course.at - moving.start, asked.t_max
-    begin, best, fronts = filled, np.int64(NONE), stack_array(FRONTS, np.float64)
-    set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = root, 0.0, 1
-    while top > 0:
-        top -= 1
-        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
-            continue
-        node, top = descend(
-            nodes, fronts, bounded, (ahead, course.pace, limit), (stack, entries, top)
-        )
-        if node == NONE or nodes[node].mask & mask == 0:
-            continue
-        slot = np.int64(node >> 1)
-        hit, t, face = meet_box(box_of(tree, moving, slot), course, asked.t_max)
-        if not hit or (asked.skip_inside and face == INSIDE):
-            continue
-        place = filled
-        if asked.mode == CLOSEST:
-            if best != NONE and not is_before(
-                tree, moving, course, (slot, t, face), (best, ts[begin], faces[begin])
-            ):
-                continue
-            best, place, limit = slot, begin, t
-        if place < slots.shape[0]:
-            slots[place], ts[place], faces[place] = slot, t, face
-        filled = place + 1
-        if asked.mode == ANY:
-            break
-    return filled
+    tree: Tree
+    moving: Any
+    """`Moving`"""
+    course: Any
+    """`Course`"""
+    mask: np.uint32
+    bounded: bool
+    """Whether the bounds of nodes hold for all times of the course."""
+    ahead: float
+    """From the start of their span to that of the course, s."""
+    fronts: Floats
+    """What the sides of a node are compared with, see `moving_sides`."""
 
 
 @inlined
-def descend(nodes, fronts, bounded, course, waiting):
-    """Follow the nearer child from the last of the nodes that wait, (stack, entries, top), down to
-    a leaf: (leaf or NONE, top). fronts and course = (ahead, pace, limit) as of `enter_node`.
+def path_at(tree, moving, course, t_max, mask, fronts):
+    """The path of a course up to t_max; `fronts` are as of `set_fronts`. What the bounds do not
+    hold for visits all boxes.
     """
-    stack, entries, top = waiting
-    node = stack[top]
-    while not is_leaf(node):
-        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        first_entry, second_entry = 0.0, 0.0
-        if bounded:
-            first_entry = enter_node(nodes, first, fronts, *course)
-            second_entry = enter_node(nodes, second, fronts, *course)
-        if second_entry < first_entry:
-            first, second = second, first
-            first_entry, second_entry = second_entry, first_entry
-        if first_entry == np.inf:
-            return np.int64(NONE), top
-        if second_entry < np.inf:
-            stack[top], entries[top] = second, second_entry
-            top += 1
-        node = first
-    return node, top
+    bounded = covers(moving, course.at, course.pace, t_max) > 0
+    return PathAt(tree, moving, course, mask, bounded, course.at - moving.start, fronts)
+
+
+@inlined
+def enter_bounds(nodes, node, path, limit):
+    """`enter_node` of a node that the mask of a `PathAt` selects."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    if not path.bounded:
+        return 0.0
+    return enter_node(nodes, node, path.fronts, path.ahead, path.course.pace, limit)
+
+
+@inlined
+def _decide(path, slot, t_max):
+    return meet_box(box_of(path.tree, path.moving, slot), path.course, t_max)
+
+
+@inlined
+def _precedes(path, hit, other):
+    return is_before(path.tree, path.moving, path.course, hit, other)
+
+
+@inlined
+def sort_hits_at(tree, moving, course, found, count):
+    """`sort_hits` of the first hits of a course, so many."""
+    path = PathAt(tree, moving, course, np.uint32(0), False, 0.0, course.ray[ORIGIN])
+    sort_hits(path, found, 0, count, _precedes)
+
+
+@lean_kernel
+def raycast_at(tree, moving, course, asked, found, filled):
+    """`query.ray.cast` one ray, or swept box, among boxes that move; instead of axes, faces of
+    `meet_box`.
+    """
+    ray, fronts = course.ray, stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
+    path = path_at(tree, moving, course, asked.t_max, asked.mask, fronts)
+    return cast(
+        moving.nodes,
+        tree.state[ROOT],
+        path,
+        0,
+        asked,
+        found,
+        filled,
+        enter_bounds,
+        _decide,
+        _precedes,
+    )
 
 
 @inlined
@@ -191,7 +197,7 @@ def cast_one(tree, moving, swept, asked, times, place):
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     handle, t = np.int64(NONE), np.inf
-    if cast(tree, moving, course, asked, Found(slots, ts, faces), 0) > 0:
+    if raycast_at(tree, moving, course, asked, Found(slots, ts, faces), 0) > 0:
         handle, t = tree.handles[slots[0]], ts[0]
         if asked.mode == CLOSEST:
             locate(box_of(tree, moving, slots[0]), course, t, faces[0], place[0], place[1])
@@ -226,7 +232,7 @@ def cast_rows(tree, moving, casts, offsets, found, first):
             break
         set_swept_box(ray, lo, hi, direction)
         asked = Asked(t_max, mask, casts.skip_inside, casts.mode)
-        end = cast(tree, moving, course, asked, found, offsets[done])
+        end = raycast_at(tree, moving, course, asked, found, offsets[done])
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
@@ -240,26 +246,18 @@ def cast_rows(tree, moving, casts, offsets, found, first):
 @lean_kernel
 def describe_rows(tree, moving, casts, offsets, found, places):
     """Bring the hits of each row, sorted by computed distance, into the order of the exact one,
-    then of handles; each t becomes the largest up to it. Points and normals go to `places`.
+    see `sort_hits`. Points and normals go to `places`.
     """
-    slots, ts, faces = found.slots, found.ts, found.axes
+    ts, faces = found.ts, found.axes
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(casts.lo.shape[0]):
         set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
         course = course_of(ray, of_row(casts.at, i), of_row(casts.pace, i), moving)
-        for j in range(offsets[i] + 1, offsets[i + 1]):
-            hit, place = (slots[j], ts[j], faces[j]), j
-            while place > offsets[i] and is_before(
-                *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], faces[place - 1])
-            ):
-                slots[place], ts[place] = slots[place - 1], ts[place - 1]
-                faces[place] = faces[place - 1]
-                place -= 1
-            slots[place], ts[place], faces[place] = hit
+        start, end = offsets[i], offsets[i + 1]
+        hits = Found(found.slots[start:end], ts[start:end], faces[start:end])
+        sort_hits_at(tree, moving, course, hits, end - start)
         for j in range(offsets[i], offsets[i + 1]):
-            if j > offsets[i]:
-                ts[j] = max(ts[j], ts[j - 1])
-            box = box_of(tree, moving, slots[j])
+            box = box_of(tree, moving, found.slots[j])
             locate(box, course, ts[j], faces[j], places.points[j], places.normals[j])
 
 

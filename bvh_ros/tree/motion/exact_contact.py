@@ -505,20 +505,19 @@ def distance_of(box, course, face):
 
 @lean_kernel
 def is_before(tree, moving, course, hit, other):
-    """Whether the first of two hits of a course, each (slot, t, face), is the nearer, or as near
-    with the smaller handle.
+    """Whether the first of two hits of a course, `query.ray.Hit` with faces for axes, is the
+    nearer, or as near with the smaller handle.
     """
-    (slot, t, face), (other_slot, other_t, other_face) = hit, other
-    box, other_box = box_of(tree, moving, slot), box_of(tree, moving, other_slot)
-    seen, face = as_met(box, course, face)
-    other_seen, other_face = as_met(other_box, course, other_face)
+    box, other_box = box_of(tree, moving, hit.slot), box_of(tree, moving, other.slot)
+    seen, face = as_met(box, course, hit.axis)
+    other_seen, other_face = as_met(other_box, course, other.axis)
     order = np.int64(face != INSIDE) - np.int64(other_face != INSIDE)
     if face != INSIDE and other_face != INSIDE:
         times, other_times = (seen.at, seen.pace), (other_seen.at, other_seen.pace)
         side = side_of(box, seen, face)
         other_side = side_of(other_box, other_seen, other_face)
-        order = compare(course, t, side, times, other_t, other_side, other_times)
-    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
+        order = compare(course, hit.t, side, times, other.t, other_side, other_times)
+    return order < 0 or (order == 0 and tree.handles[hit.slot] < tree.handles[other.slot])
 
 
 # Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be

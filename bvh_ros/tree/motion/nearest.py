@@ -27,6 +27,7 @@ from ..query.nearest import (
     pruning_limit,
     visit_nearest,
     visit_packet,
+    within,
 )
 from ..query.ray import of_row
 from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
@@ -163,11 +164,14 @@ def near_at(moving, at, low, high, k, reach, mask):
 
 
 @inlined
-def _square(nodes, node, query):
+def _square(nodes, node, query, limit):
+    if nodes[node].mask & query.mask == 0:
+        return np.inf
     fetch_children(nodes, node)
     if not query.box.bounded:
         return 0.0
-    return square_beside(nodes, node, query.box.fronts, query.box.ahead)
+    square = square_beside(nodes, node, query.box.fronts, query.box.ahead)
+    return within(square, limit)
 
 
 @inlined

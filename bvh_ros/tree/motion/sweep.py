@@ -53,7 +53,7 @@ from ..batch.streams import (
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
 from ..entries import entry_points
 from ..nodes import NONE, Tree, aligned_empty
-from ..query.ray import ANY, CLOSEST, NO_HITS, of_row
+from ..query.ray import ANY, CLOSEST, NO_HITS, Hit, of_row
 from ..query.slab import EXACT, INSIDE, RAY_ROWS, set_ray
 from ..results import RayHits
 from ..simd.float32x16 import stream16
@@ -520,7 +520,7 @@ def _is_better(tree, course, rays, row, slot, best):
     if better and best[0] != NONE:
         best_t = distance_of(box_of(tree, rays.moving, best[0]), course, best[2])
         better = is_before(
-            *(tree, rays.moving, course, (slot, t, face)), (best[0], best_t, best[2])
+            tree, rays.moving, course, Hit(slot, t, face), Hit(best[0], best_t, best[2])
         )
     return better, t, face
 

@@ -15,7 +15,7 @@ from .. import checks
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, View, is_leaf, leaf_box
+from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, leaf_box
 from ..results import RayHits
 from ..store.turns import (
     ANY_VERSION,
@@ -30,9 +30,7 @@ from .slab import (
     EXACT,
     INSIDE,
     ORIGIN,
-    PAD,
     RAY_ROWS,
-    TINY,
     compare_hits,
     intersect_exact,
     intersect_node,
@@ -42,6 +40,7 @@ from .slab import (
     set_swept_box,
     traversal_distance,
 )
+from .traversal import Stack, next_leaf, push_root
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -94,51 +93,57 @@ class Hit(NamedTuple):
     axis: int
 
 
+class Path(NamedTuple):
+    """A ray, or a swept box, among boxes at rest."""
+
+    tree: Tree
+    ray: NDArray[np.float64]
+    """See `slab`."""
+    mask: np.uint32
+    wide: bool
+    """See `slab.prepare_ray`."""
+
+
 @inlined
 def of_row(values, i):
     """The value of row i; where there is but one, it is for all."""
     return values[i if values.shape[0] > 1 else 0]
 
 
-@lean_kernel
-def raycast(tree, ray, asked, found, filled):
-    """Cast one ray (see `slab`), `asked` as of `Asked`, and write its hits to `found` from
-    `filled` on; return where the next would go.
+# ---- one ray
+
+
+@inlined
+def cast(nodes, root, path, scale, asked, found, filled, enter, decide, precedes):
+    """Write the hits of a path, `asked` as of `Asked`, to `found` from `filled` on; return where
+    the next would go.
 
     CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return
     beyond the arrays' end says how large they should have been: what did not fit is counted, not
     written.
+
+    `enter` is as of `next_leaf`, in units of 2**scale. decide(path, slot, t_max) is (hit, t, axis)
+    of a leaf. precedes(path, hit, other) says which of two `Hit`s comes first.
     """
-    nodes, root, mask = tree.nodes, tree.state[ROOT], asked.mask
     slots, ts, axes = found.slots, found.ts, found.axes
-    if root == NONE or nodes[root].mask & mask == 0:
-        return filled
-    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    limit = traversal_distance(asked.t_max, scale)
-    begin, best = filled, np.int64(NONE)
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], top = root, 1
-    entries[0] = intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide)
+    begin, limit = filled, traversal_distance(asked.t_max, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
-        top -= 1
-        if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
-            continue
-        node, top = descend(nodes, ray, limit, wide, mask, stack, entries, top)
-        if node == NONE:
-            continue
-        lo, hi = leaf_box(nodes, tree.tight, node)
-        hit, t, axis = intersect_exact(lo, hi, ray, asked.t_max)
+        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter)
+        if leaf == NONE:
+            break
+        slot = leaf >> 1
+        hit, t, axis = decide(path, slot, asked.t_max)
         if not hit or (asked.skip_inside and axis == INSIDE):
             continue
-        slot = np.int64(node >> 1)
         place = filled
         if asked.mode == CLOSEST:
-            if best != NONE and not is_before(
-                tree, ray, (slot, t, axis), (best, ts[begin], axes[begin])
+            if filled > begin and not precedes(
+                path, Hit(slot, t, axis), Hit(slots[begin], ts[begin], axes[begin])
             ):
                 continue
-            best, place = slot, begin
-            limit = traversal_distance(t, scale)
+            place, limit = begin, traversal_distance(t, scale)
         if place < slots.shape[0]:
             slots[place], ts[place], axes[place] = slot, t, axis
         filled = place + 1
@@ -148,59 +153,62 @@ def raycast(tree, ray, asked, found, filled):
 
 
 @inlined
-def descend(nodes, ray, limit, wide, mask, stack, entries, top):
-    """Follow the nearer child from the node stack[top] down to a leaf, putting the others on the
-    stack: (leaf or NONE, top of the stack).
-    """
-    node = stack[top]
-    while not is_leaf(node):
-        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        first_entry, second_entry = np.inf, np.inf
-        if nodes[first].mask & mask != 0:
-            first_entry = intersect_node(nodes[first].lo, nodes[first].hi, ray, limit, wide)
-        if nodes[second].mask & mask != 0:
-            second_entry = intersect_node(nodes[second].lo, nodes[second].hi, ray, limit, wide)
-        if second_entry < first_entry:
-            first, second = second, first
-            first_entry, second_entry = second_entry, first_entry
-        if first_entry == np.inf:
-            return np.int64(NONE), top
-        if second_entry < np.inf:
-            stack[top], entries[top] = second, second_entry
-            top += 1
-        node = first
-    return node, top
+def enter_box(nodes, node, path, limit):
+    """`intersect_node` of a node that the mask of a `Path` selects."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    return intersect_node(nodes[node].lo, nodes[node].hi, path.ray, limit, path.wide)
+
+
+@inlined
+def decide_box(path, slot, t_max):
+    lo, hi = leaf_box(path.tree.nodes, path.tree.tight, 2 * slot)
+    return intersect_exact(lo, hi, path.ray, t_max)
+
+
+@inlined
+def precedes(path, hit, other):
+    return is_before(path.tree, path.ray, hit, other)
+
+
+@lean_kernel
+def raycast(tree, ray, asked, found, filled):
+    """`cast` one ray, or swept box (see `slab`), among boxes at rest."""
+    nodes, root = tree.nodes, tree.state[ROOT]
+    if root == NONE:
+        return filled
+    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
+    path = Path(tree, ray, asked.mask, wide)
+    return cast(nodes, root, path, scale, asked, found, filled, enter_box, decide_box, precedes)
 
 
 @lean_kernel
 def is_before(tree, ray, hit, other):
-    """Whether the first of two hits of a ray, each (slot, t, axis), is the nearer, or as near with
-    the smaller handle.
+    """Whether the first of two `Hit`s of a ray is the nearer, or as near with the smaller
+    handle.
     """
-    (slot, t, axis), (other_slot, other_t, other_axis) = hit, other
-    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-    other_lo, other_hi = leaf_box(tree.nodes, tree.tight, 2 * other_slot)
-    order = compare_hits(ray, lo, hi, (t, axis), other_lo, other_hi, (other_t, other_axis))
-    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
+    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * hit.slot)
+    other_lo, other_hi = leaf_box(tree.nodes, tree.tight, 2 * other.slot)
+    one, another = (hit.t, hit.axis), (other.t, other.axis)
+    order = compare_hits(ray, lo, hi, one, other_lo, other_hi, another)
+    return order < 0 or (order == 0 and tree.handles[hit.slot] < tree.handles[other.slot])
 
 
 @inlined
-def sort_hits(tree, ray, found, start, end):
-    """Bring the hits [start, end) of a ray into the order of the exact distance, then of handles.
+def sort_hits(path, found, start, end, precedes):
+    """Bring the hits [start, end) of a path into the order of the exact distance, then of handles.
     Each t then becomes the largest up to it: within 2 ulp still, and never falling.
     """
     slots, ts, axes = found.slots, found.ts, found.axes
-    if end - start > FEW_HITS:
-        sort_roughly(tree.handles, found, start, end)
     for i in range(start + 1, end):
-        hit, place = (slots[i], ts[i], axes[i]), i
-        while place > start and is_before(
-            tree, ray, hit, (slots[place - 1], ts[place - 1], axes[place - 1])
+        hit, place = Hit(slots[i], ts[i], axes[i]), i
+        while place > start and precedes(
+            path, hit, Hit(slots[place - 1], ts[place - 1], axes[place - 1])
         ):
             slots[place], ts[place] = slots[place - 1], ts[place - 1]
             axes[place] = axes[place - 1]
             place -= 1
-        slots[place], ts[place], axes[place] = hit
+        slots[place], ts[place], axes[place] = hit.slot, hit.t, hit.axis
     for i in range(start + 1, end):
         ts[i] = max(ts[i], ts[i - 1])
 
@@ -253,7 +261,9 @@ def raycast_every_row(tree, version, asked, named, offsets, room, before):
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
-        sort_hits(tree, ray, found, start, end)
+        if end - start > FEW_HITS:
+            sort_roughly(tree.handles, found, start, end)
+        sort_hits(Path(tree, ray, mask, False), found, start, end, precedes)
         if named:
             for i in range(start, end):
                 found.slots[i] = tree.handles[found.slots[i]]
