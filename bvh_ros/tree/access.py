@@ -3,7 +3,7 @@
 """What the rest of the package uses of the tree; all else is private to it."""
 
 from . import box_checks, checks, plotting
-from .batch.single import STACK, cast_few, child_of, few_entry, push_children, push_loose
+from .batch.single import STACK, cast_few, few_entry, next_wide_leaf, push_loose
 from .batch.snapshot import (
     FARTHEST_ORIGIN,
     LOOSE_NODES,
@@ -17,7 +17,7 @@ from .batch.snapshot import (
     planning_entry,
     start_ray,
 )
-from .batch.streams import ALL32, FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
+from .batch.streams import FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
 from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
 from .dynamic_bvh import DynamicBVH
 from .entries import entry_points
@@ -76,7 +76,6 @@ from .query.slab import (
 from .query.traversal import Stack, next_leaf, push_root
 from .query.within import boxes_within
 from .results import RayHits
-from .simd.float32x16 import seen16, stream16
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

@@ -50,6 +50,7 @@ from .query import (
     MINUTE,
     SWEEP_SLACK,
     Candidates,
+    Caster,
     Query,
     candidates,
     slack_of,
@@ -185,7 +186,7 @@ def find_candidates(world, segment, query, room):
     scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
     set_ray(scratch.ray, *segment)
     query = Query(query.radius, slack_of(world, scratch.ray, query.radius), *query[2:])
-    return candidates(world, None, segment, query, scratch, room)
+    return candidates(Caster(world, query, scratch), None, segment, room)
 
 
 def cast_ball(

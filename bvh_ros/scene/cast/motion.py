@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import (
-    DEEPEST,
     INSIDE,
     LARGEST,
     NONE,
@@ -27,11 +26,8 @@ from ...tree.access import (
     RAY_ROWS,
     ROOT,
     Found,
-    Stack,
     end_query,
-    next_leaf,
     of_row,
-    push_root,
     set_ray,
     set_swept_box,
 )
@@ -62,7 +58,7 @@ from ..store import Obstacles, most_growth
 from .arguments import SCRATCH, BoxHit, CastWorld, Sweep, code_for, scratch_in, too_long
 from .batch import RowHits
 from .boxes import segment_between
-from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch
+from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
 from .shapes import COORDINATES, FRAME_SLACK
 
 HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
@@ -100,6 +96,14 @@ class Cast(NamedTuple):
     rays: TimedRays
     node_handles: Any
     scratch: Any
+
+
+class CasterAt(NamedTuple):
+    """One ray or ball at a time, as visitors see it."""
+
+    cast: Cast
+    row: Any
+    course: Any
 
 
 class FirstHits(NamedTuple):
@@ -232,7 +236,7 @@ def fetch(tree, moving, geometry, footprints, slot):
         prefetch(footprints[0], slot, 2)
 
 
-# ---- visitors: (what is kept so far, how far the walk goes on) after one more leaf
+# ---- visitors: (the hits so far, the t up to which the walk goes on) after one more leaf
 
 
 @inlined
@@ -241,10 +245,10 @@ def no_first_hits():
 
 
 @inlined
-def update_first_hit(cast, i, course, room, slot, first):
+def update_first_hit(caster, room, slot, first):
     """The `FirstHits` of a ray."""
+    (cast, i, course), (box, other, stopped) = caster, first
     contact = meet_obstacle(cast, i, course, slot)
-    box, other, stopped = first
     if contact.hit and contact.kind == EXACT_BOX:
         hit = TreeHit(slot, contact.t, contact.feature)
         before = TreeHit(box.slot, box.t, box.feature)
@@ -257,17 +261,17 @@ def update_first_hit(cast, i, course, room, slot, first):
         if nearer:
             other = Hit(slot, contact.t, contact.feature)
             stopped = contact.kind == STOPPED
-    return FirstHits(box, other, stopped), min(box.t, other.t)
+    return FirstHits(box, other, stopped), min(box.t, other.t, of_row(cast.rays.t_max, i))
 
 
 @inlined
-def add_hit(cast, i, course, room, slot, count):
+def add_hit(caster, room, slot, count):
     """How many hits there are; those that `room`, an `EveryHit`, has place for are written."""
-    contact = meet_obstacle(cast, i, course, slot)
+    contact = meet_obstacle(caster.cast, caster.row, caster.course, slot)
     if contact.hit and count < room.slots.shape[0]:
         room.slots[count], room.ts[count] = slot, contact.t
         room.features[count], room.kinds[count] = contact.feature, contact.kind
-    return count + contact.hit, np.inf
+    return count + contact.hit, of_row(caster.cast.rays.t_max, caster.row)
 
 
 # ---- the walk
@@ -284,25 +288,20 @@ def reach_of(rays, i):
 
 
 @inlined
-def walk_moving(cast, i, course, room, kept, visit):
-    """Hand the leaves that a ray may meet to a visitor; return what it keeps, `kept` at first."""
-    rays, nodes, fronts = cast.rays, cast.moving.nodes, stack_array(FRONTS, np.float64)
+def walk_moving(caster, room, found, visit):
+    """`walk_nodes` of a ray or ball at a time."""
+    cast, i, course = caster
+    rays, moving, fronts = cast.rays, cast.moving, stack_array(FRONTS, np.float64)
     corners, more = stack_array((2, 3), np.float64), reach_of(rays, i)
     for axis in range(rays.origins.shape[1]):
         corners[0, axis] = rays.origins[i, axis] - more
         corners[1, axis] = rays.origins[i, axis] + more
-    set_fronts(fronts, cast.moving, corners[0], corners[1], rays.directions[i])
-    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    limit = of_row(rays.t_max, i)
-    path = path_at(cast.tree, cast.moving, course, limit, of_row(rays.masks, i), fronts)
-    top = push_root(nodes, cast.world.root, path, limit, stack, enter_bounds)
-    while top > 0:
-        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter_bounds)
-        if leaf == NONE:
-            break
-        kept, t = visit(cast, i, course, room, np.int64(leaf >> 1), kept)
-        limit = min(limit, t)
-    return kept
+    set_fronts(fronts, moving, corners[0], corners[1], rays.directions[i])
+    t_max = of_row(rays.t_max, i)
+    path = path_at(cast.tree, moving, course, t_max, of_row(rays.masks, i), fronts)
+    return walk_nodes(
+        moving.nodes, cast.world.root, path, 0, t_max, enter_bounds, caster, room, found, visit
+    )
 
 
 # ---- where hits are
@@ -381,7 +380,8 @@ def first_rows(shapes, tree, moving, rays, node_handles, hits):
         if covers(moving, course.at, course.pace, of_row(rays.t_max, i)) == 0:
             why = np.int64(OUTSIDE)
             break
-        first = walk_moving(cast, i, course, 0, no_first_hits(), update_first_hit)
+        caster = CasterAt(cast, i, course)
+        first = walk_moving(caster, 0, no_first_hits(), update_first_hit)
         write_first_hit(cast, i, course, first, hits)
     end_query(tree.state)
     return why
@@ -423,7 +423,7 @@ def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
     course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
     count = np.int64(OUTSIDE)
     if covers(moving, course.at, course.pace, rays.t_max[0]) != 0:
-        count = walk_moving(cast, 0, course, hits, np.int64(0), add_hit)
+        count = walk_moving(CasterAt(cast, 0, course), hits, np.int64(0), add_hit)
     end_query(tree.state)
     return count
 

@@ -84,6 +84,7 @@ from .batch import RowHits
 from .motion import (
     BOXES_ONLY,
     Cast,
+    CasterAt,
     FirstHits,
     TimedRays,
     cast_of,
@@ -310,7 +311,7 @@ def flush_deferred(tree, stream, rows, group, tally):
         slot, place = pairs[j] >> 32, pairs[j] & 0xFFFFFFFF
         i, before, record = rows[place], first_hits_at(group, place), group.records[place]
         course = course_of_row(rays, i, cast.moving, ray)
-        first, t = update_first_hit(cast, i, course, 0, slot, before)
+        first, t = update_first_hit(CasterAt(cast, i, course), 0, slot, before)
         write(first.box, group.boxes, place)
         write(first.other, group.others, place)
         group.stopped[place] = first.stopped
