@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import (
+    CLOSEST,
     INSIDE,
     LARGEST,
     NONE,
@@ -27,9 +28,11 @@ from ...tree.access import (
     ROOT,
     Found,
     end_query,
+    entry_points,
     of_row,
     set_ray,
     set_swept_box,
+    slot_of,
 )
 from ...tree.access import Hit as TreeHit
 from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
@@ -38,6 +41,7 @@ from ...tree.motion.access import (
     OUTSIDE,
     begin_asking,
     box_of,
+    cast_one,
     course_of,
     covers,
     elapsed,
@@ -47,6 +51,7 @@ from ...tree.motion.access import (
     meet_box,
     moments_of,
     moves,
+    no_motion,
     path_at,
     set_fronts,
     sort_hits_at,
@@ -388,10 +393,25 @@ def first_rows(shapes, tree, moving, rays, node_handles, hits):
 
 
 @lean_kernel
-def first_segment(shapes, tree, moving, ends, ball, when, node_handles, place):
-    """`first_rows` of one row, ends = (start, goal), ball as of `first_of_one`, when = (at, pace):
-    (slot, t), and its point and normal as the rows of `place`. Instead of a slot NONE, NOT_FINITE,
-    OUTSIDE or REFUSED.
+def first_box(tree, moving, start, goal, mask, skip_inside, when, place):
+    """The first box from `start` to `goal`, when = (at, pace): (slot, t), and its point and normal
+    as the rows of `place`; instead of a slot what `cast_one` says.
+    """
+    direction, ndim = stack_array(3, np.float64), moving.kept[0].velocity.shape[0]
+    if not segment_between(start, goal, direction, place):
+        return np.int64(NOT_FINITE), np.inf
+    swept, query = (
+        (start[:ndim], start[:ndim], direction[:ndim]),
+        (1.0, mask, skip_inside, CLOSEST),
+    )
+    handle, t = cast_one(tree, moving, swept, query, when, place)
+    return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
+
+
+@lean_kernel
+def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
+    """`first_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, rate,
+    grown), when = (at, pace): as `first_box`.
     """
     (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
     ndim, direction = moving.kept[0].velocity.shape[0], stack_array(3, np.float64)
@@ -457,24 +477,22 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside), when = (at, pace).
     """
-    tree, motion = store.tree, store.tree.motion
-    shapes, rate, grown = store.columns.shapes, store.uncertainty, 0.0
-    if rate:
-        at = np.array([when[0]])
-        grown = float(np.max(most_growth(store, at, at + when[1])))
-    elif ball[0] == 0.0 and not store.columns.shaped:
-        shapes = BOXES_ONLY
-    place, moment = np.empty((2, 3)), when[1] == 0.0
-    given = ends, (*ball, rate, grown), when, store.columns.node_handle, place
-    moving: Any = motion.bounds if moment else motion.moving  # type: ignore[union-attr]
-    arrays = tree.view().tree
-    code = code_for(first_segment, shapes, (shapes, arrays, moving, *given), tree.ndim)
-    slot, t = code(shapes, arrays, moving, *given)
-    while slot < NONE:
-        if slot == NOT_FINITE:
-            raise too_long(*ends)
-        moving = motion.others(tree, moving, slot, span_of(*when, 1.0), moment)  # type: ignore[union-attr]
-        slot, t = code(shapes, tree.view().tree, moving, *given)
+    tree, columns, place = store.tree, store.columns, np.empty((2, 3))
+    given: tuple[Any, ...]
+    if ball[0] == 0.0 and not (columns.shaped or store.uncertainty):
+        code, given = _box_entry(tree.ndim), (*ends, *ball[1:], when, place)
+    else:
+        grown = 0.0
+        if store.uncertainty:
+            at = np.array([when[0]])
+            grown = float(np.max(most_growth(store, at, at + when[1])))
+        grown_ball = *ball, store.uncertainty, grown
+        given = columns.shapes, ends, grown_ball, when, columns.node_handle, place
+        arrays = tree.view().tree, tree.motion.moving  # type: ignore[union-attr]
+        code = code_for(first_segment, columns.shapes, (*arrays, *given), tree.ndim)
+    slot, t = tree.motion.ask_path(tree, code, given, *when, 1.0)  # type: ignore[union-attr]
+    if slot == NOT_FINITE:
+        raise too_long(*ends)
     if tree.ndim == 2:
         place[0, 2] = ends[0][2]
     return None if slot == NONE else (slot, t, place[0], place[1])
@@ -526,3 +544,9 @@ def cast_every(
         *(hits.slots[order].tolist(), hits.ts[order].tolist(), points[order], normals[order]),
         strict=True,
     )
+
+
+_POINT = np.empty(3)
+_box_entry = entry_points(
+    first_box, no_motion, _POINT, _POINT, np.uint32(0), False, (0.0, 0.0), np.empty((2, 3))
+)

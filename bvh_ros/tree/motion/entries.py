@@ -291,15 +291,24 @@ class MotionRays(Motion):
         at, pace = times
         if not (type(at) is type(pace) is float):
             times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
-        kernel, moving = one_entry(tree._ndim), self.moving if pace else self.bounds
-        handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
-        while handle < NONE and handle != NOT_FINITE:
-            span = span_of(at, pace, asked[0])
-            moving = self.others(tree, moving, handle, span, pace == 0.0)
-            handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
+        given = swept, asked, times, place
+        handle, t = self.ask_path(tree, one_entry(tree._ndim), given, at, pace, asked[0])
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)
             time_checks.moments('pace', pace, None)
+        return handle, t
+
+    def ask_path(
+        self, tree: Any, kernel: Any, given: tuple[Any, ...], at: float, pace: float, t_max: float
+    ) -> tuple[int, float]:
+        """What a kernel of one path returns, with bounds that hold for its times: (handle, t), or
+        NONE or NOT_FINITE for a handle.
+        """
+        moving = self.moving if pace else self.bounds
+        handle, t = kernel(tree._settled().tree, moving, *given)
+        while handle < NONE and handle != NOT_FINITE:
+            moving = self.others(tree, moving, handle, span_of(at, pace, t_max), pace == 0.0)
+            handle, t = kernel(tree._settled().tree, moving, *given)
         return handle, t
 
     def every_ray(
