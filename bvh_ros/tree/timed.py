@@ -92,7 +92,7 @@ class Timed(Arrays):
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         told = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
-            told = self._motion.told_to(view.tree.handles, slots)
+            told = self._motion.velocities_of(view.tree.handles, slots)
         self.check_unchanged(view)
         return told
 

@@ -72,7 +72,7 @@ EXACT_BOX, GOING, STOPPED = range(3)  # how a hit was decided: by the tree, in w
 BOXES_ONLY = None, None  # instead of `Columns.shapes`, where the tree decides all
 
 
-class TimedRays(NamedTuple):
+class TimedBalls(NamedTuple):
     """n rays, or balls, at a time. A column of one row is one for all."""
 
     origins: Any
@@ -98,7 +98,7 @@ class Cast(NamedTuple):
     world: Any
     tree: Any
     moving: Any
-    rays: TimedRays
+    rays: TimedBalls
     node_handles: Any
     scratch: Any
 
@@ -233,7 +233,7 @@ def ray_in_stopped_frame(rays, i, box, left, ray):
 @inlined
 def fetch(tree, moving, geometry, footprints, slot):
     """Ask for the memory that `meet_obstacle` reads of most obstacles."""
-    prefetch(moving.kept, slot, 1)
+    prefetch(moving.velocities, slot, 1)
     prefetch(tree.handles, slot, 1)
     if geometry is not None:
         prefetch(geometry[0], slot, 2)
@@ -370,7 +370,7 @@ def _touch_moving(cast, i, hit, stopped, point, normal):
 
 @lean_kernel
 def first_rows(shapes, tree, moving, rays, node_handles, hits):
-    """Write the first hit of each of the `TimedRays` to `RowHits`; shapes as of `Columns.shapes`,
+    """Write the first hit of each of the `TimedBalls` to `RowHits`; shapes as of `Columns.shapes`,
     or BOXES_ONLY. Returns 0, OUTSIDE or REFUSED.
     """
     count = rays.origins.shape[0]
@@ -397,7 +397,7 @@ def first_box(tree, moving, start, goal, mask, skip_inside, when, place):
     """The first box from `start` to `goal`, when = (at, pace): (slot, t), and its point and normal
     as the rows of `place`; instead of a slot what `cast_one` says.
     """
-    direction, ndim = stack_array(3, np.float64), moving.kept[0].velocity.shape[0]
+    direction, ndim = stack_array(3, np.float64), moving.velocities[0].velocity.shape[0]
     if not segment_between(start, goal, direction, place):
         return np.int64(NOT_FINITE), np.inf
     swept, query = (
@@ -414,13 +414,13 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
     grown), when = (at, pace): as `first_box`.
     """
     (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
-    ndim, direction = moving.kept[0].velocity.shape[0], stack_array(3, np.float64)
+    ndim, direction = moving.velocities[0].velocity.shape[0], stack_array(3, np.float64)
     if not segment_between(start, goal, direction, place):
         return np.int64(NOT_FINITE), np.inf
     numbers, masks = stack_array((5, 1), np.float64), stack_array(1, np.uint32)
     numbers[0, 0], numbers[1, 0], numbers[2, 0] = 1.0, radius, grown
     numbers[3, 0], numbers[4, 0], masks[0] = when[0], when[1], mask
-    rays = TimedRays(
+    rays = TimedBalls(
         *(start[:ndim].reshape(1, ndim), direction[:ndim].reshape(1, ndim), numbers[0], masks),
         *(numbers[1], numbers[3], numbers[4], numbers[2], rate, skip_inside),
     )
@@ -432,7 +432,7 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
 
 @lean_kernel
 def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
-    """Write all hits of one of the `TimedRays` to an `EveryHit`, in no order; return how many
+    """Write all hits of one of the `TimedBalls` to an `EveryHit`, in no order; return how many
     there are, which may be more than fit; or OUTSIDE or REFUSED.
     """
     why = begin_asking(tree, moving, moments_of(rays.pace, 1))
@@ -513,7 +513,7 @@ def cast_every(
         grown = np.atleast_1d(most_growth(store, at, at + pace))
     masks, radii = np.array([sweep.mask]), np.array([sweep.radius])
     parts = np.ones(1), masks, radii, at, pace, grown, store.uncertainty, sweep.skip_inside
-    rays, begun, room, count = TimedRays(*segment, *parts), tree.view(), 0, 16
+    rays, begun, room, count = TimedBalls(*segment, *parts), tree.view(), 0, 16
 
     def ask(arrays: Any, moving: Any) -> Any:
         given = shapes, arrays, moving, rays, columns.node_handle, hits

@@ -338,7 +338,7 @@ def grow(node, radius, box):
 
 
 class GrownPath(NamedTuple):
-    """A ray or ball on its way through the nodes of the tree."""
+    """A ray or ball among the nodes of the tree."""
 
     ray: Any
     box: Any

@@ -93,7 +93,7 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
     """The next leaf that a ray may meet within the limit of its record, the one at place[0]:
     (slot or NONE, top).
     """
-    nearest, met = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
+    nearest, hit_lanes = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
     record = records[place[0]]
     limit, octant = bits_of(record.limit), np.uint64(record.octant)
     while top > 0:
@@ -103,7 +103,7 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
         node = child_of(stack[top])
         if node < 0:
             return ~node, top
-        lanes = stream16(snapshot.planes, node, octant, records, place, met, nearest)
+        lanes = stream16(snapshot.planes, node, octant, records, place, hit_lanes, nearest)
         if mask != ALL32:
             lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
         top = push_children(snapshot, node, lanes, nearest, stack, top)
@@ -111,16 +111,16 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
 
 
 @lean_kernel
-def cast_few(tree, version, snapshot, asked, hits):
-    """As `raycasting.cast_rows`, asked = what a `Rays` holds, which Python makes slowly. REFUSED,
-    too, where a snapshot that nothing was added to is not of the tree as it is.
+def cast_few(tree, version, snapshot, given, hits):
+    """As `streams.cast_rows`, given = a plain tuple of the fields of `Rays`. REFUSED, too, where a
+    snapshot that nothing was added to is not of the tree as it is.
     """
     if not begin_batch(tree, version, snapshot):
         return np.int64(REFUSED)
     ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
     records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
-    places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
-    rays = Rays(*asked)
+    places, hit_lanes = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
+    rays = Rays(*given)
     nearest, whole = stack_array((ABREAST, WIDTH), np.int32), stack_array(CORNERS, np.float64)
     count, row, exact = rays.origins.shape[0], np.int64(0), np.int64(0)
     fill_whole(tree, whole)
@@ -134,13 +134,13 @@ def cast_few(tree, version, snapshot, asked, hits):
             continue
         for i in range(alive):
             places[i] = i
-        stream16(snapshot.planes, 0, MIXED, records, places[:alive], met, nearest)
+        stream16(snapshot.planes, 0, MIXED, records, places[:alive], hit_lanes, nearest)
         for i in range(alive):
             ray[EXACT, 0] = 0.0
-            seen = places[i : i + 1], met[i], nearest[i : i + 1]
+            at_root = places[i : i + 1], hit_lanes[i], nearest[i : i + 1]
             room = ray, records, stack
             hit = cast_through(
-                snapshot, tree, rays, rows[i], seen, room, set_inverse, better_of_row
+                snapshot, tree, rays, rows[i], at_root, room, set_inverse, better_of_row
             )
             if hit[0] != NONE:
                 write_hit(tree, ray, rays, rows[i], hit, hits)
@@ -184,12 +184,12 @@ def better_of_row(tree, ray, rays, row, slot, best):
 
 
 @inlined
-def cast_through(snapshot, tree, rays, row, seen, room, prepare, better):
-    """Best hit of a ray, or any: (slot, about t, axis); `seen`: its place, and what it meets of
-    the root, see `stream16`; room = (ray, records, stack), and `prepare` is called to write the
-    ray before `better` may read it.
+def cast_through(snapshot, tree, rays, row, at_root, room, prepare, better):
+    """Best hit of a ray, or any: (slot, about t, axis); at_root = (its place, the children of the
+    root that it meets, where), see `stream16`; room = (ray, records, stack), and `prepare` is
+    called to write the ray before `better` may read it.
     """
-    (place, lanes, nearest), (ray, records, stack) = seen, room
+    (place, lanes, nearest), (ray, records, stack) = at_root, room
     record, mask, t_max = records[place[0]], of_row(rays.masks, row), of_row(rays.t_max, row)
     best, best_t, best_axis = np.int64(NONE), t_max, np.int64(INSIDE)
     patched, ready = snapshot.loose > 0, False

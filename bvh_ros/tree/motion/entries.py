@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What rays and swept boxes meet in a tree whose boxes move. Arguments are those of the tree's
-methods of the same names, which hand them on.
+"""Rays and swept boxes among boxes that move. Arguments are those of the tree's methods of the
+same names.
 """
 
 import functools
@@ -21,8 +21,8 @@ from ..query.ray import (
     ANY,
     CLOSEST,
     EVERY,
-    Asked,
     Found,
+    RayOptions,
     cast,
     more_room,
     of_row,
@@ -36,15 +36,15 @@ from ..simd.moving_sides import FRONTS
 from ..store.turns import NOT_FINITE, accepted, count_rays, end_query
 from ..store.workers import in_threads
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, no_motion, set_fronts
-from .exact_contact import as_met, box_of, course_of, elapsed, is_before, meet_box
+from .exact_contact import box_of, course_of, elapsed, is_before, meet_box, phase_at_hit
 from .state import Motion, both_times, span_of, times_of
-from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, RaysThen, Sweep, cast_swept, few_entry
+from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, Sweep, TimedRays, cast_swept, few_entry
 
 Floats = NDArray[np.float64]
 
 
 class Casts(NamedTuple):
-    """What is asked for."""
+    """n rays or swept boxes, at times."""
 
     lo: Floats
     """Shape (n, ndim), as hi and the directions; a ray has both at its origin."""
@@ -120,19 +120,19 @@ def sort_hits_at(tree, moving, course, found, count):
 
 
 @lean_kernel
-def raycast_at(tree, moving, course, asked, found, filled):
+def raycast_at(tree, moving, course, options, found, filled):
     """`query.ray.cast` one ray, or swept box, among boxes that move; instead of axes, faces of
     `meet_box`.
     """
     ray, fronts = course.ray, stack_array(FRONTS, np.float64)
     set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
-    path = path_at(tree, moving, course, asked.t_max, asked.mask, fronts)
+    path = path_at(tree, moving, course, options.t_max, options.mask, fronts)
     return cast(
         moving.nodes,
         tree.state[ROOT],
         path,
         0,
-        asked,
+        options,
         found,
         filled,
         enter_bounds,
@@ -158,36 +158,35 @@ def locate(box, course, t, face, point, normal):
     touch the closest to the centre of what is swept, in the box as it is then, on the face met.
     """
     lo, hi, velocity, reference = box
-    seen, face = as_met(box, course, face)
-    since = elapsed(seen.at, reference, seen.nanoseconds)[0]
-    if seen.pace != 0.0:
-        since += t * seen.pace
+    phase, face = phase_at_hit(box, course, face)
+    since = elapsed(phase.at, reference, phase.nanoseconds)[0]
+    if phase.pace != 0.0:
+        since += t * phase.pace
     for k in range(lo.shape[0]):
         low, high = course.ray[ORIGIN, k], course.ray[UPPER, k]
         normal[k], point[k] = 0.0, low * 0.5 + high * 0.5
         if face == INSIDE and low == high:
             continue
-        way = velocity[k] * since
+        shift = velocity[k] * since
         if face != INSIDE and k == face >> 1:
-            point[k], normal[k] = (lo[k] + way, -1.0) if face & 1 == 0 else (hi[k] + way, 1.0)
+            point[k], normal[k] = (lo[k] + shift, -1.0) if face & 1 == 0 else (hi[k] + shift, 1.0)
         else:
             if course.ray[DIRECTION, k] != 0.0 and t > 0.0:
                 point[k] += t * course.ray[DIRECTION, k]
-            point[k] = min(max(point[k], lo[k] + way), hi[k] + way)
+            point[k] = min(max(point[k], lo[k] + shift), hi[k] + shift)
 
 
 @lean_kernel
-def cast_one(tree, moving, swept, asked, times, place):
-    """One ray or box, swept = (lo, hi, direction), asked = what an `Asked` holds, which Python
-    makes slowly, times = (at, pace): (handle, t), and for CLOSEST its point and normal in `place`.
-    Instead of a handle why there is none: NONE, NOT_FINITE if the input is not, REFUSED if the
-    tree is of another version, or OUTSIDE.
+def cast_one(tree, moving, swept, options, times, place):
+    """One ray or box, swept = (lo, hi, direction), options as a plain `RayOptions`, times = (at,
+    pace): (handle, t), and for CLOSEST its point and normal in `place`. Instead of a handle: NONE,
+    NOT_FINITE if the input is not, REFUSED if the tree is of another version, or OUTSIDE.
     """
     (lo, hi, direction), (at, pace), state = swept, times, tree.state
-    asked = Asked(asked[0], asked[1], asked[2], asked[3])
+    options = RayOptions(options[0], options[1], options[2], options[3])
     if not is_sound(lo, hi, direction, times):
         return NOT_FINITE, np.inf
-    if covers(moving, at, pace, asked.t_max) == 0:
+    if covers(moving, at, pace, options.t_max) == 0:
         return OUTSIDE, np.inf
     why = begin_asking(tree, moving, 1 if pace == 0.0 else 0)
     if why != 0:
@@ -197,9 +196,9 @@ def cast_one(tree, moving, swept, asked, times, place):
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     handle, t = np.int64(NONE), np.inf
-    if raycast_at(tree, moving, course, asked, Found(slots, ts, faces), 0) > 0:
+    if raycast_at(tree, moving, course, options, Found(slots, ts, faces), 0) > 0:
         handle, t = tree.handles[slots[0]], ts[0]
-        if asked.mode == CLOSEST:
+        if options.mode == CLOSEST:
             locate(box_of(tree, moving, slots[0]), course, t, faces[0], place[0], place[1])
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(course.ray[EXACT, 0])
@@ -231,8 +230,8 @@ def cast_rows(tree, moving, casts, offsets, found, first):
         if refused != 0:
             break
         set_swept_box(ray, lo, hi, direction)
-        asked = Asked(t_max, mask, casts.skip_inside, casts.mode)
-        end = raycast_at(tree, moving, course, asked, found, offsets[done])
+        options = RayOptions(t_max, mask, casts.skip_inside, casts.mode)
+        end = raycast_at(tree, moving, course, options, found, offsets[done])
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
@@ -277,13 +276,13 @@ Ids = NDArray[np.int64]
 
 
 class MotionRays(Motion):
-    """What rays and boxes meet on their ways."""
+    """Queries of rays and swept boxes at times."""
 
     def cast(
         self,
         tree: Any,
         swept: tuple[Floats, Floats, Floats],
-        asked: tuple[float, np.uint32, bool, int],
+        options: tuple[float, np.uint32, bool, int],
         times: tuple[Any, Any],
         place: Floats,
     ) -> tuple[int, float]:
@@ -291,8 +290,8 @@ class MotionRays(Motion):
         at, pace = times
         if not (type(at) is type(pace) is float):
             times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
-        given = swept, asked, times, place
-        handle, t = self.ask_path(tree, one_entry(tree._ndim), given, at, pace, asked[0])
+        given = swept, options, times, place
+        handle, t = self.ask_path(tree, one_entry(tree._ndim), given, at, pace, options[0])
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)
             time_checks.moments('pace', pace, None)
@@ -367,24 +366,24 @@ class MotionRays(Motion):
         count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
         if threads == 1 and type(at) is type(pace) is float and not tree._storage.heirs:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            hits = self._alike(tree, rays, skip, mode, times)
+            hits = self._few_at_one_time(tree, rays, skip, mode, times)
             if hits is not None:
                 return hits
         when = time_checks.times('at', at, count), time_checks.times('pace', pace, count)
         span, every = times_of(*when, rays[2])
         if not every:
             when = both_times(times, count)
-        asked = RaysThen(*rays, skip, mode, *when, AS_ARRAYS)
+        query = TimedRays(*rays, skip, mode, *when, AS_ARRAYS)
         if threads == 1 and every and count and not tree._storage.heirs:
-            hits = self._ready(tree, asked, *span)
+            hits = self._ready(tree, query, *span)
             if hits is not None:
                 return hits
         view, hits = tree.view(), room_for_rays(count, ndim, mode)
         sweep = self.swept_for(tree, view, count, span) if every and count else None
-        self.answer(tree, (view, sweep), asked, hits, threads, cast_swept)
+        self.answer(tree, (view, sweep), query, hits, threads, cast_swept)
         return hits
 
-    def _alike(
+    def _few_at_one_time(
         self,
         tree: Any,
         rays: tuple[Floats, Floats, Floats, Any],
@@ -402,8 +401,8 @@ class MotionRays(Motion):
                 return None
             limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
             last = at if pace == 0.0 else at + limit * pace
-            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
-            return self._ready(tree, asked, at, last)
+            query = TimedRays(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            return self._ready(tree, query, at, last)
         if mode != CLOSEST:
             hits = room_for_rays(count, ndim, mode)
         else:  # as RayHits(...), which would take one more call of a function of Python's
@@ -411,72 +410,72 @@ class MotionRays(Motion):
             hits = tuple.__new__(RayHits, parts)
         done = few_entry(ndim)(tree._storage.tree, sweep, rays, skip, mode, when, hits)
         if done > 0:
-            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
-            self._tell_unsuited(tree, asked, hits)
+            query = TimedRays(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            self._answer_unsuited(tree, query, hits)
         return hits if done >= 0 else None
 
-    def _ready(self, tree: Any, asked: RaysThen, first: float, last: float) -> Any:
+    def _ready(self, tree: Any, query: TimedRays, first: float, last: float) -> Any:
         """Hits of rays from a time to another, through what is swept already; None where nothing
         is.
         """
-        count, arrays = len(asked.origins), tree._storage.tree
+        count, arrays = len(query.origins), tree._storage.tree
         sweep = self.ready_sweep(arrays, count, first, last)
         if sweep is None:
             return None
-        hits = room_for_rays(count, tree._ndim, asked.mode)
-        done = cast_swept(arrays, sweep, asked, hits)
+        hits = room_for_rays(count, tree._ndim, query.mode)
+        done = cast_swept(arrays, sweep, query, hits)
         if done > 0:
-            self._tell_unsuited(tree, asked, hits)
+            self._answer_unsuited(tree, query, hits)
         return hits if done >= 0 else None
 
     def answer(
         self,
         tree: Any,
-        seen: tuple[View, Sweep | None],
-        asked: RaysThen,
+        view_and_sweep: tuple[View, Sweep | None],
+        query: TimedRays,
         hits: Any,
         threads: int,
-        cast: Callable[[Tree, Sweep, RaysThen, Any], int],
+        cast: Callable[[Tree, Sweep, TimedRays, Any], int],
     ) -> bool:
         """Fill in the first hits of rays, a `RayHits` or what has more columns. `cast` is called
-        as `cast_swept` of some, where there is a sweep; whether it has told all.
+        as `cast_swept` of some rows, where there is a sweep. Returns whether it answered all.
         """
-        count, (view, sweep) = len(asked.origins), seen
+        count, (view, sweep) = len(query.origins), view_and_sweep
         if sweep is None:
-            _check_finite(asked)
+            _check_finite(query)
 
         def work(start: int, stop: int) -> int:
-            part, into = asked, hits
+            part, into = query, hits
             if stop - start < count:
-                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
+                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (query, hits))
             if sweep is not None:
                 return accepted(cast(view.tree, sweep, part, into))
-            self._one_by_one(tree, part, into)
+            self._by_nodes(tree, part, into)
             return 0
 
         unsuited = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
         if any(unsuited):
-            self._tell_unsuited(tree, asked, hits)
+            self._answer_unsuited(tree, query, hits)
         return sweep is not None and not any(unsuited)
 
-    def _tell_unsuited(self, tree: Any, rays: RaysThen, hits: Any) -> None:
+    def _answer_unsuited(self, tree: Any, rays: TimedRays, hits: Any) -> None:
         """Answer those rays that are UNSUITED."""
         if not len(rays.at):
             rays = rays._replace(at=np.array(rays.when[:1]), pace=np.array(rays.when[1:]))
         count, others = len(rays.origins), np.flatnonzero(hits.ids == UNSUITED)
         _check_finite(rays)
         some = rows_of(hits, count, others)
-        self._one_by_one(tree, rows_of(rays, count, others), some)
+        self._by_nodes(tree, rows_of(rays, count, others), some)
         for column, part in zip(hits, some, strict=True):
             column[others[: len(part)]] = part
 
-    def _one_by_one(self, tree: Any, rays: RaysThen, hits: Any) -> None:
+    def _by_nodes(self, tree: Any, rays: TimedRays, hits: Any) -> None:
         """Answer rays by the tree's own nodes."""
         if len(rays.origins) == 1:  # with a third of the Python
             swept = *rays.origins, *rays.origins, *rays.directions
-            asked = rays.t_max.item(), rays.masks[0], rays.skip_inside, rays.mode
+            options = rays.t_max.item(), rays.masks[0], rays.skip_inside, rays.mode
             times, place = (rays.at.item(), rays.pace.item()), np.empty((2, tree._ndim))
-            hits.ids[0], t = self.cast(tree, swept, asked, times, place)
+            hits.ids[0], t = self.cast(tree, swept, options, times, place)
             if rays.mode == CLOSEST:
                 hits.t[0], hits.normals[0] = t, place[1] if hits.ids[0] >= 0 else 0.0
             return
@@ -490,6 +489,6 @@ class MotionRays(Motion):
             hits.t[rows], hits.normals[rows] = found.ts, places.normals
 
 
-def _check_finite(rays: RaysThen) -> None:
+def _check_finite(rays: TimedRays) -> None:
     checks.finite('origins', rays.origins)
     checks.finite('directions', rays.directions)

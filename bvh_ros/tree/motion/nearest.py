@@ -89,15 +89,15 @@ def _quick_apart(box, axis, low, high, since):
     lanes.
     """
     (lo, hi, velocity, _), (since, lost) = box, since
-    way = velocity[axis] * since
-    below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
+    shift = velocity[axis] * since
+    below, above = (lo[axis] - high[axis]) + shift, (low[axis] - hi[axis]) - shift
     # One side tells it, as the other is surely passed; a choice costs less than a guess.
     lower = below > above
     plane, front = (lo[axis], high[axis]) if lower else (hi[axis], low[axis])
     apart, _, enough = quick_gap(plane, front, velocity[axis], since, lost)
     apart = apart if lower else -apart
-    plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
-    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, way))
+    plane, front, shift = (low[axis], hi[axis], -shift) if lower else (lo[axis], high[axis], shift)
+    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, shift))
 
 
 @inlined

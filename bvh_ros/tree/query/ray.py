@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept boxes through the binary tree: the first hit, any hit, all hits.
 
-The nearer child is visited first; the other waits on a stack with its entry distance. A node that
-is entered after the best hit is not visited.
+`cast` is the loop for boxes at rest and for boxes that move: functions that are handed in enter a
+node, decide at a leaf, and order two hits.
 """
 
 from typing import Any, NamedTuple
@@ -51,7 +51,7 @@ FEW_HITS = 12  # of one ray: sorted by insertion alone
 
 
 class Rays(NamedTuple):
-    """What is asked for."""
+    """n rays, and what to find."""
 
     origins: Floats
     """Shape (n, ndim), as the directions."""
@@ -64,7 +64,7 @@ class Rays(NamedTuple):
     mode: int
     """CLOSEST, ANY or EVERY."""
     counted: bool = False
-    """Whether the kernel counts them, too: it does of a batch that is not cut into parts."""
+    """Whether the kernel counts the rays: it does where a batch is not cut into parts."""
 
 
 class Found(NamedTuple):
@@ -76,8 +76,8 @@ class Found(NamedTuple):
     """The axis entered last, INSIDE where the ray starts in the box."""
 
 
-class Asked(NamedTuple):
-    """What is asked of one ray."""
+class RayOptions(NamedTuple):
+    """How far one ray goes, which boxes it sees, and what to find."""
 
     t_max: float
     mask: np.uint32
@@ -114,9 +114,9 @@ def of_row(values, i):
 
 
 @inlined
-def cast(nodes, root, path, scale, asked, found, filled, enter, decide, precedes):
-    """Write the hits of a path, `asked` as of `Asked`, to `found` from `filled` on; return where
-    the next would go.
+def cast(nodes, root, path, scale, options, found, filled, enter, decide, precedes):
+    """Write the hits of a path, `options` as of `RayOptions`, to `found` from `filled` on; return
+    where the next would go.
 
     CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return
     beyond the arrays' end says how large they should have been: what did not fit is counted, not
@@ -126,7 +126,7 @@ def cast(nodes, root, path, scale, asked, found, filled, enter, decide, precedes
     of a leaf. precedes(path, hit, other) says which of two `Hit`s comes first.
     """
     slots, ts, axes = found.slots, found.ts, found.axes
-    begin, limit = filled, traversal_distance(asked.t_max, scale)
+    begin, limit = filled, traversal_distance(options.t_max, scale)
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
     top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
@@ -134,11 +134,11 @@ def cast(nodes, root, path, scale, asked, found, filled, enter, decide, precedes
         if leaf == NONE:
             break
         slot = leaf >> 1
-        hit, t, axis = decide(path, slot, asked.t_max)
-        if not hit or (asked.skip_inside and axis == INSIDE):
+        hit, t, axis = decide(path, slot, options.t_max)
+        if not hit or (options.skip_inside and axis == INSIDE):
             continue
         place = filled
-        if asked.mode == CLOSEST:
+        if options.mode == CLOSEST:
             if filled > begin and not precedes(
                 path, Hit(slot, t, axis), Hit(slots[begin], ts[begin], axes[begin])
             ):
@@ -147,7 +147,7 @@ def cast(nodes, root, path, scale, asked, found, filled, enter, decide, precedes
         if place < slots.shape[0]:
             slots[place], ts[place], axes[place] = slot, t, axis
         filled = place + 1
-        if asked.mode == ANY:
+        if options.mode == ANY:
             break
     return filled
 
@@ -172,14 +172,14 @@ def precedes(path, hit, other):
 
 
 @lean_kernel
-def raycast(tree, ray, asked, found, filled):
+def raycast(tree, ray, options, found, filled):
     """`cast` one ray, or swept box (see `slab`), among boxes at rest."""
     nodes, root = tree.nodes, tree.state[ROOT]
     if root == NONE:
         return filled
     scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    path = Path(tree, ray, asked.mask, wide)
-    return cast(nodes, root, path, scale, asked, found, filled, enter_box, decide_box, precedes)
+    path = Path(tree, ray, options.mask, wide)
+    return cast(nodes, root, path, scale, options, found, filled, enter_box, decide_box, precedes)
 
 
 @lean_kernel
@@ -234,16 +234,16 @@ def sort_roughly(handles, found, start, end):
 
 
 @lean_kernel
-def raycast_every_row(tree, version, asked, named, offsets, room, before):
+def raycast_every_row(tree, version, batch, named, offsets, room, before):
     """All hits of every ray, nearest first; those of ray i go to [offsets[i], offsets[i + 1]) of
-    `room`, where handles take the place of slots if they are to be `named`. asked, room: plain
+    `room`, where handles take the place of slots if they are to be `named`. batch, room: plain
     `Rays` and `Found`, before = (rays done so far, how many of them took exact arithmetic).
 
     Returns (rays done, room wanted, how many took exact arithmetic, version of the tree): fewer
     than there are where there is no room for the hits of the next one; instead NOT_FINITE if a ray
     is not, REFUSED if the tree is changed meanwhile.
     """
-    (done, exact), end, rays, found = before, np.int64(0), Rays(*asked), Found(*room)
+    (done, exact), end, rays, found = before, np.int64(0), Rays(*batch), Found(*room)
     if not begin_query(tree.state, version):
         return np.int64(REFUSED), end, exact, np.int64(0)
     ray, version = stack_array((RAY_ROWS, 3), np.float64), tree.state[CHANGES]
@@ -256,7 +256,7 @@ def raycast_every_row(tree, version, asked, named, offsets, room, before):
             return np.int64(NOT_FINITE), end, exact, version
         set_ray(ray, origin, direction)
         t_max, mask = of_row(rays.t_max, done), of_row(rays.masks, done)
-        question = Asked(t_max, mask, rays.skip_inside, EVERY)
+        question = RayOptions(t_max, mask, rays.skip_inside, EVERY)
         end = raycast(tree, ray, question, found, start)
         if end > found.slots.shape[0]:
             break
@@ -356,8 +356,8 @@ def raycast_one(tree, origin, direction, t_max, mask, skip_inside, mode, place):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     set_ray(ray, origin, direction)
-    asked, found = Asked(t_max, mask, skip_inside, mode), Found(slots, ts, axes)
-    hits = raycast(tree, ray, asked, found, 0)
+    options, found = RayOptions(t_max, mask, skip_inside, mode), Found(slots, ts, axes)
+    hits = raycast(tree, ray, options, found, 0)
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     handle = np.int64(NONE)
@@ -379,9 +379,11 @@ def raycast_row(tree, ray, rays, row, found, hits):
     if not is_finite(origin, direction):
         return np.int64(NOT_FINITE)
     set_ray(ray, origin, direction)
-    asked = Asked(of_row(rays.t_max, row), of_row(rays.masks, row), rays.skip_inside, rays.mode)
+    options = RayOptions(
+        of_row(rays.t_max, row), of_row(rays.masks, row), rays.skip_inside, rays.mode
+    )
     slot, axis, t = np.int64(NONE), np.int64(INSIDE), np.inf
-    if raycast(tree, ray, asked, found, 0) > 0:
+    if raycast(tree, ray, options, found, 0) > 0:
         slot, axis, t = found.slots[0], found.axes[0], found.ts[0]
     hits.ids[row] = tree.handles[slot] if slot != NONE else NONE
     if rays.mode == CLOSEST:
@@ -448,7 +450,7 @@ def boxcast(tree, lo, hi, translation, mask, place):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     found = Found(slots, ts, axes)
-    hits = raycast(tree, ray, Asked(1.0, mask, False, CLOSEST), found, 0)
+    hits = raycast(tree, ray, RayOptions(1.0, mask, False, CLOSEST), found, 0)
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     if hits == 0:

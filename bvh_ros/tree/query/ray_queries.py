@@ -128,16 +128,16 @@ class RayAsking(Timed):
         origin = checks.vector('origin', origin, ndim)
         direction = checks.vector('direction', direction, ndim)
         place, skip = np.empty((2, ndim)), checks.flag('skip_inside', skip_inside)
-        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        limit, bits = checks.limit('t_max', t_max), checks.mask(mask)
         motion = self._motion
         if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace)
         if motion is not None:
-            swept, asked = (origin, origin, direction), (limit, seen, skip, mode)
-            handle, t = motion.cast(self, swept, asked, (at, pace), place)
+            swept, options = (origin, origin, direction), (limit, bits, skip, mode)
+            handle, t = motion.cast(self, swept, options, (at, pace), place)
         else:
             handle, t = one_entry(ndim)(
-                self._settled().tree, origin, direction, limit, seen, skip, mode, place
+                self._settled().tree, origin, direction, limit, bits, skip, mode, place
             )
         if handle >= 0:
             return handle, t, place
@@ -185,8 +185,8 @@ class RayAsking(Timed):
         if motion is not None:
             some = origins, directions, t_max, masks
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
-        asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        return self.first_hits(asked, threads)
+        rays_given = origins, directions, t_max, masks, skip_inside, mode, threads == 1
+        return self.first_hits(rays_given, threads)
 
     def few_rays(self, rays: Rays) -> bool:
         """Whether rays are so few that they go through the snapshot one by one."""
@@ -201,11 +201,11 @@ class RayAsking(Timed):
             return None
         return storage.latest, snapshot
 
-    def first_hits(self, asked: tuple[Any, ...], threads: int) -> RayHits:
+    def first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
         """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
         where they are asked for by one thread.
         """
-        origins, _, t_max, _, _, mode, _ = asked
+        origins, _, t_max, _, _, mode, _ = rays_given
         count, ndim = len(origins), self._ndim
         if mode != CLOSEST or count >= LARGE:
             hits = room_for_rays(count, ndim, mode)
@@ -219,14 +219,14 @@ class RayAsking(Timed):
             if snapshot.loose:
                 pass
             elif are_few(origins, t_max, tree):
-                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, asked, hits)
+                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays_given, hits)
             else:
-                rays = tuple.__new__(Rays, asked)
+                rays = tuple.__new__(Rays, rays_given)
                 done = cast_in_lists(tree, ANY_VERSION, snapshot, rays, hits)
             if done >= 0:
                 return hits
         # As Rays(...), which would take one more call of a function of Python's.
-        view, rays = self.view(), tuple.__new__(Rays, asked)
+        view, rays = self.view(), tuple.__new__(Rays, rays_given)
         snapshot = self.snapshot_for(count, view)
         if threads == 1:
             exact = answer_rays(*view, snapshot, rays, hits)
@@ -333,20 +333,20 @@ class RayQueries(RayAsking):
         """
         origin = checks.point('origin', origin, self._ndim)
         direction = checks.point('direction', direction, self._ndim)
-        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        limit, bits = checks.limit('t_max', t_max), checks.mask(mask)
         motion = self._motion_at(at, pace)
         if motion is not None:
-            some = origin[None], direction[None], limit, seen, skip_inside
+            some = origin[None], direction[None], limit, bits, skip_inside
             _, ids, found, places = motion.every_ray(self, some, (at, pace))
             rows = zip(ids.tolist(), found.ts.tolist(), *places, strict=True)
             return [RayHit(*row) for row in rows]
         view, skip = self.view(), checks.flag('skip_inside', skip_inside)
-        asked = np.array([limit]), np.array([seen]), skip, EVERY, True
-        rays = origin[None], direction[None], *asked
-        _, end, met = every_hit(view, rays, False)
+        options = np.array([limit]), np.array([bits]), skip, EVERY, True
+        rays = origin[None], direction[None], *options
+        _, end, columns = every_hit(view, rays, False)
         hits = [
             self._hit(view, origin, direction, *row)
-            for row in zip(*(column[:end].tolist() for column in met), strict=True)
+            for row in zip(*(column[:end].tolist() for column in columns), strict=True)
         ]
         self.check_unchanged(view)
         return hits
@@ -362,8 +362,8 @@ class RayQueries(RayAsking):
         pace: float = NOW,
     ) -> bool:
         """Whether the ray meets any box; cheaper than `raycast`. Arguments as there."""
-        asked = t_max, mask, skip_inside, ANY, at, pace
-        return self._cast(origin, direction, *asked) is not None
+        options = t_max, mask, skip_inside, ANY, at, pace
+        return self._cast(origin, direction, *options) is not None
 
     def raycast_many(
         self,
@@ -428,11 +428,11 @@ class RayQueries(RayAsking):
         if motion is not None or not at is pace is NOW:
             motion = self._motion_at(at, pace, len(origins))
         if motion is not None:
-            way = (
+            path = (
                 checks.points('origins', origins, ndim),
                 checks.points('directions', directions, ndim),
             )
-            some = *way, t_max, mask, skip_inside
+            some = *path, t_max, mask, skip_inside
             offsets, ids, found, _ = motion.every_ray(self, some, (at, pace))
             return offsets, ids, found.ts
         count = len(origins)
