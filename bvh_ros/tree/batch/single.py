@@ -6,6 +6,8 @@ Lists of rays save wrong branch predictions, see `streams`. For some tens of ray
 far apart, no list is long enough for that, and it takes longer to make them.
 """
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from ..compiler import WIDTH, bits_of, inlined, lean_kernel, stack_array, trailing_zeros
@@ -110,6 +112,55 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
     return np.int64(NONE), top
 
 
+@inlined
+def cast_abreast(snapshot, tree, rays, start, state, hits, prepare, better, write):
+    """Answer few rays one by one, ABREAST of them through the root: (how many took exact
+    arithmetic, the sum of what `start` returned; it is negative where `start` refused a ray).
+
+    start(snapshot, tree, rays, row, record, state, hits) fills the record of a ray, or answers it:
+    (whether the record is filled, a number to be summed up). `prepare` and `better` are as of
+    `cast_through`. write(tree, ray, rays, row, hit, hits) writes the answer of a ray that hits;
+    it returns whether that took exact arithmetic.
+    """
+    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
+    records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
+    places, hit_lanes = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
+    nearest, total = stack_array((ABREAST, WIDTH), np.int32), np.int64(0)
+    count, row, exact = rays.origins.shape[0], np.int64(0), np.int64(0)
+    while row < count and total >= 0:
+        alive = np.int64(0)
+        while row < count and alive < ABREAST and total >= 0:
+            rows[alive], places[alive] = row, alive
+            write_miss(rays, row, hits)
+            filled, number = start(snapshot, tree, rays, row, records[alive], state, hits)
+            total = number if number < 0 else total + number
+            alive += filled
+            row += 1
+        if alive == 0 or total < 0:
+            continue
+        stream16(snapshot.planes, 0, MIXED, records, places[:alive], hit_lanes, nearest)
+        for i in range(alive):
+            ray[EXACT, 0] = 0.0
+            at_root = places[i : i + 1], hit_lanes[i], nearest[i : i + 1]
+            room = ray, records, stack
+            hit = cast_through(snapshot, tree, rays, rows[i], at_root, room, prepare, better)
+            took_exact = ray[EXACT, 0] != 0.0
+            if hit[0] != NONE:
+                took_exact |= write(tree, ray, rays, rows[i], hit, hits)
+            exact += took_exact
+    return exact, total
+
+
+class AtRest(NamedTuple):
+    """What `start_or_answer` needs."""
+
+    whole: Any
+    """The box around all boxes, see `fill_whole`."""
+    ray: Any
+    """Scratch, as `found`."""
+    found: Found
+
+
 @lean_kernel
 def cast_few(tree, version, snapshot, given, hits):
     """As `streams.cast_rows`, given = a plain tuple of the fields of `Rays`. REFUSED, too, where a
@@ -117,64 +168,34 @@ def cast_few(tree, version, snapshot, given, hits):
     """
     if not begin_batch(tree, version, snapshot):
         return np.int64(REFUSED)
-    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
-    records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
-    places, hit_lanes = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
-    rays = Rays(*given)
-    nearest, whole = stack_array((ABREAST, WIDTH), np.int32), stack_array(CORNERS, np.float64)
-    count, row, exact = rays.origins.shape[0], np.int64(0), np.int64(0)
+    ray, whole = stack_array((RAY_ROWS, 3), np.float64), stack_array(CORNERS, np.float64)
+    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
+    rays, found = Rays(*given), Found(slots, stack_array(1, np.float64), axes)
     fill_whole(tree, whole)
-    while row < count:
-        row, alive, done = start_abreast(snapshot, tree, rays, row, whole, (records, rows), hits)
-        if done < 0:
-            end_query(tree.state)
-            return done
-        exact += done
-        if alive == 0:
-            continue
-        for i in range(alive):
-            places[i] = i
-        stream16(snapshot.planes, 0, MIXED, records, places[:alive], hit_lanes, nearest)
-        for i in range(alive):
-            ray[EXACT, 0] = 0.0
-            at_root = places[i : i + 1], hit_lanes[i], nearest[i : i + 1]
-            room = ray, records, stack
-            hit = cast_through(
-                snapshot, tree, rays, rows[i], at_root, room, set_inverse, better_of_row
-            )
-            if hit[0] != NONE:
-                write_hit(tree, ray, rays, rows[i], hit, hits)
-            exact += np.int64(ray[EXACT, 0])
-    if rays.counted:
-        count_rays(tree.state, count, exact)
+    state = AtRest(whole, ray, found)
+    exact, more = cast_abreast(
+        snapshot, tree, rays, start_or_answer, state, hits, set_inverse, better_of_row, write_hit
+    )
+    exact = more if more < 0 else exact + more
+    if rays.counted and exact >= 0:
+        count_rays(tree.state, rays.origins.shape[0], exact)
     end_query(tree.state)
     return exact
 
 
 @inlined
-def start_abreast(snapshot, tree, rays, row, whole, room, hits):
-    """Fill records and rows of the next rays that may meet anything, ABREAST at most, and answer
-    those that are not suited: (the row behind them, how many are filled, how many took exact
-    arithmetic or NOT_FINITE).
+def start_or_answer(snapshot, tree, rays, row, record, state, hits):
+    """Fill the record of a ray that may meet anything; answer one that is not suited to the
+    snapshot by the nodes of the tree: (whether it is filled, whether it took exact arithmetic, or
+    NOT_FINITE).
     """
-    (records, rows), ray = room, stack_array((RAY_ROWS, 3), np.float64)
-    slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
-    found = Found(slots, stack_array(1, np.float64), axes)
-    alive, exact, center = np.int64(0), np.int64(0), snapshot.center
-    while row < rays.origins.shape[0] and alive < ABREAST and exact >= 0:
-        origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
-        write_miss(rays, row, hits)
-        away, _ = look_ahead(records[alive], origin, direction, whole)
-        rows[alive] = row
-        if away:
-            pass
-        elif start_ray(records[alive], origin, direction, center, snapshot.per_length, t_max):
-            alive += 1
-        else:
-            done = raycast_row(tree, ray, rays, row, found, hits)
-            exact = done if done < 0 else exact + done
-        row += 1
-    return row, alive, exact
+    origin, direction, t_max = rays.origins[row], rays.directions[row], of_row(rays.t_max, row)
+    away, _ = look_ahead(record, origin, direction, state.whole)
+    if away:
+        return False, np.int64(0)
+    if start_ray(record, origin, direction, snapshot.center, snapshot.per_length, t_max):
+        return True, np.int64(0)
+    return False, raycast_row(tree, state.ray, rays, row, state.found, hits)
 
 
 @inlined

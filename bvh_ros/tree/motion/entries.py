@@ -5,7 +5,6 @@ same names.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from ..batch.streams import RAYS_AT_ONCE
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree, View
+from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree
 from ..query.ray import (
     ANY,
     CLOSEST,
@@ -38,7 +37,7 @@ from ..store.workers import in_threads
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, no_motion, set_fronts
 from .exact_contact import box_of, course_of, elapsed, is_before, meet_box, phase_at_hit
 from .state import Motion, both_times, span_of, times_of
-from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, Sweep, TimedRays, cast_swept, few_entry
+from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, TimedRays, cast_swept, few_entry
 
 Floats = NDArray[np.float64]
 
@@ -380,7 +379,20 @@ class MotionRays(Motion):
                 return hits
         view, hits = tree.view(), room_for_rays(count, ndim, mode)
         sweep = self.swept_for(tree, view, count, span) if every and count else None
-        self.answer(tree, (view, sweep), query, hits, threads, cast_swept)
+        if sweep is None:
+            _check_finite(query)
+
+        def work(start: int, stop: int) -> int:
+            part, into = query, hits
+            if stop - start < count:
+                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (query, hits))
+            if sweep is not None:
+                return accepted(cast_swept(view.tree, sweep, part, into))
+            self._by_nodes(tree, part, into)
+            return 0
+
+        if any(in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)):
+            self._answer_unsuited(tree, query, hits)
         return hits
 
     def _few_at_one_time(
@@ -427,36 +439,6 @@ class MotionRays(Motion):
         if done > 0:
             self._answer_unsuited(tree, query, hits)
         return hits if done >= 0 else None
-
-    def answer(
-        self,
-        tree: Any,
-        view_and_sweep: tuple[View, Sweep | None],
-        query: TimedRays,
-        hits: Any,
-        threads: int,
-        cast: Callable[[Tree, Sweep, TimedRays, Any], int],
-    ) -> bool:
-        """Fill in the first hits of rays, a `RayHits` or what has more columns. `cast` is called
-        as `cast_swept` of some rows, where there is a sweep. Returns whether it answered all.
-        """
-        count, (view, sweep) = len(query.origins), view_and_sweep
-        if sweep is None:
-            _check_finite(query)
-
-        def work(start: int, stop: int) -> int:
-            part, into = query, hits
-            if stop - start < count:
-                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (query, hits))
-            if sweep is not None:
-                return accepted(cast(view.tree, sweep, part, into))
-            self._by_nodes(tree, part, into)
-            return 0
-
-        unsuited = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
-        if any(unsuited):
-            self._answer_unsuited(tree, query, hits)
-        return sweep is not None and not any(unsuited)
 
     def _answer_unsuited(self, tree: Any, rays: TimedRays, hits: Any) -> None:
         """Answer those rays that are UNSUITED."""

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..batch.single import ABREAST, STACK, cast_through
+from ..batch.single import cast_abreast
 from ..batch.snapshot import (
     BLURRED,
     LARGEST_SCENE,
@@ -47,15 +47,13 @@ from ..batch.streams import (
     scratch_for,
     traverse,
     visit_leaf,
-    write_miss,
 )
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
 from ..entries import entry_points
 from ..nodes import NONE, Tree, aligned_empty
 from ..query.ray import ANY, CLOSEST, NO_HITS, Hit, of_row
-from ..query.slab import EXACT, INSIDE, RAY_ROWS, set_ray
+from ..query.slab import EXACT, INSIDE, set_ray
 from ..results import RayHits
-from ..simd.float32x16 import stream16
 from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
 from .bounds import LEAST, WIDER, no_motion
 from .exact_contact import (
@@ -687,49 +685,32 @@ def cast_few(tree, sweep, query, skip_inside, mode, when, hits):
         *(origins, directions, t_max, masks, skip_inside, mode),
         *(ats, paces, moving, sweep.leaves),
     )
-    unsuited = _cast_all(sweep.snapshot, tree, rays, hits)
+    exact, unsuited = cast_abreast(
+        sweep.snapshot, tree, rays, _start, 0, hits, leave_ray, is_better, _set_and_write_hit
+    )
+    count_rays(tree.state, origins.shape[0], exact)
     end_query(tree.state)
     return unsuited
 
 
 @inlined
-def _cast_all(snapshot, tree, rays, hits):
-    """Answer all that are suited; return how many are not."""
-    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
-    records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
-    places, hit_lanes = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
-    nearest = stack_array((ABREAST, WIDTH), np.int32)
-    count, row = rays.origins.shape[0], np.int64(0)
-    exact, unsuited = np.int64(0), np.int64(0)
-    while row < count:
-        alive = np.int64(0)
-        while row < count and alive < ABREAST:
-            rows[alive], places[alive] = row, alive
-            write_miss(rays, row, hits)
-            if start_in_drift_frame(records[alive], snapshot, rays.leaves, rays, row):
-                alive += 1
-            else:
-                hits.ids[row] = UNSUITED
-                unsuited += 1
-            row += 1
-        if alive == 0:
-            continue
-        stream16(snapshot.planes, 0, MIXED, records, places[:alive], hit_lanes, nearest)
-        for i in range(alive):
-            ray[EXACT, 0] = 0.0
-            at_root = places[i : i + 1], hit_lanes[i], nearest[i : i + 1]
-            room = ray, records, stack
-            hit = cast_through(snapshot, tree, rays, rows[i], at_root, room, as_it_is, is_better)
-            exact += np.int64(ray[EXACT, 0])
-            if hit[0] != NONE:
-                set_ray(ray, rays.origins[rows[i]], rays.directions[rows[i]])
-                write_hit(tree, ray, rays, rows[i], hit, hits)
-    count_rays(tree.state, count, exact)
-    return unsuited
+def _start(snapshot, tree, rays, row, record, state, hits):
+    """`start` of `cast_abreast`; it counts the rays that are UNSUITED."""
+    suited = start_in_drift_frame(record, snapshot, rays.leaves, rays, row)
+    if not suited:
+        hits.ids[row] = UNSUITED
+    return suited, np.int64(not suited)
 
 
 @inlined
-def as_it_is(ray, origin, direction):
+def _set_and_write_hit(tree, ray, rays, row, hit, hits):
+    set_ray(ray, rays.origins[row], rays.directions[row])
+    write_hit(tree, ray, rays, row, hit, hits)
+    return False
+
+
+@inlined
+def leave_ray(ray, origin, direction):
     """Leave the ray: `is_better` writes it where it needs it."""
 
 
