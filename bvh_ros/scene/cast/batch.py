@@ -136,13 +136,13 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         hit, wanted = cast_row(world, snapshot, node_handles, segment, query, scratch, memory)
         if wanted > 0:
             break
-        met = hit.slot != NONE
+        is_hit = hit.slot != NONE
         if hits.slots.shape[0] > 0:
             hits.slots[row] = hit.slot
         hits.handles[row], hits.t[row] = NO_NODE, np.inf
         for axis in range(3):
-            hits.points[row, axis], hits.normals[row, axis] = 0.0 if met else np.nan, 0.0
-        if met:
+            hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
+        if is_hit:
             touch(world, scratch, radius, hit, hits.points[row], hits.normals[row])
             hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
             if ndim == 2:

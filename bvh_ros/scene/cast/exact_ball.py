@@ -1,13 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a swept ball touches an axis-aligned box, in exact arithmetic.
+"""Swept balls: the first obstacle, or all; among axis-aligned boxes in exact arithmetic.
 
 The squared distance of origin + t * direction from a box is convex in t and, between two of
 planes of faces, a quadratic with rational coefficients. So the first contact is the smaller root
 of one of them, middle - sqrt(square), and squaring twice compares two of those.
-
-
-What a swept ball meets; among axis-aligned boxes decided as real arithmetic decides.
 
 The closed form of `shapes.enter_rounded_box` rounds: each offset of the origin from a face
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
@@ -247,16 +244,16 @@ def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
     slots, times, features = found
     order = np.lexsort((columns.node_handle[slots], times[AT]))
     slots, times, features = slots[order], times[:, order], features[:, order]
-    ts, met = times[AT], features[AT]
+    ts, at_features = times[AT], features[AT]
     open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
     if not len(open_ones):
-        return Hits(slots, ts, met)
+        return Hits(slots, ts, at_features)
     roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
     order = _sorted(columns.node_handle[slots], ts, roots)
     for row, root in roots.items():
         if root is not None:
-            ts[row], met[row] = float(root), INSIDE if root is START else ROUND
-    return Hits(slots[order], np.maximum.accumulate(ts[order]), met[order])
+            ts[row], at_features[row] = float(root), INSIDE if root is START else ROUND
+    return Hits(slots[order], np.maximum.accumulate(ts[order]), at_features[order])
 
 
 def _shaped(columns: Columns) -> NDArray[np.bool_]:

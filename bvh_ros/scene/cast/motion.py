@@ -321,14 +321,14 @@ def write_first_hit(cast, i, course, first, hits):
         by_box = cast.node_handles[box.slot] < cast.node_handles[other.slot]
     by_box = by_box and box.slot != NONE
     slot, t = (box.slot, box.t) if by_box else (other.slot, other.t)
-    point, normal, met = hits.points[i], hits.normals[i], slot != NONE
+    point, normal, is_hit = hits.points[i], hits.normals[i], slot != NONE
     hits.slots[i], hits.t[i] = slot, t
-    hits.handles[i] = cast.node_handles[slot] if met else NO_NODE
+    hits.handles[i] = cast.node_handles[slot] if is_hit else NO_NODE
     for axis in range(3):
-        point[axis], normal[axis] = 0.0 if met else np.nan, 0.0
+        point[axis], normal[axis] = 0.0 if is_hit else np.nan, 0.0
     if by_box:
         _locate_box(cast, i, course, box, point, normal)
-    elif met:
+    elif is_hit:
         _touch_moving(cast, i, other, stopped, point, normal)
 
 

@@ -129,17 +129,17 @@ def is_plain_box(geometry, footprints, slot):
 def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    met = RayAndBox(ray, lo, hi)
-    return enter_any(world.geometry, world.footprints, slot, met, radius, t_max, work)
+    pair = RayAndBox(ray, lo, hi)
+    return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
 
 
 @lean_kernel
-def enter_any(geometry, footprints, slot, met, radius, t_max, work):
+def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     t, feature = np.inf, np.int64(INSIDE)
     if geometry is not None:
-        t, feature = enter_shape(geometry[0][slot], geometry[1], met, radius, t_max, work)
+        t, feature = enter_shape(geometry[0][slot], geometry[1], pair, radius, t_max, work)
     if footprints is not None:
-        t, feature = enter_footprint(footprints[0][slot], footprints[1], met, radius, t_max, work)
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, radius, t_max, work)
     return t, feature
 
 
@@ -147,18 +147,18 @@ def enter_any(geometry, footprints, slot, met, radius, t_max, work):
 def touch(world, scratch, radius, hit, point, normal):
     """Fill in where a ray or ball meets an obstacle, and the outward normal there."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
-    met, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
+    pair, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
     at = hit.t, hit.feature
-    touch_any(world.geometry, world.footprints, hit.slot, met, at, radius, scratch.work, out)
+    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, scratch.work, out)
 
 
 @lean_kernel
-def touch_any(geometry, footprints, slot, met, hit, radius, work, out):
+def touch_any(geometry, footprints, slot, pair, hit, radius, work, out):
     point, normal = out
     if geometry is not None:
-        contact(geometry[0][slot], geometry[1], met, hit, radius, work, point, normal)
+        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal)
     if footprints is not None:
-        touch_footprint(footprints[0][slot], footprints[1], met, hit, radius, work, point, normal)
+        touch_footprint(footprints[0][slot], footprints[1], pair, hit, radius, work, point, normal)
 
 
 @inlined
