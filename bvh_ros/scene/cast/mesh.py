@@ -118,7 +118,7 @@ def first_crossing(surface, ray):
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
     top = push_root(nodes, root, line, limit, stack, enter_box)
     while top > 0:
-        leaf, _, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+        leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
         if leaf == NONE:
             break
         face = np.int64(leaf >> 1)

@@ -369,7 +369,7 @@ def walk_nodes(nodes, root, path, scale, t_max, enter, caster, room, found, visi
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
     top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
-        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter)
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter)
         if leaf == NONE:
             break
         found, t = visit(caster, room, leaf >> 1, found)

@@ -140,6 +140,15 @@ def raycast_at(tree, moving, course, options, found, filled):
     )
 
 
+class EveryHit(NamedTuple):
+    """Hits of n rows, those of row i at [offsets[i], offsets[i + 1]) of the others."""
+
+    offsets: NDArray[np.int64]
+    ids: NDArray[np.int64]
+    found: Found
+    places: Places
+
+
 @inlined
 def is_sound(lo, hi, direction, times):
     """Whether it is a box that goes somewhere at some time."""
@@ -309,9 +318,7 @@ class MotionRays(Motion):
             handle, t = kernel(tree._settled().tree, moving, *given)
         return handle, t
 
-    def every_ray(
-        self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]
-    ) -> tuple[Ids, Ids, Found, Places]:
+    def every_ray(self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]) -> EveryHit:
         """`every` hit of rays = (origins, directions, t_max, mask, skip_inside)."""
         origins, directions, t_max, mask, skip_inside = rays
         count, skip = len(origins), checks.flag('skip_inside', skip_inside)
@@ -319,10 +326,8 @@ class MotionRays(Motion):
         rows = limits, checks.masks_or_one(mask, count), *both_times(times, count)
         return self.every(tree, Casts(origins, origins, directions, *rows, skip, EVERY))
 
-    def every(self, tree: Any, casts: Casts) -> tuple[Ids, Ids, Found, Places]:
-        """All hits of rays or boxes, nearest first, or the first of each: (offsets, handles, what
-        was found, where).
-        """
+    def every(self, tree: Any, casts: Casts) -> EveryHit:
+        """All hits of rays or boxes, nearest first, or the first of each."""
         count, ndim, begun = len(casts.lo), tree.ndim, tree.view()
         offsets, done = np.zeros(count + 1, np.int64), 0
         found = room_for_hits(count if casts.mode != EVERY else 64)
@@ -348,7 +353,7 @@ class MotionRays(Motion):
             kernel(begun.tree, self.moving, casts, offsets, found, places)
         handles = begun.tree.handles[found.slots]
         tree.check_unchanged(begun)
-        return offsets, handles, found, places
+        return EveryHit(offsets, handles, found, places)
 
     def first_many(
         self,
@@ -462,13 +467,13 @@ class MotionRays(Motion):
                 hits.t[0], hits.normals[0] = t, place[1] if hits.ids[0] >= 0 else 0.0
             return
         casts = Casts(rays.origins, *rays[:4], *rays[6:8], rays.skip_inside, rays.mode)
-        offsets, handles, found, places = self.every(tree, casts)
-        rows = np.flatnonzero(np.diff(offsets))
+        every = self.every(tree, casts)
+        rows = np.flatnonzero(np.diff(every.offsets))
         hits.ids[:] = NONE
-        hits.ids[rows] = handles
+        hits.ids[rows] = every.ids
         if rays.mode == CLOSEST:
             hits.t[:], hits.normals[:] = np.inf, 0.0
-            hits.t[rows], hits.normals[rows] = found.ts, places.normals
+            hits.t[rows], hits.normals[rows] = every.found.ts, every.places.normals
 
 
 def _check_finite(rays: TimedRays) -> None:

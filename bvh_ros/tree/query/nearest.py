@@ -129,9 +129,10 @@ def visit_nearest(tree, nodes, query, best, limit, square, look_at):
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
     top, count = push_root(nodes, tree.state[ROOT], query, limit, stack, square), np.int64(0)
     while top > 0:
-        leaf, apart, top = next_leaf(nodes, query, limit, stack, top, square)
+        leaf, top = next_leaf(nodes, query, limit, stack, top, square)
         if leaf == NONE:
             break
+        apart = stack.entries[top]
         count, limit = look_at(tree, query, leaf, apart, best, count, limit)
     return count, limit
 

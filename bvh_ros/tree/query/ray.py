@@ -130,7 +130,7 @@ def cast(nodes, root, path, scale, options, found, filled, enter, decide, preced
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
     top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
-        leaf, _, top = next_leaf(nodes, path, limit, stack, top, enter)
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter)
         if leaf == NONE:
             break
         slot = leaf >> 1

@@ -337,8 +337,8 @@ class RayQueries(RayAsking):
         motion = self._motion_at(at, pace)
         if motion is not None:
             some = origin[None], direction[None], limit, bits, skip_inside
-            _, ids, found, places = motion.every_ray(self, some, (at, pace))
-            rows = zip(ids.tolist(), found.ts.tolist(), *places, strict=True)
+            every = motion.every_ray(self, some, (at, pace))
+            rows = zip(every.ids.tolist(), every.found.ts.tolist(), *every.places, strict=True)
             return [RayHit(*row) for row in rows]
         view, skip = self.view(), checks.flag('skip_inside', skip_inside)
         options = np.array([limit]), np.array([bits]), skip, EVERY, True
@@ -433,8 +433,8 @@ class RayQueries(RayAsking):
                 checks.points('directions', directions, ndim),
             )
             some = *path, t_max, mask, skip_inside
-            offsets, ids, found, _ = motion.every_ray(self, some, (at, pace))
-            return offsets, ids, found.ts
+            every = motion.every_ray(self, some, (at, pace))
+            return every.offsets, every.ids, every.found.ts
         count = len(origins)
         limits, masks, skip = checks.FOREVER, checks.EVERYTHING, skip_inside
         if t_max is not np.inf:

@@ -38,7 +38,8 @@ def push_root(nodes, root, query, limit, stack, enter):
 
 @inlined
 def next_leaf(nodes, query, limit, stack, top, enter):
-    """The next leaf that a query may reach within a limit: (leaf or NONE, its distance, top).
+    """The next leaf that a query may reach within a limit: (leaf or NONE, top of the stack). The
+    distance of the leaf is stack.entries[top].
 
     enter(nodes, node, query, limit) is the distance of a node: it may be too small, not too large;
     inf if the query surely does not reach the node within the limit.
@@ -59,5 +60,6 @@ def next_leaf(nodes, query, limit, stack, top, enter):
                 top += 1
             node = near
         if entry < np.inf:
-            return node, entry, top
-    return np.int64(NONE), np.inf, top
+            stack.entries[top] = entry
+            return node, top
+    return np.int64(NONE), top
