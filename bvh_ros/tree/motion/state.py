@@ -375,8 +375,8 @@ class Motion:
         view = tree.view()
         if not self.holds(view.version, first, last):
             self.fit(tree, first, last, moments=False)
-        wanted, enough = self._wanted, RAYS_PER_BOX * view.tree.state.item(COUNT)
-        before = wanted.rays if wanted.version == view.version else 0
+        cache, enough = self._cache, RAYS_PER_BOX * view.tree.state.item(COUNT)
+        before = cache.rays if cache.version == view.version else 0
         if (
             count
             and before + 2 * count >= enough  # once more by the batch
