@@ -44,7 +44,7 @@ SCENE: dict[str, dict[str, Any]] = {
     'nearest_many': {'points': ROWS, 'k': 1, 'max_distance': 9.0, 'mask': 1, 'signed': False,
                      'threads': 1, 'at': 0},
     'newcomers': {'after': 0},
-    'prepare_batch': {'count': 5},
+    'prepare_rays': {'count': 5},
     'overlap': {'start': ORIGIN, 'goal': ONE, 'orientation': [0, 0, 0, 1], 'tolerance': 0.1,
                 'mask': 1, 'most': 9, 'at': 0},
     'overlap_many': {'centers': ROWS, 'sizes': ENDS, 'orientations': None, 'tolerance': 0.1,
@@ -96,7 +96,8 @@ INSIDE = {
     DynamicBVH: {'arrays', 'check_unchanged', 'copied', 'count_nanoseconds', 'few_rays', 'latest',
                  'first_hits', 'move_sound', 'packed_velocities', 'ready_snapshot', 'reserve',
                  'room_for', 'room_for_copy', 'snapshot_for', 'validate_copy', 'view'},
-    Scene: {'discard', 'discard_in_slices', 'names_of', 'in_slices', 'is_long'},
+    Scene: {'is_prepared', 'prepare_times', 'discard', 'discard_in_slices',
+            'names_of', 'in_slices', 'is_long'},
     Forest: {'__init__'},  # of `open` and `build`
 }  # fmt: skip
 DRAWN = {'plot'}  # `test_plotting` of the tree and of the scene
