@@ -45,7 +45,7 @@ class PathPoses:
     if it is none.
     """
 
-    real, height = np.dtype(np.float64), 1
+    real, height, has_radii = np.dtype(np.float64), 1, False
 
     def __init__(self, message: bytes) -> None:
         path = decoder.read(message)

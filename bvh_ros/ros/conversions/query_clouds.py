@@ -6,6 +6,7 @@ node and its clients.
 
 from __future__ import annotations
 
+import functools
 import sys
 from array import array
 from collections.abc import Sequence
@@ -166,9 +167,16 @@ DEFAULTS = {
 }
 
 
-def needed_fields(kind: type) -> list[str]:
+@functools.cache
+def all_fields(kind: Any) -> list[str]:
+    """Fields that a cloud of these questions may have."""
+    return [field for name in kind._fields for field in QUESTION_FIELDS.get(name, ())]
+
+
+@functools.cache
+def needed_fields(kind: Any) -> list[str]:
     """Fields that every cloud of these questions has."""
-    return [field for name in NEEDED if hasattr(kind, name) for field in QUESTION_FIELDS[name]]
+    return [field for name in NEEDED if name in kind._fields for field in QUESTION_FIELDS[name]]
 
 
 class Moments(NamedTuple):
@@ -197,9 +205,7 @@ class QueryCloud:
 
     def __init__(self, cloud: PointCloud | PointCloud2, kind: Any) -> None:
         self._kind = kind
-        self._columns = [name for name in QUESTION_FIELDS if name in kind._fields]
-        wanted = [field for name in self._columns for field in QUESTION_FIELDS[name]]
-        points = structured(cloud, wanted)
+        points = structured(cloud, all_fields(kind))
         self._points = points.ravel()
         self.real = np.dtype(np.float32)
         """float32 or float64: the widest type among the fields."""
@@ -209,7 +215,7 @@ class QueryCloud:
         needed = needed_fields(kind)
         if not all_or_none(self._names, needed):
             raise ValueError(f'the cloud has no fields {", ".join(needed)}')
-        if 'turns' in self._columns:
+        if kind is Boxes:
             all_or_none(self._names, TURN)
         self.real = widest(points)
 
@@ -233,10 +239,12 @@ class QueryCloud:
     def rows(self, begin: int, end: int) -> Any:
         """Return some of the rows."""
         points = self._points[begin:end]
-        given: dict[str, Any] = {name: self._column(points, name) for name in self._columns}
-        if self._kind is Rays:
-            given['real'] = self.real
-        return self._kind(**given)
+        return self._kind(
+            *(
+                self.real if name == 'real' else self._column(points, name)
+                for name in self._kind._fields
+            )
+        )
 
     def _column(self, points: NDArray[np.void], name: str) -> Any:
         fields, count = QUESTION_FIELDS[name], len(points)
@@ -371,6 +379,16 @@ def put(answers: Any, rows: Any, others: Any) -> None:
         column[rows] = values
 
 
+@functools.cache
+def row_of_answers(kind: Any, real: Any) -> tuple[list[str], np.dtype[np.void]]:
+    """The columns of answers, and the type of a row of their table."""
+    names = [name for name in ANSWER_FIELDS if name in kind._fields]
+    fields = [
+        (field, 'u4' if name in WHOLE else real) for name in names for field in ANSWER_FIELDS[name]
+    ]
+    return names, np.dtype(fields, align=True)
+
+
 class AnswerTable:
     """Room for the answers of a cloud of height x width points.
 
@@ -380,15 +398,10 @@ class AnswerTable:
         Of all fields but obstacle and count, which are uint32.
     """
 
-    def __init__(self, kind: type, height: int, width: int, real: DTypeLike) -> None:
-        self._columns = [name for name in ANSWER_FIELDS if hasattr(kind, name)]
+    def __init__(self, kind: type, height: int, width: int, real: Any) -> None:
+        self._columns, row = row_of_answers(kind, real)
         self._size = height, width
-        kinds = [
-            (field, 'u4' if name in WHOLE else real)
-            for name in self._columns
-            for field in ANSWER_FIELDS[name]
-        ]
-        self._table = np.zeros(height * width, np.dtype(kinds, align=True))
+        self._table = np.zeros(height * width, row)
 
     def write(self, rows: slice, answers: Hits | Near | Touched) -> None:
         """Write answers into some rows, rounded to nearest."""

@@ -105,6 +105,7 @@ def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> Spans
 QOS_PERIOD = 1.0  # seconds
 SMALLEST_PIECE, LARGEST_PIECE = 32, 8192  # rows
 PIECE_TIME = 0.005  # seconds
+RECENT = 1.0  # seconds: rows of the last batch of a kind took as long as those of the next
 GROWTH = 8.0  # at most, from a piece to the next: rows may take 100 times as long as others
 # What a batch of so many rows needs of so many obstacles takes longer than a turn.
 MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
@@ -149,9 +150,13 @@ def prepare(
         yield from changes.read(owner, prepare_all)
 
 
-def in_pieces(count: int, answer: Callable[[slice], None]) -> Iterator[None]:
-    """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME."""
-    begin, rows = 0, SMALLEST_PIECE
+def in_pieces(
+    count: int, answer: Callable[[slice], None], rows: int = SMALLEST_PIECE
+) -> Generator[None, None, int]:
+    """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME. The first
+    one has so many rows; return how many the next may have.
+    """
+    begin = 0
     while begin < count:
         if begin:
             yield
@@ -159,9 +164,11 @@ def in_pieces(count: int, answer: Callable[[slice], None]) -> Iterator[None]:
         end = min(begin + rows, count)
         answer(slice(begin, end))
         took = max(time.perf_counter() - began, 1e-6)
-        rows = int((end - begin) * min(PIECE_TIME / took, GROWTH))
-        rows = min(max(rows, SMALLEST_PIECE), LARGEST_PIECE)
+        more = int((end - begin) * min(PIECE_TIME / took, GROWTH))
+        if more < rows or end - begin == rows:
+            rows = min(max(more, SMALLEST_PIECE), LARGEST_PIECE)
         begin = end
+    return rows
 
 
 class Batch(NodePart):
@@ -199,6 +206,9 @@ class Batch(NodePart):
         self.timings = Timings()
         self._world = world
         self._kernels = kernels
+        # Of questions about other times or not, with radii or not: rows of a piece, and when that
+        # was found, s.
+        self._pieces: dict[tuple[bool, bool], tuple[int, float]] = {}
         # Questions that wait, the first begun: their bytes, and what answers them.
         self._work: deque[tuple[bytes, Iterator[None]]] = deque()
         self._turn = node.create_guard_condition(self._go_on)
@@ -310,7 +320,13 @@ class Batch(NodePart):
         rays = len(questions) if self.question is Rays else 0
         spans = partial(self._spans, questions.moments(), stamp)
         yield from prepare(self, self._world, rays, spans)
-        yield from in_pieces(len(questions), answer)
+        kind, now = (questions.has_times, questions.has_radii), time.monotonic()
+        pieces = self._pieces.get(kind)
+        recent = pieces is not None and now - pieces[1] < RECENT
+        rows = yield from in_pieces(
+            len(questions), answer, pieces[0] if pieces and recent else SMALLEST_PIECE
+        )
+        self._pieces[kind] = rows, time.monotonic()
         return table.cloud()
 
     def _require(self, questions: Any) -> None:
