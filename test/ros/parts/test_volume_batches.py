@@ -262,7 +262,7 @@ def test_nearest_as_a_service(client, scene, world):
 def test_an_incomplete_world(start_node, node):
     world = start_node({'markers.required': True, 'footprint': [0.3]})
     client = BvhClient(node, world.name, timeout=120.0)
-    world.until(client.services.nearest.service_is_ready)  # else the request goes to nobody
+    client.wait_until_ready()
     with pytest.raises(BvhError, match='has not spoken yet'):
         client.nearest([0, 0, 0])
     for ask in (
