@@ -20,7 +20,7 @@ from bvh_ros.tree.access import checks
 
 ERROR = 'error: '  # begins the frame_id of a reply that is an error
 COMPILING = 'compiling: '  # begins the reason of a node that will answer soon
-STAMPS = range(2**31 * 10**9)  # ns
+LAST_STAMP = 2**31 * 10**9 - 1  # ns
 LARGEST = float(np.finfo(np.float32).max)
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
@@ -92,7 +92,7 @@ def frame(frame_id: str) -> str:
 
 def stamp(given: int | None) -> int | None:
     """Return the stamp of a cloud, ns; ValueError if it is none."""
-    return None if given is None else checks.whole('stamp', given, 0, STAMPS[-1])
+    return None if given is None else checks.whole('stamp', given, 0, LAST_STAMP)
 
 
 def handles(obstacles: Iterable[int]) -> NDArray[np.int64]:
@@ -107,7 +107,7 @@ def _time(name: str, stamp: int) -> Time:
     if not checks.is_integer(stamp):
         shown = checks.shown_short(stamp)
         raise ValueError(f'{name} must be a whole number of ns, not {shown}')
-    if stamp == 0 or stamp not in STAMPS:
+    if not 0 < stamp <= LAST_STAMP:
         raise ValueError(f'{name} must be above 0 and below 2^31 s, not {stamp} ns')
     seconds, nanoseconds = divmod(int(stamp), 10**9)
     return Time(sec=seconds, nanosec=nanoseconds)
@@ -254,8 +254,8 @@ def _cloud_batch(
             timed = given._replace(since=(times - stamp) / 1e9)
         return query_clouds.questions_cloud(query_clouds.take(timed, some), real)
 
-    begin = None if times is None or not len(times) else int(times.min())
-    return Batch(topic, given, begin if begin in STAMPS else None, message)
+    begin = -1 if times is None or not len(times) else int(times.min())
+    return Batch(topic, given, begin if 0 <= begin <= LAST_STAMP else None, message)
 
 
 def poses(positions: ArrayLike, orientations: ArrayLike | None, at: ArrayLike | None) -> Batch:
@@ -263,7 +263,7 @@ def poses(positions: ArrayLike, orientations: ArrayLike | None, at: ArrayLike | 
     places = _rows('positions', positions)
     given = Poses(places, _orientations(orientations, len(places)))
     times = _times('at', 0 if at is None else at, len(places))
-    if times is None or not all(time in STAMPS for time in times.tolist()):
+    if times is None or (len(times) and not 0 <= times.min() <= times.max() <= LAST_STAMP):
         raise ValueError('at must be what a stamp can hold')
 
     def message(_: int, some: Any) -> Path:
