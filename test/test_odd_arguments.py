@@ -148,6 +148,7 @@ def complaints(
     good: dict[str, Any],
     make: Callable[[], Any],
     state: Callable[[Any], Any] = lambda _: None,
+    answers: type[Exception] = TooManyHitsError,
 ) -> list[str]:
     """What is wrong about a method of what `make` returns with each odd value."""
     wrong = []
@@ -160,7 +161,7 @@ def complaints(
                 call(**{**good, name: value})
                 subject = make()
                 continue
-            except TooManyHitsError:
+            except answers:
                 continue
             except Exception as error:
                 if said := complaint(error, name):
@@ -242,3 +243,59 @@ def test_no_argument_is_left_out(cls: type) -> None:
     left = INSIDE.get(cls, set()) | DRAWN
     named = {method: taken for method, taken in parameters(cls).items() if method not in left}
     assert {method: {*good} for method, good in TABLES[cls].items()} == named
+
+
+# ---- the client: without a node, what is not refused times out
+
+QUESTION: dict[str, Any] = {'start': ORIGIN, 'end': ONE, 'radius': 0.1, 'at': 1, 'until': 2,
+                            'frame_id': ''}  # fmt: skip
+VOLUME: dict[str, Any] = {'corner': ORIGIN, 'opposite': ONE, 'orientation': [0, 0, 0, 1],
+                          'tolerance': 0.1, 'at': 1, 'frame_id': ''}  # fmt: skip
+BATCH: dict[str, Any] = {'origins': ROWS, 'directions': ENDS, 't_max': 9.0, 'mask': 1,
+                         'radius': 0.1, 'at': 1, 'until': 2, 'frame_id': '',
+                         'stamp': 1}  # fmt: skip
+TIMEOUT: dict[str, Any] = {'timeout': 0.01}
+CLIENT: dict[str, dict[str, Any]] = {
+    'check_path': {'positions': ROWS, 'orientations': None, 'at': 1, 'frame_id': '', **TIMEOUT},
+    'names': {'obstacles': [1], **TIMEOUT},
+    'nearest': {'point': ORIGIN, 'max_distance': 9.0, 'at': 1, 'frame_id': '', **TIMEOUT},
+    'nearest_many': {'points': ROWS, 'max_distance': 9.0, 'mask': 1, 'at': 1, 'frame_id': '',
+                     **TIMEOUT},
+    'overlap': VOLUME | TIMEOUT,
+    'overlap_async': VOLUME,
+    'overlap_many': {'centers': ROWS, 'sizes': ENDS, 'orientations': None, 'tolerance': 0.1,
+                     'mask': 1, 'at': 1, 'frame_id': '', **TIMEOUT},
+    'raycast': QUESTION | TIMEOUT,
+    'raycast_all': QUESTION | TIMEOUT,
+    'raycast_all_async': QUESTION,
+    'raycast_async': QUESTION,
+    'raycast_many': BATCH | TIMEOUT,
+    'raycast_many_async': BATCH,
+    'wait_until_batches_are_ready': TIMEOUT,
+    'wait_until_ready': TIMEOUT,
+}  # fmt: skip
+
+
+@pytest.fixture
+def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A client whose questions are never answered, which it notices at once."""
+    rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    from bvh_ros.client import BvhClient
+    from bvh_ros.client.waiting import Waiting
+
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    for waits in ('until', 'until_done'):
+        monkeypatch.setattr(Waiting, waits, lambda *_: False)
+    yield BvhClient(rclpy.create_node('odd', context=context), timeout=0.01)
+    rclpy.try_shutdown(context=context)
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method', CLIENT)
+def test_a_client(client: Any, method: str) -> None:
+    from bvh_ros.client import BvhClient, BvhTimeoutError
+
+    assert {*CLIENT[method]} == parameters(BvhClient)[method]
+    wrong = complaints(method, CLIENT[method], lambda: client, answers=BvhTimeoutError)
+    assert not wrong, '\n'.join(wrong)
