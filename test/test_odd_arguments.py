@@ -285,8 +285,7 @@ def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
-    for waits in ('until', 'until_done'):
-        monkeypatch.setattr(Waiting, waits, lambda *_: False)
+    monkeypatch.setattr(Waiting, 'until', lambda *_: False)
     yield BvhClient(rclpy.create_node('odd', context=context), timeout=0.01)
     rclpy.try_shutdown(context=context)
 

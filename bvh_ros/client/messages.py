@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,10 +69,21 @@ def request(
 
 def place(name: str, given: Sequence[float]) -> list[float]:
     """Return 3 coordinates; z is 0 if left out."""
-    found = checks.floats(name, given)
-    if found.shape not in ((2,), (3,)):
-        raise ValueError(f'{name} must have 2 or 3 coordinates, not the shape {found.shape}')
+    found = _floats(name, given, {(2,), (3,)}, '2 or 3 coordinates, not the shape')
     return [*found.tolist(), 0.0][:3]
+
+
+def _floats(
+    name: str, given: ArrayLike, shapes: Collection[tuple[int, ...]], wanted: str
+) -> NDArray[np.float64]:
+    """Return own floats of one of these shapes. Others are refused before they are copied: a view
+    can claim far more rows than there is memory for.
+    """
+    found = given if isinstance(given, np.ndarray) and given.shape not in shapes else None
+    found = checks.floats(name, given) if found is None else found
+    if found.shape not in shapes:
+        raise ValueError(f'{name} must have {wanted} {found.shape}')
+    return found
 
 
 def length(name: str, given: float) -> float:
@@ -181,7 +192,8 @@ def rays(
     until: ArrayLike | None,
 ) -> Batch:
     """Return n rays, or balls along them; ValueError where an argument does not fit."""
-    starts, along = checks.floats('origins', origins), checks.floats('directions', directions)
+    starts = checks.floats('origins', origins)
+    along = checks.unless_refused('directions', directions, starts.shape)
     if starts.ndim != 2 or starts.shape[1] != 3 or along.shape != starts.shape:
         raise ValueError(
             f'origins and directions must both have the shape (n, 3), not {starts.shape} '
@@ -287,7 +299,9 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
         raise ValueError(f'{name} must be integers (ns): {error}') from None
     if values.dtype.kind != 'i':
         raise ValueError(f'{name} must be integers (ns), not {values.dtype}')
-    return _for_each_row(name, values, count).astype(np.int64)
+    if values.shape not in ((), (count,)):
+        raise ValueError(f'{name} must be one number or have the shape ({count},)')
+    return np.broadcast_to(values, (count,)).astype(np.int64)
 
 
 def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
@@ -297,19 +311,16 @@ def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
 def _rows(
     name: str, given: ArrayLike, count: int | None = None, width: int = 3
 ) -> NDArray[np.float64]:
+    if count is not None:
+        shapes = (width,), (count, width)
+        rows = _floats(name, given, shapes, f'the shape ({count}, {width}), not')
+        return np.broadcast_to(rows, (count, width))
     rows = checks.floats(name, given)
-    if count is not None and rows.shape == (width,):
-        rows = np.broadcast_to(rows, (count, width))
-    if rows.ndim != 2 or rows.shape[1] != width or count not in (None, len(rows)):
-        raise ValueError(f'{name} must have the shape ({count or "n"}, {width}), not {rows.shape}')
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f'{name} must have the shape (n, {width}), not {rows.shape}')
     return rows
 
 
 def _column(name: str, given: ArrayLike, count: int) -> NDArray[np.float64]:
-    return _for_each_row(name, checks.floats(name, given), count)
-
-
-def _for_each_row(name: str, values: NDArray[Any], count: int) -> NDArray[Any]:
-    if values.shape not in ((), (count,)):
-        raise ValueError(f'{name} must be one number or have the shape ({count},)')
-    return np.broadcast_to(values, (count,))
+    wanted = f'one number or the shape ({count},), not'
+    return np.broadcast_to(_floats(name, given, ((), (count,)), wanted), (count,))
