@@ -219,5 +219,5 @@ def test_a_client_of_a_view_learns_names_from_the_node(viewed, ros):
     hits = client.raycast_many([[-90.0, 0, 0]], [[1.0, 0, 0]])
     (name,) = client.names(hits.obstacles).values()
     assert name == client.raycast((-90, 0, 0), (1e6, 0, 0)).name
-    with pytest.raises(BvhTimeoutError, match='nobody tells'):
+    with pytest.raises(BvhTimeoutError, match='nobody publishes the names'):
         BvhClient(ros[0], '/nobody/bvh').names([1], timeout=0.1)
