@@ -52,8 +52,9 @@ from .query.ray import (
     locate,
     of_row,
     raycast_one,
+    rows_of,
 )
-from .query.ray_queries import answer_rays, rows_of
+from .query.ray_queries import answer_rays
 from .query.slab import (
     DIRECTION,
     INSIDE,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import box_checks, changing, checks, handle_checks
+from .nodes import View
 from .query.box_queries import BoxQueries
 from .query.ray_queries import RayQueries
 from .store import files
@@ -127,6 +128,10 @@ class DynamicBVH(RayQueries, BoxQueries):
             tree = cls(ndim, margin=margin, capacity=capacity)
         tree.insert_many(low, hi, mask)
         return tree
+
+    @staticmethod
+    def _tree_of_boxes(lo: Floats, hi: Floats, masks: Any) -> View:
+        return DynamicBVH.from_boxes(lo, hi, mask=masks).view()
 
     # ---- changes: each is one kernel of `changing`
 

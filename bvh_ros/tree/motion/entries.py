@@ -26,9 +26,10 @@ from ..query.ray import (
     more_room,
     of_row,
     room_for_hits,
+    room_for_rays,
+    rows_of,
     sort_hits,
 )
-from ..query.ray_queries import room_for_rays, rows_of
 from ..query.slab import DIRECTION, EXACT, INSIDE, ORIGIN, RAY_ROWS, UPPER, set_swept_box
 from ..results import RayHits
 from ..simd.moving_sides import FRONTS

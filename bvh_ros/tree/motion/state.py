@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from .. import time_checks
 from ..batch.snapshot import Snapshot, take_snapshot
 from ..compiler import CACHE_LINE, WIDTH, entry_point, lean_kernel
-from ..dynamic_bvh import DynamicBVH
 from ..entries import entry_points
 from ..nodes import (
     ASKS,
@@ -48,6 +47,8 @@ from .exact_contact import Moving, velocity_dtype, velocity_records
 from .sweep import FEW, Sweep, swept
 
 Ids = NDArray[np.int64]
+Build = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]], View]
+"""From lower and upper corners and masks to a tree."""
 
 
 @lean_kernel
@@ -108,19 +109,21 @@ def layout_of_tree(ndim: int) -> Layout:
     return Layout(empty_tree(ndim).nodes, NONE, np.empty(0, np.int64))
 
 
-def rebuild_at_time(view: View, records: NDArray[np.void], at: float, left: float) -> Layout:
+def rebuild_at_time(
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
+) -> Layout:
     """Nodes built over the rounded places of all boxes at a time; boxes move for `left` s.
     `bounds` are fitted to them.
     """
-    (tree, _), slots = _built(view, records, at, left)
+    (tree, _), slots = _built(build, view, records, at, left)
     return Layout(tree.nodes, tree.state.item(ROOT), slots)
 
 
 def snapshot_at_time(
-    view: View, records: NDArray[np.void], at: float, left: float
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
 ) -> Snapshot | None:
     """A snapshot of such nodes, for `sweeping`."""
-    built, slots = _built(view, records, at, left)
+    built, slots = _built(build, view, records, at, left)
     snapshot = take_snapshot(built)
     if snapshot is None:
         return None
@@ -130,7 +133,7 @@ def snapshot_at_time(
 
 
 def _built(
-    view: View, records: NDArray[np.void], at: float, left: float
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
 ) -> tuple[View, NDArray[np.int64]]:
     """A tree of all boxes at a time, and their slots in the other tree, in its order of slots;
     RuntimeError if that is being changed.
@@ -144,7 +147,7 @@ def _built(
     with np.errstate(over='ignore'):
         shifts = velocities * np.minimum(at - references, left)[:, None]
         lo, hi = (np.clip(boxes[side] + shifts, -FARTHEST, FARTHEST) for side in ('lo', 'hi'))
-    return DynamicBVH.from_boxes(lo, hi, mask=masks).view(), slots
+    return build(lo, hi, masks), slots
 
 
 Floats = NDArray[np.float64]
@@ -239,9 +242,22 @@ def asks_for(boxes: int, grown: float) -> int:
 
 
 class Motion:
-    """The velocities of a tree, and bounds of its nodes over the times of queries."""
+    """The velocities of a tree, and bounds of its nodes over the times of queries.
 
-    def __init__(self, ndim: int, nanoseconds: bool = False, left: float = math.inf) -> None:
+    Parameters
+    ----------
+    ndim : int
+        2 or 3.
+    build : callable
+        Builds a tree over the places of boxes at a time.
+    nanoseconds, left
+        As of `DynamicBVH.count_nanoseconds`.
+    """
+
+    def __init__(
+        self, ndim: int, build: Build, nanoseconds: bool = False, left: float = math.inf
+    ) -> None:
+        self._build = build
         self.velocities = velocity_records(0, ndim)
         known = no_motion(ndim)._replace(version=NOT_FITTED)
         self.moving = known._replace(nanoseconds=nanoseconds, left=left)
@@ -358,7 +374,7 @@ class Motion:
         if laid is not moving and laid.start <= first <= last <= laid.stop:
             moving = laid
         elif parted + per_second * (middle - moving.start) > PARTED:
-            layout = rebuild_at_time(view, self.velocities, middle, moving.left)
+            layout = rebuild_at_time(self._build, view, self.velocities, middle, moving.left)
             soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
             stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
             self.bounds = moving = self._fit(view, layout, first, stop)
@@ -440,9 +456,8 @@ class Motion:
     def _rebuilt(self, view: View, cache: SweepCache) -> SweepCache:
         """The sweep of nodes that are built for its time."""
         start, stop, sweep = cache.start, cache.stop, cache.sweep
-        snapshot = snapshot_at_time(
-            view, self.velocities, 0.5 * start + 0.5 * stop, self.moving.left
-        )
+        middle, left = 0.5 * start + 0.5 * stop, self.moving.left
+        snapshot = snapshot_at_time(self._build, view, self.velocities, middle, left)
         if snapshot is not None:
             sweep, _ = swept(view.tree, self.known(view, start, stop), snapshot)
         return cache._replace(sweep=sweep, rebuild_after=np.inf)

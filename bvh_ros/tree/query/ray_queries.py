@@ -22,12 +22,15 @@ from .ray import (
     ANY,
     CLOSEST,
     EVERY,
+    LARGE_BATCH,
     Rays,
     count_entry,
     every_hit,
     locate_entry,
     one_entry,
+    room_for_rays,
     rows_entry,
+    rows_of,
 )
 
 # Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
@@ -38,9 +41,6 @@ FEW_TOGETHER = 72
 # for 80 among 1,000, for 200 among 10,000, for 370 among 30,000, for 1,500 among 100,000, for
 # 3,000 among more.
 BOXES_A_RAY, FEW_RAYS = 64, 3000
-# From so many rays on the answers of a batch are one piece of memory.
-LARGE = 1024
-_NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 
 def answer_rays(
@@ -83,30 +83,6 @@ def is_scan(origins: NDArray[np.float64]) -> bool:
     """Whether rays seem to come from one place."""
     first = origins[0].tolist()
     return origins[-1].tolist() == first == origins[len(origins) // 2].tolist()
-
-
-def rows_of(table: Any, count: int, rows: Any) -> Any:
-    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
-    return type(table)(
-        *(
-            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
-            for column in table
-        )
-    )
-
-
-def room_for_rays(count: int, ndim: int, mode: int) -> RayHits:
-    """Room for the answers of so many rays."""
-    if mode != CLOSEST:
-        return tuple.__new__(RayHits, (np.empty(count, INT64), *_NOT_DESCRIBED[ndim]))
-    if count < LARGE:
-        parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
-        return tuple.__new__(RayHits, parts)
-    # One piece of memory: three make the allocator give theirs back to the system after each
-    # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
-    room = np.empty(count * (2 + ndim))
-    ids, ts, normals = room[:count].view(INT64), room[count : 2 * count], room[2 * count :]
-    return RayHits(ids, ts, normals.reshape(count, ndim))
 
 
 class RayAsking(Timed):
@@ -207,7 +183,7 @@ class RayAsking(Timed):
         """
         origins, _, t_max, _, _, mode, _ = rays_given
         count, ndim = len(origins), self._ndim
-        if mode != CLOSEST or count >= LARGE:
+        if mode != CLOSEST or count >= LARGE_BATCH:
             hits = room_for_rays(count, ndim, mode)
         else:
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
