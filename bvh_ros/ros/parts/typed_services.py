@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from bvh_ros.scene import Scene
 
 STATUS = Raycast.Response
+MANY_NAMES = 8
 
 
 class ShapeRows(NamedTuple):
@@ -130,7 +131,7 @@ class Answers(NamedTuple):
 
     counts: NDArray[np.int64]  # (n,) obstacles of each row
     obstacles: Masks  # (m,) handles
-    numbers: dict[str, Floats]  # (m,) or (m, 3) of each obstacle, by fields of the response
+    numbers: dict[str, Any]  # (m,) or (m, 3) of each obstacle, by fields of the response
 
 
 class Question(NamedTuple):
@@ -288,6 +289,8 @@ class TypedServices(NodePart):
                 masks = some.masks[these] & np.uint32(self.view.mask)
                 these_rows = take(some, these)._replace(masks=masks)
                 found = question.ask(state, request, these_rows, at, until, limit)
+                if request.with_names:
+                    found.numbers['names'] = names_of(state, found.obstacles)
                 parts.append((numbers[these], found))
 
         rays = count if isinstance(rows, Rays) else 0
@@ -304,8 +307,8 @@ class TypedServices(NodePart):
         if reasons:
             self.refused.add(reasons[0], int(np.count_nonzero(statuses)))
         write(response, answers, statuses, reasons[0] if reasons else '')
-        if request.with_names:
-            response.names = [_name(world.scene, handle) for handle in answers.obstacles.tolist()]
+        if request.with_names and len(answers.obstacles):
+            response.names = answers.numbers['names'].tolist()
 
     def _cast(
         self, scene: Scene, request: Any, rows: Rays, at: Any, until: Any, limit: Limit
@@ -547,10 +550,11 @@ def _fields(response: Any) -> dict[str, int]:
 
 def unanswered(response: Any, count: int) -> Answers:
     """Return rows that say that nobody knows."""
-    numbers = {
+    numbers: dict[str, Any] = {
         name: np.full((count, width) if width > 1 else count, np.nan)
         for name, width in _fields(response).items()
     }
+    numbers['names'] = np.full(count, '', object)
     return Answers(np.ones(count, np.int64), np.full(count, UNANSWERED, np.uint32), numbers)
 
 
@@ -563,13 +567,13 @@ def merged(count: int, parts: Sequence[tuple[NDArray[np.int64], Answers]]) -> An
         counts[rows] = answers.counts
     first, total = np.cumsum(counts) - counts, int(counts.sum())
     obstacles = np.empty(total, np.uint32)
-    numbers: dict[str, Floats] = {}
+    numbers: dict[str, Any] = {}
     for rows, answers in parts:
         begin = np.cumsum(answers.counts) - answers.counts
         places = np.repeat(first[rows] - begin, answers.counts) + np.arange(len(answers.obstacles))
         obstacles[places] = answers.obstacles
         for name, values in answers.numbers.items():
-            column = numbers.setdefault(name, np.empty((total, *values.shape[1:])))
+            column = numbers.setdefault(name, np.empty((total, *values.shape[1:]), values.dtype))
             column[places] = values
     return Answers(counts, obstacles, numbers)
 
@@ -594,5 +598,14 @@ def _packed(code: str, values: NDArray[Any]) -> array[Any]:
     return packed
 
 
-def _name(scene: Scene, handle: int) -> str:
-    return '' if handle in (UNANSWERED, NO_NODE) else scene.name_of(handle)
+def names_of(scene: Scene, obstacles: Masks) -> NDArray[np.object_]:
+    """Names of handles (m,), empty where there is no obstacle."""
+    handles, where = np.unique(obstacles, return_inverse=True)
+    wanted = handles[handles < UNANSWERED].astype(np.int64)  # and NO_NODE is above it
+    names: dict[int, str] = {}
+    if len(wanted) >= MANY_NAMES:  # a single name takes one look at all handles
+        known, numbers = scene.newcomers(int(wanted[0]) - 1)
+        places = np.flatnonzero(np.isin(known, wanted))
+        names = dict(scene.names_of(known[places], numbers[places]))
+    found = [names.get(handle) or scene.name_of(handle) for handle in wanted.tolist()]
+    return np.array([*found, *[''] * (len(handles) - len(wanted))], object)[where]
