@@ -342,7 +342,7 @@ def test_the_client_asks_about_times(clean):
     with pytest.raises(BvhError, match='start has none'):
         client.raycast(*ends, until=now)
     for wrong in (-1, 0, (1 << 31) * SECOND, 1.5, math.nan):
-        with pytest.raises(ValueError, match='a time must be'):
+        with pytest.raises(ValueError, match='at must be'):
             client.raycast(*ends, at=wrong)
     starts, ways = np.zeros((3, 3)), np.full((3, 3), [20.0, 0, 0])
     hits = client.raycast_many(starts, ways, 1.0, at=[now, now + SECOND, now + 9 * SECOND])
