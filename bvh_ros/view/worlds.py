@@ -1,20 +1,23 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The worlds that can be shown: a scene, its overlays, and the source of answers."""
+"""What can be looked at: a scene, what is drawn over it, and who answers questions about it."""
 
 from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.tree import DynamicBVH
+
+# ---- What can be looked at: a scene, what is drawn over it, and who answers questions about it.
+
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -23,24 +26,30 @@ NO_POINTS = np.empty((0, 3))
 THIN = 0.01  # height of what has none, a share of the world's width
 
 
-class NamedPoint(NamedTuple):
-    """An obstacle that a query hit, and the point of the hit, m."""
+class Named(Protocol):
+    """An obstacle that a question met: a `SceneHit`, or a client's `Hit`."""
+
+    @property
+    def name(self) -> str:
+        """Of the obstacle."""
+
+    @property
+    def point(self) -> Sequence[float] | Floats:
+        """Where it is met, m."""
+
+
+class Met(NamedTuple):
+    """The same, of a tree that has no names."""
 
     name: str
     point: Floats
 
 
 class Answer(NamedTuple):
-    """The hits of a query, nearest first, and its time."""
+    """What a question met, nearest first, and how long it took."""
 
-    hits: list[NamedPoint]
+    hits: Sequence[Named]
     microseconds: float
-
-
-def answer(hits: Iterable[Any], began: float) -> Answer:
-    """Of hits of a scene or a client, and when the query began (time.perf_counter)."""
-    took = 1e6 * (time.perf_counter() - began)
-    return Answer([NamedPoint(hit.name, np.array(hit.point)) for hit in hits], took)
 
 
 class Group(NamedTuple):
@@ -148,15 +157,15 @@ class ShownWorld:
         """Ask for the first obstacle on a segment."""
         began = time.perf_counter()
         hit = self.scene.raycast(start, goal)
-        return answer([] if hit is None else [hit], began)
+        return _answer([] if hit is None else [hit], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask for all obstacles that touch a box."""
         began = time.perf_counter()
-        return answer(self.scene.overlap(lo, hi), began)
+        return _answer(self.scene.overlap(lo, hi), began)
 
     def pick(self, start: Floats, direction: Floats, reach: float) -> Answer:
-        """Cast a ray from a camera; in a planar world, look up the ground point."""
+        """Ask what somebody sees who looks this way; in a planar world what stands there."""
         if not self.scene.planar:
             return self.raycast(start, start + direction * reach)
         down = -start[2] / direction[2] if direction[2] else 0.0
@@ -165,6 +174,10 @@ class ShownWorld:
 
     def close(self) -> None:
         """Leave nothing open."""
+
+
+def _answer(hits: Sequence[Named], began: float) -> Answer:
+    return Answer(hits, 1e6 * (time.perf_counter() - began))
 
 
 class SavedTree(ShownWorld):
@@ -212,9 +225,9 @@ class SavedTree(ShownWorld):
         ndim = self.tree.ndim
         hit = self.tree.raycast(start[:ndim], (goal - start)[:ndim], 1.0)
         if hit is None:
-            return answer([], began)
+            return _answer([], began)
         point = np.append(hit.point, start[ndim:])
-        return answer([NamedPoint(f'box/{hit.id}', point)], began)
+        return _answer([Met(f'box/{hit.id}', point)], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the saved tree for all boxes that touch a box, nearest to its middle first."""
@@ -226,9 +239,7 @@ class SavedTree(ShownWorld):
         points = np.tile(middle, (len(ids), 1))
         points[:, :ndim] = np.clip(middle[:ndim], *self.tree.boxes(ids))
         order = np.argsort(np.linalg.norm(points - middle, axis=1), kind='stable')
-        return answer(
-            [NamedPoint(f'box/{ids[row]}', points[row]) for row in order.tolist()], began
-        )
+        return _answer([Met(f'box/{ids[row]}', points[row]) for row in order.tolist()], began)
 
 
 def _upright(corners: Floats) -> Floats:
@@ -236,7 +247,7 @@ def _upright(corners: Floats) -> Floats:
     return np.pad(corners, ((0, 0), (0, 3 - corners.shape[1])))
 
 
-# ---- Groups of obstacles by the beginning of their names
+# ---- Obstacles by the beginning of their names.
 
 
 class Namespaces:
@@ -279,7 +290,7 @@ def namespace_of(name: str) -> str:
     return marker.rpartition('/')[0] or marker
 
 
-# ---- A recording with its own clock: play, pause and step
+# ---- A world by a clock of its own: it can be played, paused and stepped through.
 
 
 SECOND = 1_000_000_000  # ns

@@ -12,7 +12,7 @@ import pytest
 from tree.interrupting import InterruptError, interrupted
 from tree.reference import effort
 
-from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes, slicing
 
 COUNT = 12
 RNG = np.random.default_rng(3)
@@ -137,11 +137,12 @@ def test_clearing_again_and_again():
         assert len(state(scene)[0]) == COUNT
 
 
-def test_slices(set_slices):
+def test_slices(monkeypatch):
     """What is interrupted in slices is half applied: the world holds what either message says.
     Nothing stays behind for ever.
     """
-    set_slices(2, 3)
+    monkeypatch.setattr(slicing, 'AT_ONCE', 2)
+    monkeypatch.setattr(slicing, 'SLICE', 3)
     at, refused = 1, 0
     while True:
         scene = some_scene()

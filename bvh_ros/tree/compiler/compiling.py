@@ -10,10 +10,8 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from . import inside, kernel_cache, worker
+from . import inside, worker
 from .workers import run_beside
-
-kernel_cache.parts = inside.parts
 
 
 def _compiled(function: Callable[..., Any], **private: Any) -> Any:

@@ -27,7 +27,6 @@ from ..query.nearest import (
     pruning_limit,
     visit_nearest,
     visit_packet,
-    within,
 )
 from ..query.ray import of_row
 from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
@@ -89,15 +88,15 @@ def _quick_apart(box, axis, low, high, since):
     lanes.
     """
     (lo, hi, velocity, _), (since, lost) = box, since
-    shift = velocity[axis] * since
-    below, above = (lo[axis] - high[axis]) + shift, (low[axis] - hi[axis]) - shift
+    way = velocity[axis] * since
+    below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
     # One side tells it, as the other is surely passed; a choice costs less than a guess.
     lower = below > above
     plane, front = (lo[axis], high[axis]) if lower else (hi[axis], low[axis])
     apart, _, enough = quick_gap(plane, front, velocity[axis], since, lost)
     apart = apart if lower else -apart
-    plane, front, shift = (low[axis], hi[axis], -shift) if lower else (lo[axis], high[axis], shift)
-    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, shift))
+    plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
+    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, way))
 
 
 @inlined
@@ -164,14 +163,11 @@ def near_at(moving, at, low, high, k, reach, mask):
 
 
 @inlined
-def _square(nodes, node, query, limit):
-    if nodes[node].mask & query.mask == 0:
-        return np.inf
+def _square(nodes, node, query):
     fetch_children(nodes, node)
     if not query.box.bounded:
         return 0.0
-    square = square_beside(nodes, node, query.box.fronts, query.box.ahead)
-    return within(square, limit)
+    return square_beside(nodes, node, query.box.fronts, query.box.ahead)
 
 
 @inlined

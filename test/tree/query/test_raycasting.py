@@ -9,6 +9,8 @@ import math
 
 import numpy as np
 import pytest
+from tree.adversary import coordinates
+from tree.reference import exact_hits, seen
 
 from bvh_ros import ALL, DynamicBVH, RayHit, RayHits
 
@@ -213,3 +215,112 @@ def test_limits_row_by_row() -> None:
     ]
     assert tree.raycast_all_many(origins, directions, t_max, masks)[0].tolist() == [0, 0, 1, 2, 2]
     assert tree.raycast_many(origins, directions, t_max=0.5).ids.tolist() == [-1] * 4
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+@pytest.mark.parametrize('margin', [0.0, 0.5])
+def test_scenes_that_change(ndim: int, margin: float) -> None:
+    """2,000 boxes that move, come and go; after each change scalar calls and batches are as brute
+    force says.
+    """
+    rng = np.random.default_rng(ndim)
+    lo = rng.uniform(-50, 50, (2000, ndim))
+    hi = lo + rng.uniform(0, 3, lo.shape)
+    tree = DynamicBVH(ndim, margin=margin)
+    handles = tree.insert_many(lo, hi)
+    for step in range(3):
+        origins = rng.uniform(-60, 60, (25, ndim))
+        directions = np.round(rng.normal(size=origins.shape) * 2) / 2
+        expected = [seen(hits, handles) for hits in exact_hits(lo, hi, origins, directions)]
+        many = tree.raycast_many(origins, directions)
+        offsets, ids, _ = tree.raycast_all_many(origins, directions)
+        for ray, hits in enumerate(expected):
+            own = [handles[hit.row] for hit in hits]
+            assert ids[offsets[ray] : offsets[ray + 1]].tolist() == own
+            assert many.ids[ray] == (own[0] if own else -1)
+            first = tree.raycast(origins[ray], directions[ray])
+            assert (first.id, first.t) == (own[0], many.t[ray]) if own else first is None
+        moved = rng.choice(2000, [1500, 400, 20][step], replace=False)
+        lo[moved] += rng.normal(size=(len(moved), ndim))
+        hi[moved] = lo[moved] + 1
+        tree.move_many(handles[moved], lo[moved], hi[moved])
+        gone = rng.choice(2000, 50, replace=False)
+        tree.remove_many(handles[gone])
+        handles[gone] = tree.insert_many(lo[gone], hi[gone])
+        tree.validate()
+
+
+@pytest.mark.parametrize('way', [(3.0, 1.0, 0.0), (-3.0, -1.0, 0.0), (1.0, 0.1, 0.0)])
+def test_hundreds_of_hits_in_order(way: tuple[float, ...]) -> None:
+    """More than there is room for at first, many of them at one distance (3 y is x on the way) or
+    at zero, and of many boxes twice.
+    """
+    rng = np.random.default_rng(8)
+    lo = np.c_[rng.integers(-90, 90, (400, 1)), np.zeros((400, 2))]
+    lo[::2, :2] = np.c_[lo[::2, 0] * 3, lo[::2, 0]]
+    lo[-90:] = lo[:90]
+    hi = lo + np.c_[rng.integers(1, 200, 400), rng.integers(5, 90, 400), np.zeros(400)]
+    lo[::3, 1] -= 100.0
+    tree = DynamicBVH.from_boxes(lo, hi)
+    origins, ways = np.array([[-200.0, -66, 0], [0, 0, 0], [200, 66, 0]]), np.array([way] * 3)
+    offsets, ids, ts = tree.raycast_all_many(origins, ways)
+    for row, hits in enumerate(exact_hits(lo, hi, origins, ways)):
+        some = slice(offsets[row], offsets[row + 1])
+        own = seen(hits, tree.ids())
+        assert ids[some].tolist() == [tree.ids()[hit.row] for hit in own]
+        assert (np.diff(ts[some]) >= 0.0).all()
+        one_by_one = tree.raycast_all(origins[row], way)
+        assert [(hit.id, hit.t) for hit in one_by_one] == list(
+            zip(ids[some], ts[some], strict=True)
+        )
+    assert len(ids) > 400
+
+
+@pytest.mark.parametrize('threads', [2, 3, 64])
+@pytest.mark.parametrize('count', [1, 7, 5000])
+def test_threads_answer_alike(threads: int, count: int) -> None:
+    rng = np.random.default_rng(5)
+    lo = coordinates(rng, (300, 3), 1.0)
+    tree = DynamicBVH.from_boxes(lo, lo + 0.3)
+    origins, directions = rng.uniform(-6, 6, (count, 3)), rng.integers(-2, 3, (count, 3))
+
+    def answers(threads: int) -> list[object]:
+        columns = [
+            *tree.raycast_many(origins, directions, threads=threads),
+            tree.occluded_many(origins, directions, threads=threads),
+            *tree.overlap_many(origins, origins + 1, threads=threads),
+        ]
+        return [column.tolist() for column in columns]
+
+    assert answers(1) == answers(threads)
+
+
+def test_a_batch_is_each_of_its_rays() -> None:
+    """20,000 rays, many through shared faces, are answered as each is alone, whatever the batch's
+    way through memory.
+    """
+    rng = np.random.default_rng(6)
+    lo = coordinates(rng, (2000, 3), 10.0)
+    tree = DynamicBVH.from_boxes(lo, lo + rng.choice([0.0, 1.0, 10 / 3], lo.shape))
+    origins = coordinates(rng, (20000, 3), 20.0)
+    directions = rng.integers(-2, 3, (20000, 3)) / rng.choice([1.0, 3.0], (20000, 1))
+    whole = tree.raycast_many(origins, directions)
+    everything = tree.raycast_all_many(origins, directions)
+    first = np.full(len(origins), -1)
+    some = np.diff(everything[0]) > 0
+    first[some] = everything[1][everything[0][:-1][some]]
+    assert whole.ids.tolist() == first.tolist()
+    assert tree.occluded_many(origins, directions).tolist() == some.tolist()
+    for ray in range(0, 20000, 40):
+        hit = tree.raycast(origins[ray], directions[ray])
+        if hit is None:
+            assert whole.ids[ray] == -1
+            continue
+        assert (hit.id, hit.t, hit.normal.tolist()) == (
+            whole.ids[ray],
+            whole.t[ray],
+            whole.normals[ray].tolist(),
+        )
+    part = tree.raycast_many(origins[5:9], directions[5:9])
+    for whole_column, column in zip(whole, part, strict=True):
+        assert np.array_equal(whole_column[5:9], column)
