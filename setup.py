@@ -43,8 +43,6 @@ setup(
     long_description=Path('README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',
     author='The bvh_ros authors',
-    maintainer='The bvh_ros authors',
-    maintainer_email='maintainers@bvh-ros.example',
     license='Apache-2.0',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed']},

@@ -27,7 +27,7 @@ from bvh_ros import scenarios
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.questions import Table, in_words
 from bvh_ros.ros import large_messages
-from bvh_ros.ros.progress import CLEAR
+from bvh_ros.ros.compilation import CLEAR
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
 
 MOST_DOMAIN = 232  # of ROS_DOMAIN_ID: beyond, there are no ports

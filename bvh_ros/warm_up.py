@@ -60,8 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _compile(parameters: Path | None) -> None:
-    from bvh_ros.ros.compilation import Compilation
-    from bvh_ros.ros.progress import Progress
+    from bvh_ros.ros.compilation import Compilation, Progress
 
     compilation = Compilation([*_everything()] if parameters is None else _jobs_of(parameters))
     progress = Progress(partial(print, flush=True))
@@ -78,8 +77,7 @@ def _compile(parameters: Path | None) -> None:
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
-    from bvh_ros.ros.job_scenes import use_tree
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs, use_tree
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
@@ -104,7 +102,7 @@ def _jobs_of(parameters: Path) -> list[Job]:
     import rclpy
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.option import ConfigurationError
+    from bvh_ros.ros.config.parameters import ConfigurationError
     from bvh_ros.ros.server import BvhServer
 
     rclpy.init(args=['--ros-args', '--params-file', str(parameters)])

@@ -11,59 +11,53 @@ processes of their own. Two messages are on the way at any time.
 
 import argparse
 import time
-from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from bvh_ros.client import UNANSWERED, BvhError, volumes
-from bvh_ros.client.batch import as_rays
-from bvh_ros.client.waiting import results
+from bvh_ros.client import UNANSWERED, BvhError
 from bvh_ros.report.soak import publishing
 from bvh_ros.ros import large_messages, running
-from bvh_ros.ros.conversions import query_clouds, ray_clouds
 
-SIDE, RADIUS, LONG, SIZE = 40.0, 0.2, 5.0, [0.9, 0.6, 0.5]  # m, of the world and what is asked
-REAL = np.dtype(np.float32)
+SIDE, RADIUS, LONG, SIZE = 40.0, 0.2, 5.0, [0.9, 0.6, 0.5]  # m, of the world and the questions
 ON_THE_WAY, PATIENCE = 2, 300.0  # messages; s
 
 
-def questions(rows):
-    """By name: the topic, and the cloud that asks."""
+def questions(client, rows):
+    """By name: a call of the client that asks them."""
     rng = np.random.default_rng(0)
     places, ways = rng.uniform(0.0, SIDE, (rows, 3)), rng.normal(size=(rows, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    boxes = volumes.boxes(places, SIZE, rng.normal(size=(rows, 4)), 0.1, 1)
-    floats = places.astype(REAL), ways.astype(REAL)
+    turns = rng.normal(size=(rows, 4))
+    rays = places.astype(np.float32), ways.astype(np.float32), LONG
     return {
-        'thin rays of 5 m': ('rays', ray_clouds.rays_cloud(as_rays(*floats, LONG, 1))),
-        'balls along them': ('rays', ray_clouds.rays_cloud(as_rays(*floats, LONG, 1, RADIUS))),
-        'turned boxes': ('boxes', query_clouds.questions_cloud(boxes, REAL)),
-        'points': ('points', query_clouds.questions_cloud(volumes.points(places, 5.0, 1), REAL)),
+        'thin rays of 5 m': lambda: client.raycast_many(*rays, timeout=PATIENCE),
+        'balls along them': lambda: client.raycast_many(*rays, radius=RADIUS, timeout=PATIENCE),
+        'turned boxes': lambda: client.overlap_many(places, SIZE, turns, 0.1, timeout=PATIENCE),
+        'points': lambda: client.nearest_many(places, LONG, timeout=PATIENCE),
     }
 
 
-def rate(client, topic, cloud, seconds):
+def rate(ask, seconds):
     """Rows a second, and how many were not answered."""
-    pending, rows, unanswered, began = deque(), 0, 0, time.monotonic()
-    while time.monotonic() - began < seconds or not rows:
-        while len(pending) < ON_THE_WAY:
-            pending.append(client.channels.begin(topic, cloud, PATIENCE))
-        (told,) = results([pending.popleft()], time.monotonic() + PATIENCE)
-        unanswered += int(np.count_nonzero(told.obstacles == UNANSWERED))
-        rows += len(told.obstacles)
-    took = time.monotonic() - began
-    results(pending, time.monotonic() + PATIENCE)
-    return rows / took, unanswered
+    began = time.monotonic()
+
+    def ask_for_a_while(_):
+        answers = []
+        while time.monotonic() - began < seconds or not answers:
+            answers.append(ask().obstacles)
+        return np.concatenate(answers)
+
+    with ThreadPoolExecutor(ON_THE_WAY) as threads:
+        answers = np.concatenate([*threads.map(ask_for_a_while, range(ON_THE_WAY))])
+    return len(answers) / (time.monotonic() - began), int(np.sum(answers == UNANSWERED))
 
 
-def until_answered(client, topic, cloud):
+def until_answered(ask):
     """Wait while what this takes is compiled; a few rows are enough to see it."""
     while True:
         try:
-            (told,) = results(
-                [client.channels.begin(topic, cloud, PATIENCE)], time.monotonic() + PATIENCE
-            )
-            if not (told.obstacles == UNANSWERED).all():
+            if not (ask().obstacles == UNANSWERED).all():
                 return
         except BvhError:
             pass
@@ -81,10 +75,10 @@ def main():
         running.served('questions', {'threads': given.threads}) as (client, _),
         publishing(client.node.get_namespace()),
     ):
-        few = questions(10)
-        for name, (topic, cloud) in questions(given.rows).items():
-            until_answered(client, *few[name])
-            found, unanswered = rate(client, topic, cloud, given.seconds)
+        few = questions(client, 10)
+        for name, ask in questions(client, given.rows).items():
+            until_answered(few[name])
+            found, unanswered = rate(ask, given.seconds)
             print(f'{name}: {found:,.0f} rows a second, {unanswered} not answered', flush=True)
 
 

@@ -60,8 +60,9 @@ def through_a_node():
     """The same by messages: a cloud of boxes, and a cloud of questions for each answer."""
     from sensor_msgs.msg import PointCloud2
 
-    from bvh_ros.client import BvhError, volumes
+    from bvh_ros.client import BvhError
     from bvh_ros.ros import large_messages, running
+    from bvh_ros.ros.conversions import query_clouds
 
     large_messages.enable()
     source = {'type': 'PointCloud2', 'topic': '~/movers', 'required': True}
@@ -74,7 +75,11 @@ def through_a_node():
 
         def tell(place, turns):
             # A cloud of questions about boxes has the fields of a cloud of boxes.
-            cloud = volumes.cloud(volumes.boxes(place, SIZES, turns, 0.0, 1))
+            count = len(place)
+            boxes = query_clouds.Boxes(
+                place, SIZES, turns, np.zeros(count), np.ones(count, np.uint32)
+            )
+            cloud = query_clouds.questions_cloud(boxes, np.dtype(np.float64))
             cloud.header.frame_id = 'map'
             publisher.publish(cloud)
 

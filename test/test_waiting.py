@@ -8,25 +8,25 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from rclpy.task import Future
-
 from bvh_ros.client import BvhError
-from bvh_ros.client.waiting import Pending
+from bvh_ros.client.waiting import Patience, Question
 
 
 @pytest.mark.parametrize('comes', ['before', 'meanwhile', 'after'])
 def test_an_error_that_nobody_waits_for_is_not_complained_of(comes: str, capfd):
-    answer, error = Future(), BvhError('the node cannot answer')
+    error = BvhError('the node cannot answer')
+
+    class Asked(Question):
+        def forget(self) -> None:
+            if comes == 'meanwhile':  # another thread was faster
+                self.answer.set_exception(error)
+
+    question = Asked('the node', Patience())
     if comes == 'before':
-        answer.set_exception(error)
-
-    def forget(future: Future) -> None:
-        if comes == 'meanwhile':  # another thread was faster
-            future.set_exception(error)
-
-    Pending(None, answer, 'the node', forget).forget()
+        question.answer.set_exception(error)
+    question.drop()
     if comes == 'after':  # it had been taken by another thread
-        answer.set_exception(error)
-    del answer
+        question.answer.set_exception(error)
+    del question
     gc.collect()
     assert capfd.readouterr() == ('', '')

@@ -13,8 +13,16 @@ print(client.names(hits.obstacles))
 """
 
 from bvh_ros.client.client import BvhClient
-from bvh_ros.client.errors import BvhError, BvhTimeoutError
-from bvh_ros.client.plans import Hit
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Hits
+from bvh_ros.client.messages import COMPILING, BvhError, BvhTimeoutError, Hit
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Hits
 
-__all__ = ['FREE', 'UNANSWERED', 'BvhClient', 'BvhError', 'BvhTimeoutError', 'Hit', 'Hits']
+__all__ = [
+    'COMPILING',
+    'FREE',
+    'UNANSWERED',
+    'BvhClient',
+    'BvhError',
+    'BvhTimeoutError',
+    'Hit',
+    'Hits',
+]

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which regions boxes meet, and whether all of a box lies in regions."""
+"""Which regions a box touches, and whether all of it lies in regions."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Box = tuple[Floats, Floats]  # lower and upper corners, (n, 3) m
 class Coverage:
     """The regions of several nodes, closed boxes.
 
-    Along each axis their finite faces cut the world into planes and what is between them. A cell
-    is a plane or a gap of each axis; a region holds all of it or nothing, so whether a box has a
-    cell that nobody knows is a sum over a table.
+    Along each axis their finite faces cut the world into planes and gaps. A cell is a plane or a
+    gap of each axis. A region holds all of a cell or nothing. So the number of cells of a box
+    that lie in no region is a sum over a table.
 
     Parameters
     ----------
@@ -37,17 +37,15 @@ class Coverage:
         self._unknown_below = np.zeros([size + 1 for size in unknown.shape], np.int64)
         self._unknown_below[1:, 1:, 1:] = unknown.cumsum(0).cumsum(1).cumsum(2)
 
-    def met(self, box: Box) -> NDArray[np.bool_]:
-        """Which regions each box touches, (n, regions)."""
-        return _all_axes((self.lo <= box[1][:, None]) & (self.hi >= box[0][:, None]))
-
-    def asked(self, box: Box) -> NDArray[np.bool_]:
-        """Whom to ask about each box, (n, regions): a region that holds all of it knows all that
-        touches it; where there is none, all that the box meets.
+    def owners(self, box: Box) -> NDArray[np.bool_]:
+        """Return which regions together know all that touches each box, (n, regions): the first
+        one that holds all of it; where there is none, all that the box touches.
         """
-        whole: Any = _all_axes((self.lo <= box[0][:, None]) & (self.hi >= box[1][:, None]))
+        lo, hi = box[0][:, None], box[1][:, None]
+        whole: Any = ((self.lo <= lo) & (self.hi >= hi)).all(axis=2)
         first = whole & (np.cumsum(whole, axis=1) == 1)
-        return np.asarray(np.where(whole.any(axis=1)[:, None], first, self.met(box)))
+        touched = ((self.lo <= hi) & (self.hi >= lo)).all(axis=2)
+        return np.asarray(np.where(whole.any(axis=1)[:, None], first, touched))
 
     def covers(self, box: Box) -> NDArray[np.bool_]:
         """Whether every point of each box lies in a region, (n,)."""
@@ -91,17 +89,12 @@ def total(a: Floats, b: Any) -> Floats:
         return np.where(exact, rounded, np.nextafter(rounded, np.inf))
 
 
-def ways(origins: Floats, directions: Floats, t: Floats, radii: Any) -> Box:
+def swept(origins: Floats, directions: Floats, t: Floats, radii: Any) -> Box:
     """Bounds of balls that go along ``origins + t * directions``; rounded outwards."""
     lengths = t[:, None]
     with np.errstate(over='ignore', invalid='ignore'):
-        way = np.where(directions == 0.0, 0.0, lengths * directions)
-    plain = np.isin(np.abs(directions), (0.0, 1.0)) | np.isin(lengths, (0.0, 1.0))
-    most, least = (np.where(plain, way, np.nextafter(way, end)) for end in (np.inf, -np.inf))
+        moved = np.where(directions == 0.0, 0.0, lengths * directions)
+    exact = np.isin(np.abs(directions), (0.0, 1.0)) | np.isin(lengths, (0.0, 1.0))
+    most, least = (np.where(exact, moved, np.nextafter(moved, end)) for end in (np.inf, -np.inf))
     lo = np.minimum(origins, -total(-origins, -least))
     return grown((lo, np.maximum(origins, total(origins, most))), radii)
-
-
-def _all_axes(held: Any) -> NDArray[np.bool_]:
-    every: NDArray[np.bool_] = held.all(axis=2)
-    return every

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several nodes tell of the same rows becomes one answer: the nearest."""
+"""Merging the answers of several nodes about the same rows: the nearest obstacle of each."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.client.coverage import Coverage
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
 
-HANDLE_BITS = 32  # of an obstacle's number; above them stands whose handle it is
+HANDLE_BITS = 32  # of an obstacle's number; above them is the number of its node
 
 Numbers = NDArray[np.int64]
 
 
 class Nearest:
-    """The nearest of what was told of n rows so far.
+    """The nearest obstacle of each of n rows so far.
 
-    Of equal distances at one place, what the node says counts in whose region the place lies: it
-    knows all that is there. At different places the names decide, see `settle`.
+    Of equal distances at one place, the answer of the node counts in whose region the place lies:
+    it knows all that is there. At different places the names decide, see `settle`.
     """
 
     def __init__(self, kind: Any, bad: NDArray[np.bool_], coverage: Coverage) -> None:
         count = len(bad)
         self._kind, self._coverage = kind, coverage
         self.unknown = bad.copy()
-        """(n,) rows of which somebody knows nothing."""
+        """(n,) rows about which a node does not know all."""
         blank: dict[str, Any] = {
-            **dict.fromkeys(('t', 'distances'), np.inf),
+            't': np.inf,
+            'distances': np.inf,
             'points': np.nan,
             'normals': 0.0,
             'obstacles': FREE,
             'counts': 0,
         }
-        self._told: dict[str, Any] = {
+        self._columns: dict[str, Any] = {
             name: np.full(
                 (count, 3) if name in ('points', 'normals') else count,
                 blank[name],
@@ -45,13 +46,13 @@ class Nearest:
             )
             for name in kind._fields
         }
-        self._far = 't' if 't' in self._told else 'distances'
-        self.distances = self._told[self._far]
-        self._obstacles, self._points = self._told['obstacles'], self._told['points']
+        self._far = 't' if 't' in self._columns else 'distances'
+        self.distances = self._columns[self._far]
+        self._obstacles, self._points = self._columns['obstacles'], self._columns['points']
         self._ties: list[tuple[Numbers, dict[str, Any]]] = []
 
     def add(self, rows: Numbers, region: int, answer: Any) -> None:
-        """Add what the node of a region says of some rows."""
+        """Add the answer of the node of a region about some rows."""
         its = answer._asdict()
         handles = its['obstacles'].astype(np.int64)
         hit = (handles != FREE) & (handles != UNANSWERED)
@@ -74,23 +75,23 @@ class Nearest:
 
     def _count(self, rows: Numbers, counts: Numbers) -> None:
         """Counts of one node hold; those of several would count an obstacle of both twice."""
-        mine = self._told['counts']
+        mine = self._columns['counts']
         mine[rows] = np.where(mine[rows] > 0, UNANSWERED, counts)
 
     def _put(self, rows: Numbers, its: Mapping[str, Any], better: NDArray[np.bool_]) -> None:
         for name, column in its.items():
-            self._told[name][rows[better]] = column[better]
+            self._columns[name][rows[better]] = column[better]
 
     def tied(self) -> set[int]:
         """Obstacles whose names decide."""
-        asked: set[int] = set()
+        tied: set[int] = set()
         for rows, its in self._ties:
             still = self._still(rows, its)
-            asked |= {*its['obstacles'][still].tolist(), *self._obstacles[rows[still]].tolist()}
-        return asked
+            tied |= {*its['obstacles'][still].tolist(), *self._obstacles[rows[still]].tolist()}
+        return tied
 
     def settle(self, names: Mapping[int, str]) -> None:
-        """Of obstacles as far away the one whose name comes first; those without come last."""
+        """Of obstacles as far away take the first by name; those without a name come last."""
         last = chr(0x10FFFF)
         for rows, its in self._ties:
             ours = [names.get(one, last) for one in self._obstacles[rows].tolist()]
@@ -102,8 +103,8 @@ class Nearest:
         return np.asarray(its[self._far] == self.distances[rows])
 
     def answer(self) -> Any:
-        """All rows; those that are unknown as a node says it."""
+        """Return all rows; the unknown ones as a node writes an UNANSWERED row."""
         lost = {'t': np.nan, 'distances': np.nan, 'points': np.nan, 'normals': 0.0}
-        for name, column in self._told.items():
+        for name, column in self._columns.items():
             column[self.unknown] = lost.get(name, UNANSWERED)
-        return self._kind(**self._told)
+        return self._kind(**self._columns)

@@ -7,11 +7,13 @@ a Hilbert curve through a grid over its own bounds, to piles of consecutive cell
 costs a level, not the order of the others.
 """
 
+import itertools
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,11 +22,11 @@ from numpy.typing import NDArray
 
 from ..tree import DynamicBVH
 from ..tree.access import box_checks, checks, mapped
-from . import hilbert
 
 VERSION = 2
 HEADER, TOP = 'forest.json', 'top.tree'
 ROWS_AT_ONCE = 1 << 18  # of a pile in memory
+CELL_BITS = 4  # an axis of the grid
 
 
 class Pile(NamedTuple):
@@ -151,9 +153,9 @@ def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
     """
     ndim = len(pile.lo)
     lo, hi = _bounds_of_centers(pile)
-    counts = np.zeros(1 << (hilbert.CELL_BITS * ndim), np.int64)
+    counts = np.zeros(1 << (CELL_BITS * ndim), np.int64)
     for rows in _read(pile):
-        counts += np.bincount(hilbert.cells(_centers(rows), lo, hi), minlength=len(counts))
+        counts += np.bincount(cells(_centers(rows), lo, hi), minlength=len(counts))
     by_id = counts.max() == pile.rows
     pile_of = _runs(counts, max_boxes)
     number = -(-pile.rows // max_boxes) if by_id else int(pile_of[-1]) + 1
@@ -164,7 +166,7 @@ def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
         if by_id:
             goes = (np.arange(seen, seen + len(rows))) // max_boxes
         else:
-            goes = pile_of[hilbert.cells(_centers(rows), lo, hi)]
+            goes = pile_of[cells(_centers(rows), lo, hi)]
         seen += len(rows)
         for i in np.unique(goes):
             dealt[i] = _append(dealt[i], rows[goes == i])
@@ -211,3 +213,55 @@ def _bounds_of_centers(pile: Pile) -> tuple[Any, Any]:
         centers = _centers(rows)
         lo, hi = np.minimum(lo, centers.min(0)), np.maximum(hi, centers.max(0))
     return lo, hi
+
+
+# ---- cells of a grid in the order of a Hilbert curve: consecutive ones are neighbours
+
+
+def cells(centers: NDArray[np.float64], lo: Any, hi: Any) -> NDArray[np.int64]:
+    """Number on the curve of the cell of each center, shape (n, ndim), in a grid over the box from
+    `lo` to `hi`: from 0 to ``2**(CELL_BITS * ndim) - 1``.
+    """
+    lo, hi = np.asarray(lo), np.asarray(hi)
+    half = np.maximum(hi * 0.5 - lo * 0.5, 1e-300)
+    place = (centers * 0.5 - lo * 0.5) / half  # halves: a difference of finite doubles is finite
+    last = (1 << CELL_BITS) - 1
+    columns = np.clip(place * (last + 1), 0, last).astype(np.int64).T
+    return _numbers(centers.shape[1])[tuple(columns)]
+
+
+@cache
+def _numbers(ndim: int) -> NDArray[np.int64]:
+    """The number of every cell, shape (2**CELL_BITS,) * ndim."""
+    numbers = np.empty((1 << CELL_BITS,) * ndim, np.int64)
+    for cell in itertools.product(range(1 << CELL_BITS), repeat=ndim):
+        numbers[cell] = _number(list(cell))
+    return numbers
+
+
+def _number(axes: list[int]) -> int:
+    """Skilling 2004, "Programming the Hilbert curve": from a cell to the bits of its number, which
+    come out transposed.
+    """
+    bit = 1 << (CELL_BITS - 1)
+    while bit > 1:
+        for i in range(len(axes)):
+            if axes[i] & bit:
+                axes[0] ^= bit - 1
+            else:
+                flipped = (axes[0] ^ axes[i]) & (bit - 1)
+                axes[0] ^= flipped
+                axes[i] ^= flipped
+        bit >>= 1
+    for i in range(1, len(axes)):
+        axes[i] ^= axes[i - 1]
+    flips, bit = 0, 1 << (CELL_BITS - 1)
+    while bit > 1:
+        if axes[-1] & bit:
+            flips ^= bit - 1
+        bit >>= 1
+    number = 0
+    for level in reversed(range(CELL_BITS)):
+        for axis in axes:
+            number = number << 1 | ((axis ^ flips) >> level & 1)
+    return number

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..tree import ALL, DynamicBVH, RayHits
 from ..tree.access import Floats, Ids, box_checks, checks, mapped
-from . import building, chunked, distances, overlaps, rays
-from .asking import Asking
+from . import building, dask_rows, queries
 
 
 class Forest:
@@ -51,7 +50,7 @@ class Forest:
     [500]
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, verify: bool = False) -> None:
         self._folder = folder.resolve()
         text = (self._folder / building.HEADER).read_bytes()
         self._mark = zlib.crc32(text)
@@ -63,14 +62,32 @@ class Forest:
                     f'it has version {header["version"]}; this is for {building.VERSION}'
                 )
             counts = [checks.whole('boxes of a part', count, 1) for count, _ in header['parts']]
-            self._checksums = [checksum for _, checksum in header['parts']]
+            self._checksums = [checks.whole('checksum', crc, 0) for _, crc in header['parts']]
             self._count, self._ndim = sum(counts), header['ndim']
-            self._top = DynamicBVH.load(top, mmap=True)
+            self._top = DynamicBVH.load(top, mmap=True, verify=True)
             known = self._ndim, len(counts), header['top']
             if (self._top.ndim, len(self._top), mapped.checksum(top)) != known:
                 raise ValueError('its top tree is of another forest')
+            if verify:
+                self._verify(counts)
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f'{folder} is no forest: {error}') from None
+
+    def _verify(self, counts: list[int]) -> None:
+        """ValueError unless every part is sound, and each id is given to one box."""
+        given = np.zeros(self._count, np.bool_)
+        for number, (count, checksum) in enumerate(zip(counts, self._checksums, strict=True)):
+            file = building.part_file(self._folder, number)
+            tree = DynamicBVH.load(file, mmap=True, verify=True)
+            if (len(tree), mapped.checksum(file)) != (count, checksum):
+                raise ValueError(f'{file} is of another forest or part')
+            beside = building.ids_file(self._folder, number)
+            ids = mapped.map_array(beside, count + 1)
+            if ids[-1] != checksum or ids[:-1].min() < 0 or ids[:-1].max() >= self._count:
+                raise ValueError(f'{beside} is of another forest or part')
+            given[ids[:-1]] = True
+        if not given.all():
+            raise ValueError(f'no box has the id {np.argmin(given)}')
 
     @classmethod
     def build(
@@ -97,13 +114,19 @@ class Forest:
             If the folder exists.
         """
         path = Path(checks.path('folder', folder))
-        building.build(path, chunks, checks.capacity('max_boxes', max_boxes))
+        building.build(
+            path, checks.iterator('chunks', chunks), checks.capacity('max_boxes', max_boxes)
+        )
         return cls(path)
 
     @classmethod
-    def open(cls, folder: str | PathLike[str]) -> Forest:
-        """Open what `build` wrote. ValueError if it is no forest, or of another version."""
-        return cls(Path(checks.path('folder', folder)))
+    def open(cls, folder: str | PathLike[str], verify: bool = False) -> Forest:
+        """Open what `build` wrote. ValueError if it is no forest, or of another version.
+
+        The first time that a process opens a part, it checks the links between its nodes, see
+        `DynamicBVH.load`. `verify` reads and checks all parts now (0.4 s a million boxes).
+        """
+        return cls(Path(checks.path('folder', folder)), checks.flag('verify', verify))
 
     def __reduce__(self) -> Any:
         return _open_again, (self._folder, self._mark)
@@ -127,10 +150,10 @@ class Forest:
         """The box around all boxes; None if there are none."""
         return self._top.bounds
 
-    def _asking(self, executor: Executor | None) -> Asking:
+    def _asked_by(self, executor: Executor | None) -> queries.Parts:
         if executor is not None and not callable(getattr(executor, 'submit', None)):
             raise ValueError('executor must have the submit of concurrent.futures.Executor')
-        return Asking(str(self._folder), self._checksums, executor)
+        return queries.Parts(self._top, str(self._folder), self._checksums, executor)
 
     def raycast_many(
         self,
@@ -143,11 +166,21 @@ class Forest:
         executor: Executor | None = None,
     ) -> RayHits:
         """First hits of n rays, see `DynamicBVH.raycast_many`. `threads`: of each worker."""
-        if chunked.are_meant(executor, origins, directions, t_max, mask):
-            how = checks.flag('skip_inside', skip_inside), checks.whole('threads', threads, 1)
-            return chunked.raycast(self, origins, directions, t_max, mask, *how)
-        asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
-        return rays.first_hits(self._top, self._asking(executor), asked)
+        if dask_rows.are_given(executor, origins, directions, t_max, mask):
+            return dask_rows.raycast(
+                self.raycast_many,
+                self._ndim,
+                checks.flag('skip_inside', skip_inside),
+                checks.whole('threads', threads, 1),
+                origins=origins,
+                directions=directions,
+                t_max=t_max,
+                mask=mask,
+            )
+        rays = queries.check_rays(
+            self._ndim, origins, directions, t_max, mask, skip_inside, threads
+        )
+        return queries.first_hits(self._asked_by(executor), rays)
 
     def occluded_many(
         self,
@@ -159,12 +192,23 @@ class Forest:
         threads: int = 1,
         executor: Executor | None = None,
     ) -> NDArray[np.bool_]:
-        """Whether each of n rays meets any box, see `DynamicBVH.occluded_many`."""
-        if chunked.are_meant(executor, origins, directions, t_max, mask):
-            how = checks.flag('skip_inside', skip_inside), checks.whole('threads', threads, 1)
-            return chunked.occluded(self, origins, directions, t_max, mask, *how)
-        asked = rays.check(self._ndim, origins, directions, t_max, mask, skip_inside, threads)
-        return rays.any_hits(self._top, self._asking(executor), asked)
+        """Whether n rays hit anything, see `DynamicBVH.occluded_many`."""
+        if dask_rows.are_given(executor, origins, directions, t_max, mask):
+            blocked: NDArray[np.bool_] = dask_rows.occluded(
+                self.occluded_many,
+                self._ndim,
+                checks.flag('skip_inside', skip_inside),
+                checks.whole('threads', threads, 1),
+                origins=origins,
+                directions=directions,
+                t_max=t_max,
+                mask=mask,
+            )
+            return blocked
+        rays = queries.check_rays(
+            self._ndim, origins, directions, t_max, mask, skip_inside, threads
+        )
+        return queries.any_hits(self._asked_by(executor), rays)
 
     def overlap_many(
         self,
@@ -176,11 +220,15 @@ class Forest:
     ) -> tuple[Ids, Ids]:
         """Overlaps of n query boxes, see `DynamicBVH.overlap_many`: (offsets, ids)."""
         threads = checks.whole('threads', threads, 1)
-        if chunked.are_meant(executor, lo, hi, mask):
-            return chunked.overlap(self, lo, hi, mask, threads)
+        if dask_rows.are_given(executor, lo, hi, mask):
+            columns = {'lo': lo, 'hi': hi, 'mask': mask}
+            both: tuple[Ids, Ids] = dask_rows.overlap(
+                self.overlap_many, self._ndim, threads, **columns
+            )
+            return both
         low, high = box_checks.boxes(lo, hi, self._ndim)
         masks = checks.masks(mask, len(low))
-        return overlaps.overlaps(self._top, self._asking(executor), low, high, masks, threads)
+        return queries.overlaps(self._asked_by(executor), low, high, masks, threads)
 
     def nearest_many(
         self,
@@ -192,12 +240,15 @@ class Forest:
     ) -> tuple[Ids, Floats]:
         """The k boxes nearest to n points, see `DynamicBVH.nearest_many`: (ids, distances)."""
         k = checks.capacity('k', k)
-        if chunked.are_meant(executor, points, max_distance, mask):
-            return chunked.nearest(self, points, k, max_distance, mask)
+        if dask_rows.are_given(executor, points, max_distance, mask):
+            both: tuple[Ids, Floats] = dask_rows.nearest(
+                self.nearest_many, self._ndim, k, points, max_distance, mask
+            )
+            return both
         where = checks.points('points', points, self._ndim)
         reach = checks.limits('max_distance', max_distance, len(where))
-        masks = checks.masks(mask, len(where))
-        return distances.nearest(self._top, self._asking(executor), where, k, reach, masks)
+        asked = queries.Points(where, reach, checks.masks(mask, len(where)))
+        return queries.nearest(self._asked_by(executor), asked, k)
 
 
 def _open_again(folder: Path, mark: int) -> Forest:

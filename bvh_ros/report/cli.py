@@ -3,21 +3,22 @@
 """The command line of the report."""
 
 import argparse
+import inspect
 import math
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from types import ModuleType
 
 from . import error, features, peers, planner, soak, speed, stability
-from .page import Page, bar, say
+from .page import Page, bar
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
-# A part is a module with an INTRODUCTION and SECTIONS: by name, functions of the page and of
-# whether the report is to be brief, which return how many cases failed, or None.
-PARTS = {
+# A part is a module with SECTIONS: by heading, functions of the page and of whether the report is
+# to be brief, which return how many cases failed, or None. Docstrings are the text on the page.
+PARTS: dict[str, ModuleType] = {
     'error': error,
     'features': features,
     'peers': peers,
@@ -27,57 +28,61 @@ PARTS = {
 }
 
 
-class Section(NamedTuple):
-    """One piece of a part."""
-
-    name: str
-    run: Callable[[Page, bool], int | None]
+QUICK = '\n\n*Quick form: scenes are smaller, and repeats fewer, than the texts say.*'
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chosen parts and write the page."""
     options = _options(arguments)
-    if find_spec('matplotlib') is None:
-        sys.exit("bvh_report draws with matplotlib: pip install 'bvh_ros[report]'")
-    page = Page(options.out, say, options.data)
-    sections = bar(_sections(options), lambda section: section.name)
-    failed = sum(section.run(page, options.quick) or 0 for section in sections)
+    if not all(map(find_spec, ('matplotlib', 'tqdm'))):
+        sys.exit("bvh_report needs matplotlib and tqdm: pip install 'bvh_ros[report]'")
+    page, failed = Page(options.out, options.data), 0
+    steps = _steps(page, options)
+    for name in bar([*steps], str):
+        failed += steps[name]() or 0
     print(f'written: {page.write()}')
     if failed:
         sys.exit(f'{failed} cases failed')
 
 
-def _sections(options: argparse.Namespace) -> list[Section]:
-    if options.part == 'soak':
-        return [Section('soak', lambda page, _brief: soak.run(page, options.minutes))]
-    chosen = PARTS
-    names = list(PARTS) if options.part == 'all' else [options.part]
-    found = []
-    for name in names:
-        found.append(Section(name, partial(_introduce, chosen[name].INTRODUCTION)))
-        found += [Section(f'{name}: {what}', run) for what, run in chosen[name].SECTIONS.items()]
-    return found
+def _steps(page: Page, options: argparse.Namespace) -> dict[str, Callable[[], int | None]]:
+    steps: dict[str, Callable[[], int | None]] = {}
+    for name in PARTS if 'all' in options.part else options.part:
+        module = PARTS.get(name, soak)
+        text = (inspect.getdoc(module) or '') + QUICK * options.quick
+        steps[name] = partial(page.begin, name.title(), text)
+        if module is soak:
+            steps['soaking'] = partial(soak.run, page, options.minutes)
+            continue
+        for heading, run in module.SECTIONS.items():
+            steps[f'{name}: {heading}'] = partial(_run, page, heading, run, options.quick)
+    return steps
 
 
-def _introduce(text: str, page: Page, _brief: bool) -> None:
-    page.add(text)
+def _run(
+    page: Page, heading: str, run: Callable[[Page, bool], int | None], brief: bool
+) -> int | None:
+    page.add(f'### {heading}')
+    if inspect.isfunction(run):
+        page.add(inspect.getdoc(run) or '')
+    return run(page, brief)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
+    modules = {**PARTS, 'soak': soak}
+    lines = [f'{name}: {(part.__doc__ or "").splitlines()[0]}' for name, part in modules.items()]
     parser.add_argument(
         'part',
+        nargs='+',
         choices=[*PARTS, 'all', 'soak'],
-        help='error: how wrong each way of answering is, against its time; '
-        'features: what each part costs when it is on, and when it is off; '
-        'peers: other libraries on the same work; '
-        'planner: batches of swept balls, turned boxes, points and distances; '
-        'speed: growth, calls, policies, searches, cold start; '
-        'stability: extreme and stiff cases; exits with 1 if one fails; '
-        'soak: a node under load over ROS 2, exits with 1 if an answer is wrong or memory grows',
+        help=' '.join(lines) + ' Ends with 1 if a case of stability or soak fails.',
     )
     parser.add_argument(
-        '--out', type=Path, default=Path('report_out'), help='folder to write to (%(default)s)'
+        '--out',
+        type=Path,
+        default=Path('report_out'),
+        help='folder to write to; parts of earlier runs stay on its page (%(default)s)',
     )
     parser.add_argument(
         '--data', type=Path, default=DATA, help='folder of the recordings (%(default)s)'

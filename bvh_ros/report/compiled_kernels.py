@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Timing: jobs take turns and the median counts, so that what else the machine does hits all."""
+"""The kernels that a process has compiled, and those of a node without configuration."""
 
 import gc
 import json
@@ -8,12 +8,12 @@ import os
 import subprocess
 import sys
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from ..ros.cdr import marker_array
-from ..ros.compile_jobs import Job, Needs, jobs
-from ..ros.sources import SOURCE_TYPES
 from ..tree.compiler.kernel_parts import Kernel
+
+if TYPE_CHECKING:
+    from ..ros.compile_jobs import Job
 
 
 class Entry(NamedTuple):
@@ -21,14 +21,16 @@ class Entry(NamedTuple):
 
     name: str
     signature: str
-    seconds: float
-    """All of it; 0 for what was in the cache."""
-    llvm: float
-    """Seconds of that in LLVM."""
+    seconds: float  # all of it; 0 for what was in the cache
+    llvm: float  # seconds of that in LLVM
 
 
-def default_jobs() -> list[Job]:
+def default_jobs() -> list['Job']:
     """Return what compiles all that a node without configuration calls."""
+    from ..ros.cdr import marker_array
+    from ..ros.compile_jobs import Job, Needs, jobs
+    from ..ros.sources import SOURCE_TYPES
+
     decode = partial(marker_array.read, marker_array.EMPTY)
     kinds = SOURCE_TYPES['MarkerArray'].kinds
     return [

@@ -2,408 +2,228 @@
 # SPDX-License-Identifier: Apache-2.0
 """The libraries that the report compares, each in the form that serves it best."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable
+from importlib import import_module
 from importlib.util import find_spec
-from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import DynamicBVH, RayHits
-from .scenes import Boxes, Floats, Rays, incoherent_rays, moved, query_edge, spread, uniform_boxes
-from .timing import Job
+from .. import DynamicBVH
+from .scenes import Boxes, Floats, Rays
 
-# ---- What is asked of every library.
-
-
-SOME = 32  # one box in so many jumps in the task `move_some`
+Rows = NDArray[np.int64]
+Move = Callable[[Rows | None, Boxes], object]  # these rows, or all
 
 
-class Jump(NamedTuple):
-    """Some of the boxes, and where they are now."""
+class Library(NamedTuple):
+    """A library under test, by what it does; None is what it cannot do.
 
-    rows: NDArray[np.int64]
-    boxes: Boxes
-
-
-class Work(NamedTuple):
-    """One scene and what is asked about it; the same for every library."""
-
-    boxes: Boxes
-    rays: Rays
-    small: Boxes
-    """Boxes to ask overlaps for; each meets half a box on average."""
-    points: Floats
-    """Points to ask the nearest box centre for, shape (m, 3)."""
-    states: tuple[Boxes, Boxes]
-    """All boxes, at home and up to one edge away."""
-    jumps: tuple[Jump, ...]
-    """One box in 32, each time others, somewhere else in the cube."""
-
-    def moving(self) -> Iterator[Boxes]:
-        """All boxes, away and home again, for ever."""
-        return cycle((self.states[1], self.states[0]))
-
-    def jumping(self) -> Iterator[Jump]:
-        """One jump after the other, for ever."""
-        return cycle(self.jumps)
-
-
-def make_work(count: int, asked: int) -> Work:
-    """Make a scene of `count` boxes, and `asked` rays, small boxes and points."""
-    rng = np.random.default_rng(0)
-    boxes = uniform_boxes(count, rng)
-    edges = boxes.hi - boxes.lo
-    corner = spread(asked, rng)
-    return Work(
-        boxes,
-        incoherent_rays(asked, rng),
-        Boxes(corner, corner + query_edge(boxes, 0.5)),
-        spread(asked, rng),
-        (boxes, moved(boxes, rng.uniform(-1, 1, edges.shape) * edges)),
-        tuple(_jump(boxes, rng) for _ in range(8)),
-    )
-
-
-def _jump(boxes: Boxes, rng: np.random.Generator) -> Jump:
-    count = len(boxes.lo)
-    rows = np.sort(rng.choice(count, max(1, count // SOME), replace=False))
-    half = (boxes.hi[rows] - boxes.lo[rows]) / 2
-    centers = spread(len(rows), rng)
-    return Jump(rows, Boxes(centers - half, centers + half))
-
-
-class Library:
-    """A library under test: a method named as a task returns the job; what it can't do is missing.
-
-    Attributes
-    ----------
-    name : str
-        As it stands in the tables.
-    module : str
-        What must be importable.
-    note : str
-        How it is used, so that a reader can judge whether that is fair.
+    `note` says how it is used, so that a reader can judge whether that is fair. `prepare` and
+    `rays` make its own form of boxes and rays; they are not timed. `build` makes a scene of boxes
+    in that form, and `size` counts them.
     """
 
     name: str
     module: str
     note: str
+    prepare: Callable[[Boxes], Any]
+    build: Callable[[Any], Any]
+    size: Any = None
+    rays: Callable[[Rays], Any] = lambda rays: rays
+    cast: Any = None  # (scene, rays): for each ray what it hits first, negative where nothing
+    mover: Any = None  # (scene): a `Move`
+    overlap: Any = None  # (scene, boxes): the number of overlaps
+    pairs: Any = None  # (scene): the number of pairs of boxes that overlap
+    nearest: Any = None  # (scene, points): distance of each from the nearest box
 
     def installed(self) -> bool:
         """Whether it is on this machine."""
         return find_spec(self.module) is not None
 
 
-# ---- This package.
+# ---- This package
 
 
-def _boxes_hit(result: RayHits) -> int:
-    return int(np.count_nonzero(result.ids >= 0))
+def tree_mover(tree: DynamicBVH) -> Move:
+    """Move rows of a tree that was built at once."""
+    ids = tree.ids()
+    return lambda rows, boxes: tree.move_many(ids if rows is None else ids[rows], *boxes)
 
 
-class Ours(Library):
-    """DynamicBVH, float64, exact decisions."""
+OURS = Library(
+    'bvh_ros',
+    'bvh_ros',
+    'batch calls, float64, exact decisions; a cast returns id, distance and normal',
+    prepare=lambda boxes: boxes,
+    build=lambda boxes: DynamicBVH.from_boxes(*boxes),
+    size=len,
+    cast=lambda tree, rays: tree.raycast_many(*rays).ids,
+    mover=tree_mover,
+    overlap=lambda tree, boxes: len(tree.overlap_many(*boxes)[1]),
+    pairs=lambda tree: len(tree.overlap_pairs()),
+    nearest=lambda tree, points: tree.nearest_many(points)[1],
+)
 
-    name = 'bvh_ros'
-    module = 'bvh_ros'
-    note = 'batch calls, float64, exact decisions; a cast returns id, distance and normal'
-
-    def cast(self, work: Work) -> Job:
-        """First hits."""
-        tree = DynamicBVH.from_boxes(*work.boxes)
-        return Job(lambda: tree.raycast_many(*work.rays), len(work.rays.origins), _boxes_hit)
-
-    def frame(self, work: Work) -> Job:
-        """Move all, then cast."""
-        tree, states = DynamicBVH.from_boxes(*work.boxes), work.moving()
-        ids = tree.ids()
-
-        def run():
-            tree.move_many(ids, *next(states))
-            return tree.raycast_many(*work.rays)
-
-        return Job(run, 1, _boxes_hit)
-
-    def move_all(self, work: Work) -> Job:
-        """Move every box a little."""
-        tree, states = DynamicBVH.from_boxes(*work.boxes), work.moving()
-        ids = tree.ids()
-        return Job(lambda: tree.move_many(ids, *next(states)), len(ids))
-
-    def move_some(self, work: Work) -> Job:
-        """Move few boxes far."""
-        tree, jumps = DynamicBVH.from_boxes(*work.boxes), work.jumping()
-        ids = tree.ids()
-
-        def run():
-            jump = next(jumps)
-            tree.move_many(ids[jump.rows], *jump.boxes)
-
-        return Job(run, len(work.jumps[0].rows))
-
-    def build(self, work: Work) -> Job:
-        """Build from nothing."""
-        return Job(lambda: DynamicBVH.from_boxes(*work.boxes), len(work.boxes.lo), len)
-
-    def overlap(self, work: Work) -> Job:
-        """Boxes that meet small boxes."""
-        tree = DynamicBVH.from_boxes(*work.boxes)
-        return Job(lambda: tree.overlap_many(*work.small), len(work.small.lo), lambda r: len(r[1]))
-
-    def pairs(self, work: Work) -> Job:
-        """All pairs of boxes that meet."""
-        tree = DynamicBVH.from_boxes(*work.boxes)
-        return Job(tree.overlap_pairs, len(tree), len)
-
-    def nearest(self, work: Work) -> Job:
-        """The nearest of many points; a point is a box without extent."""
-        centers = (work.boxes.lo + work.boxes.hi) / 2
-        tree = DynamicBVH.from_boxes(centers, centers)
-        points = work.points
-        return Job(lambda: tree.nearest_many(points), len(points), lambda r: rounded(r[1]))
-
-
-def rounded(distances: Floats) -> int:
-    """Sum of the distances in mm: equal only if the same points were found."""
-    return round(float(np.sum(distances)) * 1e3)
-
-
-# ---- Embree 4, through embreex: a very fast ray caster. It knows triangles, so a box is twelve.
+# ---- Embree 4 by embreex: a box is twelve triangles
 
 
 # Corner k of a box takes x, y, z from its upper end where bit 0, 1, 2 of k is set.
 UPPER = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], bool)
 SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 FACES = np.array([t for a, b, c, d in SIDES for t in ((a, b, c), (a, c, d))], np.int32)
+ONE_RAY = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
 
 
-Mesh = tuple[NDArray[np.float32], NDArray[np.int32]]
-
-
-def triangles(boxes: Boxes) -> Mesh:
+def triangles(boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Corners (8 n, 3) and the twelve triangles of every box (12 n, 3)."""
     corners = np.where(UPPER, boxes.hi[:, None], boxes.lo[:, None]).astype(np.float32)
     faces = FACES + 8 * np.arange(len(boxes.lo), dtype=np.int32)[:, None, None]
     return corners.reshape(-1, 3), faces.reshape(-1, 3)
 
 
-class Embree(Library):
-    """Embree's static scene; what moves is built anew, for embreex gives no update."""
+def embree_scene(mesh: tuple[NDArray[np.float32], NDArray[np.int32]]) -> Any:
+    """A static scene; Embree builds when the first ray comes."""
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
 
-    name = 'Embree 4'
-    module = 'embreex'
-    note = (
-        'through embreex, 12 indexed triangles a box, float32, the query that returns the '
-        'triangle alone; not the robust mode, which is slower'
-    )
-
-    def scene(self, mesh: Mesh) -> Any:
-        """A static scene of these triangles."""
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        scene = EmbreeScene()
-        TriangleMesh(scene, *mesh)
-        return scene
-
-    def cast(self, work: Work) -> Job:
-        """First hits."""
-        scene = self.scene(triangles(work.boxes))
-        rays = [np.ascontiguousarray(part, np.float32) for part in work.rays]
-        return Job(lambda: scene.run(*rays), len(rays[0]), _hits)
-
-    def frame(self, work: Work) -> Job:
-        """Build with all boxes moved, then cast. Making the triangles is not counted."""
-        meshes = [triangles(state) for state in work.states]
-        rays = [np.ascontiguousarray(part, np.float32) for part in work.rays]
-        turn = iter(range(1 << 62))
-        return Job(lambda: self.scene(meshes[1 - next(turn) % 2]).run(*rays), 1, _hits)
-
-    def build(self, work: Work) -> Job:
-        """Build; Embree does when the first ray comes. Making the triangles is not counted."""
-        mesh = triangles(work.boxes)
-        ray = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
-        return Job(lambda: self.scene(mesh).run(*ray), len(work.boxes.lo))
+    scene = EmbreeScene()
+    TriangleMesh(scene, *mesh)
+    scene.run(*ONE_RAY)
+    return scene
 
 
-def _hits(triangle: NDArray[np.int32]) -> int:
-    return int(np.count_nonzero(triangle >= 0))
+EMBREE = Library(
+    'Embree 4',
+    'embreex',
+    'through embreex, 12 indexed triangles a box, float32, the query that returns the '
+    'triangle alone; not the robust mode, which is slower; what moves is built anew, as embreex '
+    'has no update',
+    prepare=triangles,
+    build=embree_scene,
+    rays=lambda rays: [np.ascontiguousarray(part, np.float32) for part in rays],
+    cast=lambda scene, rays: scene.run(*rays),
+)
+
+# ---- The dynamic AABB trees of FCL (python-fcl) and Coal (formerly hpp-fcl)
 
 
-# ---- FCL through python-fcl, and Coal (formerly hpp-fcl): their dynamic AABB trees.
+def collision_objects(
+    module: str, forms: Iterable[Any], turns: Iterable[Floats], centers: Iterable[Floats]
+) -> list[Any]:
+    """Objects of python-fcl or coal; turns are rotation matrices."""
+    library, coal = import_module(module), module == 'coal'
+    pose = library.Transform3s if coal else library.Transform
+    objects = [
+        library.CollisionObject(form, pose(turn, center))
+        for form, turn, center in zip(forms, turns, centers, strict=True)
+    ]
+    for item in objects if coal else ():
+        item.computeAABB()
+    return objects
 
 
-def centers(boxes: Boxes) -> Floats:
-    """Centres of the boxes, shape (n, 3)."""
-    return (boxes.lo + boxes.hi) / 2
+class BroadPhase:
+    """A manager of python-fcl or coal and its objects."""
 
+    def __init__(self, module: str, objects: list[Any]) -> None:
+        self.objects, self._library = objects, import_module(module)
+        self._coal = module == 'coal'
+        self.manager = self._library.DynamicAABBTreeCollisionManager()
+        if self._coal:
+            for item in objects:
+                self.manager.registerObject(item)
+        else:
+            self.manager.registerObjects(objects)
+        self.manager.setup()
 
-class Fcl(Library):
-    """The broad phase alone; python-fcl's callbacks are Python functions."""
+    def move(self, rows: Rows | None, boxes: Boxes) -> None:
+        """Move all objects, or some, from Python, then update."""
+        moved = self.objects if rows is None else [self.objects[row] for row in rows.tolist()]
+        for item, center in zip(moved, boxes.centers, strict=True):
+            item.setTranslation(center)
+            if self._coal:
+                item.computeAABB()
+        if rows is None or self._coal:  # coal's update(item) takes 40 us and more, each
+            self.manager.update()
+        else:
+            self.manager.update(moved)
 
-    name = 'python-fcl'
-    module = 'fcl'
-    note = (
-        'DynamicAABBTreeCollisionManager, objects moved one by one from Python, then update(); '
-        'pairs go to a callback that only counts them, without a narrow phase'
-    )
+    def overlaps(self, queries: Iterable[Any]) -> int:
+        """Count the pairs of an object with one of the queries, without a narrow phase."""
+        return self._collide([(item,) for item in queries], len(self.objects))
 
-    def _objects(self, boxes: Boxes) -> list[Any]:
-        import fcl
+    def pairs(self) -> int:
+        """Count the pairs of objects."""
+        return self._collide([()], 50 * len(self.objects))
 
-        return [
-            fcl.CollisionObject(fcl.Box(*edges), fcl.Transform(center))
-            for edges, center in zip(boxes.hi - boxes.lo, centers(boxes), strict=True)
-        ]
-
-    def _manager(self, objects: list[Any]) -> Any:
-        import fcl
-
-        manager = fcl.DynamicAABBTreeCollisionManager()
-        manager.registerObjects(objects)
-        manager.setup()
-        return manager
-
-    def _put(self, item: Any, center: Floats) -> None:
-        item.setTranslation(center)
-
-    def _update(self, manager: Any, moved: list[Any]) -> None:
-        manager.update(moved)
-
-    def _collide(self, manager: Any, asked: list[Any] | None, most: int) -> int:
-        """Count pairs of the manager's objects with the asked ones, or with each other."""
-
-        def count(_first: Any, _second: Any, found: list[int]) -> bool:
-            found[0] += 1
-            return False
-
+    def _collide(self, queries: Iterable[tuple[Any, ...]], most: int) -> int:
+        if self._coal:
+            total, collect = 0, self._library.CollisionCallBackCollect(most)
+            for query in queries:
+                self.manager.collide(*query, collect)
+                total += collect.numCollisionPairs()
+            return total
         found = [0]
-        for item in asked or ():
-            manager.collide(item, found, count)
-        if asked is None:
-            manager.collide(found, count)
+        for query in queries:
+            self.manager.collide(*query, found, _count)
         return found[0]
 
-    def move_all(self, work: Work) -> Job:
-        """Move every box a little."""
-        objects = self._objects(work.boxes)
-        manager, states = self._manager(objects), work.moving()
 
-        def run():
-            for item, center in zip(objects, centers(next(states)), strict=True):
-                self._put(item, center)
-            manager.update()
-
-        return Job(run, len(objects))
-
-    def move_some(self, work: Work) -> Job:
-        """Move few boxes far."""
-        objects = self._objects(work.boxes)
-        manager, jumps = self._manager(objects), work.jumping()
-
-        def run():
-            rows, boxes = next(jumps)
-            jumping = [objects[row] for row in rows.tolist()]
-            for item, center in zip(jumping, centers(boxes), strict=True):
-                self._put(item, center)
-            self._update(manager, jumping)
-
-        return Job(run, len(work.jumps[0].rows))
-
-    def build(self, work: Work) -> Job:
-        """Register objects that exist, and set up."""
-        objects = self._objects(work.boxes)
-        return Job(lambda: self._manager(objects), len(objects), lambda manager: manager.size())
-
-    def overlap(self, work: Work) -> Job:
-        """Boxes that meet small boxes."""
-        objects = self._objects(work.boxes)
-        manager, asked = self._manager(objects), self._objects(work.small)
-        return Job(lambda: self._collide(manager, asked, len(objects)), len(asked), int)
-
-    def pairs(self, work: Work) -> Job:
-        """All pairs of boxes that meet."""
-        objects = self._objects(work.boxes)
-        manager = self._manager(objects)
-        return Job(lambda: self._collide(manager, None, 50 * len(objects)), len(objects), int)
+def _count(_first: Any, _second: Any, found: list[int]) -> bool:
+    found[0] += 1
+    return False
 
 
-class Coal(Fcl):
-    """The broad phase alone, with callbacks in C++."""
+def boxes_of(module: str, boxes: Boxes) -> list[Any]:
+    """Objects of axis-aligned boxes."""
+    forms = [import_module(module).Box(*edges) for edges in boxes.edges]
+    return collision_objects(module, forms, [np.eye(3)] * len(forms), boxes.centers)
 
-    name = 'coal'
-    module = 'coal'
-    note = (
-        'DynamicAABBTreeCollisionManager, objects moved one by one from Python, then update(); '
-        'pairs are collected in C++ without a narrow phase'
+
+def _with_manager(name: str, module: str, note: str) -> Library:
+    managed = (
+        'DynamicAABBTreeCollisionManager, objects moved one by one from Python, then update()'
+    )
+    return Library(
+        name,
+        module,
+        f'{managed}; {note}',
+        prepare=lambda boxes: boxes_of(module, boxes),
+        build=lambda objects: BroadPhase(module, objects),
+        size=lambda scene: int(scene.manager.size()),
+        mover=lambda scene: scene.move,
+        overlap=BroadPhase.overlaps,
+        pairs=BroadPhase.pairs,
     )
 
-    def _objects(self, boxes: Boxes) -> list[Any]:
-        import coal
 
-        still = np.eye(3)
-        objects = [
-            coal.CollisionObject(coal.Box(*edges), still, center)
-            for edges, center in zip(boxes.hi - boxes.lo, centers(boxes), strict=True)
-        ]
-        for item in objects:
-            item.computeAABB()
-        return objects
+COAL = _with_manager('coal', 'coal', 'pairs are collected in C++ without a narrow phase')
+FCL = _with_manager(
+    'python-fcl',
+    'fcl',
+    'pairs go to a callback in Python that only counts them, without a narrow phase',
+)
 
-    def _manager(self, objects: list[Any]) -> Any:
-        import coal
-
-        manager = coal.DynamicAABBTreeCollisionManager()
-        for item in objects:
-            manager.registerObject(item)
-        manager.setup()
-        return manager
-
-    def _put(self, item: Any, center: Floats) -> None:
-        item.setTranslation(center)
-        item.computeAABB()
-
-    def _update(self, manager: Any, moved: list[Any]) -> None:
-        manager.update()  # all at once: update(item) takes 40 us and more, each
-
-    def _collide(self, manager: Any, asked: list[Any] | None, most: int) -> int:
-        import coal
-
-        found, collect = 0, coal.CollisionCallBackCollect(most)
-        for item in asked or ():
-            manager.collide(item, collect)
-            found += collect.numCollisionPairs()
-        if asked is None:
-            manager.collide(collect)
-            found = collect.numCollisionPairs()
-        return found
+# ---- cKDTree of scipy: points only
 
 
-# ---- scipy's cKDTree: points only.
-
-
-class KdTree(Library):
+def kd_tree(points: Floats) -> Any:
     """The static k-d tree that most Python users would take for nearest points."""
+    from scipy.spatial import cKDTree
 
-    name = 'scipy cKDTree'
-    module = 'scipy'
-    note = 'points only, one thread'
-
-    def build(self, work: Work) -> Job:
-        """Build over the centres."""
-        from scipy.spatial import cKDTree
-
-        centers = (work.boxes.lo + work.boxes.hi) / 2
-        return Job(lambda: cKDTree(centers), len(centers), lambda tree: tree.n)
-
-    def nearest(self, work: Work) -> Job:
-        """The nearest of many points."""
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree((work.boxes.lo + work.boxes.hi) / 2)
-        return Job(lambda: tree.query(work.points), len(work.points), lambda r: rounded(r[0]))
+    return cKDTree(points)
 
 
-LIBRARIES: list[Library] = [Ours(), Embree(), Coal(), Fcl(), KdTree()]
+SCIPY = Library(
+    'scipy cKDTree',
+    'scipy',
+    'points only, one thread',
+    prepare=lambda boxes: boxes.centers,
+    build=kd_tree,
+    size=lambda tree: int(tree.n),
+    nearest=lambda tree, points: tree.query(points)[0],
+)
+
+LIBRARIES = OURS, EMBREE, COAL, FCL, SCIPY

@@ -1,163 +1,124 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page that a report writes: text, tables and plots, under a progress bar."""
+"""The page that a report writes: text, tables and pictures."""
 
 import csv
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, TypeVar
 
-# ---- A table, as text for the terminal, as Markdown for the page and as CSV for other programs.
-
-
-Cell = str | int | float | None
+# ---- Tables in Markdown
 
 
-class Table(NamedTuple):
-    """Rows under a header; None is an empty cell."""
-
-    name: str
-    """Name of the CSV file, and of the table on the page."""
-    header: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-
-    def write_csv(self, folder: Path) -> None:
-        """Write `<name>.csv` with all digits."""
-        with open(folder / f'{self.name}.csv', 'w', newline='', encoding='utf-8') as file:
-            writer = csv.writer(file)
-            writer.writerow(self.header)
-            writer.writerows(self.rows)
-
-    def markdown(self) -> str:
-        """Return the table in Markdown, its columns padded so that it can be read as text, too."""
-        body = [[show(cell) for cell in row] for row in self.rows]
-        widths = [max(map(len, column)) for column in zip(self.header, *body, strict=True)]
-        numeric = [all(_is_number(row[k]) for row in self.rows) for k in range(len(self.header))]
-        rule = [
-            ('-' * (w - 1) + ':') if n else '-' * w for w, n in zip(widths, numeric, strict=True)
-        ]
-        padded = [_pad(line, widths, numeric) for line in (self.header, *body)]
-        return '\n'.join(map(_bar, (padded[0], rule, *padded[1:])))
+Cell = str | int | float | None  # None is an empty cell
 
 
 def show(cell: Cell) -> str:
     """Text of a cell: three significant digits, thousands grouped."""
-    if cell is None:
-        return ''
-    if isinstance(cell, float) and abs(cell) >= 1e7:
-        return f'{cell:.3g}'
     if isinstance(cell, float):
-        return f'{cell:,.0f}' if abs(cell) >= 100 else f'{cell:.3g}'
-    return f'{cell:,}' if isinstance(cell, int) else cell
+        return f'{cell:,.0f}' if 100 <= abs(cell) < 1e7 else f'{cell:.3g}'
+    return '' if cell is None else f'{cell:,}' if isinstance(cell, int) else cell
 
 
-def _is_number(cell: Cell) -> bool:
-    return cell is None or not isinstance(cell, str)
+def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
+    """A table whose columns are padded, so that it reads well as text, too."""
+    columns = []
+    for name, *cells in zip(header, *rows, strict=True):
+        texts = [str(name), *map(show, cells)]
+        width = max(map(len, texts))
+        if any(isinstance(cell, str) for cell in cells):
+            padded, rule = [text.ljust(width) for text in texts], '-' * width
+        else:
+            padded, rule = [text.rjust(width) for text in texts], '-' * (width - 1) + ':'
+        columns.append([padded[0], rule, *padded[1:]])
+    return '\n'.join(f'| {" | ".join(line)} |' for line in zip(*columns, strict=True))
 
 
-def _pad(line: Iterable[str], widths: list[int], numeric: list[bool]) -> list[str]:
-    return [
-        text.rjust(width) if right else text.ljust(width)
-        for text, width, right in zip(line, widths, numeric, strict=True)
-    ]
-
-
-def _bar(cells: Iterable[str]) -> str:
-    return '| ' + ' | '.join(cells) + ' |'
-
-
-# ---- The progress bar: on a terminal as it goes, elsewhere a line a minute at most.
+# ---- The progress bar
 
 
 Item = TypeVar('Item')
 
 
 def bar(items: Sequence[Item], name: Callable[[Item], str]) -> Iterator[Item]:
-    """Go through the items under a bar that says what is being done; silent without tqdm."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        yield from items
-        return
-    interval = 0.1 if sys.stderr.isatty() else 60.0
-    with tqdm(total=len(items), mininterval=interval, dynamic_ncols=True, leave=False) as shown:
+    """Iterate under a bar that names the item; a log gets no bar."""
+    from tqdm import tqdm
+
+    with tqdm(total=len(items), disable=None, dynamic_ncols=True, leave=False) as shown:
         for item in items:
-            shown.set_description(name(item), refresh=sys.stderr.isatty())
+            shown.set_description(name(item))
             yield item
             shown.update()
 
 
-def say(text: str) -> None:
-    """Print above the bar."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        print(text)
-    else:
-        tqdm.write(text)
+# ---- The page
 
 
-# ---- The page that a run of the report writes, section by section.
-
-
+TITLE = '# bvh_ros: report\n'
 LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'scipy')
+# Okabe and Ito's colours, which the colour-blind can tell apart.
+BLUE, RED, GREEN, PINK = '#0072B2', '#D55E00', '#009E73', '#CC79A7'
+ORANGE, SKY, BLACK, GREY = '#E69F00', '#56B4E9', '#000000', '0.4'
 
 
 class Page:
-    """Collects Markdown, prints it, and writes tables and plots beside it.
+    """Prints what is added, and writes `report.md` with tables and pictures beside it.
 
     Parameters
     ----------
     folder : Path
-        Where `report.md`, the CSV files and the plots go; made if it is not there.
-    say : callable
-        Prints what is added.
+        Where `report.md`, the CSV files and the pictures go; made if it is not there.
     data : Path
         Folder of recorded input, for the parts that use some.
     """
 
-    def __init__(
-        self, folder: Path, say: Callable[[str], None], data: Path = Path('data')
-    ) -> None:
+    def __init__(self, folder: Path, data: Path = Path('data')) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder = folder
-        self.data = data
-        self._say = say
-        self._parts: list[str] = []
-        self.add('# bvh_ros: report')
-        self.add(machine())
+        self.folder, self.data = folder, data
+        self._parts: dict[str, list[str]] = {}  # paragraphs by the title of the part
+
+    def begin(self, title: str, text: str) -> None:
+        """Begin a part."""
+        self._parts[f'## {title}'] = []
+        for paragraph in (f'## {title}', machine(), text):
+            self.add(paragraph)
 
     def add(self, text: str) -> None:
-        """Add a heading or a paragraph."""
-        self._say(f'{text}\n')
-        self._parts.append(text)
+        """Add a heading or a paragraph to the last part."""
+        from tqdm import tqdm
+
+        tqdm.write(f'{text}\n')  # above the bar
+        next(reversed(self._parts.values())).append(text)
 
     def misses(self, files: Iterable[Path]) -> bool:
         """Whether one of the recordings is not there; the page then says which."""
-        for file in files:
-            if not file.is_file():
-                self.add(f'Left out: there is no file {file} (see --data).')
-                return True
-        return False
+        absent = next((file for file in files if not file.is_file()), None)
+        if absent is not None:
+            self.add(f'Left out: there is no file {absent} (see --data).')
+        return absent is not None
 
-    def table(self, table: Table) -> None:
-        """Add a table, and write it as CSV."""
-        table.write_csv(self.folder)
-        self.add(table.markdown())
+    def table(self, name: str, header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
+        """Add a table, and write it as `<name>.csv` with all digits."""
+        with open(self.folder / f'{name}.csv', 'w', newline='', encoding='utf-8') as file:
+            csv.writer(file).writerows([header, *rows])
+        self.add(markdown(header, rows))
 
-    def plot(self, name: str, caption: str) -> Path:
-        """Add a picture; the caller writes it to the returned path."""
-        self._parts.append(f'![{caption}]({name}.png)')
-        return self.folder / f'{name}.png'
+    def picture(self, name: str, caption: str, figure: Any) -> None:
+        """Add a figure of matplotlib, and write it as `<name>.png`."""
+        figure.savefig(self.folder / f'{name}.png', dpi=200)
+        self.add(f'![{caption}]({name}.png)')
 
     def write(self) -> Path:
-        """Write the page."""
+        """Write the page; the parts of an earlier run that are not in this one stay."""
         path = self.folder / 'report.md'
-        path.write_text('\n\n'.join(self._parts) + '\n', encoding='utf-8')
+        earlier = path.read_text(encoding='utf-8').split('\n## ')[1:] if path.is_file() else []
+        parts = {f'## {text.partition(chr(10))[0]}': f'## {text}' for text in earlier}
+        parts |= {title: '\n\n'.join(texts) for title, texts in self._parts.items()}
+        pieces = (TITLE, *(f'{parts[title].rstrip()}\n' for title in sorted(parts)))
+        path.write_text('\n'.join(pieces), encoding='utf-8')
         return path
 
 
@@ -177,8 +138,9 @@ def machine() -> str:
 
 
 def vectors() -> str:
-    """How wide the kernels' vectors are, or for which other processor they are compiled. A name
-    alone leaves them this processor's vectors: numba takes those from NUMBA_CPU_FEATURES.
+    """How wide the kernels' vectors are, or for which other processor they are compiled.
+
+    A name alone leaves them this processor's vectors: numba takes those from NUMBA_CPU_FEATURES.
     """
     from numba import config
 
@@ -192,11 +154,10 @@ def vectors() -> str:
 
 
 def processor() -> str:
-    """Name of the processor, as well as this system tells."""
+    """Name of the processor, as well as this system knows it."""
     try:
-        for line in Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines():
-            if line.startswith('model name'):
-                return line.partition(':')[2].strip()
+        text = Path('/proc/cpuinfo').read_text(encoding='utf-8')
     except OSError:
-        pass
-    return platform.processor() or platform.machine()
+        text = ''
+    model = text.partition('model name')[2].partition('\n')[0].partition(':')[2].strip()
+    return model or platform.processor() or platform.machine()

@@ -1,26 +1,191 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_report peers`: other libraries on the same work in the same run."""
+"""Other libraries on the same work in the same run."""
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from importlib.util import find_spec
 from itertools import cycle
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
-from . import timing
-from .libraries import LIBRARIES, Coal, Embree, Library, Work, make_work, triangles
-from .page import Cell, Page, Table
+from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows
+from .page import BLUE, ORANGE, RED, Cell, Page
+from .questions import Queries, of_scene, of_tree
 from .scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, query_edge, spread, uniform_boxes
-from .timing import Job, Timing, interleaved
+from .timing import Job, each, interleaved, one_processor, repeated
 
-# ---- Batches of every size and kind of rays, with Embree on the same in the same run.
+# ---- All libraries on the same work
+
+
+SOME = 32  # one box in so many jumps in the task `move_some`
+
+
+class Work(NamedTuple):
+    """One scene and what is queried; the same for every library."""
+
+    boxes: Boxes
+    rays: Rays
+    small: Boxes  # each overlaps half a box on average
+    points: Floats  # (m, 3), for the nearest centre of a box
+    away: Boxes  # all boxes, up to one edge away
+    jumps: list[tuple[Rows, Boxes]]  # one box in 32, each time others, somewhere else in the cube
+
+
+def make_work(count: int, queries: int) -> Work:
+    """Make a scene of `count` boxes, and so many rays, small boxes and points."""
+    rng = np.random.default_rng(0)
+    boxes, rays = uniform_boxes(count, rng), incoherent_rays(queries, rng)
+    corner, points = spread(queries, rng), spread(queries, rng)
+    away = boxes.moved(rng.uniform(-1, 1, boxes.lo.shape) * boxes.edges)
+    jumps = []
+    for _ in range(8):
+        rows = np.sort(rng.choice(count, max(1, count // SOME), replace=False))
+        half, centers = boxes.edges[rows] / 2, spread(len(rows), rng)
+        jumps.append((rows, Boxes(centers - half, centers + half)))
+    return Work(boxes, rays, Boxes(corner, corner + query_edge(boxes, 0.5)), points, away, jumps)
+
+
+def cast_job(library: Library, work: Work) -> Job:
+    """First hits."""
+    scene, rays = library.build(library.prepare(work.boxes)), library.rays(work.rays)
+    return Job(lambda: library.cast(scene, rays), len(work.rays.origins), _count_hits)
+
+
+def _count_hits(ids: Any) -> int:
+    return int(np.count_nonzero(ids >= 0))
+
+
+def frame_job(library: Library, work: Work) -> Job:
+    """Move all boxes, or build anew, then cast."""
+    rays = library.rays(work.rays)
+    if library.mover is None:
+        forms = cycle([library.prepare(boxes) for boxes in (work.away, work.boxes)])
+        return Job(lambda: library.cast(library.build(next(forms)), rays), 1, _count_hits)
+    scene, states = library.build(library.prepare(work.boxes)), cycle((work.away, work.boxes))
+    move = library.mover(scene)
+
+    def run() -> Any:
+        move(None, next(states))
+        return library.cast(scene, rays)
+
+    return Job(run, 1, _count_hits)
+
+
+def move_all_job(library: Library, work: Work) -> Job:
+    """Move every box a little."""
+    move = library.mover(library.build(library.prepare(work.boxes)))
+    states = cycle((work.away, work.boxes))
+    return Job(lambda: move(None, next(states)), len(work.boxes.lo))
+
+
+def move_some_job(library: Library, work: Work) -> Job:
+    """Move few boxes far."""
+    move = library.mover(library.build(library.prepare(work.boxes)))
+    jumps = cycle(work.jumps)
+    return Job(lambda: move(*next(jumps)), len(work.jumps[0][0]))
+
+
+def build_job(library: Library, work: Work) -> Job:
+    """Build from nothing; making the library's own form of boxes is not counted."""
+    form = library.prepare(work.boxes)
+    return Job(lambda: library.build(form), len(work.boxes.lo), library.size)
+
+
+def overlap_job(library: Library, work: Work) -> Job:
+    """Boxes that overlap small boxes."""
+    scene, small = library.build(library.prepare(work.boxes)), library.prepare(work.small)
+    return Job(lambda: library.overlap(scene, small), len(work.small.lo), int)
+
+
+def pairs_job(library: Library, work: Work) -> Job:
+    """All pairs of boxes that overlap."""
+    scene = library.build(library.prepare(work.boxes))
+    return Job(lambda: library.pairs(scene), len(work.boxes.lo), int)
+
+
+def nearest_job(library: Library, work: Work) -> Job:
+    """The nearest of many points; a point is a box without extent."""
+    centers = work.boxes.centers
+    scene = library.build(library.prepare(Boxes(centers, centers)))
+
+    def millimetres(distances: Floats) -> int:
+        """Equal only if the same points were found."""
+        return round(float(np.sum(distances)) * 1e3)
+
+    return Job(lambda: library.nearest(scene, work.points), len(work.points), millimetres)
+
+
+class Task(NamedTuple):
+    """One kind of work."""
+
+    name: str  # of the table
+    needs: str  # what a library must offer
+    job: Callable[[Library, Work], Job]
+    title: str
+    unit: str  # what a figure is a time of
+    answers: str = ''  # what was counted, to see that all gave the same answer
+    queries: int = 1  # rays, boxes or points
+    sizes: tuple[int, ...] = (10_000,)
+
+
+GROWING = (1_000, 10_000, 100_000)
+FRAME = 'Move all boxes a little, then 1,000 rays'
+TASKS = (
+    Task('cast', 'cast', cast_job, 'Cast rays: the first box on each', 'ns a ray', 'hits', 20_000,
+         GROWING),
+    Task('frame', 'cast', frame_job, FRAME, 'ns a frame', 'hits', 1_000),
+    Task('move_all', 'mover', move_all_job, 'Move all boxes a little', 'ns a box'),
+    Task('move_some', 'mover', move_some_job, 'Move 1 box in 32 to anywhere', 'ns a box'),
+    Task('build', 'build', build_job, 'Build from nothing', 'ns a box', 'boxes'),
+    Task('overlap', 'overlap', overlap_job, 'Overlaps of a small box', 'ns a query', 'hits',
+         20_000),
+    Task('pairs', 'pairs', pairs_job, 'All pairs of boxes that overlap', 'ns a box', 'pairs'),
+    Task('nearest', 'nearest', nearest_job, 'Nearest of many points', 'ns a query', 'mm in sum',
+         20_000),
+)  # fmt: skip
+REPEATS, REPEATS_QUICK = 15, 3
+
+
+def all_tasks(page: Page, brief: bool) -> None:
+    """Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to
+    anywhere. One processor. The libraries take turns, each with untimed runs for 10 ms before the
+    timed one, and the medians of the turns are shown. *ours / this* below 1: bvh_ros is faster.
+    """
+    libraries = [library for library in LIBRARIES if library.installed()]
+    absent = [library.name for library in LIBRARIES if not library.installed()]
+    page.add('\n'.join(f'- **{library.name}**: {library.note}.' for library in libraries))
+    page.add(
+        f'Not installed here, and so left out: {", ".join(absent)}.'
+        if absent
+        else 'All peers are installed.'
+    )
+    for task in TASKS:
+        _measure(page, task, libraries, brief)
+
+
+def _measure(page: Page, task: Task, libraries: list[Library], brief: bool) -> None:
+    """One row a library; for each number of boxes the time, and ours over theirs."""
+    able = [library for library in libraries if getattr(library, task.needs) is not None]
+    header, rows = ['library'], {library.name: list[Cell]([library.name]) for library in able}
+    for size in (300,) if brief else task.sizes:
+        work = make_work(size, min(task.queries, 200) if brief else task.queries)
+        jobs = {library.name: task.job(library, work) for library in able}
+        found = interleaved(jobs, REPEATS_QUICK if brief else REPEATS)
+        header += [f'{task.unit}, {size:,} boxes', 'ours / this']
+        for name, timing in found.items():
+            ratio = found[OURS.name].nanoseconds / timing.nanoseconds
+            rows[name] += [timing.nanoseconds, ratio]
+    if task.answers:
+        header.append(task.answers)
+        for name, timing in found.items():
+            rows[name].append(timing.answers)
+    page.add(f'**{task.title}**')
+    page.table(f'peers_{task.name}', header, [*rows.values()])
+
+
+# ---- Batches of rays of every size and kind, compared with Embree
 
 
 BATCH_BOXES = 1_000, 10_000, 100_000
@@ -29,7 +194,7 @@ BATCH_RAYS, TURNS, BATCH_REPEATS = 200_000, 4_096, 9
 LIDAR, PLANE = (64, 512), (1, 681)  # rows and beams a row of a scan
 SCAN_PLACES = 0.2, 0.3, 0.4, 0.5  # m, on the cube's diagonal
 ANYWHERE = 'from anywhere'
-PEERS = 'bvh_ros', 'Embree', 'Embree, triangle alone'
+PEERS = {'bvh_ros': BLUE, 'Embree': RED, 'Embree, triangle alone': ORANGE}
 
 
 class Batch(NamedTuple):
@@ -61,40 +226,36 @@ def every_batch(brief: bool) -> Iterator[tuple[str, list[Batch]]]:
         'all miss': Batch(beyond, np.abs(directions)),
     }
     for count in (1, 20) if brief else BATCH_SIZES:
-        starts = range(0, min(len(origins), TURNS * count) - count + 1, count)
-        for kind, every in kinds.items():
-            begin, way, reach = every
-            yield kind, [Batch(begin[k : k + count], way[k : k + count], reach) for k in starts]
+        rows = range(0, min(len(origins), TURNS * count) - count + 1, count)
+        slices = [slice(row, row + count) for row in rows]
+        for kind, rays in kinds.items():
+            yield (kind, [Batch(rays.origins[k], rays.directions[k], rays.t_max) for k in slices])
     for kind, shape in (('lidar scan', LIDAR), ('scan in a plane', PLANE)):
         yield kind, [scan(*((2, 10) if brief else shape), place) for place in SCAN_PLACES]
 
 
 def batches(page: Page, brief: bool) -> None:
-    """Measure every kind and size."""
-    if find_spec(Embree.module) is None:
+    """One call with so many rays, input checks included, other rays each time: a processor learns
+    rays that are repeated. bvh_ros takes float64 and returns id, distance and normal, as Embree
+    does from float32 arrays that are ready (`run(..., output=True)`); the *triangle alone* is what
+    its default query returns.
+    """
+    if not EMBREE.installed():
         page.add('Embree is not installed here, and so batches of rays are left out.')
         return
     rows: list[list[Cell]] = []
     for size in (300,) if brief else BATCH_BOXES:
         boxes = uniform_boxes(size, np.random.default_rng(0))
-        tree, scene = DynamicBVH.from_boxes(*boxes), Embree().scene(triangles(boxes))
+        tree, scene = DynamicBVH.from_boxes(*boxes), EMBREE.build(EMBREE.prepare(boxes))
         tree.raycast_many(*incoherent_rays(max(size, 100), np.random.default_rng(1)))
         for kind, turns in every_batch(brief):
             times = _batch_times(tree, scene, turns, brief)
-            over = [times[0] / time for time in times[1:]]
-            rows.append([size, kind, len(turns[0].origins), *times, *over])
-    page.add('### Batches of rays')
-    page.add(
-        'One call with as many rays, all in, others each time: the same again and again are '
-        'learnt by the processor. bvh_ros takes float64 and returns id, distance and '
-        'normal, as Embree does from float32 arrays that are ready (`run(..., output=True)`); '
-        'the *triangle alone* is what its default query returns.'
-    )
-    columns = [*(f'{name}, us' for name in PEERS), *(f'ours / {name}' for name in PEERS[1:])]
-    page.table(Table('peers_batches', ['boxes', 'rays', 'in a batch', *columns], rows))
-    _plot_batches(
-        page.plot('peers_batches', 'Time a ray against rays in a batch, from anywhere'), rows
-    )
+            ratios = [times[0] / time for time in times[1:]]
+            rows.append([size, kind, len(turns[0].origins), *times, *ratios])
+    columns = [f'{name}, us' for name in PEERS]
+    columns += [f'ours / {name}' for name in [*PEERS][1:]]
+    page.table('peers_batches', ['boxes', 'rays', 'in a batch', *columns], rows)
+    _plot_batches(page, rows)
 
 
 def _batch_times(tree: DynamicBVH, scene: Any, turns: list[Batch], brief: bool) -> list[float]:
@@ -106,332 +267,136 @@ def _batch_times(tree: DynamicBVH, scene: Any, turns: list[Batch], brief: bool) 
         lambda: scene.run(*next(theirs), dists=reach, output=True),
         lambda: scene.run(*next(theirs), dists=reach),
     )
-    jobs = {name: many_times(Job(run, 1), brief) for name, run in zip(PEERS, runs, strict=True)}
-    found = interleaved(jobs, 3 if brief else BATCH_REPEATS, warm=not brief)
-    return [found[name].nanoseconds / 1e3 for name in PEERS]
+    jobs = {name: repeated(Job(run, 1)) for name, run in zip(PEERS, runs, strict=True)}
+    found = interleaved(jobs, 3 if brief else BATCH_REPEATS)
+    return [found[name].microseconds for name in PEERS]
 
 
-def _plot_batches(path: Path, rows: list[list[Cell]]) -> None:
+def _plot_batches(page: Page, rows: list[list[Any]]) -> None:
     from matplotlib.figure import Figure
 
-    shown = {row[0]: [r for r in rows if r[:2] == [row[0], ANYWHERE]] for row in rows}
-    figure = Figure(figsize=(4.6 * len(shown), 3.4), layout='constrained')
-    panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    for axes, (size, points) in zip(panels, shown.items(), strict=True):
-        counts = np.array([row[2] for row in points])
-        for column, name in enumerate(PEERS, 3):
-            axes.plot(counts, [row[column] for row in points] / counts, 'o-', label=name)
+    sizes = list(dict.fromkeys(row[0] for row in rows))
+    figure = Figure(figsize=(4.6 * len(sizes), 3.4), layout='constrained')
+    panels = figure.subplots(1, len(sizes), squeeze=False, sharey=True)[0]
+    for axes, size in zip(panels, sizes, strict=True):
+        points = np.array([row[2:6] for row in rows if row[:2] == [size, ANYWHERE]])
+        counts = points[:, 0]
+        for column, (name, colour) in enumerate(PEERS.items(), 1):
+            axes.plot(counts, points[:, column] / counts, 'o-', color=colour, label=name)
         axes.set(xscale='log', yscale='log', xlabel='rays in a batch', title=f'{size:,} boxes')
         axes.xaxis.set_major_formatter('{x:,.0f}')
         axes.yaxis.set_major_formatter('{x:g}')
         axes.yaxis.set_minor_formatter('')
         axes.grid(alpha=0.3, which='both')
     panels[0].set_ylabel('us a ray')
-    panels[0].legend()
-    figure.savefig(path)
+    panels[0].legend(frameon=False)
+    page.picture('peers_batches', 'Time a ray against rays in a batch, from anywhere', figure)
 
 
-def many_times(job: Job, brief: bool) -> Job:
-    """So often that the clock's own time is none of it."""
-    job.run()
-    times = 1 if brief else max(1, int(1e-3 / timing.seconds(job.run)))
-
-    def run() -> None:
-        for _ in range(times):
-            job.run()
-
-    return Job(run, times * job.units)
-
-
-# ---- What one call of a tree or a scene costs from Python, all in, beside one of a peer.
+# ---- The full cost of one call from Python, compared with a peer
 
 
 CALL_BOXES, CALLS, CALL_REPEATS = 10_000, 500, 9
-RADIUS = 0.2  # m, of the swept ball
-TEN = 10
 STEP = 0.01  # m that an obstacle goes
 
 
-class Asked(NamedTuple):
-    """What the calls are about."""
-
-    boxes: Boxes
-    rays: Rays
-    goals: Floats
-    """As far from where the rays begin as the scene is wide."""
-    small: Boxes
-    turns: Floats
-
-
 def calls(page: Page, brief: bool) -> None:
-    """Measure."""
+    """10,000 boxes, one call after the other, us a call with all that it takes: input checked, in
+    a scene names looked up, points and normals of the hits. coal returns the pairs of the same
+    box, without names, points or normals, or moves the same box; Embree returns the triangle
+    alone. *move* is to a place nearby and back.
+    """
     size, count, repeats = (300, 20, 3) if brief else (CALL_BOXES, CALLS, CALL_REPEATS)
-    asked = make_asked(size, count)
-    ours, theirs = tree_jobs(asked) | scene_jobs(asked), peer_jobs(asked)
-    found = interleaved(ours | theirs, repeats, warm=not brief)
-    times = {name: timing.nanoseconds / 1e3 for name, timing in found.items()}
+    rng = np.random.default_rng(1)
+    boxes, (starts, directions) = uniform_boxes(size, rng), incoherent_rays(count, rng)
+    corner, goals = spread(count, rng), starts + EDGE * directions
+    small = Boxes(corner, corner + query_edge(boxes, 0.5))
+    queries = Queries(starts, directions, goals, np.inf, small, small.edges, 0.0, count, [1])
+    tree, names = DynamicBVH.from_boxes(*boxes), [f'box{row}' for row in range(size)]
+    scene = Scene()
+    scene.update('report', names, Shapes.boxes(boxes.centers, boxes.edges), stamp=0)
+    rooms = {'tree': of_tree(tree, queries), 'scene': of_scene(scene, names, queries)}
+    ours = {f'{room}: {name}': q.job() for room, some in rooms.items() for name, q in some.items()}
+    ours |= _changes(boxes, count, scene, names)
+    peers = _peer_jobs(boxes, queries)
+    jobs = ours | {f'{name} of {peer}': job for name, (peer, job) in peers.items()}
+    found = interleaved(jobs, repeats)
     rows: list[list[Cell]] = []
     for name in ours:
-        peer = next((peer for peer in theirs if peer.partition(': ')[2] == name), '')
-        rows.append([name, times[name], peer.partition(': ')[0]])
-        rows[-1] += [times[peer], times[name] / times[peer]] if peer else [None, None]
-    page.add('### Calls')
-    page.add(
-        f'{size:,} boxes, one call after the other, us a call with all that it takes: input '
-        'checked, in a scene names looked up, points and normals of the hits. coal is asked for '
-        'the pairs of the same box, without names, points or normals, or moves the same box; '
-        'Embree for the triangle alone. *move* is to a place nearby and back.'
-    )
-    header = ['call', 'us a call', 'peer', 'us a call there', 'ours / peer']
-    page.table(Table('peers_calls', header, rows))
-
-
-def make_asked(size: int, calls: int) -> Asked:
-    """Boxes, and so many questions."""
-    rng = np.random.default_rng(1)
-    boxes, rays = uniform_boxes(size, rng), incoherent_rays(calls, rng)
-    corner = spread(calls, rng)
-    return Asked(
-        boxes,
-        rays,
-        rays.origins + EDGE * rays.directions,
-        Boxes(corner, corner + query_edge(boxes, 0.5)),
-        rng.normal(size=(calls, 4)),
+        time = found[name].microseconds
+        rows.append([name, time, '', None, None])
+        if name in peers:
+            peer = peers[name][0]
+            theirs = found[f'{name} of {peer}'].microseconds
+            rows[-1][2:] = [peer, theirs, time / theirs]
+    page.table(
+        'peers_calls', ['call', 'us a call', 'peer', 'us a call there', 'ours / peer'], rows
     )
 
 
-def each(function: Callable[..., Any], *columns: Any) -> Job:
-    """Call it with each row of the columns."""
-    rows = list(zip(*columns, strict=True))
-
-    def run() -> None:
-        for row in rows:
-            function(*row)
-
-    return Job(run, len(rows))
-
-
-def _one_by_one(*columns: Floats) -> list[list[Floats]]:
-    """Each row as an array of one."""
-    return [[row[None] for row in column] for column in columns]
-
-
-def tree_jobs(asked: Asked) -> dict[str, Job]:
-    """Calls of a tree, by name."""
-    tree, changed = (DynamicBVH.from_boxes(*asked.boxes) for _ in range(2))
-    rays, small = asked.rays, asked.small
-    handles, away = changed.ids()[: len(rays.origins)].tolist(), cycle((STEP, 0.0))
-    lo, hi = (side[: len(handles)] for side in asked.boxes)
+def _changes(boxes: Boxes, count: int, scene: Scene, names: list[str]) -> dict[str, Job]:
+    """Changes of a tree and of a scene, by name."""
+    tree, centers, edges = DynamicBVH.from_boxes(*boxes), boxes.centers, boxes.edges
+    handles, shifts = tree.ids()[:count].tolist(), cycle((STEP, 0.0))
+    few = Boxes(boxes.lo[:count], boxes.hi[:count])
 
     def move() -> None:
-        shift = next(away)
-        for handle, low, high in zip(handles, lo + shift, hi + shift, strict=True):
-            changed.move(handle, low, high)
+        for handle, low, high in zip(handles, *few.moved(next(shifts)), strict=True):
+            tree.move(handle, low, high)
 
     def insert_and_remove() -> None:
-        for handle in [changed.insert(low, high) for low, high in zip(lo, hi, strict=True)]:
-            changed.remove(handle)
-
-    origins, directions, low, high = _one_by_one(*rays, *small)
-    return {
-        'tree: raycast': each(tree.raycast, *rays),
-        'tree: occluded': each(tree.occluded, *rays),
-        'tree: overlap': each(tree.overlap, *small),
-        'tree: nearest': each(tree.nearest, rays.origins),
-        'tree: boxcast': each(tree.boxcast, *small, small.hi - small.lo),
-        'tree: move': Job(move, len(handles)),
-        'tree: insert and remove': Job(insert_and_remove, len(handles)),
-        'tree: raycast_many of one': each(tree.raycast_many, origins, directions),
-        'tree: occluded_many of one': each(tree.occluded_many, origins, directions),
-        'tree: raycast_all_many of one': each(tree.raycast_all_many, origins, directions),
-        'tree: overlap_many of one': each(tree.overlap_many, low, high),
-        'tree: nearest_many of one': each(tree.nearest_many, origins),
-    }
-
-
-def scene_jobs(asked: Asked) -> dict[str, Job]:
-    """Calls of a scene, by name."""
-    starts = asked.rays.origins
-    scene, (lo, hi) = Scene(), asked.boxes
-    names = [f'box{row}' for row in range(len(lo))]
-    middle, size = (lo + hi) / 2, hi - lo
-    scene.update('report', names, Shapes.boxes(middle, size), stamp=0)
+        for handle in [tree.insert(*box) for box in zip(*few, strict=True)]:
+            tree.remove(handle)
 
     def updates(many: int) -> Job:
         """Runs of rows that go a step, and back in the next turn."""
-        runs = [slice(row, row + many) for row in range(min(len(starts), len(lo) - many))]
+        runs = [slice(row, row + many) for row in range(min(count, len(names) - many))]
         parts = [
-            [(names[run], Shapes.boxes(middle[run] + step, size[run])) for run in runs]
+            [(names[run], Shapes.boxes(centers[run] + step, edges[run])) for run in runs]
             for step in (STEP, 0.0)
         ]
         turns = cycle(parts)
 
         def run() -> None:
-            for named, shapes in next(turns):
-                scene.update('report', named, shapes, stamp=1)
+            for some, shapes in next(turns):
+                scene.update('report', some, shapes, stamp=1)
 
         return Job(run, len(runs))
 
-    def swept(start: Floats, goal: Floats) -> None:
-        scene.raycast(start, goal, RADIUS)
-
-    begins, ends, ways = _one_by_one(starts, asked.goals, asked.rays.directions)
-    edges = _one_by_one(asked.small.hi - asked.small.lo)[0]
-    shapes = [Shapes.boxes(place, edge) for place, edge in zip(begins, edges, strict=True)]
     return {
-        'scene: raycast': each(scene.raycast, starts, asked.goals),
-        'scene: swept ball': each(swept, starts, asked.goals),
-        'scene: overlap': each(scene.overlap, *asked.small),
-        'scene: turned overlap': each(scene.overlap, *asked.small, asked.turns),
-        'scene: nearest': each(scene.nearest, starts),
+        'tree: move': Job(move, count),
+        'tree: insert and remove': Job(insert_and_remove, count),
         'scene: update of one': updates(1),
-        'scene: update of ten': updates(TEN),
-        'scene: raycast_many of one': each(scene.raycast_many, begins, ways),
-        'scene: sweep_many of one': each(scene.sweep_many, begins, ends),
-        'scene: overlap_many of one': each(scene.overlap_many, begins, edges),
-        'scene: nearest_many of one': each(scene.nearest_many, begins),
-        'scene: clearance_many of one': each(scene.clearance_many, shapes),
+        'scene: update of ten': updates(10),
     }
 
 
-def peer_jobs(asked: Asked) -> dict[str, Job]:
-    """What installed peers have of the kind, by their name and that of our call."""
-    found: dict[str, Job] = {}
-    if Embree().installed():
-        scene = Embree().scene(triangles(asked.boxes))
-        rays = [part.astype(np.float32)[:, None] for part in asked.rays]
-        found['Embree: tree: raycast'] = each(scene.run, *rays)
-    library = Coal()
-    if not library.installed():
+def _peer_jobs(boxes: Boxes, queries: Queries) -> dict[str, tuple[str, Job]]:
+    """What installed peers have of the kind: name of the peer and job, by the name of our call."""
+    found: dict[str, tuple[str, Job]] = {}
+    if EMBREE.installed():
+        rays = [part.astype(np.float32)[:, None] for part in queries[:2]]
+        found['tree: raycast'] = 'Embree', each(EMBREE.build(EMBREE.prepare(boxes)).run, *rays)
+    if not COAL.installed():
         return found
-    objects = library._objects(asked.boxes)
-    manager, small = library._manager(objects), library._objects(asked.small)
-    centers = (asked.boxes.lo + asked.boxes.hi) / 2
+    broad, small = COAL.build(COAL.prepare(boxes)), COAL.prepare(queries.small)
     states = cycle((STEP, 0.0))
 
-    def overlap(item: Any) -> None:
-        library._collide(manager, [item], len(objects))
-
     def update() -> None:
-        shift = next(states)
-        for item, center in zip(objects[: len(small)], centers, strict=False):
-            library._put(item, center + shift)
-            manager.update()
+        places = boxes.centers + next(states)
+        for item, center in zip(broad.objects[: len(small)], places, strict=False):
+            item.setTranslation(center)
+            item.computeAABB()
+            broad.manager.update()
 
     for room, changed in (('tree', 'move'), ('scene', 'update of one')):
-        found[f'coal: {room}: overlap'] = each(overlap, small)
-        found[f'coal: {room}: {changed}'] = Job(update, len(small))
+        found[f'{room}: overlap'] = 'coal', each(lambda item: broad.overlaps([item]), small)
+        found[f'{room}: {changed}'] = 'coal', Job(update, len(small))
     return found
 
 
-# ---- `bvh_report peers`: other libraries on the same work in the same run.
-
-
-class Task(NamedTuple):
-    """One kind of work."""
-
-    name: str
-    """Name of the libraries' method, and of the table."""
-    title: str
-    unit: str
-    """What a figure is a time of."""
-    answers: str
-    """What was counted, to see that all gave the same answer."""
-    sizes: tuple[int, ...]
-    asked: int
-    """Rays, queries or points."""
-
-
-MIDDLE, GROWING = (10_000,), (1_000, 10_000, 100_000)
-TASKS = (
-    Task('cast', 'Cast rays: the first box on each', 'ns a ray', 'hits', GROWING, 20_000),
-    Task('frame', 'Move all boxes a little, then 1,000 rays', 'ns a frame', 'hits', MIDDLE, 1_000),
-    Task('move_all', 'Move all boxes a little', 'ns a box', '', MIDDLE, 1),
-    Task('move_some', 'Move 1 box in 32 to anywhere', 'ns a box', '', MIDDLE, 1),
-    Task('build', 'Build from nothing', 'ns a box', 'boxes', MIDDLE, 1),
-    Task('overlap', 'Overlaps of a small box', 'ns a query', 'hits', MIDDLE, 20_000),
-    Task('pairs', 'All pairs of boxes that overlap', 'ns a box', 'pairs', MIDDLE, 1),
-    Task('nearest', 'Nearest of many points', 'ns a query', 'mm in sum', MIDDLE, 20_000),
-)  # fmt: skip
-REPEATS, REPEATS_QUICK = 15, 3
-
-
-def quick(task: Task) -> Task:
-    """The same kind of work in a small form."""
-    return task._replace(sizes=(300,), asked=min(task.asked, 200))
-
-
-def all_tasks(page: Page, brief: bool) -> None:
-    """Measure every task that two or more installed libraries can do."""
-    libraries = [library for library in LIBRARIES if library.installed()]
-    page.add(_introduction(libraries))
-    with one_processor():
-        for task in TASKS:
-            found = measure(quick(task) if brief else task, libraries, brief)
-            page.add(f'### {task.title}')
-            page.table(table(task, found))
-
-
-def _introduction(libraries: list[Library]) -> str:
-    absent = [library.name for library in LIBRARIES if library not in libraries]
-    notes = [f'- **{library.name}**: {library.note}.' for library in libraries]
-    missing = f'Not installed here, and so left out: {", ".join(absent)}.'
-    head = (
-        'Boxes of random proportions that fill 2 % of a cube of 100 m; rays from anywhere to '
-        'anywhere. One processor. The libraries take turns, each with untimed runs for '
-        f'{timing.WARM_SECONDS * 1e3:.0f} ms before the timed one, and the medians of the '
-        'turns are shown. *ours / this* below 1: bvh_ros is faster.'
-    )
-    return '\n'.join([head, '', *notes, '', missing if absent else 'All peers are installed.'])
-
-
-@contextmanager
-def one_processor() -> Iterator[None]:
-    """Keep this process on one processor: some libraries would use more, unasked."""
-    if not hasattr(os, 'sched_setaffinity'):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def measure(task: Task, libraries: list[Library], brief: bool) -> dict[int, dict[str, Timing]]:
-    """Timings by number of boxes and by library."""
-    found = {}
-    for size in task.sizes:
-        work: Work = make_work(size, task.asked)
-        jobs = {
-            library.name: getattr(library, task.name)(work)
-            for library in libraries
-            if hasattr(library, task.name)
-        }
-        repeats = REPEATS_QUICK if brief else REPEATS
-        found[size] = interleaved(jobs, repeats, warm=not brief)
-    return found
-
-
-def table(task: Task, found: dict[int, dict[str, Timing]]) -> Table:
-    """One row a library; for each number of boxes the time, and ours over theirs."""
-    header = ['library']
-    for size in found:
-        header += [f'{task.unit}, {size:,} boxes', 'ours / this']
-    last = list(found)[-1]
-    header += [task.answers] if task.answers else []
-    rows: list[list[Cell]] = []
-    for name in found[last]:
-        row: list[Cell] = [name]
-        for timings in found.values():
-            ours = timings['bvh_ros'].nanoseconds
-            row += [timings[name].nanoseconds, ours / timings[name].nanoseconds]
-        row += [found[last][name].answers] if task.answers else []
-        rows.append(row)
-    return Table(f'peers_{task.name}', header, rows)
-
-
-INTRODUCTION = '## Peers'
-ON_ONE = one_processor()(batches)
-SECTIONS = {'all tasks': all_tasks, 'batches of rays': ON_ONE, 'calls': calls}
+SECTIONS = {
+    'The same work': one_processor()(all_tasks),
+    'Batches of rays': one_processor()(batches),
+    'Calls': calls,
+}

@@ -19,6 +19,21 @@ class Boxes(NamedTuple):
     lo: Floats
     hi: Floats
 
+    @property
+    def edges(self) -> Floats:
+        """Lengths of the edges, (n, 3)."""
+        return self.hi - self.lo
+
+    @property
+    def centers(self) -> Floats:
+        """Centres, (n, 3)."""
+        middle: Floats = (self.lo + self.hi) / 2
+        return middle
+
+    def moved(self, shift: Floats | float) -> 'Boxes':
+        """The boxes, each shifted by its row, or all alike."""
+        return Boxes(self.lo + shift, self.hi + shift)
+
 
 class Rays(NamedTuple):
     """n rays, shape (n, 3) each; the directions are unit vectors."""
@@ -40,27 +55,26 @@ def spread(count: int, rng: np.random.Generator) -> Floats:
     return rng.uniform(-EDGE / 2, EDGE / 2, (count, 3))
 
 
+def units(vectors: Floats) -> Floats:
+    """The vectors (n, 3) at length 1."""
+    unit: Floats = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+    return unit
+
+
 def incoherent_rays(count: int, rng: np.random.Generator) -> Rays:
     """Rays from anywhere to anywhere, in float32 numbers: every library gets the same rays."""
-    directions = rng.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    directions = units(rng.normal(size=(count, 3)))
     return Rays(
         spread(count, rng).astype(np.float32).astype(np.float64),
         directions.astype(np.float32).astype(np.float64),
     )
 
 
-def moved(boxes: Boxes, shift: Floats) -> Boxes:
-    """The boxes, each shifted by its row."""
-    return Boxes(boxes.lo + shift, boxes.hi + shift)
-
-
 def query_edge(boxes: Boxes, hits: float) -> float:
-    """Edge of the cube that meets so many of the boxes on average, at a random place."""
-    sizes = boxes.hi - boxes.lo
+    """Edge of the cube that overlaps so many of the boxes on average, at a random place."""
     low, high = 0.0, EDGE
     for _ in range(60):
         edge = (low + high) / 2
-        met = float(np.prod(sizes + edge, axis=1).sum()) / EDGE**3
-        low, high = (edge, high) if met < hits else (low, edge)
+        overlaps = float(np.prod(boxes.edges + edge, axis=1).sum()) / EDGE**3
+        low, high = (edge, high) if overlaps < hits else (low, edge)
     return low

@@ -15,17 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point
 from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from .scenes import Floats
 
-# ---- A thousand boxes that move, turn, come and go, and who meets what, by brute force.
+# ---- A thousand boxes that move, turn, come and go; brute force answers about them
 
 
 BOXES = 1000
@@ -49,16 +48,19 @@ class Scene(NamedTuple):
     centre: Floats  # (n, 3) m
     yaw: Floats  # (n,) radians; every second box is never turned
 
-    def local(self, points: Floats) -> Floats:
-        """Points or directions (n, 3), one a box, in the boxes' own axes."""
+    def turned(self, points: Floats, back: bool = False) -> Floats:
+        """Points or directions (n, 3), one a box, from the boxes' own axes or back to them."""
         c, s = np.cos(self.yaw), np.sin(self.yaw)
+        if back:
+            s = -s
         x, y, z = points.T
-        return np.column_stack((c * x + s * y, c * y - s * x, z))
+        return np.column_stack((c * x - s * y, s * x + c * y, z))
 
-    def entries(self, start: Floats, way: Floats, grown: float) -> Floats:
-        """Where on start + t * way, 0 to 1, each box is entered; inf where it is not met."""
+    def entries(self, start: Floats, direction: Floats, grown: float) -> Floats:
+        """Where on start + t * direction, 0 to 1, each box is entered; inf where it is not."""
         half = HALF + grown
-        origin, along = self.local(start - self.centre), self.local(np.tile(way, (BOXES, 1)))
+        origin = self.turned(start - self.centre, back=True)
+        along = self.turned(np.tile(direction, (BOXES, 1)), back=True)
         with np.errstate(divide='ignore'):
             one, other = (-half - origin) / along, (half - origin) / along
         enter = np.maximum(np.minimum(one, other).max(axis=1), 0.0)
@@ -67,33 +69,34 @@ class Scene(NamedTuple):
 
     def closest(self, point: Floats) -> Floats:
         """The point (n, 3) of each box that is closest to a point (3,)."""
-        x, y, z = np.clip(self.local(point - self.centre), -HALF, HALF).T
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return self.centre + np.column_stack((c * x - s * y, s * x + c * y, z))
+        local = self.turned(point - self.centre, back=True)
+        return self.centre + self.turned(np.clip(local, -HALF, HALF))
 
-    def distances(self, point: Floats) -> Floats:
-        """Distance of each box from a point: 0 inside, inf for those that are away."""
-        distance = np.linalg.norm(self.closest(point) - point, axis=1)
-        return np.where(self.present, distance, np.inf)
+    def gaps(self, centre: Floats, half: Floats | float) -> Floats:
+        """How far each box is from a ball of a radius, or from an aligned box of half edges.
 
-    def gaps(self, centre: Floats, half: Floats) -> Floats:
-        """How far an aligned box and each box are apart along the axis that parts them most.
-
-        Negative where they overlap. The boxes are upright prisms, so x, y, z and the boxes' own
-        two horizontal axes are enough (separating axes).
+        Negative where they overlap, inf where a box is away. Of boxes it is the gap along the axis
+        that parts them most: all are upright prisms, so x, y, z and the boxes' own two horizontal
+        axes are enough (separating axes).
         """
-        offset = centre - self.centre
-        c, s = np.abs(np.cos(self.yaw)), np.abs(np.sin(self.yaw))
-        own = np.abs(self.local(offset))
-        along = np.abs(offset)
-        gaps = [
-            along[:, 0] - half[0] - c * HALF[:, 0] - s * HALF[:, 1],
-            along[:, 1] - half[1] - s * HALF[:, 0] - c * HALF[:, 1],
-            along[:, 2] - half[2] - HALF[:, 2],
-            own[:, 0] - HALF[:, 0] - c * half[0] - s * half[1],
-            own[:, 1] - HALF[:, 1] - s * half[0] - c * half[1],
-        ]
-        return np.where(self.present, np.max(gaps, axis=0), np.inf)
+        if isinstance(half, float):
+            gaps = np.linalg.norm(self.closest(centre) - centre, axis=1) - half
+        else:
+            offset = centre - self.centre
+            turn = np.abs(np.stack((np.cos(self.yaw), np.sin(self.yaw)), axis=1))
+            reach = np.column_stack(
+                (
+                    (HALF[:, :2] * turn).sum(axis=1),
+                    (HALF[:, :2] * turn[:, ::-1]).sum(axis=1),
+                    HALF[:, 2],
+                )
+            )
+            own = np.column_stack((turn @ half[:2], turn @ half[1::-1]))
+            gaps = np.hstack((
+                np.abs(offset) - half - reach,
+                np.abs(self.turned(offset, back=True))[:, :2] - HALF[:, :2] - own,
+            )).max(axis=1)  # fmt: skip
+        return np.where(self.present, gaps, np.inf)
 
 
 def scene_at(frame: int) -> Scene:
@@ -104,166 +107,137 @@ def scene_at(frame: int) -> Scene:
     )
 
 
-# ---- Random questions to the running node, each answer held against brute force.
+# ---- What is wrong with an answer, by brute force
 
 
-TIMEOUT = 10.0  # seconds
-SERVICES = ('raycast', 'raycast_all', 'overlap')
 REPORTED = 1e-6  # m: a reported point may be this far from where it belongs
 
 
-class Answer(NamedTuple):
-    """What became of one question."""
-
-    frame: int  # the newest that the answer knows of, -1 if none
-    took: float  # seconds
-    fault: str  # empty where the answer is right
-
-
 class Found(NamedTuple):
-    """A reply's poses, read."""
+    """The boxes of an answer, and a point (k, 3) of each."""
 
     boxes: list[int]
-    points: Floats  # (k, 3)
-
-
-class Asker:
-    """Asks the services of a node in turn, at random places.
-
-    Parameters
-    ----------
-    node : Node
-        In the namespace of the bvh node.
-    hear : callable
-        Given every message on /diagnostics, as they come in while waiting for answers.
-    """
-
-    def __init__(self, node: Node, hear: Callable[[DiagnosticArray], None]) -> None:
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(node)
-        self._clients = {name: node.create_client(GetPlan, f'bvh/{name}') for name in SERVICES}
-        node.create_subscription(DiagnosticArray, '/diagnostics', hear, 10)
-        self._rng = np.random.default_rng()
-        self._turn = 0
-
-    def ask(self) -> Answer:
-        """Ask the next question."""
-        self._turn += 1
-        if self._turn % 2:
-            service = SERVICES[self._turn % 4 // 2]
-            start, goal = self._rng.uniform(-4.0, SIDE + 4.0, (2, 3))
-            fault = partial(ray_fault, start=start, goal=goal, first=service == 'raycast')
-            return self._judged(service, start, goal, 0.0, fault)
-        centre = self._rng.uniform(0.0, SIDE, 3)
-        if self._turn % 4:
-            half = self._rng.uniform(0.1, 4.0, 3)
-            low, high = centre - half, centre + half
-            return self._judged('overlap', low, high, 0.0, partial(box_fault, low=low, high=high))
-        radius = float(np.float32(self._rng.uniform(0.1, 5.0)))  # tolerance is a float32
-        fault = partial(ball_fault, centre=centre, radius=radius)
-        return self._judged('overlap', centre, centre, radius, fault)
-
-    def _judged(
-        self,
-        service: str,
-        start: Floats,
-        goal: Floats,
-        tolerance: float,
-        fault: Callable[[Scene, Found], str],
-    ) -> Answer:
-        began = time.perf_counter()
-        reply = self._call(service, start, goal, tolerance)
-        took = time.perf_counter() - began
-        if reply is None:
-            return Answer(-1, took, f'{service}: no answer within {TIMEOUT:g} s')
-        frame = reply.plan.header.stamp.sec - 1
-        names = [pose.header.frame_id for pose in reply.plan.poses]
-        if names and names[0].startswith('error: '):
-            return Answer(-1, took, f'{service}: {names[0]}')
-        places = [pose.pose.position for pose in reply.plan.poses]
-        points = np.array([(at.x, at.y, at.z) for at in places]).reshape(-1, 3)
-        found = Found([int(name.rpartition('/')[2]) for name in names], points)
-        what = fault(scene_at(frame), found)
-        where = f'frame {frame}, {service} {start.tolist()} {goal.tolist()} {tolerance!r}'
-        return Answer(frame, took, f'{where}: {what}' if what else '')
-
-    def _call(self, service: str, start: Floats, goal: Floats, tolerance: float) -> Any:
-        request = GetPlan.Request(tolerance=tolerance)
-        for stamped, place in ((request.start, start), (request.goal, goal)):
-            at = stamped.pose.position
-            at.x, at.y, at.z = place.tolist()
-        client = self._clients[service]
-        future = client.call_async(request)
-        deadline = time.monotonic() + TIMEOUT
-        while not future.done() and (left := deadline - time.monotonic()) > 0.0:
-            self._executor.spin_once(left)
-        if future.done():
-            return future.result()
-        client.remove_pending_request(future)
-        return None
+    points: Floats
 
 
 def ray_fault(scene: Scene, found: Found, start: Floats, goal: Floats, first: bool) -> str:
     """Say what is wrong with the answer of a raycast, first hit or all."""
-    way = goal - start
-    may = scene.entries(start, way, UNDECIDED)
-    must = scene.entries(start, way, -UNDECIDED)
-    length = float(np.linalg.norm(way))
-    reached = (found.points - start) @ way / length  # m along the way
-    off = np.linalg.norm(found.points - start - reached[:, None] * way / length, axis=1)
-    if (off > REPORTED).any():
+    length = float(np.linalg.norm(goal - start))
+    along = (goal - start) / length
+    may, must = (length * scene.entries(start, goal - start, u) for u in (UNDECIDED, -UNDECIDED))
+    reached = (found.points - start) @ along  # m
+    if (np.abs(found.points - start - reached[:, None] * along) > REPORTED).any():
         return 'a point is not on the segment'
-    early, late = length * may[found.boxes], length * must[found.boxes]
-    if (reached < early - REPORTED).any() or (reached > late + REPORTED).any():
+    early, late = may[found.boxes] - REPORTED, must[found.boxes] + REPORTED
+    if (reached < early).any() or (reached > late).any():
         return 'a point is not where its box is entered'
     if not first:
         return _set_fault(found, np.isfinite(may), np.isfinite(must)) or _order_fault(reached)
     if not found.boxes:
-        return 'free, but something is in the way' if np.isfinite(must).any() else ''
-    return 'something else comes first' if must.min() * length < reached[0] - REPORTED else ''
+        return 'free, but something is hit' if np.isfinite(must).any() else ''
+    return 'something else comes first' if must.min() < reached[0] - REPORTED else ''
 
 
-def ball_fault(scene: Scene, found: Found, centre: Floats, radius: float) -> str:
-    """Say what is wrong with the answer of an overlap with a ball."""
-    distance = scene.distances(centre)
-    fault = _set_fault(found, distance <= radius + UNDECIDED, distance <= radius - UNDECIDED)
-    return fault or _nearest_fault(scene, found, centre)
+def overlap_fault(scene: Scene, found: Found, centre: Floats, half: Floats | float) -> str:
+    """Say what is wrong with the answer of an overlap with a ball or an aligned box.
 
-
-def box_fault(scene: Scene, found: Found, low: Floats, high: Floats) -> str:
-    """Say what is wrong with the answer of an overlap with an aligned box."""
-    centre = 0.5 * (low + high)
-    gap = scene.gaps(centre, 0.5 * (high - low))
-    return _set_fault(found, gap <= UNDECIDED, gap <= -UNDECIDED) or _nearest_fault(
-        scene, found, centre
-    )
-
-
-def _nearest_fault(scene: Scene, found: Found, centre: Floats) -> str:
-    """Each point is its box's closest to the query's centre, and the nearest comes first."""
-    off = np.abs(found.points - scene.closest(centre)[found.boxes])
-    if (off > REPORTED).any():
+    Each point is its box's closest to the query's centre, and the nearest comes first.
+    """
+    gaps = scene.gaps(centre, half)
+    if fault := _set_fault(found, gaps <= UNDECIDED, gaps <= -UNDECIDED):
+        return fault
+    if (np.abs(found.points - scene.closest(centre)[found.boxes]) > REPORTED).any():
         return "a point is not its box's closest"
     return _order_fault(np.linalg.norm(found.points - centre, axis=1))
 
 
 def _set_fault(found: Found, may: np.ndarray, must: np.ndarray) -> str:
-    answered = np.zeros(len(may), np.bool_)
-    answered[found.boxes] = True
-    if answered.sum() < len(found.boxes):
-        return 'a box is named twice'
-    if (must & ~answered).any():
-        return f'box {np.flatnonzero(must & ~answered)[0]} is missing'
-    return (
-        f'box {np.flatnonzero(answered & ~may)[0]} is too much' if (answered & ~may).any() else ''
-    )
+    answered = np.bincount(found.boxes, minlength=BOXES)
+    for what, wrong in (
+        ('is named twice', answered > 1),
+        ('is missing', must & (answered == 0)),
+        ('is too much', ~may & (answered > 0)),
+    ):
+        if wrong.any():
+            return f'box {np.flatnonzero(wrong)[0]} {what}'
+    return ''
 
 
 def _order_fault(values: Floats) -> str:
     return 'the order is wrong' if (np.diff(values) < -REPORTED).any() else ''
 
 
-# ---- The process that publishes the soak's world until it is ended.
+# ---- Random questions to the running node
+
+
+TIMEOUT = 10.0  # seconds
+
+
+class Answer(NamedTuple):
+    """What became of one question."""
+
+    frame: int  # the newest that the answer knows of, -1 if none
+    seconds: float
+    fault: str  # empty where the answer is right
+
+
+class Asker:
+    """Asks the services of a node in turn, at random places."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._clients = node, dict[str, Any]()
+        for name in ('raycast', 'raycast_all', 'overlap'):
+            self._clients[name] = node.create_client(GetPlan, f'bvh/{name}')
+        self._rng, self._turn = np.random.default_rng(), 0
+
+    def ask(self) -> Answer:
+        """Ask the next question."""
+        self._turn += 1
+        uniform = self._rng.uniform
+        if self._turn % 2:
+            name = 'raycast' if self._turn % 4 == 1 else 'raycast_all'
+            start, goal = uniform(-4.0, SIDE + 4.0, (2, 3))
+            check = partial(ray_fault, start=start, goal=goal, first=name == 'raycast')
+            return self._checked(name, start, goal, 0.0, check)
+        centre, half = uniform(0.0, SIDE, 3), uniform(0.1, 4.0, 3)
+        if self._turn % 4:
+            check = partial(overlap_fault, centre=centre, half=half)
+            return self._checked('overlap', centre - half, centre + half, 0.0, check)
+        radius = float(np.float32(uniform(0.1, 5.0)))  # tolerance is a float32
+        check = partial(overlap_fault, centre=centre, half=radius)
+        return self._checked('overlap', centre, centre, radius, check)
+
+    def _checked(
+        self,
+        name: str,
+        start: Floats,
+        goal: Floats,
+        tolerance: float,
+        check: Callable[[Scene, Found], str],
+    ) -> Answer:
+        request = GetPlan.Request(tolerance=tolerance)
+        for pose, point in ((request.start.pose, start), (request.goal.pose, goal)):
+            pose.position = Point(**dict(zip('xyz', point.tolist(), strict=True)))
+        began = time.perf_counter()
+        future = self._clients[name].call_async(request)
+        rclpy.spin_until_future_complete(self._node, future, timeout_sec=TIMEOUT)
+        seconds = time.perf_counter() - began
+        if not future.done():
+            self._clients[name].remove_pending_request(future)
+            return Answer(-1, seconds, f'{name}: no answer within {TIMEOUT:g} s')
+        plan = future.result().plan
+        frame, names = plan.header.stamp.sec - 1, [pose.header.frame_id for pose in plan.poses]
+        if names and names[0].startswith('error: '):
+            return Answer(-1, seconds, f'{name}: {names[0]}')
+        places = [pose.pose.position for pose in plan.poses]
+        points = np.array([(at.x, at.y, at.z) for at in places]).reshape(-1, 3)
+        boxes = [int(one.rpartition('/')[2]) for one in names]
+        fault = check(scene_at(frame), Found(boxes, points))
+        query = f'frame {frame}, {name} {start.tolist()} {goal.tolist()} {tolerance!r}'
+        return Answer(frame, seconds, fault and f'{query}: {fault}')
+
+
+# ---- The publisher of this world, a process of its own
 
 
 RATE = 30.0  # frames a second

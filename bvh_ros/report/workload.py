@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scene in a process of its own: `python workload.py '<job as JSON>'`.
+"""A scene in a process of its own: `python -m bvh_ros.report.workload '<Configuration as JSON>'`.
 
 Prints as JSON what a unit of each kind of work took, the processor time until the first answer,
 the memory of the process and of the scene, and which kernels and modules it took.
@@ -10,45 +10,71 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bvh_ros.report.timing import memory
-from bvh_ros.scene import Mesh, Numbered, Scene, Shapes
+from bvh_ros.report.compiled_kernels import compiled
+from bvh_ros.report.timing import memory, seconds
+from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 
-OVERLAPS = 100
+RAYS, OVERLAPS = 300, 100
 STEP = 0.05  # m that obstacles go from frame to frame
-SPEED, LATER = 1.5, 300_000_000  # m/s; ns after they were told
-
-Work = dict[str, tuple[Callable[[], object], int]]  # what is done in a turn, and how many of them
+SPEED, LATER = 1.5, 300_000_000  # m/s; ns after the update
 
 
-def kernels() -> list[str]:
-    """Every kernel of this package that has machine code in this process."""
-    found = set()
-    for name, module in sys.modules.items():
-        for value in vars(module).values() if name.startswith('bvh_ros') else ():
-            if hasattr(value, 'py_func') and value.signatures:
-                found.add(f'{value.py_func.__module__}.{value.py_func.__name__}')
-    return sorted(found)
+class Configuration(NamedTuple):
+    """A scene of obstacles on a floor, and how it is used."""
+
+    obstacles: int
+    kind: str = 'BOX'  # a name of `ShapeKind`
+    turned: bool = False
+    planar: bool = False
+    margin: float = 0.0
+    masks: bool = False
+    batch: int = 0  # how many times all rays are in a batch; 0: no batch
+    moving: bool = False
+    turns: int = 9  # of the work; the fastest counts, as disturbances only slow it down
 
 
-def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
-    """Fill a scene and ask it a first time."""
-    given = np.load(job['file'])
-    shapes = Shapes(**{name: given[name] for name in Shapes._fields if name in given})
-    if 'triangles' in given:
-        meshes = [Mesh(given['triangles'])] * len(shapes.kind)
-        shapes = Shapes.of_meshes(meshes, shapes.position, shapes.orientation)
-    count, rays = len(shapes.kind), list(zip(given['starts'], given['goals'], strict=True))
+class Work(NamedTuple):
+    """What is done in a turn."""
+
+    run: Callable[[], object]
+    units: int
+
+
+def obstacles(job: Configuration, rng: np.random.Generator) -> Shapes:
+    """Obstacles of about a metre on one floor, as dense as in a tidy warehouse."""
+    count, kind = job.obstacles, ShapeKind[job.kind]
+    size = rng.uniform(0.2, 1.0, (count, 3))
+    if kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.CAPSULE):
+        size[:, 1] = size[:, 0]
+        size[:, 2] = size[:, 0] + (0.0 if kind == ShapeKind.SPHERE else 0.5)
+    turns = rng.normal(size=(count, 4)) if job.turned else np.zeros((count, 4))
+    places = rng.uniform(0, 3.0 * count**0.5, (count, 3))
+    places[:, 2] = 1.0
+    if kind == ShapeKind.MESH:
+        corners = np.array([(0.4, 0, 0), (0, 0.4, 0), (0, 0, 0.4)])
+        signs = np.array([(x, y, z) for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+        octahedron = Mesh(corners * signs[:, None])
+        return Shapes.of_meshes([octahedron] * count, places, turns)
+    return Shapes(np.full(count, kind, np.uint8), places, turns, size)
+
+
+def prepare(job: Configuration) -> tuple[Scene, dict[str, Work]]:
+    """Fill a scene and query it a first time."""
+    rng = np.random.default_rng(1)
+    shapes, count = obstacles(job, rng), job.obstacles
+    # Half way up, so that the answers are the same when seen from above.
+    starts, goals = rng.uniform(0, 3.0 * count**0.5, (2, RAYS, 3)) * (1, 1, 0) + (0, 0, 1.0)
+    rays = list(zip(starts, goals, strict=True))
     names = Numbered('o', np.arange(count))
-    scene = Scene(planar=job['planar'], margin=job['margin'])
-    categories = 1 + np.arange(count) % 2 if job['masks'] else 1
-    told: dict[str, Any] = {'categories': categories}
-    if job['moving']:
-        told['velocities'] = np.full((count, 3), SPEED)
-    refused = scene.update('a', names, shapes, stamp=0, **told)
+    scene = Scene(planar=job.planar, margin=job.margin)
+    options: dict[str, Any] = {'categories': 1 + np.arange(count) % 2 if job.masks else 1}
+    if job.moving:
+        options['velocities'] = np.full((count, 3), SPEED)
+    refused = scene.update('a', names, shapes, stamp=0, **options)
     if refused:
         raise ValueError(f'a row of the scene is refused: {refused[0].reason}')
     scene.raycast(*rays[0])
@@ -58,45 +84,40 @@ def prepare(job: dict[str, Any]) -> tuple[Scene, Work]:
         nonlocal frame
         frame += 1
         moved = shapes._replace(position=shapes.position + STEP * (frame % 2))
-        scene.update('a', names, moved, stamp=frame, **told)
+        scene.update('a', names, moved, stamp=frame, **options)
 
-    ask: dict[str, Any] = {'mask': 2 if job['masks'] else 0xFFFFFFFF}
-    if job['moving']:
-        ask['at'] = LATER
-    boxes = [(goal - 0.5, goal + 0.5) for _, goal in rays[:OVERLAPS]]
-    work: Work = {
-        'update': (update, count),
-        'raycast': (lambda: [scene.raycast(*ray, **ask) for ray in rays], len(rays)),
-        'overlap': (lambda: [scene.overlap(*box, **ask) for box in boxes], len(boxes)),
+    query: dict[str, Any] = {'mask': 2 if job.masks else 0xFFFFFFFF}
+    if job.moving:
+        query['at'] = LATER
+    boxes = [(goal - 0.5, goal + 0.5) for goal in goals[:OVERLAPS]]
+    work = {
+        'update': Work(update, count),
+        'raycast': Work(lambda: [scene.raycast(*ray, **query) for ray in rays], len(rays)),
+        'overlap': Work(lambda: [scene.overlap(*box, **query) for box in boxes], len(boxes)),
     }
-    if job['batch']:
-        starts = np.tile(given['starts'], (job['batch'], 1))
-        ways = np.tile(given['goals'] - given['starts'], (job['batch'], 1))
-        work['batch'] = (lambda: scene.raycast_many(starts, ways, 1.0, **ask), len(starts))
+    if job.batch:
+        many = np.tile(starts, (job.batch, 1)), np.tile(goals - starts, (job.batch, 1)), 1.0
+        work['batch'] = Work(lambda: scene.raycast_many(*many, **query), len(many[0]))
     return scene, work
 
 
-def main(job: dict[str, Any]) -> dict[str, Any]:
+def main(job: Configuration) -> dict[str, Any]:
     """Take turns."""
     scene, work = prepare(job)
-    told: dict[str, Any] = {'start': time.process_time()}
+    figures: dict[str, Any] = {'start': time.process_time()}
     for kind, (run, count) in work.items():
         run()
-        took = []
-        for _ in range(job['turns']):
-            began = time.perf_counter()
-            run()
-            took.append((time.perf_counter() - began) / count)
-        told[kind] = min(took)
-    told['memory'] = memory()
+        figures[kind] = min(seconds(run) for _ in range(job.turns)) / count
+    figures['memory'] = memory()
     stats = scene.stats()
-    told['tree'] = float(stats['bytes'] + stats['tree']['bytes'] + stats['tree']['snapshot_bytes'])
-    told['kernels'] = kernels()
-    told['libraries'] = sorted(
-        {name.partition('.')[0] for name in sys.modules} & {'rclpy', 'fcl', 'matplotlib'}
+    figures['tree'] = float(
+        stats['bytes'] + stats['tree']['bytes'] + stats['tree']['snapshot_bytes']
     )
-    return told
+    figures['kernels'] = sorted({kernel.name for kernel in compiled()})
+    loaded = {name.partition('.')[0] for name in sys.modules}
+    figures['libraries'] = sorted(loaded & {'rclpy', 'fcl', 'matplotlib'})
+    return figures
 
 
 if __name__ == '__main__':
-    print(json.dumps(main(json.loads(sys.argv[1]))))
+    print(json.dumps(main(Configuration(**json.loads(sys.argv[1])))))

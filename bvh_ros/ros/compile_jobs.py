@@ -1,45 +1,27 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a configuration calls, on throw-away scenes: whoever runs it has the kernels compiled."""
+"""What a configuration compiles: calls on throw-away scenes that need its kernels."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bvh_ros import DynamicBVH
-from bvh_ros.ros import shape_jobs
 from bvh_ros.ros.cdr import path
-from bvh_ros.ros.job_scenes import (
-    ABOUT_Z,
-    BOXES,
-    EDGE,
-    FAR,
-    GOAL,
-    MANY,
-    MIDDLE,
-    NUMBERS,
-    RADIUS,
-    START,
-    empty,
-    replace,
-    scenes,
-    with_boxes,
-    with_shapes,
-)
-from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene.cast.arguments import Rays
+from bvh_ros.scene.cast.batch import first_hits, first_of_one
+from bvh_ros.scene.distance.narrow_phase import hull_gap
 from bvh_ros.scene.names import Registry, as_families
+from bvh_ros.scene.shapes.hull import Hull
+from bvh_ros.scene.store import Obstacles
 from bvh_ros.tree.access import inherit_entry
-
-FEW = 128  # rays that go through the snapshot one by one, where there is one
-
-# What is compiled only when somebody asks.
-NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
-BOXES_ASKED = 'batches of boxes'
-NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
+from bvh_ros.tree.compiler import prepare
 
 
 class Needs(NamedTuple):
@@ -91,6 +73,200 @@ class Job(NamedTuple):
     early: bool = False
 
 
+MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
+BOXES = 24  # enough that every branch of building, inserting and rotating runs
+EDGE = (0.9, 0.9, 0.9)
+ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
+TURNED = (0.1, 0.2, 0.3, 0.9)
+CORNERS = np.vstack((np.zeros(3), np.eye(3)))
+TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
+# Through boxes, seen from above or not: what writes down a hit is compiled by hitting.
+START, GOAL = (0.0, 0.0, 0.0), (60.0, 60.0, 60.0)
+FAR = (9.0, 9.0, 9.0)
+RADIUS = 0.5
+NUMBERS = np.arange(BOXES)
+MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
+
+
+def empty(needs: Needs) -> Scene:
+    """A scene in which moving obstacles come to rest."""
+    meshes = ShapeKind.MESH in needs.kinds
+    return Scene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
+
+
+def replace(scene: Scene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
+    shapes = Shapes.boxes(MIDDLE[numbers] + shift, EDGE)
+    scene.replace('cloud', '', Numbered('box#', numbers), shapes, stamp=1)
+
+
+def with_boxes(needs: Needs) -> Scene:
+    scene = empty(needs)
+    replace(scene, 0.0)
+    return scene
+
+
+def with_shapes(needs: Needs) -> Scene:
+    """Return turned and round shapes among boxes."""
+    scene = with_boxes(needs)
+    for kind in needs.kinds:
+        place = [3.0, 3.5 + kind, 3.0]
+        if kind == ShapeKind.MESH:
+            shape = Shapes.of_meshes([Mesh(TETRAHEDRON)], place, [TURNED])
+        else:
+            shape = Shapes.boxes(place, EDGE, [TURNED])
+            shape = shape._replace(kind=np.array([kind], dtype=np.uint8))
+        scene.update('turned', [f'{kind.name}/0'], shape, stamp=3)
+    return scene
+
+
+def scenes(needs: Needs) -> Iterator[Scene]:
+    """The empty one first: while another process compiles how boxes get there, what is asked of it
+    can be compiled here.
+    """
+    yield empty(needs)
+    yield with_boxes(needs)
+    yield with_shapes(needs)
+
+
+def use_tree(ndim: int) -> None:
+    """What a tree without a scene is asked."""
+    tree = DynamicBVH(ndim=ndim)
+    low, high = np.zeros(ndim), np.ones(ndim)
+    handle = tree.insert(low, high)
+    tree.raycast(low - 1.0, high)
+    tree.move(handle, low + 1.0, high + 1.0)
+    boxes = MIDDLE[:, :ndim]
+    handles = tree.insert_many(boxes, boxes + 0.9)
+    tree.move_many(handles, boxes + 0.1, boxes + 1.0)
+    tree.raycast_all(low, high)
+    tree.raycast_many(boxes, boxes)
+    tree.overlap(low, high)
+    tree.overlap_pairs()
+    tree.nearest(low, 2)
+    tree.boxcast(low, high, high)
+    tree.remove(handle)
+    tree.remove_many(handles)
+
+
+# Jobs for all shapes share most of what they compile. Each compiles what it can before it needs a
+# scene with shapes: another process compiles meanwhile how shapes get there.
+
+
+def _shape_calls(needs: Needs) -> Sequence[tuple[str, float, Callable[[Needs], None]]]:
+    """Return names, seconds and calls as of `compile_jobs.Job`."""
+    meshes = ShapeKind.MESH in needs.kinds and not needs.planar
+    return [
+        *([('distances of meshes', 5.0, _distances_of_meshes)] if meshes else []),
+        ('balls', 10.0, _balls),
+        ('overlaps', 6.0, _overlaps),
+        ('rays', 4.0, _rays),
+        *([('batches of rays at shapes', 4.0, _batches_of_rays)] if needs.batch else []),
+    ]
+
+
+def _distances_of_meshes(_needs: Needs) -> None:
+    """The longest part that all share. Begun first, it is there when they come to it."""
+    vector = np.zeros(3)
+    prepare(hull_gap, Hull(CORNERS, CORNERS[None], 1.0), vector, vector, vector)
+
+
+def _balls(needs: Needs) -> None:
+    for scene in scenes(needs):
+        scene.raycast(START, GOAL, RADIUS)
+        scene.raycast_all(START, GOAL, RADIUS)
+
+
+def _overlaps(needs: Needs) -> None:
+    """Of a turned box with round corners, a ball, and a box, which is compiled elsewhere."""
+    for scene in scenes(needs):
+        scene.overlap(START, FAR, ABOUT_Z, RADIUS)
+        scene.overlap((3.0,) * 3, (3.0,) * 3, ABOUT_Z, 2.0)
+        scene.overlap(START, FAR)
+
+
+def _rays(needs: Needs) -> None:
+    store = _no_shapes(needs)
+    ends = np.zeros(3), np.zeros(3)
+    first_of_one(store.tree, store.columns, ends, (0.0, np.uint32(1), False))
+    scene = with_shapes(needs)
+    scene.raycast(START, GOAL)
+    scene.raycast_all(START, GOAL)
+
+
+def _batches_of_rays(needs: Needs) -> None:
+    store, row = _no_shapes(needs), np.zeros((1, 3))
+    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False)
+    first_hits(store.tree, store.columns, rays)
+    with_shapes(needs).raycast_many([START], [GOAL])
+
+
+def _no_shapes(needs: Needs) -> Obstacles:
+    """What would hold shapes: where there are none, a scene asks its tree."""
+    return Obstacles(needs.planar, needs.margin, ShapeKind.MESH in needs.kinds, 1)
+
+
+# Jobs for sources that predict.
+
+LATER = 10**10  # ns: by then all obstacles are at rest
+
+
+def _moving_scenes(needs: Needs) -> Iterator[Scene]:
+    """Some that hold obstacles, one of which has a velocity."""
+    for scene in scenes(needs):
+        shape = Shapes.boxes(GOAL, EDGE)
+        scene.update('moving', ['one'], shape, stamp=1, velocities=[EDGE])
+        yield scene
+
+
+def other_times(needs: Needs) -> None:
+    """Rays, balls and overlaps at a time, and while it passes."""
+    for scene in _moving_scenes(needs):
+        for radius in (0.0, RADIUS):
+            scene.raycast(START, GOAL, radius, at=2, until=3)
+            scene.raycast(START, GOAL, radius, at=2, until=LATER)
+            scene.raycast_all(START, GOAL, radius, at=2)
+        scene.overlap(START, GOAL, ABOUT_Z, RADIUS, at=2)
+        if needs.batch:
+            scene.raycast_many([START], [GOAL], 1.0, at=2, until=3)
+    if needs.batch:
+        _rays_among_boxes(needs)
+
+
+def _rays_among_boxes(needs: Needs) -> None:
+    """So many that boxes are swept for them, and for balls, as for rays among other shapes."""
+    scene, line = next(scenes(needs)), np.arange(MANY * 3.0).reshape(MANY, 3)
+    names = Numbered('box#', np.arange(MANY))
+    speeds = np.ones((MANY, 3))
+    scene.replace('cloud', '', names, Shapes.boxes(line, EDGE), stamp=1, velocities=speeds)
+    for radius in (0.0, RADIUS):
+        for until in (3, LATER):
+            scene.raycast_many(line, line, 1.0, radius=radius, at=2, until=until)
+    scene.raycast_many(line, line, 1.0, at=np.full(MANY, 2), until=until)
+
+
+def nearest_then(needs: Needs) -> None:
+    """What is nearest at a time."""
+    for scene in _moving_scenes(needs):
+        scene.nearest(START, 2, at=2)
+
+
+def paths_then(needs: Needs) -> None:
+    """How far a shape is at a time."""
+    for scene in _moving_scenes(needs):
+        shapes = Shapes.boxes([START], EDGE, [ABOUT_Z])
+        scene.clearance_many(shapes, signed=True, at=2)
+
+
+# The jobs of a configuration.
+
+FEW = 128  # rays that go through the snapshot one by one, where there is one
+
+# What is compiled only when somebody asks.
+NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
+BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
+NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
+
+
 def jobs(needs: Needs) -> list[Job]:
     """Return all calls: those that the first answers wait for, then the longest."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
@@ -98,7 +274,7 @@ def jobs(needs: Needs) -> list[Job]:
         ('thin rays', 6.0, _thin_rays),
         ('names', 1.5, _names),
         *([('batches of rays', 8.0, _batches)] if needs.batch else []),
-        *shape_jobs.calls(needs),
+        *_shape_calls(needs),
         ('boxes', 3.0, _among_boxes),
         *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
         *_moving(needs)[:1],
@@ -112,7 +288,7 @@ def later_jobs(needs: Needs) -> list[Job]:
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
-        *([(POINTS, 10.0, _points)] if needs.batch else []),
+        *([(POINTS, 10.0, _points), (CLEARANCES, 20.0, _paths)] if needs.batch else []),
         *_moving(needs)[1:],
     ]
     return _named(calls, needs)
@@ -135,8 +311,6 @@ def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
     """What is called at the start, and once somebody asks, where obstacles have velocities."""
     if not needs.moving:
         return []
-    from bvh_ros.ros.moving_jobs import nearest_then, other_times, paths_then
-
     later = (NEAREST_THEN, 30.0, nearest_then), (PATHS_THEN, 30.0, paths_then)
     return [('other times', 70.0, other_times), *later]
 

@@ -15,11 +15,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from bvh_ros.ros.compilation import prepare
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.interrupts import Interrupts
+from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.private_rclpy import RCLError, UnknownROSArgsError
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.ros.spinning import SturdyExecutor
+from bvh_ros.ros.spinning import Interrupts, SturdyExecutor
 from bvh_ros.ros.texts import as_line
 
 WRONG_CONFIGURATION = 2  # exit code

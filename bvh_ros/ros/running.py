@@ -19,7 +19,7 @@ from typing import IO
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from bvh_ros.client import BvhClient, BvhTimeoutError, plans
+from bvh_ros.client import COMPILING, BvhClient, BvhTimeoutError
 
 START_TIMEOUT = 300.0  # seconds: the first start on a machine compiles
 END_TIMEOUT = 10.0  # seconds
@@ -156,6 +156,6 @@ def wait_until_ready(
                 raise RuntimeError(f'the node ended with code {process.returncode}') from None
             if time.monotonic() > deadline:
                 raise
-            if first is not None and plans.COMPILING in str(error):
+            if first is not None and COMPILING in str(error):
                 first()
                 first = None

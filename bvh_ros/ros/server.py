@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
 from rclpy.exceptions import InvalidTopicNameException, NameValidationException, ParameterException
@@ -14,34 +15,41 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
 from bvh_ros.ros.config import qos_overrides
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.parameters import read_settings
-from bvh_ros.ros.config.part_settings import GROUPS, draw_settings, scan_settings
-from bvh_ros.ros.parts.diagnostics import Diagnostics
-from bvh_ros.ros.parts.drawing import SceneDrawing, TreeDrawing
-from bvh_ros.ros.parts.maintenance import Maintenance
+from bvh_ros.ros.config.parameters import (
+    GROUPS,
+    ConfigurationError,
+    draw_settings,
+    read_settings,
+    scan_settings,
+)
+from bvh_ros.ros.parts.diagnostics import Diagnostics, Maintenance
+from bvh_ros.ros.parts.drawing import QueryDrawing, SceneDrawing, TreeDrawing
 from bvh_ros.ros.parts.names import NamesPublisher
-from bvh_ros.ros.parts.on_demand import OnDemand
-from bvh_ros.ros.parts.query_drawing import QueryDrawing
-from bvh_ros.ros.parts.readiness import Readiness
+from bvh_ros.ros.parts.readiness import OnDemand, Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
-from bvh_ros.ros.world.clock_jumps import ClockJumps
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
 from bvh_ros.ros.world.known_times import known_times
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
-from bvh_ros.ros.world.world import World
+from bvh_ros.ros.world.world import ClockJumps, World
 from bvh_ros.scene import Scene, ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.settings import SourceSettings
-    from bvh_ros.ros.parts.batch import Batch
+    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.parts.batches import Batch
+    from bvh_ros.ros.parts.typed_services import TypedServices
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
     from bvh_ros.ros.sources.source import Source
+
+
+def has_typed_services() -> bool:
+    """Whether the package bvh_msgs is installed."""
+    spec = find_spec('bvh_msgs')
+    return spec is not None and spec.origin is not None  # else a folder of sources
 
 
 class Destroyable(Protocol):
@@ -112,8 +120,8 @@ class BvhServer:
         """The topics that this configuration subscribes and whose QoS can be overridden."""
         topics = [source.settings.topic for source in self.world.sources]
         if self.settings.batch:
-            asked = 'rays', 'boxes', 'points', *(['paths'] if self.settings.footprint else [])
-            topics += [view.topic(name) for view in self.world.views for name in asked]
+            names = 'rays', 'boxes', 'points', *(['paths'] if self.settings.footprint else [])
+            topics += [view.topic(name) for view in self.world.views for name in names]
         if self._scan.pose_topic:
             topics.append(self._scan.pose_topic)
         for topic in topics:
@@ -150,12 +158,12 @@ class BvhServer:
         that wait until somebody asks.
         """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
-        needs, has_paths = self._needs(), self.settings.batch and self.settings.footprint
+        needs, has_paths = self.needs(), self.settings.batch and self.settings.footprint
         chosen, paths = jobs(needs), path_jobs(needs) if has_paths else []
         early, later = [job for job in chosen if job.early], later_jobs(needs) if wholly else []
         return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *later]
 
-    def _needs(self) -> Needs:
+    def needs(self) -> Needs:
         return Needs(
             planar=self.settings.planar,
             margin=self.settings.margin,
@@ -193,16 +201,16 @@ class BvhServer:
         node, world = self.node, self.world
         drawing = QueryDrawing(node, world, self._draw)
         yield drawing
-        kernels = OnDemand(node, later_jobs(self._needs()))
+        kernels = OnDemand(node, later_jobs(self.needs()))
         yield kernels
-        # Before the services: who hears an answer knows then which life of the node it comes from.
+        # Before the services: a client that gets an answer knows which run of the node it is of.
         yield NamesPublisher(node, world)
         queries: list[QueryServices] = []
         for view in world.views:
             queries.append(QueryServices(node, world, view, drawing, kernels))
             yield queries[-1]
         yield TriggerServices(node, world)
-        answerers: list[Batch | VirtualScan] = []
+        answerers: list[Batch | TypedServices | VirtualScan] = []
         for answerer in self._create_answerers(drawing, kernels):
             answerers.append(answerer)
             yield answerer
@@ -213,12 +221,11 @@ class BvhServer:
 
     def _create_answerers(
         self, drawing: QueryDrawing, kernels: OnDemand
-    ) -> Iterator[Batch | VirtualScan]:
-        """Create what answers many rays at once; who does without imports none of it."""
+    ) -> Iterator[Batch | TypedServices | VirtualScan]:
+        """Create the parts that answer batches; none of it is imported where there are none."""
         node, world = self.node, self.world
         if self.settings.batch:
-            from bvh_ros.ros.parts.batch import RayBatch
-            from bvh_ros.ros.parts.volume_batches import BoxBatch, PathBatch, PointBatch
+            from bvh_ros.ros.parts.batches import BoxBatch, PathBatch, PointBatch, RayBatch
 
             for view in world.views:
                 yield RayBatch(node, world, view, kernels, drawing)
@@ -226,6 +233,11 @@ class BvhServer:
                 yield PointBatch(node, world, view, kernels)
                 if self.settings.footprint:
                     yield PathBatch(node, world, view, kernels, self.settings.footprint)
+            if has_typed_services():
+                from bvh_ros.ros.parts.typed_services import TypedServices
+
+                for view in world.views:
+                    yield TypedServices(node, world, view, kernels)
         if self._scan.pose_topic:
             from bvh_ros.ros.parts.virtual_scan import VirtualScan
 
@@ -278,6 +290,7 @@ class BvhServer:
             'region' if settings.region else 'region of its own': settings.region is not None,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
+            'typed services': settings.batch and has_typed_services(),
             f'{threads} threads' if threads > 1 else 'threads': threads > 1,
             'other times than now': self.world.times is not None,
             'virtual scan': bool(self._scan.pose_topic),

@@ -271,7 +271,7 @@ class DistanceQueries:
 
 def sign_of(signed: bool) -> Signed:
     """The same for kernels."""
-    return True if signed else None
+    return True if checks.flag('signed', signed) else None
 
 
 def _padded(near: Near, k: int) -> tuple[NDArray[np.uint32], Floats, Floats]:

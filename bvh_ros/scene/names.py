@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree.access import INT64, touch
+from ..tree.access import INT64, checks, touch
 from ..tree.compiler import entry_point, inlined, lean_kernel
 
 # ---- Names of obstacles without a Python string a name.
@@ -147,10 +147,11 @@ def _from_strings(names: Sequence[str]) -> Families:
     if not isinstance(names, (list, Collection)):
         raise ValueError(f'names must be a sequence of strings, not {type(names).__name__}')
     prefixes: dict[str, int] = {}
-    family, numbers = [], []
-    for name in names:
+    family, numbers = list[int](), list[int]()
+    for name in checks.iterator('names', names):
         if not isinstance(name, str):
-            raise ValueError(f'names must be strings: row {len(family)} is {name!r}')
+            shown = checks.shown_short(name)
+            raise ValueError(f'names must be strings: row {len(family)} is {shown}')
         prefix = name.rstrip(_DIGITS)
         digits = name[len(prefix) :]
         if digits and digits[0] != '0' and len(digits) <= _MOST_DIGITS:  # `split`, called seldom

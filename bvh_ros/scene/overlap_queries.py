@@ -80,9 +80,10 @@ class OverlapQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         query = box_query(start, goal, orientation, tolerance, self._held.planar)
+        limit = checks.whole_or_none('most', most, 0)
         if self._timed.time_matters(at, None, 1):
-            return self._then(query, None, mask, most, at)
-        return self._now(query, None, mask, most)
+            return self._then(query, None, mask, limit, at)
+        return self._now(query, None, mask, limit)
 
     def _now(self, query: QueryShape, hulls: Any, mask: int, most: int | None) -> list[SceneHit]:
         """What a query touches."""
@@ -242,7 +243,8 @@ class OverlapQueries:
         """
         wanted = WANTED.get(want) if isinstance(want, str) else None
         if wanted is None:
-            raise ValueError(f'want must be any, count, first, all or hits, not {want!r}')
+            shown = checks.shown_short(want)
+            raise ValueError(f'want must be any, count, first, all or hits, not {shown}')
         tolerance, mask, threads, at = asked
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)

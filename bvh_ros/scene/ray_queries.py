@@ -73,7 +73,7 @@ class RayQueries:
         if radius == math.inf:
             raise ValueError('radius must be finite')
         ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
-        ball = radius, checks.mask(mask), bool(skip_inside)
+        ball = radius, checks.mask(mask), checks.flag('skip_inside', skip_inside)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, 1):
             hit = self._timed.first_ray(ends, ball, at, until)
         elif radius == 0.0 and not held.columns.shaped:
@@ -102,7 +102,8 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origin, direction, radius = boxes.segment(start, goal, radius)
-        held, seen, skip = self._held, checks.mask(mask), bool(skip_inside)
+        most = checks.whole_or_none('most', most, 0)
+        held, seen, skip = self._held, checks.mask(mask), checks.flag('skip_inside', skip_inside)
         sweep = Sweep(origin, direction, radius, seen, skip, True)
         if self._timed.time_matters(at, until, 1):
             found = self._timed.every_ray(sweep, at, until, most)
@@ -149,7 +150,15 @@ class RayQueries:
             self._held.change.require_none()
         origins, directions = checks.both(checks.WAYS, origins, directions, 3)
         limits = checks.limits_or_one('t_max', t_max, len(origins))
-        rays = origins, directions, limits, mask, radius, False, bool(skip_inside)
+        rays = (
+            origins,
+            directions,
+            limits,
+            mask,
+            radius,
+            False,
+            checks.flag('skip_inside', skip_inside),
+        )
         return self._first_hits(rays, threads, at, until)
 
     def sweep_many(
@@ -186,7 +195,15 @@ class RayQueries:
         if self._held.change.unfinished:
             self._held.change.require_none()
         origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
-        rays = origins, ends, UNIT_T_MAX, mask, radius, True, bool(skip_inside)
+        rays = (
+            origins,
+            ends,
+            UNIT_T_MAX,
+            mask,
+            radius,
+            True,
+            checks.flag('skip_inside', skip_inside),
+        )
         return self._first_hits(rays, threads, at, until)
 
     def _first_hits(self, given: tuple[Any, ...], threads: int, at: Any, until: Any) -> CastHits:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree.access import ALL, INT64
+from ..tree.access import ALL, INT64, checks
 from ..tree.compiler import entry_point, lean_kernel
 from .names import BARE, UNKNOWN, Families, Slots, last_of_each
 from .results import Reasons
@@ -76,7 +76,7 @@ def column(
         return same
     try:
         array = np.asarray(value)
-    except ValueError:
+    except checks.FOREIGN:
         raise ValueError(f'{name} must be an integer or {count} integers') from None
     masked = isinstance(value, np.ma.MaskedArray)
     if not array.size:

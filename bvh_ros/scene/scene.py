@@ -4,7 +4,7 @@
 
 import copy
 import math
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from numpy.typing import ArrayLike
 
@@ -87,13 +87,18 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         max_prediction: float = math.inf,
         uncertainty: float = 0.0,
     ) -> None:
-        held = Obstacles(bool(planar), margin, meshes, max_obstacles)
+        given: Any = categorise
+        if not (given is None or callable(given)):
+            shown = checks.shown_short(given)
+            raise ValueError(f'categorise must be callable or None, not {shown}')
+        flat, meshes = checks.flag('planar', planar), checks.flag('meshes', meshes)
+        held = Obstacles(flat, margin, meshes, max_obstacles)
         going = checks.limit('max_prediction', max_prediction)
         held.max_prediction = in_seconds(round(going * 1e9)) if going < FOR_EVER else math.inf
         held.uncertainty = checks.limit('uncertainty', uncertainty)
         if math.isinf(held.uncertainty):
             raise ValueError('uncertainty must be finite')
-        self._begin(held, Updates(held, categorise, as_region(region, 2 if planar else 3)))
+        self._begin(held, Updates(held, categorise, as_region(region, 2 if flat else 3)))
 
     def _begin(self, held: Obstacles, updates: Updates) -> None:
         self._held, self._timed = held, TimedQueries(held)
@@ -148,12 +153,20 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         self._held.change.require_none()
         self._held.tree.rebuild()
 
-    def prepare_batch(self, count: int) -> None:
+    # Another thread may call these while nothing changes the scene.
+
+    def prepare_rays(self, count: int) -> None:
         """Prepare what a batch of `count` rays needs, as the batch itself would do. It takes
-        0.5 us an obstacle; another thread may call it while nothing changes the scene.
+        0.5 us an obstacle.
         """
         tree = self._held.tree
-        tree.snapshot_for(2 * count, tree.view())  # once more by the batch
+        tree.snapshot_for(
+            2 * checks.whole('count', count, 0), tree.view()
+        )  # once more by the batch
+
+    prepare_times = method_of('_timed', TimedQueries.prepare)
+    is_prepared = method_of('_timed', TimedQueries.is_prepared)
+    refit = method_of('_timed', TimedQueries.refit)
 
     # ---- what there is
 

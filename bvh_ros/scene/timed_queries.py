@@ -140,6 +140,30 @@ class TimedQueries:
         (first, end), bounded = batch.times_of(starts, paces, t_max)
         return tuple.__new__(batch.Times, (starts, paces, first, end, bounded))
 
+    def _span(self, at: Any, until: Any) -> tuple[float, float]:
+        """First and last time of rows, s."""
+        times = self._times(at, until, np.ones(1), len(at))
+        return times.first, times.last
+
+    def is_prepared(self, at: Any, until: Any) -> bool:
+        """Whether all is there that questions about these times, (n,) arrays, need."""
+        motion = self._store.tree.motion
+        if motion is None or not self._store.moves:
+            return True
+        return motion.holds(self._store.tree.view().version, *self._span(at, until))
+
+    def prepare(self, count: int, at: Any, until: Any) -> None:
+        """Prepare what n rows about these times need; `count` of them are rays."""
+        motion = self._store.tree.motion
+        if motion is not None and self._store.moves:
+            motion.prepare(self._store.tree, count, *self._span(at, until))
+
+    def refit(self) -> None:
+        """Prepare questions about the time from the newest data on, if some came before."""
+        motion = self._store.tree.motion
+        if motion is not None and self._store.moves:
+            motion.refit(self._store.tree, self._store.second(self._store.newest))
+
     # ---- rays and balls
 
     def first_ray(

@@ -37,10 +37,13 @@ def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | 
     """Corners of a box that may be infinite; ValueError if it is none."""
     if given is None:
         return None
-    try:
-        lo, hi = (np.array(corner, np.float64) for corner in given)
-    except (TypeError, ValueError):
-        raise ValueError('region must be two corners') from None
+    corners = [
+        checks.unless_refused('region', corner, (ndim,))
+        for corner, _ in zip(checks.iterator('region', given), range(3), strict=False)
+    ]
+    if len(corners) != 2:
+        raise ValueError('region must be two corners')
+    lo, hi = corners
     if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
         raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
     return lo, hi
@@ -91,7 +94,7 @@ class Follow(Protocol):
 
 def velocity_rows(given: Any, count: int) -> Floats:
     """Velocities (count, 3), finite or not; ValueError if they are none."""
-    rows = checks.floats('velocities', given)
+    rows = checks.unless_refused('velocities', given, (count, 3))
     if rows.shape != (count, 3):
         raise ValueError(f'velocities must have shape ({count}, 3), not {rows.shape}')
     return rows
@@ -102,7 +105,7 @@ def speeds_of(
 ) -> tuple[Floats, Validated]:
     """Velocities of the rows along the tree's axes; and the rows that have one."""
     count, ndim = len(valid.reasons.good), held.tree.ndim
-    if callable(given):
+    if callable(given) and hasattr(given, 'max_speed'):
         return _followed(held, given, valid.known, count), valid
     rows = velocity_rows(given, count)
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
@@ -501,8 +504,8 @@ class Removals:
         text('source', source)
         slots = self._held.registry.find(as_families(names))
         slots = slots[slots != UNKNOWN]
-        if len(namespaces):
-            slots = np.concatenate((slots, self._held.registry.in_namespaces(set(namespaces))))
+        if inside := checks.strings('namespaces', namespaces):
+            slots = np.concatenate((slots, self._held.registry.in_namespaces(inside)))
         if len(slots) > 1:
             slots = np.unique(slots)
         return self._held.columns.tree_handle[
@@ -534,6 +537,7 @@ class Removals:
         Costs nothing while none can be due. `most` is how many are removed one by one; where more
         are due, the others are still there, see `has_expired`.
         """
+        most = checks.whole_or_none('most', most, 0)
         if whole_time('now', now) < self._held.next_expiry:
             return 0
         expires = self._held.columns.expires

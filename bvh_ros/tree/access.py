@@ -3,7 +3,7 @@
 """What the rest of the package uses of the tree; all else is private to it."""
 
 from . import box_checks, checks, plotting
-from .batch.single import STACK, cast_few, child_of, few_entry, push_children, push_loose
+from .batch.single import STACK, cast_few, few_entry, next_wide_leaf, push_loose
 from .batch.snapshot import (
     FARTHEST_ORIGIN,
     LOOSE_NODES,
@@ -13,11 +13,10 @@ from .batch.snapshot import (
     collapse_entry,
     limit32,
     no_snapshot,
-    octant_of,
     planning_entry,
     start_ray,
 )
-from .batch.streams import ALL32, FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
+from .batch.streams import FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
 from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
 from .dynamic_bvh import DynamicBVH
 from .entries import entry_points
@@ -33,7 +32,6 @@ from .nodes import (
     Tree,
     View,
     empty_tree,
-    is_leaf,
     leaf_box,
     node_dtype,
     slot_of,
@@ -46,22 +44,23 @@ from .query.ray import (
     EVERY,
     NO_HITS,
     NO_RAYS,
+    Found,
+    Hit,
     Rays,
-    descend,
+    enter_box,
     every_hit,
     locate,
     of_row,
     raycast_one,
+    rows_of,
 )
-from .query.ray_queries import answer_rays, rows_of
+from .query.ray_queries import answer_rays
 from .query.slab import (
     DIRECTION,
     INSIDE,
     ORIGIN,
-    PAD,
     RAY_FLOATS,
     RAY_ROWS,
-    TINY,
     compare_hits,
     intersect_exact,
     intersect_node,
@@ -71,9 +70,9 @@ from .query.slab import (
     set_swept_box,
     traversal_distance,
 )
+from .query.traversal import Stack, next_leaf, push_root
 from .query.within import boxes_within
 from .results import RayHits
-from .simd.float32x16 import seen16, stream16
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

@@ -5,6 +5,7 @@
 import functools
 import math
 import os
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -311,6 +312,32 @@ def whole(name: str, value: Any, least: int, most: int | None = None) -> int:
     if most is not None and value > most:
         raise ValueError(f'{name} must be at most {most}, not {shown_short(value)}')
     return int(value)
+
+
+def iterator(name: str, value: Any) -> Iterator[Any]:
+    """What iterates over a value."""
+    try:
+        return iter(value)
+    except FOREIGN:
+        raise ValueError(f'{name} must be a sequence, not {shown_short(value)}') from None
+
+
+def strings(name: str, value: Any) -> set[str]:
+    """The strings in a collection."""
+    found, wrong = set[str](), isinstance(value, str)
+    for one in () if wrong else iterator(name, value):
+        if not isinstance(one, str):
+            wrong = True
+            break
+        found.add(one)
+    if wrong:
+        raise ValueError(f'{name} must be a collection of strings, not {shown_short(value)}')
+    return found
+
+
+def whole_or_none(name: str, value: Any, least: int) -> int | None:
+    """An integer of at least `least`, or None."""
+    return None if value is None else whole(name, value, least)
 
 
 def capacity(name: str, value: Any) -> int:

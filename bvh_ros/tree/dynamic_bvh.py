@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
+import copy
 import inspect
 from os import PathLike
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import box_checks, changing, checks, handle_checks
+from .nodes import View
 from .query.box_queries import BoxQueries
 from .query.ray_queries import RayQueries
 from .store import files
@@ -126,6 +128,10 @@ class DynamicBVH(RayQueries, BoxQueries):
             tree = cls(ndim, margin=margin, capacity=capacity)
         tree.insert_many(low, hi, mask)
         return tree
+
+    @staticmethod
+    def _tree_of_boxes(lo: Floats, hi: Floats, masks: Any) -> View:
+        return DynamicBVH.from_boxes(lo, hi, mask=masks).view()
 
     # ---- changes: each is one kernel of `changing`
 
@@ -271,18 +277,23 @@ class DynamicBVH(RayQueries, BoxQueries):
         files.save(checks.path('path', path), files.pack(self), checks.flag('mapped', mapped))
 
     @classmethod
-    def load(cls, path: str | PathLike[str], mmap: bool = False) -> 'DynamicBVH':
+    def load(
+        cls, path: str | PathLike[str], mmap: bool = False, verify: bool = False
+    ) -> 'DynamicBVH':
         """Read what `save` wrote. ValueError if the file is of another format version, not such a
         file, or of a tree that is not sound. A subclass' `__init__` is not called.
 
-        `mmap`: map what was saved with ``mapped=True`` into memory. That takes a millisecond,
-        whatever the size, and all processes of a machine share the memory. The tree is read-only:
-        a change raises ValueError. Only the header is checked, so map no file that you do not
-        trust, and do not write into a file that is mapped (`save` puts a new one in its place).
+        `mmap`: map what was saved with ``mapped=True`` into memory, which all processes of a
+        machine share. The tree is read-only: a change raises ValueError. The first time, a process
+        checks the header and the links between nodes (0.1 s a million boxes), so that no query
+        leads outside the file; after that, mapping takes a millisecond. Boxes and masks are
+        trusted, unless `verify` reads and checks all (0.4 s a million boxes). Do not write into a
+        file that is mapped: `save` puts a new one in its place.
         """
         tree, file = cls.__new__(cls), checks.path('path', path)
+        every = checks.flag('verify', verify)
         if checks.flag('mmap', mmap):
-            files.attach(tree, Path(file))
+            files.attach(tree, Path(file), every)
         else:
             tree.__setstate__(files.load(file))
         return tree
@@ -292,6 +303,18 @@ class DynamicBVH(RayQueries, BoxQueries):
         own = vars(DynamicBVH(self.ndim))
         added = {name: value for name, value in vars(self).items() if name not in own}
         return files.pack(self) | {'added': added}
+
+    def __copy__(self) -> 'DynamicBVH':
+        twin = type(self).__new__(type(self))
+        twin.__setstate__(files.Copied(self.__getstate__()))
+        return twin
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> 'DynamicBVH':
+        twin = memo[id(self)] = type(self).__new__(type(self))
+        state = self.__getstate__()
+        new = {name: copy.deepcopy(state[name], memo) for name in {*state} - files.COPIED}
+        twin.__setstate__(files.Copied(state | new))
+        return twin
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         added = state.get('added', {}) if isinstance(state, dict) else {}

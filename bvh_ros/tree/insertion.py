@@ -13,8 +13,24 @@ import numpy as np
 
 from .area import area_scale, node_area, union_area
 from .compiler import inlined, lean_kernel, prefetch, stack_array
-from .nodes import DEEPEST, NONE, ROOT, free_inner, is_leaf, refit_node, replace_child, take_inner
+from .nodes import (
+    COUNT,
+    DEEPEST,
+    HIGHEST,
+    NONE,
+    ROOT,
+    free_inner,
+    height_limit,
+    is_leaf,
+    refit_node,
+    replace_child,
+    take_inner,
+)
 from .rotation import rotate
+
+# Subtrees that a search looks into at most. Ordinary boxes take tens of them; where each box
+# contains the next, no bound prunes, and the search would visit every node.
+MOST_TRIES = 2048
 
 
 @lean_kernel
@@ -63,7 +79,7 @@ def _bound_below(nodes, child, cost, scale):
 @lean_kernel
 def branch_and_bound_sibling(nodes, heights, root, leaf):
     """The best of all siblings: depth first, the lower bound first, never below what cannot beat
-    the best.
+    the best. After MOST_TRIES it is the best one so far.
 
     The first descent is the greedy one, so the bound is sharp from then on. A priority queue
     visits a quarter fewer nodes, and costs 1.7 times as much: 985 against 583 ns an insertion at
@@ -82,8 +98,10 @@ def _search_depth_first(nodes, heights, root, leaf, scale):
     best, best_cost = np.uint32(root), union_area(nodes, root, leaf, scale)
     stack, bounds = stack_array(DEEPEST, np.uint32), stack_array(DEEPEST, np.float64)
     stack[0], bounds[0], top = root, _bound_below(nodes, root, best_cost, scale), 1
-    while top > 0:
+    tries = 0
+    while top > 0 and tries < MOST_TRIES:
         top -= 1
+        tries += 1
         node, inherited = stack[top], bounds[top]
         if inherited + leaf_area >= best_cost and node != root:
             continue
@@ -112,17 +130,53 @@ def _search_depth_first(nodes, heights, root, leaf, scale):
     return np.int64(best)
 
 
+@inlined
+def _depth(nodes, node):
+    depth, above = 0, np.int64(nodes[node].parent)
+    while above != NONE:
+        depth, above = depth + 1, np.int64(nodes[above].parent)
+    return depth
+
+
 @lean_kernel
-def refit_ancestors(nodes, heights, state, node):
-    """Make the boxes from `node` up to the root tight again, rotating each; stop early where
-    nothing changes any more.
+def _sibling_within(nodes, heights, root, leaf, limit):
+    """The cheapest sibling that one descent finds, among those below which an insertion anywhere
+    leaves the tree at most `limit` levels high; NONE if there is none.
     """
-    quiet = 0
+    scale = area_scale(nodes, root, leaf)
+    node, levels, inherited = np.int64(root), limit - 1, 0.0
+    best, best_cost = np.int64(NONE), np.inf
+    while node != NONE:
+        levels -= 1
+        inherited += union_area(nodes, node, leaf, scale) - node_area(nodes, node, scale)
+        next_bound, next_node = np.inf, np.int64(NONE)
+        for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
+            cost = inherited + union_area(nodes, child, leaf, scale)
+            if heights[child] <= levels and cost < best_cost:
+                best, best_cost = child, cost
+            bound = _bound_below(nodes, child, cost, scale)
+            lower = next_node != NONE and heights[child] < heights[next_node]
+            if bound < next_bound or (bound == next_bound and lower):
+                next_bound, next_node = bound, child
+        node = next_node
+    return best
+
+
+@lean_kernel
+def refit_ancestors(nodes, heights, state, node, height):
+    """Make the boxes from `node` up to the root tight again, rotating each; stop early where
+    nothing changes any more. `height` is that of the tree before.
+    """
+    quiet, limit = 0, height_limit(state[COUNT])
+    highest, step = HIGHEST, 0
+    if 2 * height + 2 > limit and node != NONE:  # else no rotations can make it too high
+        highest, step = limit - _depth(nodes, node), 1
     while node != NONE and quiet < 2:
         changed = refit_node(nodes, heights, node)
-        rotated = rotate(nodes, heights, node)
+        rotated = rotate(nodes, heights, node, highest)
         # A rotation looks two levels down, so two levels without change leave nothing to do above.
         quiet = 0 if changed or rotated else quiet + 1
+        highest += step
         node = np.int64(nodes[node].parent)
 
 
@@ -130,6 +184,10 @@ def refit_ancestors(nodes, heights, state, node):
 def insert_leaf(nodes, heights, state, leaf, branch_and_bound):
     """Insert a leaf whose box and mask are written: find its sibling, give both a new parent,
     refit and rotate above.
+
+    Boxes whose sizes differ by orders of magnitude want a list, which is as cheap as any tree of
+    them. At its height limit a tree takes them elsewhere: to rebuild a subtree for each would
+    take 1 ms an insertion among 10,000 boxes. (A subtree is still rebuilt if none has room.)
     """
     heights[leaf] = 0
     root = state[ROOT]
@@ -137,16 +195,21 @@ def insert_leaf(nodes, heights, state, leaf, branch_and_bound):
         state[ROOT] = leaf
         nodes[leaf].parent = NONE
         return
+    height, limit = np.int64(heights[root]), height_limit(state[COUNT])
     if branch_and_bound:
         sibling = branch_and_bound_sibling(nodes, heights, root, leaf)
     else:
         sibling = greedy_sibling(nodes, heights, root, leaf)
+    if height >= limit and _depth(nodes, sibling) + heights[sibling] >= limit:
+        within = _sibling_within(nodes, heights, root, leaf, limit)
+        if within != NONE:
+            sibling = greedy_sibling(nodes, heights, within, leaf)
     parent = take_inner(nodes, state)
     replace_child(nodes, state, np.int64(nodes[sibling].parent), sibling, parent)
     nodes[parent].left, nodes[parent].right = sibling, leaf
     nodes[sibling].parent = parent
     nodes[leaf].parent = parent
-    refit_ancestors(nodes, heights, state, parent)
+    refit_ancestors(nodes, heights, state, parent, height)
 
 
 @lean_kernel
@@ -158,8 +221,9 @@ def remove_leaf(nodes, heights, state, leaf):
     if parent == NONE:
         state[ROOT] = NONE
         return
+    height = np.int64(heights[state[ROOT]])
     sibling = np.int64(nodes[parent].right if nodes[parent].left == leaf else nodes[parent].left)
     grandparent = np.int64(nodes[parent].parent)
     replace_child(nodes, state, grandparent, parent, sibling)
     free_inner(nodes, state, parent)
-    refit_ancestors(nodes, heights, state, grandparent)
+    refit_ancestors(nodes, heights, state, grandparent, height)

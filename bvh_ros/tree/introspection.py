@@ -170,7 +170,7 @@ class Introspection(Timed):
         inner nodes if that is zero.
         """
         cost = float(cost_entry(self._ndim)(*self.view()))
-        if cost < 0.0:
+        if cost == -1.0:
             raise RuntimeError(IS_CHANGED)
         return cost
 

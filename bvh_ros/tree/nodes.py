@@ -14,6 +14,7 @@ A node is 64 bytes in 3D: one cache line. Free places form two lists, linked thr
 """
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,6 +132,17 @@ def empty_tree(ndim: int) -> Tree:
     """Arrays without places, to tell a compiler the types."""
     numbers, nodes = np.empty(0, np.int64), np.empty(0, node_dtype(ndim))
     return Tree(nodes, np.empty(0, np.int16), np.empty(0, box_dtype(ndim)), numbers, numbers)
+
+
+@inlined
+def floor_log2(count):
+    return math.frexp(float(count))[1] - 1
+
+
+@inlined
+def height_limit(count):
+    """At most 4 log2(count) + 4."""
+    return 4 * floor_log2(count) + 4
 
 
 @inlined

@@ -18,7 +18,7 @@ import numpy as np
 
 from .area import area_scale, node_area, union_area
 from .compiler import inlined, lean_kernel
-from .nodes import HIGHEST, NONE, is_leaf, refit_node
+from .nodes import NONE, is_leaf, refit_node
 
 
 @inlined
@@ -39,23 +39,24 @@ def _exchange(nodes, heights, node, child, uncle_of, niece):
 
 
 @lean_kernel
-def rotate(nodes, heights, node):
+def rotate(nodes, heights, node, highest):
     """Do the exchange below `node` that lowers the cost most, or at equal cost the height; true if
-    one was done.
+    one was done. None makes the subtree higher than `highest`.
     """
     left, right = np.int64(nodes[node].left), np.int64(nodes[node].right)
     if is_leaf(left) and is_leaf(right):
         return False
     scale = area_scale(nodes, left, right)
     if scale == 1.0:  # nearly always, and faster when known
-        return _rotate(nodes, heights, node, left, right, 1.0)
-    return _rotate(nodes, heights, node, left, right, scale)
+        return _rotate(nodes, heights, node, left, right, 1.0, highest)
+    return _rotate(nodes, heights, node, left, right, scale, highest)
 
 
 @inlined
-def _rotate(nodes, heights, node, left, right, scale):
+def _rotate(nodes, heights, node, left, right, scale, highest):
     best_change, best_height = 0.0, np.int64(heights[node])
     best_child = best_uncle = best_niece = np.int64(NONE)
+    highest = max(highest, best_height)
     for child, uncle in ((left, right), (right, left)):
         if is_leaf(uncle):
             continue
@@ -69,7 +70,7 @@ def _rotate(nodes, heights, node, left, right, scale):
                 np.int64(heights[niece]),
                 1 + max(np.int64(heights[child]), np.int64(heights[stays])),
             )
-            if height > HIGHEST:
+            if height > highest:
                 continue
             if change < best_change or height < best_height:
                 best_change, best_height = change, height

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import checks, handle_checks, time_checks
+from .nodes import View
 from .store.arrays import Arrays, Floats, Ids
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Timed(Arrays):
         if self._motion is None:
             from .motion.queries import MotionQueries
 
-            self._motion = MotionQueries(self.ndim)
+            self._motion = MotionQueries(self.ndim, self._tree_of_boxes)
         motion, named = self._motion, view.tree.handles[slots]
         self.check_unchanged(view)
         self._change(motion.write, view.version, named, rows, times)
@@ -82,7 +83,7 @@ class Timed(Arrays):
         if self._motion is None:
             from .motion.queries import MotionQueries
 
-            self._motion = MotionQueries(self.ndim, True, left)
+            self._motion = MotionQueries(self.ndim, self._tree_of_boxes, True, left)
 
     def velocities(self, handles: ArrayLike) -> tuple[Floats, Floats]:
         """(velocities, references) of boxes, shape (n, ndim) and (n,); zero where a box has none.
@@ -92,9 +93,14 @@ class Timed(Arrays):
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         told = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
-            told = self._motion.told_to(view.tree.handles, slots)
+            told = self._motion.velocities_of(view.tree.handles, slots)
         self.check_unchanged(view)
         return told
+
+    @staticmethod
+    def _tree_of_boxes(lo: Floats, hi: Floats, masks: Any) -> View:
+        """Build a tree of other boxes, shape (n, ndim); `motion` builds one for a time."""
+        raise NotImplementedError
 
     @property
     def motion(self) -> Optional['MotionQueries']:

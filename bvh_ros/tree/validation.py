@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.rebuilding import height_limit
 from .compiler import kernel
 from .nodes import (
     COUNT,
@@ -25,6 +24,7 @@ from .nodes import (
     STATE_PLACES,
     Tree,
     box_dtype,
+    height_limit,
     is_leaf,
     node_dtype,
 )
@@ -116,20 +116,25 @@ def _check_serials(handles: Any, serial: int) -> tuple[int, int]:
 
 @kernel
 def check_structure(nodes, handles, state):
-    """Return (complaint, node); SOUND if links, counts and free lists are right."""
-    seen = np.zeros(nodes.shape[0], np.bool_)
+    """Return (complaint, node); SOUND if links, counts, depth and free lists are right: then no
+    traversal leaves the arrays or its stack.
+    """
+    seen, deepest = np.zeros(nodes.shape[0], np.bool_), height_limit(state[COUNT])
     stack, top, leaves = np.empty(nodes.shape[0] + 1, np.int64), 0, 0
+    depths = np.empty(nodes.shape[0] + 1, np.int16)
     if state[ROOT] != NONE:
-        stack[0], top = state[ROOT], 1
+        stack[0], depths[0], top = state[ROOT], 0, 1
         if not 0 <= state[ROOT] < nodes.shape[0]:
             return 4, state[ROOT]
         if nodes[state[ROOT]].parent != NONE:
             return 1, state[ROOT]
     while top > 0:
         top -= 1
-        node = stack[top]
+        node, depth = stack[top], depths[top]
         if node < 0 or node >= nodes.shape[0] or seen[node]:
             return 4, node
+        if depth > deepest:
+            return 11, node
         seen[node] = True
         if is_leaf(node):
             leaves += 1
@@ -139,7 +144,7 @@ def check_structure(nodes, handles, state):
         for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
             if child < 0 or child >= nodes.shape[0] or nodes[child].parent != node:
                 return 2, node
-            stack[top] = child
+            stack[top], depths[top] = child, depth + 1
             top += 1
     if leaves != state[COUNT]:
         return 5, state[ROOT]
@@ -165,8 +170,6 @@ def check_metrics(nodes, heights, tight, state):
     """
     if state[ROOT] == NONE:
         return SOUND, NONE
-    if heights[state[ROOT]] > height_limit(state[COUNT]):
-        return 11, state[ROOT]
     stack, top = np.empty(nodes.shape[0] + 1, np.int64), 1
     stack[0] = state[ROOT]
     while top > 0:

@@ -7,7 +7,7 @@ Positions travel as float32, as every browser draws them, after `Placing` has mo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.tree.access import CORNERS, EDGES, PALETTE
 from bvh_ros.view.worlds import Floats, Overlay
 
-# ---- Between the world, in metres and doubles, and the page, where seven digits are left.
+# ---- World coordinates (doubles) and page coordinates (float32)
 
 
 SMALLEST, LARGEST = 1e-2, 1e5  # m: worlds that the page shows in metres
@@ -60,13 +60,13 @@ class Placing:
         placed: Floats = (points - self.origin) / self.unit
         return placed
 
-    def meant(self, points: Floats) -> Floats:
-        """Which points of the world, m, are meant by points (..., 3) of the page."""
+    def in_world(self, points: Floats) -> Floats:
+        """Where points (..., 3) of the page are in the world, m."""
         places: Floats = self.origin + self.unit * points
         return places
 
 
-# ---- Obstacles and lines in viser's scene; only what has changed is sent.
+# ---- Obstacles and lines in the scene of viser; only changes are sent
 
 
 MOST_SHADOWS = 2_000  # obstacles; beyond, shadows cost the browser more than they show
@@ -109,12 +109,37 @@ UNIT = {
 }
 
 
+class Shown:
+    """A node of viser's scene, there from the first `draw` to `clear`; only changes are sent."""
+
+    def __init__(
+        self, server: viser.ViserServer, add: Callable[..., Any], name: str, **fixed: Any
+    ) -> None:
+        self._server, self._add, self._name, self._fixed = server, add, name, fixed
+        self._handle: Any = None
+
+    def draw(self, **values: Any) -> None:
+        """Show it with these properties."""
+        if self._handle is None:
+            self._handle = self._add(self._name, **self._fixed, **values)
+            return
+        with self._server.atomic():
+            for name, value in values.items():
+                setattr(self._handle, name, value)
+
+    def clear(self) -> None:
+        """Show nothing."""
+        if self._handle is not None:
+            self._handle.remove()
+            self._handle = None
+
+
 class Obstacles:
     """Instanced meshes, one for each colour and kind of shape."""
 
     def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
         self._server, self._placing = server, placing
-        self._handles: dict[Key, viser.BatchedMeshHandle] = {}
+        self._shown: dict[Key, Shown] = {}
         self.count = 0
 
     def draw(self, shapes: Sequence[tuple[int, Shapes]]) -> None:
@@ -128,8 +153,8 @@ class Obstacles:
         self.count = sum(len(some.kind) for _, some in shapes)
         shadows = self.count <= MOST_SHADOWS
         with self._server.atomic():
-            for key in self._handles.keys() - instances.keys():
-                self._handles.pop(key).remove()
+            for key in self._shown.keys() - instances.keys():
+                self._shown.pop(key).clear()
             for key, several in instances.items():
                 self._place(key, several, meshes[key[1]], shadows)
 
@@ -138,51 +163,43 @@ class Obstacles:
         places, orientation, size = (
             np.concatenate([one[column] for one in several]) for column in (1, 2, 3)
         )
-        position = self._placing.shown(places).astype(np.float32)
-        turns = orientation[:, (3, 0, 1, 2)].astype(np.float32)
         vertices, scales = triangles.vertices, (size / self._placing.unit).astype(np.float32)
         if name.startswith('mesh'):
             vertices, scales = vertices / self._placing.unit, np.ones_like(scales)
-        handle = self._handles.get(key)
-        if handle is None:
-            self._handles[key] = self._server.scene.add_batched_meshes_simple(
-                f'/obstacles/{colour}_{name}', vertices, triangles.faces, turns, position,
-                batched_scales=scales, batched_colors=as_sent(PALETTE[colour]),
-                lod='off', flat_shading=triangles.flat, cast_shadow=shadows,
-                receive_shadow=shadows,
+        if key not in self._shown:
+            self._shown[key] = Shown(
+                self._server, self._server.scene.add_batched_meshes_simple,
+                f'/obstacles/{colour}_{name}', vertices=vertices, faces=triangles.faces,
+                batched_colors=as_sent(PALETTE[colour]), lod='off', flat_shading=triangles.flat,
             )  # fmt: skip
-            return
-        handle.batched_positions = position
-        handle.batched_wxyzs = turns
-        handle.batched_scales = scales
-        handle.cast_shadow = handle.receive_shadow = shadows
+        self._shown[key].draw(
+            batched_wxyzs=orientation[:, (3, 0, 1, 2)].astype(np.float32),
+            batched_positions=self._placing.shown(places).astype(np.float32),
+            batched_scales=scales, cast_shadow=shadows, receive_shadow=shadows,
+        )  # fmt: skip
 
 
-def _by_mesh(shapes: Shapes) -> list[tuple[str, Triangles, Shapes]]:
+def _by_mesh(shapes: Shapes) -> Iterator[tuple[str, Triangles, Shapes]]:
     """What is drawn with one mesh: its name, its triangles, and where."""
-    found = []
-    is_capsule, is_mesh = shapes.kind == ShapeKind.CAPSULE, shapes.kind == ShapeKind.MESH
-    if is_capsule.any():
-        shapes = _joined(shapes.take(~is_capsule), *_parts(shapes.take(is_capsule)))
-        is_mesh = shapes.kind == ShapeKind.MESH
-    for kind, triangles in UNIT.items():
-        rows = np.flatnonzero(shapes.kind == kind)
-        if len(rows):
-            found.append((kind.name.lower(), triangles, shapes.take(rows)))
+    capsules = shapes.kind == ShapeKind.CAPSULE
+    for some in (shapes, *_parts(shapes.take(capsules))) if capsules.any() else (shapes,):
+        for kind, triangles in UNIT.items():
+            rows = np.flatnonzero(some.kind == kind)
+            if len(rows):
+                yield kind.name.lower(), triangles, some.take(rows)
     rows_of: dict[bytes, list[int]] = {}
-    held: dict[bytes, Mesh] = {}
-    for row in np.flatnonzero(is_mesh).tolist():
+    meshes: dict[bytes, Mesh] = {}
+    for row in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
         mesh: Mesh = shapes.mesh[row]  # type: ignore[index]
         rows_of.setdefault(mesh.key, []).append(row)
-        held[mesh.key] = mesh
+        meshes[mesh.key] = mesh
     for key, several in rows_of.items():
-        triangles = Triangles(held[key].vertices, _wound(held[key]), True)
-        found.append((f'mesh_{key.hex()[:16]}', triangles, shapes.take(several)))
-    return found
+        triangles = Triangles(meshes[key].vertices, _wound(meshes[key]), True)
+        yield f'mesh_{key.hex()[:16]}', triangles, shapes.take(several)
 
 
 def _wound(mesh: Mesh) -> NDArray[np.int32]:
-    """Its corners (m, 3), counter-clockwise seen from outside; in a mesh they are as they came."""
+    """Its corners (m, 3), counter-clockwise from outside; those of a mesh keep their order."""
     one, two, three = np.moveaxis(mesh.vertices[mesh.corners] / mesh.radius, 1, 0)
     inward = (np.cross(two - one, three - one) * mesh.normals).sum(axis=1) < 0.0
     return np.where(inward[:, None], mesh.corners[:, ::-1], mesh.corners)
@@ -201,76 +218,51 @@ def _parts(capsules: Shapes) -> tuple[Shapes, Shapes, Shapes]:
         kind=np.full_like(capsules.kind, ShapeKind.SPHERE),
         size=np.repeat(width[:, None], 3, axis=1),
     )
-    above, below = (balls._replace(position=balls.position + way) for way in (up, -up))
+    above, below = (balls._replace(position=balls.position + shift) for shift in (up, -up))
     return cylinders, above, below
 
 
-def _joined(*several: Shapes) -> Shapes:
-    meshes = [np.full(len(one.kind), None) if one.mesh is None else one.mesh for one in several]
-    columns = [np.concatenate([one[column] for one in several]) for column in range(4)]
-    return Shapes._make([*columns, np.concatenate(meshes)])
-
-
 class Lines:
-    """Line segments under one name, there only while there are any."""
+    """Line segments under one name."""
 
     def __init__(
         self, server: viser.ViserServer, placing: Placing, name: str, width: float
     ) -> None:
-        self._server, self._placing = server, placing
-        self._name, self._width = name, width
-        self._handle: viser.LineSegmentsHandle | None = None
+        add, self._placing = server.scene.add_line_segments, placing
+        self._shown = Shown(server, add, name, thickness=width, thickness_units='screen')
 
     def draw(self, segments: Floats, colours: Floats) -> None:
         """Show segments (n, 2, 3), m, in colours (n, 3) from 0 to 1."""
         if not len(segments):
-            self.clear()
+            self._shown.clear()
             return
         points = self._placing.shown(segments).astype(np.float32)
         each = np.repeat(as_sent(colours)[:, None], 2, axis=1)
-        if self._handle is None:
-            self._handle = self._server.scene.add_line_segments(
-                self._name, points, each, thickness=self._width, thickness_units='screen'
-            )
-        else:
-            with self._server.atomic():
-                self._handle.points, self._handle.colors = points, each
+        self._shown.draw(points=points, colors=each)
 
     def clear(self) -> None:
         """Show nothing."""
-        if self._handle is not None:
-            self._handle.remove()
-            self._handle = None
+        self._shown.clear()
 
 
 class Dots:
     """Points under one name, of a size in units of the page."""
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        placing: Placing,
-        name: str,
-        colour: Sequence[float] | Floats,
+        self, server: viser.ViserServer, placing: Placing, name: str, colour: Any
     ) -> None:
-        self._server, self._placing = server, placing
-        self._name, self._colour = name, as_sent(colour)
-        self._handle: viser.PointCloudHandle | None = None
+        add, self._placing = server.scene.add_point_cloud, placing
+        self._shown = Shown(
+            server, add, name, colors=as_sent(colour), point_shape='circle', precision='float32',
+            point_shading='gradient',
+        )  # fmt: skip
 
     def draw(self, points: Floats, size: float) -> None:
         """Show points (n, 3), m."""
-        places = self._placing.shown(points).astype(np.float32)
-        if self._handle is not None and not len(points):
-            self._handle.remove()
-            self._handle = None
-        elif self._handle is not None:
-            with self._server.atomic():
-                self._handle.points, self._handle.point_size = places, size
-        elif len(points):
-            self._handle = self._server.scene.add_point_cloud(
-                self._name, places, self._colour, point_size=size, point_shape='circle',
-                precision='float32', point_shading='gradient',
-            )  # fmt: skip
+        if not len(points):
+            self._shown.clear()
+            return
+        self._shown.draw(points=self._placing.shown(points).astype(np.float32), point_size=size)
 
 
 class Overlays:

@@ -24,12 +24,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.ros.cdr import marker_array
-from bvh_ros.ros.config.part_settings import LASER_SCAN, ScanSettings, scan_settings
-from bvh_ros.ros.conversions import ray_clouds, rotations
-from bvh_ros.ros.conversions.marker_table import MarkerTable
+from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
+from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.ros.conversions.outlines import TRIANGLES
+from bvh_ros.ros.conversions.query_clouds import Hits, read_answers
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.maintenance import Maintenance
+from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.world.frames import FrameError, Frames, Transform
 from bvh_ros.scene import ShapeKind, Shapes
@@ -43,9 +44,10 @@ from bvh_ros.view.worlds import (
     Overlay,
     ShownWorld,
     Wanted,
+    answer,
 )
 
-# ---- What the node draws for RViz on `~/scene`, `~/tree` and `~/queries`, read back as arrays.
+# ---- The pictures for RViz on `~/scene`, `~/tree` and `~/queries`, read as arrays
 
 
 NO_BOXES = (NO_POINTS, NO_POINTS, np.empty(0, np.int64))
@@ -91,16 +93,16 @@ def tree(message: bytes, first_depth: int, planar: bool) -> tuple[Floats, Floats
     return NO_BOXES
 
 
-def queries(message: bytes) -> tuple[Floats, Floats, Floats]:
-    """Return the lines (n, 2, 3) of `~/queries`, their colours (n, 3) and the hits (m, 3)."""
-    table = marker_array.read(message)
-    lines, colours, spots = np.empty((0, 2, 3)), np.empty((0, 3)), NO_POINTS
+def queries(message: bytes) -> Overlay:
+    """Return what `~/queries` shows."""
+    table, shown = marker_array.read(message), Overlay()
     for row, kind in enumerate(table.type.tolist()):
         if kind == Marker.LINE_LIST:
-            lines, colours = table.points(row).reshape(-1, 2, 3), table.colours(row)[::2, :3]
+            lines = table.points(row).reshape(-1, 2, 3)
+            shown = shown._replace(lines=lines, colours=table.colours(row)[::2, :3])
         elif kind == Marker.SPHERE_LIST:
-            spots = table.points(row)
-    return lines, colours, spots
+            shown = shown._replace(spots=table.points(row))
+    return shown
 
 
 def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
@@ -111,7 +113,7 @@ def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
 
 
 def _of_triangles(points: Floats) -> Shapes:
-    """Boxes, each told by its twelve triangles."""
+    """Boxes from twelve triangles each."""
     corners = points.reshape(-1, CORNERS_A_BOX, 3)[:, FIRST]
     axes = corners[:, (1, 2, 4)] - corners[:, :1]  # (n, 3, 3): the edges along x, y and z
     sizes = np.linalg.norm(axes, axis=2)
@@ -143,7 +145,7 @@ def _joined(several: list[Shapes]) -> Shapes:
     return Shapes(*(np.concatenate([one[column] for one in several]) for column in range(4)))
 
 
-# ---- What a node tells everybody: its diagnostics, and the pictures that RViz shows, too.
+# ---- The topics of a node: diagnostics and pictures
 
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -172,7 +174,7 @@ class Topics:
         self._node, self._name = node, name
         self.figures: dict[str, str] = {}
         self.drawn: dict[str, Shapes] = {}  # what `~/scene` shows of each source
-        self.scenes = 0  # how often it was told
+        self.scenes = 0  # messages of ~/scene
         self.boxes: tuple[Floats, Floats, Integers] = NO_BOXES
         self.overlay = Overlay()
         self._source_topics: dict[str, str] = {}
@@ -185,7 +187,7 @@ class Topics:
         self._listen('scene', MarkerArray, self._draw, raw=True)
 
     def sources(self) -> dict[str, str]:
-        """The node's sources, and the topics that they listen to; empty until it told."""
+        """The sources of the node and their topics; empty before its first diagnostics."""
         return self._source_topics
 
     def place_scans_with(self, frames: Frames, settings: ScanSettings) -> None:
@@ -256,8 +258,7 @@ class Topics:
         self.boxes = tree(message, first, planar)
 
     def _draw_queries(self, message: bytes) -> None:
-        lines, colours, spots = queries(message)
-        self.overlay = Overlay(lines, colours, spots, self.overlay.scan)
+        self.overlay = queries(message)._replace(scan=self.overlay.scan)
 
     def _keep_pose(self, pose: PoseStamped) -> None:
         self._poses[nanoseconds(pose.header.stamp)] = pose
@@ -276,9 +277,9 @@ class Topics:
         if isinstance(scan, LaserScan):
             points = place.points(_points_of(scan))
         elif scan.header.frame_id == self._frames.frame_id:
-            points = ray_clouds.hits(scan).points
+            points = read_answers(scan, Hits).points
         else:
-            points = place.points(ray_clouds.hits(scan).points)
+            points = place.points(read_answers(scan, Hits).points)
         self.overlay = self.overlay._replace(scan=points[np.isfinite(points).all(axis=1)])
 
     def _place_of(self, stamped: PoseStamped) -> Transform:
@@ -299,7 +300,7 @@ def _points_of(scan: LaserScan) -> Floats:
     return np.stack((ranges * np.cos(angles), ranges * np.sin(angles), 0.0 * ranges), axis=1)
 
 
-# ---- A node that runs: its sources are heard and decoded here, questions go to its services.
+# ---- A running node: its sources are decoded here, queries go to its services
 
 
 PATIENCE = 30.0  # seconds for parameters and diagnostics
@@ -312,7 +313,7 @@ class Live(ShownWorld):
     """A bvh node, as any client sees it.
 
     The messages of its sources are decoded here, as fast as they come, into a scene of our own.
-    Of a source that told something before we listened, `~/scene` is shown, once a second. Picks
+    Of a source that published before the view started, `~/scene` is shown, once a second. Picks
     and other questions are answered by the node itself. When the node ends, what was there stays;
     when it comes back, the view begins anew, with the parameters that it has then.
 
@@ -367,8 +368,8 @@ class Live(ShownWorld):
         for source in world.sources:
             source.subscribe()
         self._maintenance = Maintenance(self.node, world)
-        self._known: set[bytes] = set()  # the node's publishers, as first seen
-        self._present: set[bytes] = set()  # and as last seen
+        self._known: set[bytes] = set()  # the node's publishers at first
+        self._present: set[bytes] = set()  # and now
         self._looked_at = 0.0
 
     def prepare(self) -> None:
@@ -414,8 +415,8 @@ class Live(ShownWorld):
     def groups(self) -> list[Group]:
         """All obstacles by source: as heard here or, where that is not all, from `~/scene`."""
         heard = {group.source: group for group in super().groups()}
-        told = self.topics.drawn
-        for source, shapes in told.items():
+        drawn = self.topics.drawn
+        for source, shapes in drawn.items():
             mine = len(heard[source].handles) if source in heard else 0
             if mine < len(shapes.kind) and not self._knows_all(source):
                 heard[source] = Group(source, shapes, NO_HANDLES)
@@ -428,8 +429,8 @@ class Live(ShownWorld):
     def levels(self, first: int, last: int) -> tuple[Floats, Floats, Integers]:
         """Boxes of the node's tree, as it tells them on `~/tree`."""
         lo, hi, depths = self.topics.boxes
-        seen = (depths >= first) & (depths <= last)
-        return lo[seen], hi[seen], depths[seen]
+        shown = (depths >= first) & (depths <= last)
+        return lo[shown], hi[shown], depths[shown]
 
     @property
     def height(self) -> int:
@@ -457,31 +458,30 @@ class Live(ShownWorld):
 
     def figures(self) -> dict[str, str]:
         """What the node's diagnostics tell."""
-        if self._is_gone:
+        if self._has_ended:
             return {'the node': 'has ended; this is what was there'}
         return self.topics.figures
 
     def raycast(self, start: Floats, goal: Floats) -> Answer:
         """Ask the node for the first obstacle on a segment; the time is that of the round trip."""
-        self._refuse_if_gone()
-        began = time.perf_counter()
+        began = self._begin()
         hit = self._client.raycast(start.tolist(), goal.tolist())
-        return Answer([] if hit is None else [hit], 1e6 * (time.perf_counter() - began))
+        return answer([] if hit is None else [hit], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the node for all obstacles that touch a box."""
-        self._refuse_if_gone()
-        began = time.perf_counter()
-        hits = self._client.overlap(lo.tolist(), hi.tolist())
-        return Answer(hits, 1e6 * (time.perf_counter() - began))
+        began = self._begin()
+        return answer(self._client.overlap(lo.tolist(), hi.tolist()), began)
+
+    def _begin(self) -> float:
+        """When a query begins; RuntimeError if the node has ended."""
+        if self._has_ended:
+            raise RuntimeError(f'{self._name} has ended')
+        return time.perf_counter()
 
     @property
-    def _is_gone(self) -> bool:
+    def _has_ended(self) -> bool:
         return bool(self._known) and not self._present
-
-    def _refuse_if_gone(self) -> None:
-        if self._is_gone:
-            raise RuntimeError(f'{self._name} has ended')
 
     def close(self) -> None:
         """Destroy the node."""
@@ -520,5 +520,5 @@ def _until(node: Node, condition: Callable[[], Any], name: str, what: str) -> No
     deadline = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > deadline:
-            raise BvhTimeoutError(f"'{name}' told no {what} within {PATIENCE:g} s")
+            raise BvhTimeoutError(f"'{name}' sent no {what} within {PATIENCE:g} s")
         rclpy.spin_once(node, timeout_sec=0.1)

@@ -45,7 +45,8 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
         parser.error(f'--port must be 1 to {MOST_PORT}')
     path = Path(options.what)
     if not path.exists() and (not options.what.startswith('/') or path.suffix):
-        parser.error(f'there is no file or folder {path}; names of nodes begin with /')
+        none = f'there is no file or folder {path}; names of nodes begin with /'
+        parser.exit(2, f'bvh_view: {none}\n')
     return options
 
 
@@ -130,7 +131,7 @@ def _end_ros() -> None:
         rclpy.try_shutdown()
 
 
-# ---- `bvh_view` in a process of its own, beside a program that brings the node.
+# ---- `bvh_view` as a process beside the program that runs the node
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene import Shapes
 from bvh_ros.tree.access import PALETTE
 from bvh_ros.view.drawing import Lines, Obstacles, Overlays, Placing
-from bvh_ros.view.panel import BY_NAMESPACE, Panel, Probe
+from bvh_ros.view.panel import BY_NAMESPACE, Panel, Probe, write
 from bvh_ros.view.picking import Picking
 from bvh_ros.view.stage import LocalServer, Stage
 from bvh_ros.view.worlds import Floats, Namespaces, ShownWorld, Wanted
@@ -28,7 +28,7 @@ TREE_EVERY = 0.5
 
 
 class Page:
-    """Shows a world until told to end."""
+    """Shows a world until it is stopped."""
 
     def __init__(self, server: LocalServer, world: ShownWorld) -> None:
         self.server, self.world = server, world
@@ -83,7 +83,7 @@ class Page:
             self.sent += 1
         self._overlays.draw(self.world.overlay(), self.stage.size)
         self.probe.update(self.world, version, self.stage.size)
-        panel.tell_answer(self.probe.answer)
+        write(panel.answer, self.probe.answer)
         if now - self._tree_at >= TREE_EVERY:
             self._tree_at = now
             self._draw_tree(version)

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping
 from html import escape
 from typing import Any
 
@@ -14,10 +13,10 @@ import viser
 
 from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY
-from bvh_ros.view.drawing import COLOURS, Dots, Lines, Placing
+from bvh_ros.view.drawing import COLOURS, Dots, Lines, Placing, Shown
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, Recording, ShownWorld
 
-# ---- A segment or a box that is drawn by two handles, and what it meets.
+# ---- The probe: a segment or box between two handles, and its hits
 
 
 NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
@@ -33,14 +32,14 @@ class Probe:
         self._lines = Lines(server, placing, '/ask/lines', 4.0)
         self._spots = Dots(server, placing, '/ask/hits', BLOCKED_WAY)
         self._handles: list[viser.TransformControlsHandle] = []
-        self._label: viser.LabelHandle | None = None
-        self._asked: Hashable = None
+        self._label = Shown(server, server.scene.add_label, '/ask/answer', anchor='bottom-center')
+        self._query: Hashable = None
         self.kind = NOTHING
         self.answer = ''
 
     def choose(self, kind: str, middle: Floats, size: float) -> None:
         """Begin with two handles about the middle of the world, or end; both as on the page."""
-        self.kind, self._asked, self.answer = kind, None, ''
+        self.kind, self._query, self.answer = kind, None, ''
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
@@ -63,7 +62,8 @@ class Probe:
     def ends(self) -> tuple[Floats, Floats]:
         """Where the handles are in the world, two of (3,), m."""
         one, other = (
-            self._placing.meant(np.array(handle.position, np.float64)) for handle in self._handles
+            self._placing.in_world(np.array(handle.position, np.float64))
+            for handle in self._handles
         )
         return one, other
 
@@ -72,10 +72,10 @@ class Probe:
         if self.kind == NOTHING:
             return
         one, other = self.ends()
-        asked = (*one.tolist(), *other.tolist(), version)
-        if asked == self._asked:
+        query = (*one.tolist(), *other.tolist(), version)
+        if query == self._query:
             return
-        self._asked = asked
+        self._query = query
         try:
             answer = (world.raycast if self.kind == SEGMENT else world.overlap)(one, other)
         except (RuntimeError, ValueError) as error:
@@ -95,18 +95,15 @@ class Probe:
         colour = BLOCKED_WAY if len(spots) else FREE_WAY
         self._lines.draw(lines, np.tile(colour, (len(lines), 1)))
         self._spots.draw(spots, 0.01 * size)
-        if self._label is not None:
-            self._label.remove()
-            self._label = None
-        if text:
-            place = spots[0] if len(spots) else lines.mean(axis=(0, 1))
-            self._label = self._server.scene.add_label(
-                '/ask/answer', text, position=self._placing.shown(place), anchor='bottom-center'
-            )
+        if not text:
+            self._label.clear()
+            return
+        place = spots[0] if len(spots) else lines.mean(axis=(0, 1))
+        self._label.draw(text=text, position=self._placing.shown(place))
 
 
 def in_words(answer: Answer) -> str:
-    """Who was met, where, and how long it took, as HTML."""
+    """The obstacles hit, where, and the time of the query, as HTML."""
     took = f'{answer.microseconds:,.0f} us'
     if not answer.hits:
         return f'<b>free</b> · {took}'
@@ -124,7 +121,7 @@ def in_digits(*metres: float) -> str:
     return ', '.join(f'{one:.6g}' for one in metres)
 
 
-# ---- The controls and figures beside the picture.
+# ---- The controls and figures beside the picture
 
 
 BY_SOURCE, BY_NAMESPACE = 'source', 'namespace'
@@ -143,7 +140,8 @@ class Panel:
     def __init__(self, server: viser.ViserServer, world: ShownWorld, do: Do) -> None:
         self._gui, self._do = server.gui, do
         self._recording: Recording | None = None
-        self.figures = self._gui.add_html(_text([f'<b>{html.escape(world.title)}</b>']))
+        self.figures = self._gui.add_html('')
+        write(self.figures, f'<b>{escape(world.title)}</b>')
         self.legend = self._gui.add_html('')
         if isinstance(world, Recording):
             self._add_player(world)
@@ -184,7 +182,7 @@ class Panel:
         self.on(speed, lambda: setattr(recording, 'speed', float(speed.value)))
 
     def _seek(self, recording: Recording) -> None:
-        if abs(self._time.value - recording.t) > 0.02:  # else it is we who moved the slider
+        if abs(self._time.value - recording.t) > 0.02:  # else the view itself moved the slider
             recording.playing = False
             recording.seek(self._time.value)
 
@@ -201,15 +199,10 @@ class Panel:
 
     def tell(self, title: str, count: int, figures: Mapping[str, str]) -> None:
         """Write the figures, and where a recording is."""
-        rows = [
-            f'<div style="display:flex;gap:.5em"><span style="flex:1">{html.escape(key)}</span>'
-            f'<span>{html.escape(value)}</span></div>'
-            for key, value in figures.items()
-        ]
-        _set(self.figures, _text([f'<b>{count:,} obstacles</b> · {html.escape(title)}', *rows]))
+        rows = [_row(escape(key), escape(value)) for key, value in figures.items()]
+        write(self.figures, f'<b>{count:,} obstacles</b> · {escape(title)}', *rows)
         if self._recording is not None:
-            t = round(min(self._recording.t, self._recording.seconds), 2)
-            self._time.value = t
+            self._time.value = round(min(self._recording.t, self._recording.seconds), 2)
             label = 'Pause' if self._recording.playing else 'Play'
             if self._play.label != label:
                 self._play.label = label
@@ -219,38 +212,29 @@ class Panel:
         lines = []
         for name, (number, count) in list(legend.items())[:MOST_IN_LEGEND]:
             colour = 'rgb({},{},{})'.format(*COLOURS[number % len(COLOURS)])
-            lines.append(
-                f'<div style="display:flex;gap:.5em;align-items:center">'
-                f'<span style="width:.8em;height:.8em;border-radius:2px;background:{colour}">'
-                f'</span><span style="flex:1">{html.escape(name)}</span>'
-                f'<span>{count:,}</span></div>'
-            )
+            square = f'width:.8em;height:.8em;border-radius:2px;background:{colour}'
+            lines.append(_row(escape(name), f'{count:,}', f'<span style="{square}"></span>'))
         if len(legend) > MOST_IN_LEGEND:
             lines.append(f'<div>and {len(legend) - MOST_IN_LEGEND} more</div>')
-        _set(self.legend, _text(lines))
-
-    def tell_picked(self, lines: Sequence[str]) -> None:
-        """Write, as HTML, who was clicked."""
-        _set(self.picked, _text(lines))
-
-    def tell_answer(self, line: str) -> None:
-        """Write, as HTML, what was met."""
-        _set(self.answer, _text([line]))
+        write(self.legend, *lines)
 
 
-def _text(lines: Sequence[str]) -> str:
-    """Lines of HTML, in which all that came from outside is escaped, as the panel shows them.
-
-    Viser's Markdown would draw HTML and pictures that stand in an obstacle's name.
-    """
-    each = ''.join(f'<div>{line}</div>' for line in lines)
+def _row(left: str, right: str, before: str = '') -> str:
+    """A line of HTML with something at either end."""
     return (
-        f'<div style="padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55;'
-        f'overflow-wrap:anywhere">{each}</div>'
+        f'<div style="display:flex;gap:.5em;align-items:center">{before}'
+        f'<span style="flex:1">{left}</span><span>{right}</span></div>'
     )
 
 
-def _set(handle: Any, text: str) -> None:
-    """Write only what is new: everybody who looks is sent it."""
+def write(handle: Any, *lines: str) -> None:
+    """Write lines of HTML, in which all that came from outside is escaped.
+
+    Viser's Markdown would draw HTML and pictures that stand in an obstacle's name. Only changes
+    are written: each is sent to every browser.
+    """
+    each = ''.join(f'<div>{line}</div>' for line in lines)
+    style = 'padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55;overflow-wrap:anywhere'
+    text = f'<div style="{style}">{each}</div>'
     if handle.content != text:
         handle.content = text

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who was clicked: named, marked, and followed."""
+"""The clicked obstacle: named, marked, and followed by the cameras."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import viser
 
 from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.view.drawing import Lines, Placing, edges_of
-from bvh_ros.view.panel import Panel, in_digits, in_words
+from bvh_ros.view.panel import Panel, in_digits, in_words, write
 from bvh_ros.view.stage import LocalServer, Stage
 from bvh_ros.view.worlds import Floats, ShownWorld
 
-# ---- Cameras that go with somebody who moves, while hands move them, too.
+# ---- Cameras that follow an obstacle while the user moves them, too
 
 
 REMEMBERED = 200  # steps, ten seconds of them: no report of a browser is later than that
@@ -26,39 +26,39 @@ SAME = 1e-6  # of the distance that a camera looks: hands move it farther, round
 class Following:
     """Moves all cameras as somebody moves, and loses no step of it.
 
-    A browser tells where its camera is, and its report overwrites what was told to it meanwhile.
-    So what counts is where each camera was told to look: whoever reports one of these places
-    has yet to go on from there to the last one, however late the report is. Only who looks
-    elsewhere was moved aside by a hand; who turns or zooms looks at the same place.
+    A browser reports its camera, and a late report overwrites newer commands. So the commanded
+    targets of each camera are remembered. A camera that reports one of them still has to move on
+    to the last one. A camera with another target was moved by the user; turning and zooming keep
+    the target.
     """
 
     def __init__(self, server: LocalServer) -> None:
         self._server = server
         self._aims: dict[int, Floats] = {}  # of each client, where to look, on the page
-        self._told: dict[int, deque[Floats]] = {}
+        self._targets: dict[int, deque[Floats]] = {}
 
     def begin(self) -> None:
         """Let cameras go on from where they look now."""
-        self._aims, self._told = {}, {}
+        self._aims, self._targets = {}, {}
 
-    def go(self, way: Floats) -> None:
+    def go(self, step: Floats) -> None:
         """Move all cameras, in units of the page."""
         for number, client in self._server.get_clients().items():
-            place, target = _seen(client.camera)
-            told = self._told.setdefault(number, deque([target], REMEMBERED))
+            place, target = _view(client.camera)
+            targets = self._targets.setdefault(number, deque([target], REMEMBERED))
             reach = SAME * np.linalg.norm(target - place)
-            if np.linalg.norm(np.array(told) - target, axis=1).min() > reach:
+            if np.linalg.norm(np.array(targets) - target, axis=1).min() > reach:
                 self._aims[number] = target  # where a hand has moved it
-            aim = self._aims[number] = self._aims.get(number, target) + way
+            aim = self._aims[number] = self._aims.get(number, target) + step
             owed = aim - target
             if np.allclose(aim, target) or np.allclose(place + owed, place):
                 continue  # viser would not tell the browser: with the next steps
             with client.atomic():
                 client.camera.position = place + owed  # and what it looks at, as far
-            told.append(aim)
+            targets.append(aim)
 
 
-def _seen(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
+def _view(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
     """Where a camera is, and where it looks, both of one report."""
     while True:
         target, place = camera.look_at, camera.position
@@ -66,7 +66,7 @@ def _seen(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
             return place, target
 
 
-# ---- Who was clicked: named, marked, and followed.
+# ---- The clicked obstacle
 
 
 REACH = 10.0  # of a click, in sizes of the world
@@ -85,13 +85,13 @@ class Picking:
         self._answered, self._followed = 'Click an obstacle.', np.zeros(3)
 
     def pick(self, origin: object, direction: object) -> None:
-        """Ask who is seen on a ray from the camera, and mark him."""
-        eye, way = np.array(origin, np.float64), np.array(direction, np.float64)
-        start = self._placing.meant(eye)
+        """Cast a ray from the camera, and mark the obstacle that it hits."""
+        eye, ahead = np.array(origin, np.float64), np.array(direction, np.float64)
+        start = self._placing.in_world(eye)
         reach = self._placing.unit * (REACH * self._stage.size + float(np.linalg.norm(eye)))
         self._picked = ''
         try:
-            answer = self._world.pick(start, way, reach)
+            answer = self._world.pick(start, ahead, reach)
         except (RuntimeError, ValueError) as error:
             self._answered = escape(f'no answer: {error}')
         else:
@@ -109,7 +109,7 @@ class Picking:
         self.tell()
 
     def tell(self) -> None:
-        """Say who it is, and how he is now."""
+        """Show the name and the present state of the obstacle."""
         lines = [self._answered]
         if self._picked:
             lines.append(f'distance {in_digits(self._distance)} m')
@@ -122,7 +122,7 @@ class Picking:
                 lines.append(f'stamp {1e-9 * known.stamp:.3f} s, age {age:.2f} s')
         elif self._picked:
             lines.append('not heard here: source and shape are known to the node only')
-        self._panel.tell_picked(lines)
+        write(self._panel.picked, *lines)
 
     def go_on(self) -> None:
         """Keep the mark on whom was clicked, and the cameras with him."""

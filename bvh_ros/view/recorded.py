@@ -40,7 +40,7 @@ class Tracks(Recording):
         return self._frames[bisect_right(times, times[0] + self.t) - 1]
 
     def clear(self) -> None:
-        """Forget the frame that was shown; who comes again keeps its handle."""
+        """Forget the frame; an obstacle that returns keeps its handle."""
 
     def moments(self) -> Iterator[Moment]:
         """Yield the frames."""

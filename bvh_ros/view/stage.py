@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import viser
@@ -15,7 +16,7 @@ from bvh_ros.view.drawing import Placing
 from bvh_ros.view.panel import Panel
 from bvh_ros.view.worlds import Floats, ShownWorld
 
-# ---- Viser's server, as this package uses it.
+# ---- The server of viser
 
 
 class LocalServer(viser.ViserServer):
@@ -37,11 +38,11 @@ class LocalServer(viser.ViserServer):
         return None
 
 
-# ---- What surrounds the obstacles: camera, light, grid and frames.
+# ---- Camera, light, grid and frames
 
 
 LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
-GROWN = 1.5  # times its size as last seen: then the world has another one
+GROWN = 1.5  # times its last size: then the grid is made anew
 NEAR, FAR = 1e-3, 30.0  # what a camera sees, in sizes of the world
 
 
@@ -51,7 +52,7 @@ class Stage:
     Parameters
     ----------
     placing : Placing
-        Is chosen when there is something to be seen for the first time.
+        Chosen when the first obstacle appears.
     """
 
     def __init__(
@@ -100,18 +101,18 @@ class Stage:
         middle[2] = lo[2]
         away = (0.0, -0.02, 1.0) if self._world.scene.planar else (-0.42, -0.72, 0.52)
         place = middle + 1.05 * self.size * np.array(away)
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = place, middle
-        for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = place, middle
+        for camera in self._cameras():
+            camera.position, camera.look_at = place, middle
 
     def _set_reach(self) -> None:
         """What is nearer or farther than that, no camera sees."""
-        near, far = NEAR * self.size, FAR * self.size
-        camera = self._server.initial_camera
-        camera.near, camera.far = near, far
-        for client in self._server.get_clients().values():
-            client.camera.near, client.camera.far = near, far
+        for camera in self._cameras():
+            camera.near, camera.far = NEAR * self.size, FAR * self.size
+
+    def _cameras(self) -> list[Any]:
+        """Those of later visitors, and of all present ones."""
+        clients = self._server.get_clients().values()
+        return [self._server.initial_camera, *(client.camera for client in clients)]
 
     def set_theme(self) -> None:
         """Light or dark, with the grid and shadows that the panel says."""
@@ -145,7 +146,7 @@ class Stage:
     def draw_frames(self) -> None:
         """Draw all frames, by numbers: a slash in a name would make it a part of another."""
         scene, length = self._server.scene, 0.05 * self.size
-        seen = self._panel.frames.value
+        visible = self._panel.frames.value
         scene.world_axes.visible = False
         own = self._world.frame_id or 'world'
         places = [(own, np.zeros(3), np.array((0.0, 0.0, 0.0, 1.0))), *self._world.frames()]
@@ -153,6 +154,6 @@ class Stage:
             scene.add_frame(
                 f'/frames/{number}', axes_length=length, axes_radius=0.05 * length,
                 wxyz=orientation[[3, 0, 1, 2]], position=self._placing.shown(position),
-                visible=seen,
+                visible=visible,
             )  # fmt: skip
-            scene.add_label(f'/frames/{number}/name', name, anchor='top-left', visible=seen)
+            scene.add_label(f'/frames/{number}/name', name, anchor='top-left', visible=visible)

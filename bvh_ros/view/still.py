@@ -18,7 +18,7 @@ from bvh_ros.view.recorded import Tracks, open_recording
 from bvh_ros.view.worlds import Recording
 
 
-class Asked:
+class Answering:
     """Answers a demo's questions from a scene, as a client would, and keeps rays and hits."""
 
     def __init__(self, scene: Scene) -> None:
@@ -32,8 +32,8 @@ class Asked:
         self.rays.append((start, end))
         if hit is not None:
             self.hits.append(hit.point.tolist())
-            way = np.subtract(end, start)
-            self.rays[-1] = (start, (np.array(start) + hit.t * way).tolist())
+            step = hit.t * np.subtract(end, start)
+            self.rays[-1] = (start, (np.array(start) + step).tolist())
         return hit
 
     def overlap(
@@ -63,12 +63,12 @@ def draw(file: Path, path: Path | None, topic: str = '') -> None:
         recording = open_recording(path, topic)
     try:
         recording.seek(0.5 * recording.seconds)
-        asked = Asked(recording.scene)
+        answers = Answering(recording.scene)
         for question in _questions(recording):
-            question.ask(asked)  # type: ignore[arg-type]
+            question.ask(answers)  # type: ignore[arg-type]
         ndim = 2 if recording.scene.planar else 3
-        rays = np.array(asked.rays).reshape(-1, 2, 3)[..., :ndim]
-        hits = np.array(asked.hits).reshape(-1, 3)[:, :ndim]
+        rays = np.array(answers.rays).reshape(-1, 2, 3)[..., :ndim]
+        hits = np.array(answers.hits).reshape(-1, 3)[:, :ndim]
         axes = recording.scene.plot(rays=rays, hits=hits)
         axes.set_title(f'{recording.title}: {len(recording.scene)} obstacles, {recording.t:.1f} s')
         axes.figure.savefig(file, dpi=150)

@@ -1,23 +1,20 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be looked at: a scene, what is drawn over it, and who answers questions about it."""
+"""The worlds that can be shown: a scene, its overlays, and the source of answers."""
 
 from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.scene import Numbered, Scene, Shapes
 from bvh_ros.tree import DynamicBVH
-
-# ---- What can be looked at: a scene, what is drawn over it, and who answers questions about it.
-
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -26,30 +23,24 @@ NO_POINTS = np.empty((0, 3))
 THIN = 0.01  # height of what has none, a share of the world's width
 
 
-class Named(Protocol):
-    """An obstacle that a question met: a `SceneHit`, or a client's `Hit`."""
-
-    @property
-    def name(self) -> str:
-        """Of the obstacle."""
-
-    @property
-    def point(self) -> Sequence[float] | Floats:
-        """Where it is met, m."""
-
-
-class Met(NamedTuple):
-    """The same, of a tree that has no names."""
+class NamedPoint(NamedTuple):
+    """An obstacle that a query hit, and the point of the hit, m."""
 
     name: str
     point: Floats
 
 
 class Answer(NamedTuple):
-    """What a question met, nearest first, and how long it took."""
+    """The hits of a query, nearest first, and its time."""
 
-    hits: Sequence[Named]
+    hits: list[NamedPoint]
     microseconds: float
+
+
+def answer(hits: Iterable[Any], began: float) -> Answer:
+    """Of hits of a scene or a client, and when the query began (time.perf_counter)."""
+    took = 1e6 * (time.perf_counter() - began)
+    return Answer([NamedPoint(hit.name, np.array(hit.point)) for hit in hits], took)
 
 
 class Group(NamedTuple):
@@ -157,15 +148,15 @@ class ShownWorld:
         """Ask for the first obstacle on a segment."""
         began = time.perf_counter()
         hit = self.scene.raycast(start, goal)
-        return _answer([] if hit is None else [hit], began)
+        return answer([] if hit is None else [hit], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask for all obstacles that touch a box."""
         began = time.perf_counter()
-        return _answer(self.scene.overlap(lo, hi), began)
+        return answer(self.scene.overlap(lo, hi), began)
 
     def pick(self, start: Floats, direction: Floats, reach: float) -> Answer:
-        """Ask what somebody sees who looks this way; in a planar world what stands there."""
+        """Cast a ray from a camera; in a planar world, look up the ground point."""
         if not self.scene.planar:
             return self.raycast(start, start + direction * reach)
         down = -start[2] / direction[2] if direction[2] else 0.0
@@ -174,10 +165,6 @@ class ShownWorld:
 
     def close(self) -> None:
         """Leave nothing open."""
-
-
-def _answer(hits: Sequence[Named], began: float) -> Answer:
-    return Answer(hits, 1e6 * (time.perf_counter() - began))
 
 
 class SavedTree(ShownWorld):
@@ -225,9 +212,9 @@ class SavedTree(ShownWorld):
         ndim = self.tree.ndim
         hit = self.tree.raycast(start[:ndim], (goal - start)[:ndim], 1.0)
         if hit is None:
-            return _answer([], began)
+            return answer([], began)
         point = np.append(hit.point, start[ndim:])
-        return _answer([Met(f'box/{hit.id}', point)], began)
+        return answer([NamedPoint(f'box/{hit.id}', point)], began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask the saved tree for all boxes that touch a box, nearest to its middle first."""
@@ -239,7 +226,9 @@ class SavedTree(ShownWorld):
         points = np.tile(middle, (len(ids), 1))
         points[:, :ndim] = np.clip(middle[:ndim], *self.tree.boxes(ids))
         order = np.argsort(np.linalg.norm(points - middle, axis=1), kind='stable')
-        return _answer([Met(f'box/{ids[row]}', points[row]) for row in order.tolist()], began)
+        return answer(
+            [NamedPoint(f'box/{ids[row]}', points[row]) for row in order.tolist()], began
+        )
 
 
 def _upright(corners: Floats) -> Floats:
@@ -247,7 +236,7 @@ def _upright(corners: Floats) -> Floats:
     return np.pad(corners, ((0, 0), (0, 3 - corners.shape[1])))
 
 
-# ---- Obstacles by the beginning of their names.
+# ---- Groups of obstacles by the beginning of their names
 
 
 class Namespaces:
@@ -290,7 +279,7 @@ def namespace_of(name: str) -> str:
     return marker.rpartition('/')[0] or marker
 
 
-# ---- A world by a clock of its own: it can be played, paused and stepped through.
+# ---- A recording with its own clock: play, pause and step
 
 
 SECOND = 1_000_000_000  # ns

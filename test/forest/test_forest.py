@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every answer of a forest is, bit for bit, that of one tree of all boxes."""
 
+import ast
 import json
 import os
 import pickle
@@ -13,9 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from odd_files import WITH_TESTS
 
 from bvh_ros import DynamicBVH
-from bvh_ros.forest import Forest, asking, building, hilbert
+from bvh_ros.forest import Forest, building, queries
 
 COUNT, ASKED = 3000, 1500
 
@@ -86,8 +88,8 @@ def answers(world: Any, rng: np.random.Generator, at: Any, **how: Any) -> list[A
 @pytest.mark.parametrize('ndim', [pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize('scene', [lattice, far, decades, one_place, anywhere])
 def test_a_forest_answers_as_one_tree(tmp_path, monkeypatch, ndim, scene):
-    monkeypatch.setattr(asking, 'ROWS_AT_ONCE', 1000)
-    monkeypatch.setattr(asking, 'ROWS_A_TASK', 90)
+    monkeypatch.setattr(queries, 'ROWS_AT_ONCE', 1000)
+    monkeypatch.setattr(queries, 'ROWS_A_TASK', 90)
     monkeypatch.setattr(building, 'ROWS_AT_ONCE', 500)
     rng = np.random.default_rng(ndim)
     lo, hi = scene(rng, ndim)
@@ -128,9 +130,9 @@ def test_parts_hold_each_box_once_and_no_more_than_asked(tmp_path):
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_the_curve_goes_from_neighbour_to_neighbour(ndim):
-    side = 1 << hilbert.CELL_BITS
+    side = 1 << building.CELL_BITS
     cells = np.stack(np.meshgrid(*(np.arange(side),) * ndim), -1).reshape(-1, ndim)
-    numbers = hilbert.cells(cells + 0.5, np.zeros(ndim), np.full(ndim, side))
+    numbers = building.cells(cells + 0.5, np.zeros(ndim), np.full(ndim, side))
     assert sorted(numbers) == list(range(side**ndim))
     steps = np.abs(np.diff(cells[np.argsort(numbers)], axis=0)).sum(axis=1)
     assert (steps == 1).all()
@@ -275,3 +277,47 @@ Forest.build({str(tmp_path / 'forest')!r}, [(lo, lo)], 500)
     ended = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
     assert ended.stderr.splitlines()[-1].startswith('OSError: [Errno 27] File too large')
     assert not list(tmp_path.iterdir())
+
+
+DAMAGE = """
+import collections, sys
+import numpy as np
+from pathlib import Path
+from odd_files import damaged, outcome
+from bvh_ros.forest import Forest
+
+rng, counts = np.random.default_rng(0), collections.Counter()
+folder = Path(sys.argv[1])
+rays = rng.uniform(-9, 40, (2, 500, 3))
+
+
+def answers(**how):
+    forest = Forest.open(folder, **how)
+    near = forest.nearest_many(rays[0][:50], 2)
+    return [*forest.raycast_many(*rays), *forest.overlap_many(rays[0], rays[0] + 9), *near]
+
+
+wanted = answers()
+for file in sorted(folder.iterdir()):
+    whole = file.read_bytes()
+    for content in damaged(rng, whole, int(sys.argv[2])):
+        file.unlink()
+        file.write_bytes(content)
+        for verify in (False, True):
+            counts[f'{verify} {outcome(lambda: answers(verify=verify), wanted)}'] += 1
+    file.unlink()
+    file.write_bytes(whole)
+print(dict(counts))
+"""
+
+
+def test_no_damaged_file_ends_the_process(tmp_path):
+    """Refused, or some answer; refused, or the right answer, where all is verified."""
+    lo, hi = anywhere(np.random.default_rng(0), 3)
+    Forest.build(tmp_path / 'forest', [(lo[:200], hi[:200])], 120)
+    how = [sys.executable, '-c', DAMAGE, str(tmp_path / 'forest'), '60']
+    run = subprocess.run(how, capture_output=True, text=True, timeout=800, env=WITH_TESTS)
+    assert run.returncode == 0, run.stderr
+    counts = ast.literal_eval(run.stdout)
+    wrong = {*counts} - {'True same', 'True refused'}
+    assert wrong <= {'False same', 'False refused', 'False other'}, counts

@@ -4,26 +4,20 @@
 
 import pytest
 
-from bvh_ros.report.features import Configuration as Job
-from bvh_ros.report.features import random_field, run_apart
-from bvh_ros.scene import ShapeKind
+from bvh_ros.report.features import run_apart
+from bvh_ros.report.workload import Configuration
 
 BOXES = 200
 
 
 @pytest.fixture(scope='module')
-def file(tmp_path_factory):
-    return random_field(BOXES, ShapeKind.BOX, False, 5).save(tmp_path_factory.mktemp('f'), 'boxes')
-
-
-@pytest.fixture(scope='module')
-def lean(file):
+def lean():
     """Axis-aligned boxes that move, thin rays and overlaps."""
-    return run_apart(Job(file, turns=1))
+    return run_apart(Configuration(BOXES, turns=1))
 
 
-def names(told):
-    return {kernel.rpartition('.')[2] for kernel in told['kernels']}
+def names(figures):
+    return {kernel.rpartition('.')[2] for kernel in figures['kernels']}
 
 
 def test_a_lean_scene_imports_no_library_it_does_not_need(lean):
@@ -37,12 +31,12 @@ def test_a_lean_scene_compiles_no_kernel_of(part, lean):
     assert [kernel for kernel in lean['kernels'] if part in kernel] == []
 
 
-def test_a_lean_scene_keeps_no_exact_boxes_beside_its_nodes(lean, file):
-    fat = run_apart(Job(file, margin=0.1, turns=1))
+def test_a_lean_scene_keeps_no_exact_boxes_beside_its_nodes(lean):
+    fat = run_apart(Configuration(BOXES, margin=0.1, turns=1))
     assert fat['tree'] - lean['tree'] >= 48 * BOXES  # two corners of three doubles
 
 
-def test_what_batches_bring_is_not_there_without_them(lean, file):
-    batches = run_apart(Job(file, batch=100, turns=1))
+def test_what_batches_bring_is_not_there_without_them(lean):
+    batches = run_apart(Configuration(BOXES, batch=2, turns=1))
     assert {'cast_few', 'cast_rows'} & (names(batches) - names(lean))  # by the number of rays
     assert batches['tree'] > lean['tree']  # the snapshot

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip('matplotlib')
 
 from bvh_ros.report import cli
+from bvh_ros.report.page import Page
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]  # seconds
 
@@ -41,6 +42,20 @@ def test_tables_are_rectangular_and_filled(written):
         header, *rows = csv.reader(path.open(encoding='utf-8'))
         assert rows, path
         assert {len(row) for row in rows} == {len(header)}, path
+
+
+def test_parts_of_several_runs_share_a_page(tmp_path):
+    for part in ('stability', 'planner', 'stability'):
+        page = Page(tmp_path)
+        page.begin(part.title(), 'Text.')
+        page.add(f'### More of {part}')
+        page.write()
+    text = (tmp_path / 'report.md').read_text(encoding='utf-8')
+    headings = [line for line in text.splitlines() if line.startswith('#')]
+    assert headings == [
+        '# bvh_ros: report', '## Planner', '### More of planner', '## Stability',
+        '### More of stability',
+    ]  # fmt: skip
 
 
 def test_an_unknown_part_is_refused(tmp_path):

@@ -99,11 +99,11 @@ def test_right_answers_pass_and_wrong_ones_do_not(told, kind):
         elif kind == 'box':
             goal = start + 5.0
             answer = found(told.overlap(start, goal))
-            given = {'low': start, 'high': goal}
+            given = {'centre': 0.5 * (start + goal), 'half': 0.5 * (goal - start)}
         else:
             answer = found(told.overlap(start, start, tolerance=4.0))
-            given = {'centre': start, 'radius': 4.0}
-        fault = getattr(soak_world, f'{kind}_fault')
+            given = {'centre': start, 'half': 4.0}
+        fault = soak_world.ray_fault if kind == 'ray' else soak_world.overlap_fault
         assert fault(scene, answer, **given) == ''
         if len(answer.boxes) > 1:
             several += 1

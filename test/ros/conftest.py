@@ -49,7 +49,7 @@ class World:
         self.namespace = namespace
         self.log = log
         self._clients: dict[str, Any] = {}
-        self._publishers: dict[str, Any] = {}
+        self.publishers: dict[str, Any] = {}
         self._statuses: dict[str, Any] | None = None
 
     # ---- services
@@ -102,10 +102,10 @@ class World:
 
     def publish(self, topic: str, message: Any, *, qos: Any = 10) -> None:
         """Publish on a topic in the node's namespace, once somebody listens."""
-        if topic not in self._publishers:
+        if topic not in self.publishers:
             publisher = self.node.create_publisher(type(message), f'{self.namespace}/{topic}', qos)
-            self._publishers[topic] = publisher
-        publisher = self._publishers[topic]
+            self.publishers[topic] = publisher
+        publisher = self.publishers[topic]
         self.until(lambda: publisher.get_subscription_count() > 0)
         publisher.publish(message)
 
@@ -187,7 +187,7 @@ class World:
             self.end()
         for client in self._clients.values():
             self.node.destroy_client(client)
-        for publisher in self._publishers.values():
+        for publisher in self.publishers.values():
             self.node.destroy_publisher(publisher)
 
 

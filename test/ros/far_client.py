@@ -1,11 +1,12 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A client on another host than the node: reads lines of JSON from its standard input, `[what,
-count, argument]`, does it, and writes what came of it as a line of JSON.
+"""A client in a process of its own, perhaps on another host than the node. It reads lines of JSON
+from its standard input, `[what, count, argument]`, and writes each result as a line of JSON.
 """
 
 import json
 import os
+import signal
 import sys
 import time
 
@@ -89,6 +90,21 @@ class Far:
         while not all(one.done() for one in futures) and time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.1)
         return sum(one.done() and one.result().name == 'b/0' for one in futures)
+
+    def before_large(self, count, argument):
+        """Ask for single rays, then at once for a batch of 0.96 MB, of a node that is stopped
+        meanwhile. How many are answered within some seconds.
+        """
+        process, patience = argument
+        rows = np.zeros((40_000, 3), np.float32)
+        os.kill(process, signal.SIGSTOP)
+        futures = [self.client.raycast_async(START, END) for _ in range(count)]
+        futures.append(self.client.raycast_many_async(rows, rows + np.float32((1, 0, 0))))
+        os.kill(process, signal.SIGCONT)
+        deadline = time.monotonic() + patience
+        while not all(one.done() for one in futures) and time.monotonic() < deadline:
+            rclpy.spin_once(self.node, timeout_sec=0.1)
+        return sum(one.done() for one in futures)
 
     def times(self, count, ask):
         """Counts of what came, and percentiles of the seconds that it took."""

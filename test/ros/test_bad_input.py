@@ -248,7 +248,7 @@ def test_bytes_that_are_no_message(filled, messages, source):
     }[source]
     right = bytes(serialize_message(whole))
     before, _ = refused(filled, source)
-    publisher = filled._publishers[source]
+    publisher = filled.publishers[source]
     broken = [rng.bytes(length) for length in (4, 5, 8, 12, 100, 10_000)]
     broken += [right[:cut] for cut in rng.integers(4, len(right) - 4, 20).tolist()]
     for data in broken:

@@ -9,9 +9,8 @@ from functools import partial
 
 import pytest
 
-from bvh_ros.ros.compilation import Compilation
+from bvh_ros.ros.compilation import Compilation, Progress
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs
-from bvh_ros.ros.progress import Progress
 from bvh_ros.scene import ShapeKind
 from bvh_ros.tree.compiler import kernel_cache
 

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Fast DDS profile is found, is used unless the user has another, and lets clouds arrive."""
 
+import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -14,6 +16,15 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from bvh_ros.ros import large_messages
 
 SENT = 10
+NO_HEARTBEAT = """<?xml version="1.0" encoding="UTF-8" ?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+  <profiles>
+    <data_writer profile_name="no_heartbeat" is_default_profile="true">
+      <times><heartbeatPeriod><sec>3600</sec></heartbeatPeriod></times>
+    </data_writer>
+  </profiles>
+</dds>
+"""
 LISTEN = """
 import time, rclpy
 from rclpy.qos import qos_profile_sensor_data
@@ -75,3 +86,23 @@ def test_the_profile_is_used_otherwise(monkeypatch):
         monkeypatch.delenv(name, raising=False)
     large_messages.enable()
     ElementTree.parse(os.environ.pop(large_messages.VARIABLES[0]))
+
+
+def test_requests_before_a_large_message_wait_for_no_heartbeat(tmp_path):
+    """The message pushes requests out of the shared memory. `BvhClient` repeats them."""
+    profile = tmp_path / 'no_heartbeat.xml'
+    profile.write_text(NO_HEARTBEAT)
+    domain = {'ROS_DOMAIN_ID': str(102 + os.getpid() % 100)}
+    environment = {**os.environ, **domain, large_messages.VARIABLES[0]: str(profile)}
+    client = [sys.executable, str(Path(__file__).with_name('far_client.py'))]
+    with subprocess.Popen([sys.executable, '-m', 'bvh_ros.ros.node'], env=environment) as node:
+        lines = [['ready', 1, None], ['before_large', 200, [node.pid, 60.0]]]
+        done = subprocess.run(
+            client,
+            input='\n'.join(map(json.dumps, lines)),
+            env=environment,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        node.terminate()
+    assert [json.loads(line) for line in done.stdout.splitlines()][1] == 201

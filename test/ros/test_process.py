@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import ConfigurationError
 
 OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
 GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}

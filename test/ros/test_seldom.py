@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines of the log that may come by the thousand."""
 
-from bvh_ros.ros.seldom import Seldom
+from bvh_ros.ros.texts import Seldom
 
 
 def test_a_line_every_two_seconds_and_none_is_left_out(monkeypatch):

@@ -158,38 +158,3 @@ def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> S
     turns[manner == 1] = rng.integers(-1, 2, (int((manner == 1).sum()), 4))
     turns[manner == 2, :2] = 0.0
     return Shapes(kind, rng.uniform(-reach, reach, (count, 3)), turns, size)
-
-
-def first_contact(
-    solid: Solid, start: Floats, goal: Floats, radius: float, planar: bool = False
-) -> tuple[float, float]:
-    """(t, depth): where the distance along the segment first falls to the radius, else inf.
-
-    `depth` is how far beyond touching the ball gets. The distance is convex in t, so ever closer
-    samples about the least one find its minimum, and then the contact before that. It changes by
-    no more than the way that is gone: of what stays away, `depth` is a bound, below -1 mm.
-    """
-    measure = solid.distances_from_above if planar else solid.distances
-
-    def gaps(t: Floats) -> Floats:
-        return measure(start + t[:, None] * (goal - start)) - radius
-
-    low, high, least, closest = 0.0, 1.0, math.inf, 0.0
-    nearer = gaps(np.linspace(0.0, 1.0, 17)).min() - np.linalg.norm(goal - start) / 32
-    if nearer > 1e-3:
-        return math.inf, -nearer
-    for _ in range(16):
-        t = np.linspace(low, high, 17)
-        values = gaps(t)
-        i = int(np.argmin(values))
-        if values[i] < least:
-            least, closest = values[i], t[i]
-        low, high = t[max(i - 1, 0)], t[min(i + 1, 16)]
-    if least > 0.0:
-        return math.inf, -least
-    low, high = 0.0, closest
-    for _ in range(14):
-        t = np.linspace(low, high, 17)
-        i = int(np.argmax(gaps(t) <= 0.0))
-        low, high = t[max(i - 1, 0)], t[i]
-    return high, -least

@@ -7,11 +7,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
 
-from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes, slicing
+from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes
 
 NOBODY = np.full(3, np.nan)
 
@@ -64,36 +63,6 @@ def as_row(hit):
     if hit is None:
         return NO_NODE, math.inf, NOBODY, np.zeros(3)
     return hit.handle, hit.t, hit.point, hit.normal
-
-
-@pytest.mark.parametrize('skip_inside', [False, True])
-def test_sweeps(world, skip_inside):
-    scene, rng = world
-    starts, goals = points_of(rng, 300), points_of(rng, 300)
-    goals[::7] = starts[::7]
-    radii = rng.choice([0.0, 0.25, 0.5, 1.7], 300)
-    masks = rng.integers(0, 4, 300)
-    ones = [
-        as_row(scene.raycast(*row, skip_inside))
-        for row in zip(starts, goals, radii.tolist(), masks.tolist(), strict=True)
-    ]
-    for threads in (1, 3):
-        hits = scene.sweep_many(starts, goals, radii, masks, skip_inside, threads)
-        for column, expected in zip(hits, zip(*ones, strict=True), strict=True):
-            same(column, np.array(expected, column.dtype))
-    assert 20 < (hits.handles != NO_NODE).sum() < 290
-    ways = (goals - starts) / 4
-    rays = scene.raycast_many(starts, ways, 4.0, masks, skip_inside, radius=radii)
-    same(rays.handles, hits.handles)
-    thick = radii > 0
-    same(rays.t[thick], 4 * hits.t[thick])
-    same(rays.points[thick], hits.points[thick])
-    for radius in (0.0, 0.5):
-        hits = scene.sweep_many(starts, goals, radius)
-        expected = [
-            as_row(scene.raycast(*row, radius))[0] for row in zip(starts, goals, strict=True)
-        ]
-        same(hits.handles, np.array(expected, np.uint32))
 
 
 def assert_wants(lists, ask, *asked):
@@ -205,37 +174,9 @@ def test_clearances(world, signed):
 boxes = st.tuples(*[st.integers(-3, 3)] * 3, *[st.integers(0, 3)] * 3)
 
 
-@settings(max_examples=60)
-@given(st.lists(boxes, max_size=6), st.sampled_from([2.0**-1060, 2.0**-40, 0.1, 2.0**900]))
-def test_touching_at_any_scale(rows, scale):
-    """Ties, contacts to the last digit, and no obstacle at all."""
-    table = np.array(rows, float).reshape(-1, 6) * scale
-    scene = Scene()
-    scene.update(
-        'test', [*map(str, range(len(rows)))], Shapes.boxes(table[:, :3], table[:, 3:]), stamp=1
-    )
-    rng = np.random.default_rng(len(rows))
-    points = rng.integers(-4, 5, (8, 2, 3)) * scale
-    radius = float(rng.integers(0, 3) * scale)
-    hits = scene.sweep_many(points[:, 0], points[:, 1], radius)
-    lists = scene.overlap_many(points[:, 0], [scale] * 3, tolerance=radius, want='all')
-    near = scene.nearest_many(points[:, 0], 2)
-    for i, (start, goal) in enumerate(points):
-        row = as_row(scene.raycast(start, goal, radius))
-        for column, expected in zip(hits, row, strict=True):
-            same(column[i], np.asarray(expected, column.dtype))
-        touched = scene.overlap_shape(Shapes.boxes([start], [scale] * 3), radius)
-        found = lists[1][lists[0][i] : lists[0][i + 1]]
-        assert found.tolist() == [hit.handle for hit in touched]
-        ones = scene.nearest(start, 2)
-        assert near[0][i].tolist()[: len(ones)] == [hit.handle for hit in ones]
-        assert near[1][i].tolist()[: len(ones)] == [hit.t for hit in ones]
-
-
-def test_an_obstacle_at_two_places_is_one(monkeypatch):
+def test_an_obstacle_at_two_places_is_one(set_slices):
     """Halfway through an update in slices, see slicing.py."""
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 30)
+    set_slices(20, 30)
     rng = np.random.default_rng(5)
     scene, before = Scene(), random_shapes(rng, 60)
     scene.update('test', Numbered('c#', np.arange(60)), before, stamp=1)
@@ -333,3 +274,23 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
             found = scene.sweep_many(starts, goals, 0.25, threads=threads)
             assert found.handles.tolist() == [1, NO_NODE, 1]
             assert found.t[0] == pytest.approx(5.25 / 9)
+
+
+@pytest.mark.parametrize('radius', [None, 0.0, 0.5, [0.0, 0.5, 0.0, 0.5, 0.5]])
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('turned', [False, True])
+def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
+    scene, turn = Scene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
+    scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
+    good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
+    for axis in range(3):
+        for bad in np.nan, np.inf, -np.inf:
+            rows[3] = 30.0
+            rows[3, axis] = bad
+            with pytest.raises(ValueError, match='origins must be finite: row 3'):
+                scene.raycast_many(rows, good, 1.0, radius=radius)
+            with pytest.raises(ValueError, match='directions must be finite: row 3'):
+                scene.raycast_many(good, rows, 0.0, radius=radius)
+    if radius:
+        with pytest.raises(ValueError, match='end the way of a ball: row 3 has none'):
+            scene.raycast_many(good, good, [1, 1, 1, np.inf, 1], radius=radius)

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scene.test_then import COUNT, NOW, SECOND, Moving
 
-from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.shapes.shape import BOX, SPHERE
+from bvh_ros.scene import Scene, ShapeKind, Shapes
+
+BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
 pytestmark = pytest.mark.slow
 RATE = 0.4  # m/s

@@ -15,16 +15,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tree.reference import effort
 
-from bvh_ros.scene import Numbered, Part, Scene, Shapes, slicing
+from bvh_ros.scene import Numbered, Part, Scene, Shapes
 
 NAMES, PLACES, SLICE = 10, 14, 3
 HALF = 0.45
 
 
 @pytest.fixture(autouse=True)
-def small_slices(monkeypatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 4)
-    monkeypatch.setattr(slicing, 'SLICE', SLICE)
+def small_slices(set_slices):
+    set_slices(4, SLICE)
 
 
 @dataclass(eq=False)

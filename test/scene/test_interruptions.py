@@ -12,7 +12,7 @@ import pytest
 from tree.interrupting import InterruptError, interrupted
 from tree.reference import effort
 
-from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes, slicing
+from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes
 
 COUNT = 12
 RNG = np.random.default_rng(3)
@@ -137,12 +137,11 @@ def test_clearing_again_and_again():
         assert len(state(scene)[0]) == COUNT
 
 
-def test_slices(monkeypatch):
+def test_slices(set_slices):
     """What is interrupted in slices is half applied: the world holds what either message says.
     Nothing stays behind for ever.
     """
-    monkeypatch.setattr(slicing, 'AT_ONCE', 2)
-    monkeypatch.setattr(slicing, 'SLICE', 3)
+    set_slices(2, 3)
     at, refused = 1, 0
     while True:
         scene = some_scene()

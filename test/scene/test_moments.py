@@ -4,24 +4,15 @@
 
 import numpy as np
 import pytest
+from scene.test_then import some_shapes
 
-from bvh_ros.scene import NO_NODE, Numbered, Part, Scene, Shapes, slicing
-from bvh_ros.scene.shapes.shape import BOX, CYLINDER, SPHERE
+from bvh_ros.scene import NO_NODE, Numbered, Part, Scene, ShapeKind, Shapes
+
+BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
 SECOND = 1_000_000_000
 NOW = 1_790_000_000 * SECOND
 Random = np.random.Generator
-
-
-def some_shapes(rng: Random, count: int) -> Shapes:
-    """Boxes, turned boxes, spheres and cylinders."""
-    places, sizes = rng.uniform(-9, 9, (count, 3)), rng.uniform(0.2, 3, (count, 3))
-    kinds = np.array([BOX, BOX, SPHERE, CYLINDER], np.uint8)[np.arange(count) % 4]
-    sizes[kinds != BOX, 1] = sizes[kinds != BOX, 0]
-    sizes[kinds == SPHERE, 2] = sizes[kinds == SPHERE, 0]
-    quaternions = rng.normal(size=(count, 4))
-    quaternions[::4] = 0.0
-    return Shapes(kinds, places, quaternions, sizes)
 
 
 def alone(shapes: Shapes, row: int, planar: bool) -> Scene:
@@ -96,9 +87,8 @@ def test_the_world_as_last_told_and_at_rest():
     assert len(scene) == 1
 
 
-def test_updates_in_slices_keep_velocities(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 7)
+def test_updates_in_slices_keep_velocities(set_slices):
+    set_slices(20, 7)
     scene, count = Scene(), 50
     boxes = Shapes.boxes(10.0 * np.arange(3.0 * count).reshape(count, 3), [1, 1, 1])
     names, speeds = Numbered('b#', np.arange(count)), np.full((count, 3), 2.0)
@@ -193,3 +183,16 @@ def test_time_begins_anew_when_all_are_forgotten_or_at_rest():
         assert abs(hit.t * 8 - (4.5 - 7e-5)) < 1e-13
         scene.update('s', ['car'], box, stamp=1)
         scene.clear()
+
+
+def test_a_scene_tells_exactly_who_is_met_first():
+    """Two boxes are met within the last digit of t; the younger one, who comes, is first."""
+    sizes = np.full((3, 3), 2.0)
+    places = np.array([[2.0, 0, 0], [2.0, 0, 0], [0, 9.0, 0]])
+    shapes = Shapes(np.array([BOX, BOX, SPHERE], np.uint8), places, np.zeros((3, 4)), sizes)
+    scene = Scene()
+    slow = np.array([[0, 0, 0], [-1e-20, 0, 0], [0, 0, 0]])
+    scene.update('s', ['rests', 'comes', 'a ball'], shapes, stamp=0, velocities=slow)
+    hits = scene.raycast_all([0, 0, 0], [4, 0, 0], at=0, until=10**9)
+    assert [hit.name for hit in hits] == ['comes', 'rests']
+    assert hits[0].t == hits[1].t == 0.25

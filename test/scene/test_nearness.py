@@ -71,23 +71,6 @@ def test_ties_go_to_the_older():
     assert Scene().nearest([0, 0, 0]) == []
 
 
-@pytest.mark.parametrize(
-    ('arguments', 'name'),
-    [
-        (([0, 0],), 'point'),
-        (([0, 0, math.nan],), 'point'),
-        (([0, 0, 0], 0), 'k'),
-        (([0, 0, 0], 1.5), 'k'),
-        (([0, 0, 0], 1, -1.0), 'max_distance'),
-        (([0, 0, 0], 1, math.nan), 'max_distance'),
-        (([0, 0, 0], 1, 1.0, -1), 'mask'),
-    ],
-)
-def test_bad_input_is_refused(arguments, name):
-    with pytest.raises(ValueError, match=rf'\b{name}\b'):
-        Scene().nearest(*arguments)
-
-
 def test_far_from_the_origin_distances_keep_their_digits():
     """The same shapes 8 km away, by steps that round nothing."""
     rng = np.random.default_rng(12)

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Part, Scene, ShapeKind, Shapes, slicing
+from bvh_ros.scene import Part, Scene, ShapeKind, Shapes
 from bvh_ros.scene.tracking import Tracks
 
 NAMES = [f'thing/{i}' for i in range(40)]
@@ -66,9 +66,8 @@ def test_what_leaves_goes_and_what_enters_comes(planar):
     assert seen == {True, False}
 
 
-def test_between_slices_nothing_that_was_or_will_be_is_missing(monkeypatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 1)
-    monkeypatch.setattr(slicing, 'SLICE', 7)
+def test_between_slices_nothing_that_was_or_will_be_is_missing(set_slices):
+    set_slices(1, 7)
     rng = np.random.default_rng(4)
     scene = Scene(region=([-3] * 3, [3] * 3))
     old = Shapes.boxes(rng.uniform(-5, 5, (60, 3)), [1, 1, 1])

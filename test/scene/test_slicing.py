@@ -13,9 +13,8 @@ PLACES = 120  # where boxes may stand, on a line
 
 
 @pytest.fixture(autouse=True)
-def small_slices(monkeypatch):
-    monkeypatch.setattr(slicing, 'AT_ONCE', 20)
-    monkeypatch.setattr(slicing, 'SLICE', 7)
+def small_slices(set_slices):
+    set_slices(20, 7)
 
 
 def random_part(random, stamp, shaped):
@@ -108,39 +107,6 @@ def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
     assert pauses > 15
 
 
-def test_what_happens_between_slices_is_not_undone():
-    random = np.random.default_rng(5)
-    scene = Scene()
-    shapes = Shapes.boxes(random.uniform(0, 9, (60, 3)), [1, 1, 1])
-    names = Numbered('c#', np.arange(60))
-    scene.update('s', names, shapes, stamp=1, expires=50)
-    part = Part(names, shapes._replace(position=shapes.position + 20), 2)
-    work = scene.in_slices('s', '', 60, part.cut, whole=True)
-    next(work), next(work)
-    assert scene.expire(60) == 46  # those not yet renewed; the shadows of the others go, too
-    scene.update('t', Numbered('d#', np.arange(40)), shapes.take(slice(40)), stamp=3)
-    assert len(list(work)) > 5
-    assert len(scene) == 100
-    scene.validate()
-    assert not scene.overlap([-1, -1, -1], [0, 0, 0])
-
-
-def test_clearing_ends_an_update():
-    scene = Scene()
-    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
-    names = Numbered('c#', np.arange(60))
-    scene.update('s', names, shapes, stamp=1)
-    moved = Part(names, shapes._replace(position=shapes.position + 20), 2)
-    for end in (scene.clear, lambda: None):
-        work = scene.in_slices('s', '', 60, moved.cut, whole=True)
-        next(work), next(work)
-        end()
-        work.close()
-        scene.validate()
-        assert len(scene) == (0 if end == scene.clear else 60)
-        scene.update('s', names, shapes, stamp=3)
-
-
 def test_too_many_are_refused_as_at_once():
     """Whatever is known, new, bad or too much, and however few rows replace how many."""
     random = np.random.default_rng(7)
@@ -181,9 +147,8 @@ def test_few_rows_in_place_of_very_many_take_many_turns():
     assert sorted(name for _, name in scene.names()) == ['d#0', 'd#1']
 
 
-def test_rows_with_meshes_take_turns_earlier(monkeypatch):
-    monkeypatch.setattr(slicing, 'COSTLY_AT_ONCE', 6)
-    monkeypatch.setattr(slicing, 'COSTLY_SLICE', 2)
+def test_rows_with_meshes_take_turns_earlier(set_slices):
+    set_slices(6, 2, 'COSTLY_')
     scene = Scene()
     shapes = Shapes.boxes(np.zeros((7, 3)), [1, 1, 1])
     part = Part(Numbered('c#', np.arange(7)), shapes, 1)
@@ -194,32 +159,6 @@ def test_rows_with_meshes_take_turns_earlier(monkeypatch):
     ]
     assert sizes == [2, 4, 6, 7]
     assert list(Scene().in_slices('s', '', 7, part.cut, whole=False)) == []
-
-
-def test_what_fits_in_the_end_is_taken_and_no_more():
-    """Replacing costs no room; while it is under way others may have what it leaves, no more."""
-    shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (100, 3)), [1, 1, 1])
-    for old, new, total in ((60, 60, 60), (60, 60, 80), (90, 40, 100), (40, 90, 100)):
-        scene = Scene(max_obstacles=total)
-        scene.update('s', Numbered('a#', np.arange(old)), shapes.take(slice(old)), stamp=1)
-        part = Part(Numbered('b#', np.arange(new)), shapes.take(slice(new)), 2)
-        work = scene.in_slices('s', '', new, part.cut, whole=True)
-        most = pauses = 0
-        for refusals in pausing(work):
-            if refusals is not None:
-                assert refusals == []
-                break
-            pauses += 1
-            if pauses == 3:
-                names = [f'other {k}' for k in range(total)]
-                given = Shapes.boxes(np.zeros((total, 3)), [1, 1, 1])
-                assert len(scene.update('t', names, given, stamp=3)) == new
-            most = max(most, len(scene))
-            scene.validate()
-        assert pauses > 5
-        assert old < most <= 2 * total
-        assert len(scene) == total
-        assert len(scene.update('s', ['one more'], shapes.take([0]), stamp=4)) == 1
 
 
 def test_whoever_is_late_does_not_pause():

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Questions about a scene at a time: as to a scene in which everybody stands where it is then."""
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.shapes.shape import BOX, CYLINDER, SPHERE
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+
+BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
 SECOND = 1_000_000_000
 NOW = 1_790_000_000 * SECOND
@@ -210,46 +210,6 @@ def test_what_is_kept_of_a_world_goes_with_it():
         assert seen() == (count, names[: min(2, count)])
     scene.update('s', ['0'], Shapes.boxes([[0, 5, 0]], [0.5, 0.5, 0.5]), stamp=NOW)
     assert seen() == (299, ['1', '2'])
-
-
-def test_one_time_is_the_same_number_as_in_a_batch():
-    rng, held = np.random.default_rng(3), Scene()._held
-    held.epoch = NOW
-    near = NOW + rng.integers(-(1 << 53) + 1, 1 << 53, 3000)
-    far = NOW + rng.integers(1 << 53, 1 << 60, 3000)
-    ends = np.array([-(1 << 63), (1 << 63) - 1, NOW])
-    for stamps in (near, np.concatenate((near, far, ends))):
-        each = [held.second(stamp) for stamp in stamps.tolist()]
-        assert held.seconds(stamps).tolist() == each
-    assert held.seconds(near).tolist() == [
-        float(Fraction(stamp - NOW, SECOND)) for stamp in near.tolist()
-    ]
-
-
-def test_boxes_are_decided_exactly():
-    rng = np.random.default_rng(13)
-    places, speeds = rng.uniform(-1, 1, (300, 3)), rng.uniform(-1, 1, (300, 3))
-    scene = Scene()
-    boxes = Shapes.boxes(places, rng.choice([0.25, 0.5, 0.1], (300, 3)))
-    scene.update('s', [str(i) for i in range(300)], boxes, stamp=0, velocities=speeds)
-    lo, hi = scene._held.tree.boxes(scene._held.columns.tree_handle[:300])
-    names = [scene._held.registry.name(slot) for slot in range(300)]
-    time = 3 * SECOND // 7
-    seconds = Fraction(time, SECOND)
-    speeds = speeds[[int(name) for name in names]]
-    for row in range(300):
-        # A corner of the query as near to the box's as doubles go, on either side.
-        corner = hi[row] + speeds[row] * float(seconds)
-        for bits in range(-1, 2):
-            start = corner + bits * np.spacing(corner)
-            hit = {h.name for h in scene.overlap(start, start + 0.1, at=time)}
-            touches = all(
-                Fraction(hi[row][a]) + Fraction(speeds[row][a]) * seconds >= Fraction(start[a])
-                and Fraction(lo[row][a]) + Fraction(speeds[row][a]) * seconds
-                <= Fraction((start + 0.1)[a])
-                for a in range(3)
-            )
-            assert (names[row] in hit) == touches
 
 
 @pytest.mark.parametrize('at', [0, np.empty(0, np.int64)])

@@ -105,14 +105,14 @@ def test_whatever_is_told_velocities_are_finite_and_at_most_the_largest(smoothin
     assert np.any(found)
 
 
-def test_who_vanishes_begins_anew_and_many_are_followed_at_once(monkeypatch):
+def test_who_vanishes_begins_anew_and_many_are_followed_at_once(set_slices):
     scene, tracks, rng = Scene(), Tracks(), np.random.default_rng(4)
     places, speeds = rng.uniform(-50, 50, (500, 3)), rng.uniform(-9, 9, (500, 3))
     for tick in range(5):
         if tick == 3:
             scene.remove('s', ['b#7'])
         if tick == 4:  # in slices
-            monkeypatch.setattr(slicing, 'AT_ONCE', 100)
+            set_slices(100, slicing.SLICE)
         rows = rng.permutation(500)
         boxes = Shapes.boxes((places + 0.1 * tick * speeds)[rows], [1, 1, 1])
         part = Part(Numbered('b#', rows), boxes, NOW + tick * SECOND // 10, velocities=tracks)

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from tree.reference import effort
 
-from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.shapes.shape import BOX, SPHERE
+from bvh_ros.scene import Scene, ShapeKind, Shapes
+
+BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
 SECOND = 10**9
 HALF = 1  # of every box
@@ -131,7 +132,7 @@ def reach(gaps, ways, first, last):
     return first if first <= last else None
 
 
-@pytest.mark.parametrize('seed', range(effort(40, 40)))
+@pytest.mark.parametrize('seed', range(effort(24, 400)))
 def test_who_is_met_first_before_and_after_it_has_come_to_rest(seed):
     rng = np.random.default_rng(seed)
     crowd, skip, many = Crowd(rng, most=Fraction(int(rng.integers(9)), 4)), seed % 3 == 0, 30
@@ -152,7 +153,7 @@ def test_who_is_met_first_before_and_after_it_has_come_to_rest(seed):
             assert found.handles[row] == hit.handle
 
 
-@pytest.mark.parametrize('seed', range(effort(40, 40)))
+@pytest.mark.parametrize('seed', range(effort(24, 400)))
 def test_who_is_touched_at_an_instant(seed):
     rng = np.random.default_rng(seed)
     crowd = Crowd(rng, most=Fraction(1, 2) if seed % 4 == 3 else None)
@@ -166,7 +167,7 @@ def test_who_is_touched_at_an_instant(seed):
     assert counts.tolist() == [len(names) for names in wanted]
 
 
-@pytest.mark.parametrize('seed', range(effort(40, 40)))
+@pytest.mark.parametrize('seed', range(effort(24, 400)))
 def test_who_is_met_until_an_instant(seed):
     rng = np.random.default_rng(seed)
     crowd = Crowd(rng)
@@ -258,7 +259,7 @@ def test_who_stands_from_the_very_start_is_met_by_a_ball_that_begins_at_it(secon
 def test_other_shapes_are_where_they_are_after_weeks(days, radius):
     """Seconds on a clock that ran for weeks are rounded to half a nanosecond: 1e-8 m at 30 m/s."""
     rng, scene = np.random.default_rng(days), Scene(max_prediction=0.5)
-    names, kinds, places = ['ball', 'box'], np.array([SPHERE, BOX], np.uint8), np.zeros((2, 3))
+    names, kinds, places = (['ball', 'box'], np.array([SPHERE, BOX], np.uint8), np.zeros((2, 3)))
     places[1, 1] = 9.0
     shapes = Shapes(kinds, places, np.zeros((2, 4)), np.ones((2, 3)))
     for stamp in (0, *(days * 86_400 * SECOND + rng.integers(1, SECOND, 50)).tolist()):

@@ -1,130 +1,77 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A call for each argument of each method of a tree."""
+"""Good arguments for each method of a tree, of which tests replace one at a time."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from bvh_ros import DynamicBVH
 
-Call = Callable[[DynamicBVH, Any], Any]
-
 LO, HI, ONE = np.zeros((5, 3)), np.ones((5, 3)), [1.0, 1.0, 1.0]
-LOW, HIGH = [-1e300] * 3, [1e300] * 3
+LOW, HIGH = [-1e300] * 3, [1e300] * 3  # around whatever replaces the other corner
 
-ARGUMENTS: dict[str, Call] = {
-    # the method and the argument's name
-    'insert lo': lambda t, x: t.insert(x, HIGH),
-    'insert hi': lambda t, x: t.insert(LOW, x),
-    'insert mask': lambda t, x: t.insert(ONE, ONE, x),
-    'insert_many lo': lambda t, x: t.insert_many(x, HI),
-    'insert_many hi': lambda t, x: t.insert_many(LO, x),
-    'insert_many mask': lambda t, x: t.insert_many(LO, HI, x),
-    'remove handle': lambda t, x: t.remove(x),
-    'remove_many handle': lambda t, x: t.remove_many(x),
-    'move handle': lambda t, x: t.move(x, ONE, ONE),
-    'move lo': lambda t, x: t.move(t.ids()[1], x, HIGH),
-    'move hi': lambda t, x: t.move(t.ids()[1], LOW, x),
-    'move displacement': lambda t, x: t.move(t.ids()[1], ONE, ONE, x),
-    'move_many handle': lambda t, x: t.move_many(x, LO, HI),
-    'move_many lo': lambda t, x: t.move_many(t.ids()[:5], x, HI),
-    'move_many hi': lambda t, x: t.move_many(t.ids()[:5], LO, x),
-    'move_many displacement': lambda t, x: t.move_many(t.ids()[:5], LO, HI, x),
-    'set_masks handle': lambda t, x: t.set_masks(x, 1),
-    'set_masks mask': lambda t, x: t.set_masks(t.ids()[:5], x),
-    'boxes handle': lambda t, x: t.boxes(x),
-    'masks handle': lambda t, x: t.masks(x),
-    'slots handle': lambda t, x: t.slots(x),
-    'exits origins': lambda t, x: t.exits(x, HI, [-1] * 5),
-    'exits directions': lambda t, x: t.exits(LO, x, [-1] * 5),
-    'exits id': lambda t, x: t.exits(LO, HI, x),
-    'raycast origin': lambda t, x: t.raycast(x, ONE),
-    'raycast direction': lambda t, x: t.raycast(ONE, x),
-    'raycast t_max': lambda t, x: t.raycast(ONE, ONE, x),
-    'raycast mask': lambda t, x: t.raycast(ONE, ONE, mask=x),
-    'raycast skip_inside': lambda t, x: t.raycast(ONE, ONE, skip_inside=x),
-    'raycast_all origin': lambda t, x: t.raycast_all(x, ONE),
-    'raycast_all direction': lambda t, x: t.raycast_all(ONE, x),
-    'raycast_all t_max': lambda t, x: t.raycast_all(ONE, ONE, x),
-    'raycast_all mask': lambda t, x: t.raycast_all(ONE, ONE, mask=x),
-    'raycast_all skip_inside': lambda t, x: t.raycast_all(ONE, ONE, skip_inside=x),
-    'occluded origin': lambda t, x: t.occluded(x, ONE),
-    'occluded direction': lambda t, x: t.occluded(ONE, x),
-    'occluded t_max': lambda t, x: t.occluded(ONE, ONE, x),
-    'occluded mask': lambda t, x: t.occluded(ONE, ONE, mask=x),
-    'raycast_many origins': lambda t, x: t.raycast_many(x, HI),
-    'raycast_many directions': lambda t, x: t.raycast_many(LO, x),
-    'raycast_many t_max': lambda t, x: t.raycast_many(LO, HI, x),
-    'raycast_many mask': lambda t, x: t.raycast_many(LO, HI, mask=x),
-    'raycast_many skip_inside': lambda t, x: t.raycast_many(LO, HI, skip_inside=x),
-    'raycast_many threads': lambda t, x: t.raycast_many(LO, HI, threads=x),
-    'occluded_many origins': lambda t, x: t.occluded_many(x, HI),
-    'occluded_many directions': lambda t, x: t.occluded_many(LO, x),
-    'occluded_many t_max': lambda t, x: t.occluded_many(LO, HI, x),
-    'raycast_all_many origins': lambda t, x: t.raycast_all_many(x, HI),
-    'raycast_all_many directions': lambda t, x: t.raycast_all_many(LO, x),
-    'raycast_all_many t_max': lambda t, x: t.raycast_all_many(LO, HI, x),
-    'raycast_all_many mask': lambda t, x: t.raycast_all_many(LO, HI, mask=x),
-    'overlap lo': lambda t, x: t.overlap(x, HIGH),
-    'overlap hi': lambda t, x: t.overlap(LOW, x),
-    'overlap mask': lambda t, x: t.overlap(LOW, HIGH, x),
-    'overlap_many lo': lambda t, x: t.overlap_many(x, HI),
-    'overlap_many hi': lambda t, x: t.overlap_many(LO, x),
-    'overlap_many mask': lambda t, x: t.overlap_many(LO, HI, x),
-    'overlap_many threads': lambda t, x: t.overlap_many(LO, HI, threads=x),
-    'overlap_pairs mask': lambda t, x: t.overlap_pairs(x),
-    'boxcast lo': lambda t, x: t.boxcast(x, HIGH, ONE),
-    'boxcast hi': lambda t, x: t.boxcast(LOW, x, ONE),
-    'boxcast translation': lambda t, x: t.boxcast(ONE, ONE, x),
-    'boxcast mask': lambda t, x: t.boxcast(ONE, ONE, ONE, x),
-    'nearest point': lambda t, x: t.nearest(x),
-    'nearest k': lambda t, x: t.nearest(ONE, x),
-    'nearest max_distance': lambda t, x: t.nearest(ONE, 1, x),
-    'nearest mask': lambda t, x: t.nearest(ONE, mask=x),
-    'nearest_many points': lambda t, x: t.nearest_many(x),
-    'nearest_many k': lambda t, x: t.nearest_many(LO, x),
-    'nearest_many max_distance': lambda t, x: t.nearest_many(LO, 1, x),
-    'nearest_many mask': lambda t, x: t.nearest_many(LO, mask=x),
-    'set_velocities handle': lambda t, x: t.set_velocities(x, LO),
-    'set_velocities velocities': lambda t, x: t.set_velocities(t.ids()[:5], x),
-    'set_velocities reference': lambda t, x: t.set_velocities(t.ids()[:5], LO, x),
-    'velocities handle': lambda t, x: t.velocities(x),
-    'raycast at': lambda t, x: moving(t).raycast(ONE, ONE, at=x),
-    'raycast pace': lambda t, x: t.raycast(ONE, ONE, pace=x),
-    'raycast origin, moving': lambda t, x: moving(t).raycast(x, ONE),
-    'raycast_all pace': lambda t, x: moving(t).raycast_all(ONE, ONE, pace=x),
-    'raycast_many at': lambda t, x: moving(t).raycast_many(LO, HI, at=x),
-    'raycast_many directions, moving': lambda t, x: moving(t).raycast_many(LO, x),
-    'occluded_many pace': lambda t, x: t.occluded_many(LO, HI, pace=x),
-    'raycast_all_many mask, moving': lambda t, x: moving(t).raycast_all_many(LO, HI, mask=x),
-    'boxcast at': lambda t, x: moving(t).boxcast(LOW, HIGH, ONE, at=x),
-    'boxcast lo, moving': lambda t, x: moving(t).boxcast(x, HIGH, ONE),
-    'overlap at': lambda t, x: moving(t).overlap(LOW, HIGH, at=x),
-    'overlap hi, moving': lambda t, x: moving(t).overlap(LOW, x),
-    'overlap_many at': lambda t, x: moving(t).overlap_many(LO, HI, at=x),
-    'nearest at': lambda t, x: moving(t).nearest(ONE, at=x),
-    'nearest point, moving': lambda t, x: moving(t).nearest(x),
-    'nearest_many at': lambda t, x: moving(t).nearest_many(LO, at=x),
-    'levels first': lambda t, x: t.levels(x, 2, 9),
-    'levels last': lambda t, x: t.levels(0, x, 9),
-    'levels most': lambda t, x: t.levels(0, 2, x),
-    'new ndim': lambda t, x: DynamicBVH(x),
-    'new margin': lambda t, x: DynamicBVH(margin=x),
-    'new sibling_search': lambda t, x: DynamicBVH(sibling_search=x),
-    'new capacity': lambda t, x: DynamicBVH(capacity=x),
-    'from_boxes lo': lambda t, x: DynamicBVH.from_boxes(x, HI),
-    'from_boxes hi': lambda t, x: DynamicBVH.from_boxes(LO, x),
-    'from_boxes mask': lambda t, x: DynamicBVH.from_boxes(LO, HI, mask=x),
-    'from_boxes margin': lambda t, x: DynamicBVH.from_boxes(LO, HI, margin=x),
-    'save path': lambda t, x: t.save(x),
-    'load path': lambda t, x: DynamicBVH.load(x),
-    '__contains__ handle': lambda t, x: x in t,
-}
+
+def some_tree(count: int = 8, margin: float = 0.0) -> DynamicBVH:
+    """A tree whose first handles are always the same."""
+    lo = np.random.default_rng(1).uniform(0, 20, (count, 3))
+    return DynamicBVH.from_boxes(lo, lo + 1, margin=margin)
 
 
 def moving(tree: DynamicBVH) -> DynamicBVH:
     """The tree, of which some boxes have velocities from now on."""
     tree.set_velocities(tree.ids()[:3], LO[:3])
     return tree
+
+
+IDS = some_tree().ids()[:5]
+RAY: dict[str, Any] = {'origin': ONE, 'direction': ONE, 't_max': np.inf, 'mask': 1}
+RAY |= {'skip_inside': False, 'at': 0.0, 'pace': 0.0}
+RAYS: dict[str, Any] = {'origins': LO, 'directions': HI, 't_max': np.inf, 'mask': 1}
+RAYS |= {'skip_inside': False, 'threads': 1, 'at': 0.0, 'pace': 0.0}
+
+TREE: dict[str, dict[str, Any]] = {
+    '__init__': {'ndim': 3, 'margin': 0.0, 'sibling_search': 'greedy', 'capacity': 16},
+    '__contains__': {'handle': 1},
+    'boxcast': {'lo': LOW, 'hi': HIGH, 'translation': ONE, 'mask': 1, 'at': 0.0, 'pace': 0.0},
+    'boxes': {'handles': IDS},
+    'contains': {'lo': LOW, 'hi': HIGH, 'mask': 1},
+    'exits': {'origins': LO, 'directions': HI, 'ids': [-1] * 5},
+    'from_boxes': {'lo': LO, 'hi': HI, 'mask': 1, 'margin': 0.0},
+    'insert': {'lo': LOW, 'hi': HIGH, 'mask': 1},
+    'insert_many': {'lo': LO, 'hi': HI, 'mask': 1},
+    'levels': {'first': 0, 'last': 2, 'most': 9},
+    'load': {'path': 'saved', 'mmap': True, 'verify': True},
+    'masks': {'handles': IDS},
+    'move': {'handle': IDS[1], 'lo': LOW, 'hi': HIGH, 'displacement': ONE},
+    'move_many': {'handles': IDS, 'lo': LO, 'hi': HI, 'displacement': HI},
+    'nearest': {'point': ONE, 'k': 1, 'max_distance': np.inf, 'mask': 1, 'at': 0.0},
+    'nearest_many': {'points': LO, 'k': 1, 'max_distance': np.inf, 'mask': 1, 'at': 0.0},
+    'occluded': RAY,
+    'occluded_many': RAYS,
+    'overlap': {'lo': LOW, 'hi': HIGH, 'mask': 1, 'at': 0.0},
+    'overlap_many': {'lo': LO, 'hi': HI, 'mask': 1, 'threads': 1, 'at': 0.0},
+    'overlap_pairs': {'mask': 1},
+    'pairs_with': {'other': some_tree(), 'mask': 1},
+    'query_ball': {'points': LO, 'r': 1.0, 'mask': 1, 'threads': 1},
+    'raycast': RAY,
+    'raycast_all': RAY,
+    'raycast_all_many': {name: good for name, good in RAYS.items() if name != 'threads'},
+    'raycast_many': RAYS,
+    'remove': {'handle': IDS[0]},
+    'remove_many': {'handles': IDS},
+    'save': {'path': 'saved too', 'mapped': False},
+    'set_masks': {'handles': IDS, 'mask': 1},
+    'set_velocities': {'handles': IDS, 'velocities': LO, 'reference': 0.0},
+    'slot': {'handle': IDS[0]},
+    'slots': {'handles': IDS},
+    'velocities': {'handles': IDS},
+}
+ARGUMENTS = [f'{method} {name}' for method, good in TREE.items() for name in good]
+
+
+def ask(tree: DynamicBVH, what: str, value: Any) -> Any:
+    """Call the method with the argument that `what` names, and good other ones."""
+    method, name = what.split(' ')
+    given = {**TREE[method], name: value}
+    return DynamicBVH(**given) if method == '__init__' else getattr(tree, method)(**given)

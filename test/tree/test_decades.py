@@ -27,7 +27,7 @@ from bvh_ros import DynamicBVH
 Rng = np.random.Generator
 
 DECADES = range(-320, 309)
-STRIDE = effort(3, 1)  # by turns: as many kinds and dimensions see all decades
+STRIDE = effort(5, 1)  # by turns: as many kinds and dimensions see all decades
 BOXES = 18
 RAYS = 70  # enough for a snapshot
 EXACT = effort(2, RAYS)  # rays and points whose answers are computed exactly

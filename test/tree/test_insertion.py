@@ -13,8 +13,8 @@ import pytest
 from tree.reference import Floats
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.insertion import branch_and_bound_sibling, greedy_sibling
-from bvh_ros.tree.nodes import FREE_LEAF, NONE, ROOT, SLOT_MASK, is_leaf
+from bvh_ros.tree.insertion import MOST_TRIES, branch_and_bound_sibling, greedy_sibling
+from bvh_ros.tree.nodes import FREE_LEAF, ROOT, is_leaf
 
 SEARCHES = ['greedy', 'branch_and_bound']
 
@@ -94,7 +94,7 @@ def search_costs(
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
-@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('seed', range(3))
 def test_branch_and_bound_finds_the_best_sibling(ndim: int, seed: int) -> None:
     for found, _, least in search_costs(branch_and_bound_sibling, ndim, seed):
         assert found == least
@@ -111,55 +111,6 @@ def test_greedy_finds_the_best_of_one_descent(ndim: int) -> None:
 
 
 # ---- handles
-
-
-def test_handles_ascend_in_order_of_insertion() -> None:
-    rng = np.random.default_rng(1)
-    tree = DynamicBVH(2, capacity=1)
-    given: list[int] = []
-    for step in range(60):
-        count = int(rng.integers(0, 5))
-        lo = rng.normal(size=(count, 2))
-        given += tree.insert_many(lo, lo).tolist()
-        given.append(tree.insert([0, 0], [1, 1]))
-        live = tree.ids()
-        tree.remove_many(rng.choice(live, len(live) // 2, replace=False))
-        if step == 40:
-            tree.clear()
-        tree.rebuild()
-    assert given == sorted(set(given))
-    assert min(given) >= 0
-    assert set(tree.ids().tolist()) <= set(given)
-    assert tree.ids().dtype == np.int64
-
-
-@pytest.mark.parametrize('reuse', ['insert', 'insert_many', 'clear', 'file'])
-def test_stale_handles_stay_stale(reuse: str) -> None:
-    """Also after their place in the storage is taken by another box."""
-    tree = DynamicBVH(2, capacity=2)
-    old = tree.insert_many([[0, 0], [5, 5]], [[1, 1], [6, 6]])
-    if reuse == 'clear':
-        tree.clear()
-    else:
-        tree.remove_many(old)
-    if reuse == 'file':
-        tree.__setstate__(tree.__getstate__())
-    if reuse == 'insert_many':
-        new = tree.insert_many([[0, 0], [5, 5]], [[1, 1], [6, 6]]).tolist()
-    else:
-        new = [tree.insert([0, 0], [1, 1]), tree.insert([5, 5], [6, 6])]
-    assert sorted(handle & SLOT_MASK for handle in new) == sorted((old & SLOT_MASK).tolist())
-    for handle in old.tolist():
-        assert handle not in tree
-        for act in (
-            tree.remove,
-            lambda h: tree.move(h, [0, 0], [1, 1]),
-            lambda h: tree.boxes([h]),
-        ):
-            with pytest.raises(KeyError, match=str(handle)):
-                act(handle)
-    assert tree.ids().tolist() == new
-    assert [new[0] in tree, list(tree)] == [True, new]
 
 
 # ---- height
@@ -230,9 +181,6 @@ def test_height(
     backwards: bool,
 ) -> None:
     """By one insertion after the other; then by removals; then by moves."""
-    if search == 'branch_and_bound' and boxes in (coincident_boxes, nested_boxes):
-        count = 1000  # no bound prunes there: the search visits every node
-        bound = 4 * math.log2(count) + 4
     lo, hi = boxes(count, ndim)
     if backwards:
         lo, hi = lo[::-1], hi[::-1]
@@ -255,45 +203,80 @@ def test_height(
     assert tree.height <= 4 * math.log2(len(tree)) + 4
 
 
-@pytest.mark.parametrize('boxes', [coincident_boxes, powers_of_two])
-@pytest.mark.parametrize('bulk', [False, True])
-def test_height_of_few(boxes: Callable[..., tuple[Floats, Floats]], bulk: bool) -> None:
-    for count in (*range(1, 40), 63, 64, 65, 127, 128, 129, 255, 256, 257):
-        check_height(count, boxes, bulk)
+def boxes_of_600_decades(count: int, ndim: int) -> tuple[Floats, Floats]:
+    lo, hi = boxes_of_all_scales(count, ndim)
+    scale = 10.0 ** np.random.default_rng(1).uniform(-300, 285, (count, 1))
+    return lo * scale, hi * scale
 
 
-def check_height(count: int, boxes: Callable[..., tuple[Floats, Floats]], bulk: bool) -> None:
-    lo, hi = boxes(count, 2)
-    tree = DynamicBVH.from_boxes(lo, hi) if bulk else DynamicBVH(2)
-    if not bulk:
-        for row in range(count):
-            tree.insert(lo[row], hi[row])
-    assert tree.height <= 4 * math.log2(count) + 4
-    for handle in tree.ids().tolist():
-        tree.remove(handle)
-        assert not len(tree) or tree.height <= 4 * math.log2(len(tree)) + 4
-    assert (tree.height, tree.cost(), tree.bounds, int(tree.state[ROOT])) == (0, 0.0, None, NONE)
+def some_endless_boxes(count: int, ndim: int) -> tuple[Floats, Floats]:
+    """Bars of 1e300 m among crates: on their scale the areas of all crates vanish."""
+    rng = np.random.default_rng(4)
+    center, size = rng.uniform(-500, 500, (count, ndim)), rng.uniform(0.01, 0.4, (count, ndim))
+    size[np.arange(count), rng.integers(0, ndim, count)] *= np.where(
+        rng.random(count) < 0.2, 1e300, 1.0
+    )
+    return center - size * 0.5, center + size * 0.5
+
+
+class CountsWork(DynamicBVH):
+    """Counts the nodes that are rewritten since the tree is too high."""
+
+    rewritten = 0
+
+    def _settle_soon(self) -> None:
+        before = self.view().tree.nodes.copy()
+        super()._settle_soon()
+        self.rewritten += int(np.count_nonzero(self.view().tree.nodes != before))
+
+
+STIFF_BOXES = boxes_of_600_decades, some_endless_boxes, nested_boxes, powers_of_two
+
+
+@pytest.mark.parametrize('boxes', STIFF_BOXES)
+@pytest.mark.parametrize('search', SEARCHES)
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_boxes_of_all_sizes_cost_no_rebuilding(
+    boxes: Callable[..., tuple[Floats, Floats]], search: str, ndim: int
+) -> None:
+    """SAH wants a list of such boxes, so the tree is at its height limit all the time."""
+    count = 3000
+    lo, hi = boxes(count, ndim)
+    tree = CountsWork(ndim, sibling_search=search, capacity=count)
+    order = np.random.default_rng(ndim).permutation(count)
+    handles = [tree.insert(lo[row], hi[row]) for row in order]
+    assert tree.rewritten <= 2 * count
+    for step in range(count):
+        tree.move(handles[step], lo[step], hi[step])
+    assert tree.rewritten <= 4 * count
+    for step in range(count // 2):  # the limit falls by 4 levels at 2,048
+        tree.remove(handles[step])
+        tree.insert(lo[step], hi[step])
+        tree.remove(handles[-1 - step])
+    assert tree.rewritten <= 8 * count
     tree.validate()
+
+
+@pytest.mark.parametrize(
+    ('count', 'exhaustive'), [(MOST_TRIES // 2, True), (20 * MOST_TRIES, False)]
+)
+def test_a_search_ends_early_where_no_bound_prunes(count: int, exhaustive: bool) -> None:
+    """A box within all others is best beside the smallest, which may be anywhere."""
+    hi, found = np.full((count, 3), 10.0), []
+    tree = DynamicBVH(capacity=count + 1)
+    slots = tree.slots(tree.insert_many(-hi, hi))
+    leaf = int(tree.state[FREE_LEAF])
+    nodes, heights = tree.view().tree[:2]
+    nodes[leaf]['lo'], nodes[leaf]['hi'] = -1.0, 1.0
+    for smallest in (2 * slots[:: count // 6]).tolist():
+        nodes[smallest]['lo'], nodes[smallest]['hi'] = -9.0, 9.0
+        sibling = branch_and_bound_sibling(nodes, heights, int(tree.state[ROOT]), leaf)
+        found.append(int(sibling) == smallest)
+        nodes[smallest]['lo'], nodes[smallest]['hi'] = -10.0, 10.0
+    assert all(found) == exhaustive
 
 
 # ---- many at once, and room for them
-
-
-@pytest.mark.parametrize('before', [0, 1, 10, 1000])
-@pytest.mark.parametrize('count', [0, 1, 2, 500])
-@pytest.mark.parametrize('margin', [0.0, 0.5])
-def test_insert_many_is_insert_of_each(before: int, count: int, margin: float) -> None:
-    rng = np.random.default_rng(before + count)
-    lo = rng.uniform(0, 100, (before + count, 3))
-    masks = rng.integers(0, 2**32, before + count, dtype=np.uint32)
-    tree = DynamicBVH(margin=margin, capacity=3)
-    first = tree.insert_many(lo[:before], lo[:before] + 1, masks[:before])
-    second = tree.insert_many(lo[before:], lo[before:] + 1, masks[before:])
-    tree.validate()
-    assert (first.shape, second.shape, second.dtype) == ((before,), (count,), np.int64)
-    assert tree.ids().tolist() == [*first.tolist(), *second.tolist()]
-    assert np.array_equal(tree.boxes(tree.ids())[0], lo)
-    assert np.array_equal(tree.masks(tree.ids()), masks)
 
 
 def test_storage_grows_and_places_are_used_again() -> None:
@@ -309,14 +292,3 @@ def test_storage_grows_and_places_are_used_again() -> None:
     assert tree.stats()['capacity'] == capacity
     assert len(tree) == 100
     tree.validate()
-
-
-def test_mask_of_one_for_all_and_by_default() -> None:
-    tree = DynamicBVH(2)
-    boxes = [[0, 0]] * 3, [[1, 1]] * 3
-    assert tree.masks(tree.insert_many(*boxes)).tolist() == [1, 1, 1]
-    assert tree.masks(tree.insert_many(*boxes, 6)).tolist() == [6, 6, 6]
-    assert tree.masks(tree.insert_many(*boxes, [0, 1, 2**32 - 1])).tolist() == [0, 1, 2**32 - 1]
-    assert tree.masks([tree.insert([0, 0], [1, 1])]).tolist() == [1]
-    assert tree.masks([tree.insert([0, 0], [1, 1], 0)]).tolist() == [0]
-    assert DynamicBVH.from_boxes(*boxes, mask=[4, 5, 6]).masks([]).tolist() == []

@@ -72,16 +72,6 @@ def test_the_free_space_of_the_building_is_free(building: Building, shared_data:
     assert ids.tolist() == tree.ids()[rows].tolist()
 
 
-def test_boxes_in_the_building(building: Building) -> None:
-    tree, lo, hi = building
-    handles = tree.ids()
-    for row in range(0, len(lo), 2500):
-        low, high = lo[row] - 0.4, hi[row] + 0.3
-        expected = handles[overlapping_rows(lo, hi, low, high)]
-        assert tree.overlap(low, high).tolist() == expected.tolist()
-        assert len(expected) > 1
-
-
 def test_real_beams_in_the_building(building: Building, shared_data: Path) -> None:
     """The directions of a real scan, from a place that is free, and along the grid, through faces
     and edges of cubes.
@@ -96,17 +86,6 @@ def test_real_beams_in_the_building(building: Building, shared_data: Path) -> No
     assert check_rays(tree, tree.ids(), lo, hi, free[: len(beams)], beams) > 100
     axes = np.tile(np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 0], [0, -1, 1]]]), (4, 1))
     assert check_rays(tree, tree.ids(), lo, hi, lo[:: len(lo) // 32][:32], axes) > 100
-
-
-def test_the_building_cube_by_cube(building: Building) -> None:
-    """Inserted one after the other in the order of the file, which is sorted in space."""
-    _, lo, hi = building
-    tree = DynamicBVH()
-    for row in range(5000):
-        tree.insert(lo[row], hi[row])
-    tree.validate()
-    assert tree.height <= 4 * np.log2(5000) + 4
-    assert tree.cost() <= 1.6 * DynamicBVH.from_boxes(lo[:5000], hi[:5000]).cost()
 
 
 def test_a_floor_plan_and_a_laser(shared_data: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.nodes import (
+    HIGHEST,
     NONE,
     ROOT,
     SERIAL,
@@ -86,7 +87,9 @@ def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, le
     tree.state[ROOT] = root = hang(tree, before, at)
     tree.validate()
     assert tree.cost() == pytest.approx(cost)
-    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root) == (before != after)
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST) == (
+        before != after
+    )
     tree.validate()
     assert tree.cost() == pytest.approx(less)
     assert unordered(shape_of(tree, root, at)) == unordered(after)
@@ -102,10 +105,10 @@ def test_at_equal_cost_the_lower_tree() -> None:
     tree = DynamicBVH(2, capacity=4)
     tree.state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
     assert tree.height == 3
-    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root)
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
     assert tree.height == 2
     tree.validate()
-    assert not rotate(tree.view().tree.nodes, tree.view().tree.heights, root)
+    assert not rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -118,7 +121,7 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
         shuffle_leaves(tree, rng)
         for node in np.repeat(inner_nodes(tree), 2).tolist():
             cost, height = tree.cost(), tree.height
-            rotated = rotate(tree.view().tree.nodes, tree.view().tree.heights, node)
+            rotated = rotate(tree.view().tree.nodes, tree.view().tree.heights, node, HIGHEST)
             repair_heights(tree)
             tree.validate()
             assert tree.cost() <= cost * (1 + 1e-12)

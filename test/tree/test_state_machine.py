@@ -1,20 +1,21 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Any sequence of changes leaves a sound tree that answers as brute force over a plain dictionary
-of boxes does.
+"""Any sequence of changes leaves a sound tree that answers at any time as exact arithmetic over a
+plain dictionary of boxes does.
 """
 
 import math
 import pickle
 import tempfile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from tree.motion.exact import Course, World, meetings, squared_distances
 from tree.reference import (
     LONG,
     Floats,
@@ -22,6 +23,7 @@ from tree.reference import (
     effort,
     exact_hits,
     exact_sweeps,
+    is_within_2_ulp,
     overlapping_pairs,
     overlapping_rows,
     seen,
@@ -36,9 +38,29 @@ SIDES = st.sampled_from(
 )
 MASKS = st.sampled_from([0, 1, 2, 3, 0x80000000, ALL])
 SEEDS = st.integers(0, 2**32 - 1)
+# Among these boxes that move can be swept.
+CALM_SIDES = st.sampled_from([0.0, 0.1, 1 / 3, 1.0, 2.0, -0.3, -1.0, -2.5])
+SOME_SIDES = st.sampled_from([0.0, 0.1, 1 / 3, 1.0, 2.0, -0.3, -1.0, -2.5, 1e6, 1e-9])
+CALM_SPEEDS = st.sampled_from([0.0, 1.0, -1.0, 1 / 3, 0.1, 2.0])
+SPEEDS = st.sampled_from([0.0, 0.0, 1.0, -1.0, 1 / 3, 0.1, -2.0, 1e-9, 1e4])
+TIMES = st.sampled_from([0.0, 0.0, 1.0, -1.0, 0.1, 1 / 3, 2.5])
+FAN = 5
+
+
+class Box(NamedTuple):
+    lo: list[float]
+    hi: list[float]
+    mask: int
+    velocity: list[float]
+    reference: float = 0.0
 
 
 class TreeMachine(RuleBasedStateMachine):
+    """A tree, and beside it the boxes that it was given."""
+
+    moving = False
+    sides = SIDES
+
     @initialize(
         ndim=st.sampled_from([2, 3]),
         margin=st.sampled_from([0.0, 0.0, 0.2, 1e9]),
@@ -46,14 +68,16 @@ class TreeMachine(RuleBasedStateMachine):
     )
     def start(self, ndim: int, margin: float, search: str) -> None:
         self.tree = DynamicBVH(ndim, margin=margin, sibling_search=search, capacity=1)
-        self.model: dict[int, tuple[list[float], list[float], int]] = {}
+        self.model: dict[int, Box] = {}
         self.stale: list[int] = []
         self.newest = -1
 
     # ---- drawing
 
     def draw_box(self, data: st.DataObject) -> tuple[list[float], list[float]]:
-        corners = [sorted(data.draw(st.tuples(SIDES, SIDES))) for _ in range(self.tree.ndim)]
+        corners = [
+            sorted(data.draw(st.tuples(self.sides, self.sides))) for _ in range(self.tree.ndim)
+        ]
         return [low for low, _ in corners], [high for _, high in corners]
 
     def random_boxes(self, seed: int, count: int) -> tuple[Floats, Floats]:
@@ -76,7 +100,7 @@ class TreeMachine(RuleBasedStateMachine):
         assert handles == sorted(set(handles))
         assert not handles or handles[0] > self.newest
         for handle, low, high, mask in zip(handles, lo, hi, masks, strict=True):
-            self.model[handle] = list(low), list(high), int(mask)
+            self.model[handle] = Box(list(low), list(high), int(mask), [0.0] * self.tree.ndim)
             self.newest = handle
 
     def forget(self, handles: list[int]) -> None:
@@ -111,7 +135,7 @@ class TreeMachine(RuleBasedStateMachine):
         assert isinstance(changed, bool)
         if self.tree.margin == 0.0 and not self.tree.stats()['exact_boxes_beside_nodes']:
             assert changed != same
-        self.model[handle] = lo, hi, self.model[handle][2]
+        self.model[handle] = self.model[handle]._replace(lo=lo, hi=hi)
 
     @precondition(lambda self: self.model)
     @rule(data=st.data(), seed=SEEDS, ahead=st.booleans(), small=st.booleans())
@@ -124,7 +148,7 @@ class TreeMachine(RuleBasedStateMachine):
         count = self.tree.move_many(handles, lo, hi, displacement)
         assert 0 <= count <= len(handles)
         for handle, low, high in zip(handles, lo.tolist(), hi.tolist(), strict=True):
-            self.model[handle] = low, high, self.model[handle][2]
+            self.model[handle] = self.model[handle]._replace(lo=low, hi=high)
 
     @precondition(lambda self: self.model)
     @rule(data=st.data())
@@ -146,7 +170,18 @@ class TreeMachine(RuleBasedStateMachine):
         handles = self.some_handles(data)
         self.tree.set_masks(handles, mask)
         for handle in handles:
-            self.model[handle] = *self.model[handle][:2], mask
+            self.model[handle] = self.model[handle]._replace(mask=mask)
+
+    @precondition(lambda self: self.moving and self.model)
+    @rule(data=st.data())
+    def set_velocities(self, data: st.DataObject) -> None:
+        handles, ndim = self.some_handles(data)[:4], self.tree.ndim
+        speeds = CALM_SPEEDS if self.sides is CALM_SIDES else SPEEDS
+        rows = [list(data.draw(st.tuples(*[speeds] * ndim))) for _ in handles]
+        times = [data.draw(TIMES) for _ in handles]
+        self.tree.set_velocities(handles, np.array(rows).reshape(-1, ndim), np.array(times))
+        for handle, velocity, time in zip(handles, rows, times, strict=True):
+            self.model[handle] = self.model[handle]._replace(velocity=velocity, reference=time)
 
     @rule(how=st.sampled_from(['rebuild', 'optimize']))
     def improve(self, how: str) -> None:
@@ -252,6 +287,51 @@ class TreeMachine(RuleBasedStateMachine):
         own = {int(handles[row]): float(d) for row, d in zip(kept, distances, strict=True)}
         assert got.tolist() == pytest.approx([own[h] for h in ids.tolist()], rel=1e-15, abs=1e-322)
 
+    # ---- questions about boxes that move
+
+    def world(self) -> tuple[Ids, World]:
+        """The boxes that any mask sees."""
+        handles, lo, hi, masks = self.arrays()
+        boxes = [self.model[handle] for handle in sorted(self.model)]
+        velocities = np.array([box.velocity for box in boxes], float).reshape(lo.shape)
+        world = World(lo, hi, velocities, np.array([box.reference for box in boxes], float))
+        return handles[masks != 0], World(*(column[masks != 0] for column in world))
+
+    def exact_hits_at(self, course: Course, limit: float) -> tuple[Ids, list[Any]]:
+        handles, world = self.world()
+        return handles, seen(meetings(world, course), handles, limit) if len(handles) else []
+
+    @precondition(lambda self: self.moving)
+    @rule(data=st.data(), pace=TIMES, at=TIMES, limit=st.sampled_from([1.0, 0.5, 3.0]))
+    def cast_a_ray_at(self, data: st.DataObject, pace: float, at: float, limit: float) -> None:
+        rows = (
+            data.draw(st.tuples(*[values] * self.tree.ndim)) for values in (self.sides, SPEEDS)
+        )
+        origin, way = map(np.array, rows)
+        handles, right = self.exact_hits_at(Course(origin, origin, way, at, pace), limit)
+        ids, times = [int(handles[hit.row]) for hit in right], {'at': at, 'pace': pace}
+        every = self.tree.raycast_all(origin, way, limit, **times)
+        assert [hit.id for hit in every] == ids
+        assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
+        hit = self.tree.raycast(origin, way, limit, **times)
+        assert (hit.id if hit else None) == (ids[0] if ids else None)
+        many = self.tree.raycast_many([origin] * 64, [way] * 64, limit, **times)
+        assert (many.ids == (ids[0] if ids else -1)).all()
+
+    @precondition(lambda self: self.moving and self.model)
+    @rule(data=st.data(), at=TIMES)
+    def ask_for_boxes_at(self, data: st.DataObject, at: float) -> None:
+        lo, hi = map(np.array, self.draw_box(data))
+        handles, world = self.world()
+        met = meetings(world, Course(lo, hi, 0 * lo, at, 0.0)) if len(handles) else []
+        assert self.tree.overlap(lo, hi, at=at).tolist() == sorted(handles[[h.row for h in met]])
+        near, gaps = self.tree.nearest(np.array((lo, hi)), k=999, at=at)
+        assert sorted(near.tolist()) == handles.tolist()
+        squares = squared_distances(world, lo, hi, at)
+        for handle, gap in zip(near.tolist(), gaps.tolist(), strict=True):
+            exact = math.sqrt(squares[handles.tolist().index(handle)])
+            assert gap == pytest.approx(exact, rel=1e-15, abs=1e-160)
+
     # ---- what holds always
 
     @invariant()
@@ -276,6 +356,45 @@ class TreeMachine(RuleBasedStateMachine):
             assert self.tree.bounds is None
 
 
+class MovingTreeMachine(TreeMachine):
+    """With velocities."""
+
+    moving = True
+
+    @initialize(calm=st.booleans())
+    def choose(self, calm: bool) -> None:
+        self.sides = CALM_SIDES if calm else SOME_SIDES
+
+    @invariant()
+    def the_same_rays_meet_what_is_there_now(self) -> None:
+        """Again and again at the same times: what was swept for them before the last change says
+        nothing any more.
+        """
+        if self.sides is not CALM_SIDES or not self.model:
+            return
+        ndim = self.tree.ndim
+        origins = np.full((FAN, ndim), -3.0)
+        ways = np.linspace([0.25] * ndim, [1.75, *[1.0] * (ndim - 1)], FAN)
+        many = self.tree.raycast_many(
+            np.tile(origins, (16, 1)), np.tile(ways, (16, 1)), 4.0, at=0.5, pace=0.25
+        )
+        for row, (origin, way) in enumerate(zip(origins, ways, strict=True)):
+            handles, exact = self.exact_hits_at(Course(origin, origin, way, 0.5, 0.25), 4.0)
+            first = [int(handles[hit.row]) for hit in exact][:1]
+            assert set(many.ids[row::FAN].tolist()) == set(first or [-1])
+
+    @invariant()
+    def velocities_are_kept(self) -> None:
+        handles, world = self.world()
+        velocities, times = self.tree.velocities(handles)
+        assert velocities.tolist() == world.velocities.tolist()
+        assert times.tolist() == world.references.tolist()
+
+
+TestMovingTree = pytest.mark.slow(MovingTreeMachine.TestCase)
+TestMovingTree.settings = settings(
+    max_examples=effort(40, 2000), stateful_step_count=25, suppress_health_check=list(HealthCheck)
+)
 TestTree = TreeMachine.TestCase
 TestTree.settings = settings(
     max_examples=effort(40, 2000),

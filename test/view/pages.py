@@ -131,11 +131,11 @@ def differences(browser: Any, page: Page, every: int = 5) -> tuple[int, int, int
         axis=2,
     )
     ends = camera.position + 20.0 * page.stage.size * (ahead @ turn.T)
-    scene, start = page.world.scene, page.placing.meant(np.array(camera.position))
+    scene, start = page.world.scene, page.placing.in_world(np.array(camera.position))
     sources = scene.sources()
     wanted = np.full(right.shape, -1)
     for at in np.ndindex(*right.shape):
-        hit = scene.raycast(start, page.placing.meant(ends[at]))
+        hit = scene.raycast(start, page.placing.in_world(ends[at]))
         if hit is not None:
             wanted[at] = sources.index(scene.get(hit.name).source)
     inner = wanted[1:-1, 1:-1]

@@ -115,7 +115,7 @@ def test_what_moves_is_heard_at_once_and_the_node_answers(live):
         moved_to(world, others, x)
     until(world, lambda: world.raycast(np.array((3.2, 0, 0.5)), np.array((4.0, 0, 0.5))).hits)
     answer = world.pick(np.array((0.0, 0.0, 0.5)), np.array((1.0, 0.0, 0.0)), 50.0)
-    assert [(hit.name, hit.point) for hit in answer.hits] == [('cart/7', (3.5, 0.0, 0.5))]
+    assert [(hit.name, tuple(hit.point)) for hit in answer.hits] == [('cart/7', (3.5, 0.0, 0.5))]
     assert answer.microseconds > 0.0
     assert world.pick(np.zeros(3), np.array((0.0, 0.0, 1.0)), 50.0).hits == []
     names = [hit.name for hit in world.overlap(np.array((-1, -6, 0)), np.array((9, 1, 1))).hits]

@@ -68,7 +68,7 @@ def test_a_page_tells_apart_what_a_thousandth_of_the_world_is_apart(unit, away):
     seen = placing.shown(points).astype(np.float32)
     assert (np.abs(seen) < 1e6).all()
     assert (np.diff(seen, axis=0) > 0.0).all()
-    np.testing.assert_allclose(placing.meant(placing.shown(points)), points, rtol=1e-15)
+    np.testing.assert_allclose(placing.in_world(placing.shown(points)), points, rtol=1e-15)
 
 
 def test_a_click_on_a_planar_world_asks_for_what_stands_there():

@@ -12,10 +12,11 @@ from ...scene import ShapeKind, Shapes
 from ...scene.distance.narrow_phase import gap as distance_of
 from ...scene.distance.narrow_phase import near_pairs
 from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quaternions
-from ..page import Cell, Page, Table
-from ..scenes import Floats
+from ..libraries import collision_objects
+from ..page import Cell, Page
+from ..scenes import Floats, units
 
-# ---- Pairs of shapes of which it is known how far they are apart.
+# ---- Pairs of shapes at a known distance
 
 
 FACING = 3  # one contact of so many is along an axis of the first shape
@@ -27,8 +28,8 @@ def random_pairs(count: int, rng: np.random.Generator) -> Shapes:
     kind = rng.integers(0, 4, rows).astype(np.uint8)
     size = rng.uniform(0.05, 2.0, (rows, 3))
     size[rng.random(rows) < 0.1, 2] = 0.01
-    round_one = kind != ShapeKind.BOX
-    size[round_one, 1] = size[round_one, 0]
+    is_round = kind != ShapeKind.BOX
+    size[is_round, 1] = size[is_round, 0]
     size[kind == ShapeKind.SPHERE, 2] = size[kind == ShapeKind.SPHERE, 0]
     size[kind == ShapeKind.CAPSULE, 2] += size[kind == ShapeKind.CAPSULE, 0]
     return Shapes(kind, rng.uniform(-1.0, 1.0, (rows, 3)), rng.normal(size=(rows, 4)), size)
@@ -37,34 +38,32 @@ def random_pairs(count: int, rng: np.random.Generator) -> Shapes:
 def contacts(count: int, gap: float, rng: np.random.Generator) -> Shapes:
     """2 * count rows; rows 2 i and 2 i + 1 are `gap` apart, m (negative: so deep)."""
     shapes = random_pairs(count, rng)
-    ways = rng.normal(size=(count, 3))
+    normals = rng.normal(size=(count, 3))
     facing = np.arange(0, count, FACING)
     axes = rotations(unit_quaternions(shapes.orientation[2 * facing]))
-    ways[facing] = axes[np.arange(len(facing)), :, rng.integers(0, 3, len(facing))]
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    normals[facing] = axes[np.arange(len(facing)), :, rng.integers(0, 3, len(facing))]
+    normals = units(normals)
     even, odd = shapes.take(slice(0, None, 2)), shapes.take(slice(1, None, 2))
-    shapes.position[1::2] += farthest(even, ways) - farthest(odd, -ways) + gap * ways
+    shapes.position[1::2] += farthest(even, normals) - farthest(odd, -normals) + gap * normals
     return shapes
 
 
-def farthest(shapes: Shapes, ways: Floats) -> Floats:
+def farthest(shapes: Shapes, directions: Floats) -> Floats:
     """The point (n, 3) of each shape that is farthest along its unit vector."""
     matrices = rotations(unit_quaternions(shapes.orientation))
-    local, half = np.einsum('nij,ni->nj', matrices, ways), shapes.size / 2
+    local, half = np.einsum('nij,ni->nj', matrices, directions), shapes.size / 2
     place = np.copysign(half, local)
     rows = shapes.kind == ShapeKind.CYLINDER
     across = np.linalg.norm(local[rows, :2], axis=1)
     place[rows, :2] = local[rows, :2] * (half[rows, 0] / np.maximum(across, 1e-300))[:, None]
     rows = (shapes.kind == ShapeKind.SPHERE) | (shapes.kind == ShapeKind.CAPSULE)
-    straight = half[rows, 2] - half[rows, 0]
-    ends = np.copysign(straight, local[rows, 2])
     place[rows] = local[rows] * half[rows, :1]
-    place[rows, 2] += ends
+    place[rows, 2] += np.copysign(half[rows, 2] - half[rows, 0], local[rows, 2])
     points: Floats = shapes.position + np.einsum('nij,nj->ni', matrices, place)
     return points
 
 
-# ---- Contacts of all kinds of shapes against python-fcl's `collide` and `distance`.
+# ---- The same pairs by this package and by python-fcl
 
 
 GAPS = (-1e-2, -1e-4, -1e-6, -1e-8, -1e-10, -1e-13, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
@@ -79,31 +78,26 @@ class Answers(NamedTuple):
     """Of n pairs."""
 
     touching: NDArray[np.bool_]
-    distances: Floats
-    """m; 0 where they touch."""
+    distances: Floats  # m; 0 where they touch
 
 
 def against_fcl(page: Page, brief: bool) -> None:
-    """Contacts, made so that the gap is known."""
-    page.add('### Pairs of shapes against python-fcl')
+    """Turned boxes, spheres, cylinders and capsules of 0.05 to 2 m, also 1 cm thin ones, put so
+    that the gap is known; a negative gap is a depth. Touching is what `collide` of python-fcl
+    says. It iterates for all but a few kinds of pairs and ends at about 1e-6 m.
+    """
     if find_spec('fcl') is None:
         page.add('Left out: python-fcl is not installed.')
         return
-    page.add(
-        'Turned boxes, spheres, cylinders and capsules of 0.05 to 2 m, also 1 cm thin ones, put '
-        'so that the gap is known; a negative gap is a depth. Touching is asked of both by their '
-        '`collide`. python-fcl iterates for all but a few kinds of pairs and ends at about 1e-6 m.'
-    )
     rng = np.random.default_rng(31)
     rows: list[list[Cell]] = []
     for gap in GAPS:
         shapes = contacts((PAIRS_QUICK if brief else PAIRS) // len(GAPS), gap, rng)
         both = our_answers(shapes), fcl_answers(shapes)
-        wrong = [answers.touching != (gap < 0) for answers in both]
-        errors = [np.abs(answers.distances - max(gap, 0.0)).max() for answers in both]
-        counts = [int(np.count_nonzero(one)) for one in wrong]
-        rows.append([f'{gap:g}', len(wrong[0]), *counts, *map(float, errors)])
-    page.table(Table('error_pairs', HEADER, rows))
+        wrong = [int(np.count_nonzero(one.touching != (gap < 0))) for one in both]
+        errors = [float(np.abs(one.distances - max(gap, 0.0)).max()) for one in both]
+        rows.append([f'{gap:g}', len(both[0].touching), *wrong, *errors])
+    page.table('error_pairs', HEADER, rows)
 
 
 def our_answers(shapes: Shapes) -> Answers:
@@ -132,17 +126,15 @@ def fcl_objects(shapes: Shapes) -> list[Any]:
     """The shapes as python-fcl has them."""
     import fcl
 
+    forms = {
+        ShapeKind.BOX: lambda x, y, z: fcl.Box(x, y, z),
+        ShapeKind.SPHERE: lambda x, y, z: fcl.Sphere(x / 2),
+        ShapeKind.CYLINDER: lambda x, y, z: fcl.Cylinder(x / 2, z),
+        ShapeKind.CAPSULE: lambda x, y, z: fcl.Capsule(x / 2, z - x),
+    }
     matrices = rotations(unit_quaternions(shapes.orientation))
-    objects = []
-    for row, (kind, size) in enumerate(zip(shapes.kind, shapes.size.tolist(), strict=True)):
-        if kind == ShapeKind.BOX:
-            geometry = fcl.Box(*size)
-        elif kind == ShapeKind.SPHERE:
-            geometry = fcl.Sphere(size[0] / 2)
-        elif kind == ShapeKind.CYLINDER:
-            geometry = fcl.Cylinder(size[0] / 2, size[2])
-        else:
-            geometry = fcl.Capsule(size[0] / 2, size[2] - size[0])
-        place = fcl.Transform(matrices[row], shapes.position[row])
-        objects.append(fcl.CollisionObject(geometry, place))
-    return objects
+    made = [
+        forms[ShapeKind(kind)](*size)
+        for kind, size in zip(shapes.kind, shapes.size.tolist(), strict=True)
+    ]
+    return collision_objects('fcl', made, matrices, shapes.position)

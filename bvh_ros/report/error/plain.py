@@ -6,48 +6,38 @@ They are compiled again from the same source, with another function in the place
 decides. What is left is the slab test as it is usually written.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ...tree.batch import streams as best_hit
-from ...tree.batch import streams as wide_raycasting
+from ...tree.batch import streams
 from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
-from ...tree.query import ray as ray_hits
-from ...tree.query import ray as raycasting
-from ...tree.query import ray_queries as ray_batches
-from ...tree.query import slab as slab
+from ...tree.query import ray, ray_queries, slab
 from ..scenes import Boxes, Rays
 
 
 @inlined
-def _plain_slabs(lo, hi, ray, leave):
-    """(met, t, axis) by rounded arithmetic."""
-    entry, leave, entered = slab.rounded_slabs(lo, hi, ray, leave)
+def _plain_slabs(lo, hi, ray, t_max):
+    """(hit, t, axis) by rounded arithmetic."""
+    entry, leave, entered = slab.rounded_slabs(lo, hi, ray, t_max)
     return entry <= leave, entry, entered
 
 
 @inlined
-def _plain_meets(lo, hi, ray, t_max):
-    return _plain_slabs(lo, hi, ray, t_max)
-
-
-@inlined
-def _plain_is_before(tree, ray, hit, other):
-    return hit[1] < other[1] or (
-        hit[1] == other[1] and tree.handles[hit[0]] < tree.handles[other[0]]
-    )
+def _plain_precedes(path, hit, other):
+    handles = path.tree.handles
+    return hit.t < other.t or (hit.t == other.t and handles[hit.slot] < handles[other.slot])
 
 
 @inlined
 def _plain_verdict(lo, hi, ray, best_t):
-    met, t, axis = _plain_slabs(lo, hi, ray, best_t)
-    return best_hit.MEETS if met else best_hit.MISSES, t, axis
+    hit, t, axis = _plain_slabs(lo, hi, ray, best_t)
+    return streams.MEETS if hit else streams.MISSES, t, axis
 
 
 @inlined
@@ -57,36 +47,30 @@ def _plain_axis(lo, hi, ray, t_max, t, entered):
 
 @cache
 def binary_kernel() -> Any:
-    """`ray_hits.raycast_rows` without the exact decision."""
-    one = rewired(raycasting.raycast, intersect_exact=_plain_meets, is_before=_plain_is_before)
-    return rewired(ray_hits.raycast_rows, raycast_row=rewired(ray_hits.raycast_row, raycast=one))
+    """`ray.raycast_rows` without the exact decision."""
+    decide = rewired(ray.decide_box, intersect_exact=_plain_slabs)
+    one = rewired(ray.raycast, decide_box=decide, precedes=_plain_precedes)
+    return rewired(ray.raycast_rows, raycast_row=rewired(ray.raycast_row, raycast=one))
 
 
 @cache
 def wide_kernel() -> Any:
-    """`wide.raycasting.cast_rows` without the exact decision."""
-    better = rewired(best_hit.is_better, quick_decision=_plain_verdict)
+    """`streams.cast_rows` without the exact decision."""
+    better = rewired(streams.is_better, quick_decision=_plain_verdict)
     pile = rewired(
-        wide_raycasting.cast_pile,
-        is_first=rewired(wide_raycasting.is_first, is_better=better),
-        write_hit=rewired(wide_raycasting.write_hit, exact_entry_axis=_plain_axis),
+        streams.cast_pile,
+        is_first=rewired(streams.is_first, is_better=better),
+        write_hit=rewired(streams.write_hit, exact_entry_axis=_plain_axis),
     )
-    return rewired(wide_raycasting.cast_rows, cast_pile=pile)
+    return rewired(streams.cast_rows, cast_pile=pile)
 
 
-@contextmanager
-def replaced(**kernels: Any) -> Iterator[None]:
-    """Batches of rays go through other kernels, all of them large ones."""
-    kept = {name: getattr(ray_batches, name) for name in ('rows_entry', 'cast_entry')}
-    kept['FEW_RAYS'] = ray_batches.FEW_RAYS
-    try:
-        ray_batches.FEW_RAYS = 0
-        for name, kernel in kernels.items():
-            setattr(ray_batches, name, lambda ndim, kernel=kernel: kernel)
-        yield
-    finally:
-        for name, value in kept.items():
-            setattr(ray_batches, name, value)
+def replaced(**kernels: Any) -> Any:
+    """A context in which batches of rays go through other kernels, all of them large ones."""
+    values: dict[str, Any] = {'FEW_RAYS': 0}
+    for name, kernel in kernels.items():
+        values[name] = lambda ndim, kernel=kernel: kernel
+    return patch.multiple(ray_queries, **values)
 
 
 def rounded_decisions() -> Any:
@@ -108,10 +92,10 @@ def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
     rounded = arrays._replace(nodes=_rounded(arrays.nodes), tight=_rounded(arrays.tight))
     kernel = binary_kernel()
 
-    def rows(_: Any, version: int, asked: Any, hits: RayHits) -> Any:
-        origins, directions, t_max = (part.astype(np.float32) for part in asked[:3])
-        asked = asked._replace(origins=origins, directions=directions, t_max=t_max)
-        return kernel(rounded, version, asked, hits)
+    def rows(_: Any, version: int, batch: Any, hits: RayHits) -> Any:
+        origins, directions, t_max = (part.astype(np.float32) for part in batch[:3])
+        batch = batch._replace(origins=origins, directions=directions, t_max=t_max)
+        return kernel(rounded, version, batch, hits)
 
     def run() -> RayHits:
         with replaced(rows_entry=rows):

@@ -1,28 +1,38 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stale world: recorded traffic that is known at a rate only, while rays are asked all the time.
+"""A stale world: recorded traffic that is known at a rate only, while rays are cast all the time.
 
 The true world at any time lies on straight lines between the recorded frames (10 Hz). The known
 world is the one of the last refresh, as it is or as the scene predicts it.
 """
 
-from fractions import Fraction
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...scene import NO_NODE, Numbered, Scene, Shapes
 from ...scene.tracking import Tracks
 from ..page import Page
-from ..scenes import Rays
+from ..scenes import Floats, Rays
+from .methods import MEAN, RATES, WRONG, Method, compare
 from .truth import NOTHING, Answer, Rows, Truth, shapes_truth
-from .ways import MEAN, WRONG, Way, compare, show
-from .worlds import Track, joined_truth, tracks
+from .worlds import columns, table
 
-RATES = (1, 2, 5, 10, 20)  # Hz
 MOMENTS_PER_SECOND, RAYS_PER_MOMENT = 25, 40
 HEIGHT = 0.75  # m, of rays: half that of the vehicles
 PREFIX = 'vehicle'
+
+
+class Track(NamedTuple):
+    """One vehicle, k frames in order of time."""
+
+    times: Floats  # (k,) s
+    poses: Floats  # (k, 7): position, m, and quaternion, neighbours on one side of the sphere
+    size: Floats  # (3,) m
+
+
+Traffic = dict[int, Track]  # by the number of the vehicle
 
 
 class Vehicles(NamedTuple):
@@ -33,30 +43,53 @@ class Vehicles(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """When rays are asked, and which."""
+    """When rays are cast, and which."""
 
     time: float
     rays: Rays
 
 
-def world_at(traffic: dict[int, Track], time: float) -> Vehicles:
+def tracks(path: Path) -> Traffic:
+    """The vehicles of a recording."""
+    every, found = table(path), {}
+    for number in np.unique(every['id']).tolist():
+        rows = every[every['id'] == number]
+        poses = columns(rows, 'cx cy cz qx qy qz qw')
+        turns = poses[:, 3:]
+        for i in range(1, len(turns)):
+            turns[i] *= np.copysign(1.0, turns[i] @ turns[i - 1])
+        found[number] = Track(rows['t_s'], poses, columns(rows, 'sx sy sz')[0])
+    return found
+
+
+def world_at(traffic: Traffic, time: float) -> Vehicles:
     """Vehicles on straight lines between their frames."""
-    ids, sizes = [], []
-    places: list[list[float]] = []
-    turns: list[list[float]] = []
-    for number, track in traffic.items():
-        if not track.times[0] <= time <= track.times[-1]:
-            continue
-        ids.append(number)
-        sizes.append(track.size)
-        for values, into in ((track.positions, places), (track.turns, turns)):
-            into.append([np.interp(time, track.times, column) for column in values.T])
-    shapes = Shapes.boxes(np.array(places), np.array(sizes), np.array(turns))
-    return Vehicles(np.array(ids), shapes)
+    there = {n: t for n, t in traffic.items() if t.times[0] <= time <= t.times[-1]}
+    poses = np.array(
+        [[np.interp(time, t.times, column) for column in t.poses.T] for t in there.values()]
+    )
+    sizes = np.array([track.size for track in there.values()])
+    return Vehicles(np.array([*there]), Shapes.boxes(poses[:, :3], sizes, poses[:, 3:]))
 
 
-class Observer:
-    """Answers every moment's rays from the world as it was last known.
+def moments_of(traffic: Traffic, seconds: float, rng: np.random.Generator) -> list[Moment]:
+    """Moments at random from the second second on; rays from free places near the vehicles."""
+    places = np.concatenate([track.poses[:, :3] for track in traffic.values()])
+    found = []
+    for time in np.sort(rng.uniform(2.0, 2.0 + seconds, round(seconds * MOMENTS_PER_SECOND))):
+        origins = places[rng.integers(0, len(places), RAYS_PER_MOMENT)]
+        origins = origins + rng.normal(0.0, 2.0, origins.shape)
+        angles = rng.uniform(0, 2 * np.pi, len(origins))
+        origins[:, 2] = HEIGHT
+        directions = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
+        found.append(Moment(float(time), Rays(origins, directions)))
+    return found
+
+
+def observer(
+    traffic: Traffic, moments: list[Moment], rate: float | None, predicted: bool = False
+) -> Method:
+    """Cast every moment's rays in the world as it was last known.
 
     Parameters
     ----------
@@ -67,107 +100,71 @@ class Observer:
     rate : float or None
         Refreshes a second; None: at every moment.
     predicted : bool
-        Ask the scene where they are at the moment: it follows them from refresh to refresh.
+        Cast `at` the moment: the scene follows the vehicles from refresh to refresh.
     """
+    times = [moment.time for moment in moments]
+    if rate is not None:  # one more before the first moment, to see how fast they are
+        times = [k / rate for k in range(int(times[0] * rate) - 1, int(times[-1] * rate) + 1)]
+    refreshes = [(time, world_at(traffic, time)) for time in times]
+    numbers = dict[int, int]()  # of vehicles, by handle
 
-    def __init__(
-        self,
-        traffic: dict[int, Track],
-        moments: list[Moment],
-        rate: float | None,
-        predicted: bool = False,
-    ) -> None:
-        self._moments, self._predicted = moments, predicted
-        times = [moment.time for moment in moments]
-        if rate is not None:  # one more before the first moment, to see how fast they are
-            times = [k / rate for k in range(int(times[0] * rate) - 1, int(times[-1] * rate) + 1)]
-        self._known = [(time, world_at(traffic, time)) for time in times]
-
-    def __call__(self) -> list[Answer]:
-        """Go through all moments with a new scene: handles and distances."""
-        scene, answers, known = Scene(), [], self._known[::-1]
-        self.names: dict[int, int] = {}
-        present: set[int] = set()
-        tracks = Tracks(smoothing=0.0) if self._predicted else None
-        for moment in self._moments:
-            while known and known[-1][0] <= moment.time:
-                time, world = known.pop()
-                names, stamp = Numbered(PREFIX, world.ids), round(time * 1e9)
-                scene.replace('radar', '', names, world.shapes, stamp=stamp, velocities=tracks)
-                if not present.issuperset(ids := set(world.ids.tolist())):
-                    present |= ids
+    def run() -> list[Any]:
+        scene, found, waiting = Scene(), [], refreshes[::-1]
+        numbers.clear()
+        known: set[int] = set()
+        velocities = Tracks(smoothing=0.0) if predicted else None
+        for moment in moments:
+            while waiting and waiting[-1][0] <= moment.time:
+                time, world = waiting.pop()
+                names, stamp = Numbered(PREFIX, world.ids), _nanoseconds(time)
+                scene.replace('radar', '', names, world.shapes, stamp=stamp, velocities=velocities)
+                if not known.issuperset(ids := set(world.ids.tolist())):
+                    known |= ids
                     for handle, name in scene.names():
-                        self.names[handle] = int(name[len(PREFIX) :])
-            at = round(moment.time * 1e9) if self._predicted else None
-            handles, ts, _, _ = scene.raycast_many(*moment.rays, at=at)
-            answers.append(Answer(handles.astype(np.int64), ts))
-        return answers
+                        numbers[handle] = int(name[len(PREFIX) :])
+            at = _nanoseconds(moment.time) if predicted else None
+            found.append(scene.raycast_many(*moment.rays, at=at))
+        return found
 
-    def answer(self) -> Answer:
-        """The same as one answer whose rows are the vehicles' numbers."""
-        answers = self()
-        self.names[NO_NODE] = NOTHING
-        handles = np.concatenate([answer.rows for answer in answers]).tolist()
-        rows = np.array([self.names[handle] for handle in handles])
-        return Answer(rows, np.concatenate([answer.ts for answer in answers]))
+    def answers(found: list[Any]) -> list[Answer]:
+        """Rows in the true world of each moment; a vehicle that is not in it comes after all."""
+        several = []
+        for moment, hits in zip(moments, found, strict=True):
+            ids = world_at(traffic, moment.time).ids.tolist()
+            row_of = {number: row for row, number in enumerate(ids)}
+            row_of[NOTHING] = NOTHING
+            vehicles = [NOTHING if h == NO_NODE else numbers[h] for h in hits.handles.tolist()]
+            rows = np.array([row_of.get(number, len(ids)) for number in vehicles])
+            several.append(Answer(rows, hits.t))
+        return several
 
-
-def moments_of(
-    traffic: dict[int, Track], seconds: float, rng: np.random.Generator
-) -> list[Moment]:
-    """Moments at random from the second second on; rays from free places beside the vehicles."""
-    places = np.concatenate([track.positions for track in traffic.values()])
-    found = []
-    for time in np.sort(rng.uniform(2.0, 2.0 + seconds, round(seconds * MOMENTS_PER_SECOND))):
-        origins = places[rng.integers(0, len(places), RAYS_PER_MOMENT)]
-        origins = origins + rng.normal(0.0, 2.0, origins.shape)
-        angles = rng.uniform(0, 2 * np.pi, len(origins))
-        origins[:, 2] = HEIGHT
-        ways = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=1)
-        found.append(Moment(float(time), Rays(origins, ways)))
-    return found
+    return Method(run, answers)
 
 
-def traffic_truth(traffic: dict[int, Track], moments: list[Moment]) -> Truth:
-    """What the rays of all moments meet; rows are the vehicles' numbers."""
-    worlds = [world_at(traffic, moment.time) for moment in moments]
-    truths = [shapes_truth(w.shapes, m.rays) for w, m in zip(worlds, moments, strict=True)]
-    counts = [len(world.ids) for world in worlds]
-    joined = joined_truth(truths, counts)
-    numbers = np.concatenate([world.ids for world in worlds])
-    first = np.repeat(np.cumsum([0, *counts[:-1]]), RAYS_PER_MOMENT)
-    rows = np.where(joined.rows == NOTHING, NOTHING, numbers[joined.rows])
+def _nanoseconds(seconds: float) -> int:
+    return round(seconds * 1e9)
 
-    def entry(number: int, ray: int) -> Fraction | None:
-        here = worlds[ray // RAYS_PER_MOMENT].ids
-        place = np.flatnonzero(here == number)
-        return joined.entry(int(first[ray] + place[0]), ray) if len(place) else None
 
-    return joined._replace(rows=rows, entry=entry)
+def traffic_truths(traffic: Traffic, moments: list[Moment]) -> list[Truth]:
+    """What the rays of each moment hit."""
+    return [shapes_truth(world_at(traffic, time).shapes, rays) for time, rays in moments]
 
 
 def stale_traffic(page: Page, brief: bool) -> None:
-    """US-101 at several refresh rates."""
-    page.add('### Traffic on US-101: a stale world')
+    """22 recorded vehicles, 198 moments of 40 level rays from places on the road in all
+    directions. Time is that of the refreshes and of the rays, over the rays. *Predicted*: rays are
+    cast `at` the moment, and every vehicle goes on as between the last two refreshes. Between two
+    frames (10 Hz) the true vehicles go straight: above 10 Hz the recording flatters prediction.
+    """
     path = page.data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
     if page.misses([path]):
         return
     traffic = tracks(path)
-    seconds = 0.4 if brief else 7.9
-    moments = moments_of(traffic, seconds, np.random.default_rng(6))
-    page.add(
-        f'{len(traffic)} recorded vehicles, {len(moments)} moments of {RAYS_PER_MOMENT} level '
-        'rays from places on the road in all directions. Time is that of the refreshes and of '
-        'the rays, over the rays. *Predicted*: rays are asked `at` the moment, and every vehicle '
-        'goes on as between the last two refreshes. Between two frames (10 Hz) the true '
-        'vehicles go straight: above 10 Hz the recording flatters prediction.'
-    )
-    watchers = {'true world at every query': Observer(traffic, moments, None)}
-    for rate in RATES:
-        watchers[f'{rate} Hz'] = Observer(traffic, moments, rate)
-    for rate in RATES:
-        watchers[f'{rate} Hz, predicted'] = Observer(traffic, moments, rate, True)
-    ways: dict[str, Way] = {name: watcher.answer for name, watcher in watchers.items()}
-    found = compare(ways, traffic_truth(traffic, moments), brief, dict(watchers))
+    moments = moments_of(traffic, 0.4 if brief else 7.9, np.random.default_rng(6))
+    methods = {'true world at every query': observer(traffic, moments, None)}
+    for predicted, more in ((False, ''), (True, ', predicted')):
+        for rate in RATES:
+            methods[f'{rate} Hz{more}'] = observer(traffic, moments, rate, predicted)
     title = f'US-101, stale world: {len(moments) * RAYS_PER_MOMENT:,} rays'
-    show(page, 'traffic', title, ways, found, (WRONG, MEAN))
+    truths = traffic_truths(traffic, moments)
+    compare(page, 'traffic', title, methods, truths, brief, (WRONG, MEAN))

@@ -1,11 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each ray meets first, in exact arithmetic, and the errors of answers."""
+"""The first hit of each ray in exact arithmetic, and the errors of answers."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,134 +14,106 @@ from ...scene.shapes.shape import ShapeKind, Shapes
 from ..page import Cell
 from ..scenes import Boxes, Floats, Rays
 
-# ---- Where rays enter boxes, spheres and cylinders, in whole numbers: nothing of the tree is
-# used.
+# ---- Where rays enter boxes, spheres and cylinders, in rationals, without the tree
 
 
-Whole = list[int]
+Vector = Sequence[Fraction]
 ROOT_BITS = 256
 
 
-def bits_below_the_point(values: Iterable[float]) -> int:
-    """Least number of binary places that writes all the values exactly."""
-    return max((x.as_integer_ratio()[1].bit_length() - 1 for x in values), default=0)
+def exact(values: Iterable[float]) -> list[Fraction]:
+    """The values as rationals."""
+    return [Fraction(value) for value in values]
 
 
-def whole(values: Iterable[float], bits: int) -> Whole:
-    """The values in units of 2**-bits."""
-    ratios = (x.as_integer_ratio() for x in values)
-    return [n << (bits + 1 - d.bit_length()) for n, d in ratios]
+class Interval(NamedTuple):
+    """Where along a ray, in units of its direction."""
+
+    begin: Fraction | float
+    end: Fraction | float
 
 
-def enter_slabs(near: Sequence[int], far: Sequence[int], way: Sequence[int]) -> Fraction | None:
-    """Where a ray enters a closed box; near and far are its planes seen from the ray's origin."""
-    entry, entry_over = 0, 1
-    leave, leave_over = 1, 0  # infinity
-    for a, b, d in zip(near, far, way, strict=True):
-        if d == 0:
-            if a > 0 or b < 0:
-                return None
-            continue
-        if d < 0:
-            a, b, d = -b, -a, -d
-        if a * entry_over > entry * d:
-            entry, entry_over = a, d
-        if b * leave_over < leave * d:
-            leave, leave_over = b, d
-    if entry * leave_over > leave * entry_over:
-        return None
-    return Fraction(entry, entry_over)
+EVERYWHERE = Interval(-math.inf, math.inf)
 
 
-def _disc_interval(
-    start: Sequence[int], way: Sequence[int], radius: int
-) -> tuple[Fraction, Fraction] | None:
-    """Where a line along a way that is not zero is within a radius of the origin."""
-    a = sum(d * d for d in way)
-    b = sum(o * d for o, d in zip(start, way, strict=True))
+def slab(low: Fraction, high: Fraction, origin: Fraction, direction: Fraction) -> Interval | None:
+    """Where a coordinate is between two planes; None is nowhere."""
+    if not direction:
+        return EVERYWHERE if low <= origin <= high else None
+    ends = (low - origin) / direction, (high - origin) / direction
+    return Interval(*ends) if direction > 0 else Interval(*ends[::-1])
+
+
+def disc(start: Vector, direction: Vector, radius: Fraction) -> Interval | None:
+    """Where a point is within a radius of the origin."""
+    a = sum(d * d for d in direction)
+    b = sum(o * d for o, d in zip(start, direction, strict=True))
     c = sum(o * o for o in start) - radius * radius
-    under = b * b - a * c
+    if not a:
+        return EVERYWHERE if c <= 0 else None
+    under = Fraction(b * b - a * c)
     if under < 0:
         return None
-    root = Fraction(math.isqrt(under << (2 * ROOT_BITS)), 1 << ROOT_BITS)
-    return (-b - root) / a, (-b + root) / a
+    square = under.numerator * under.denominator << 2 * ROOT_BITS
+    root = Fraction(math.isqrt(square), under.denominator << ROOT_BITS)
+    return Interval((-b - root) / a, (-b + root) / a)
 
 
-def enter_sphere(start: Sequence[int], way: Sequence[int], radius: int) -> Fraction | None:
-    """Where a ray enters the ball around the origin."""
-    if sum(o * o for o in start) <= radius * radius:
-        return Fraction(0)
-    if not any(way):
-        return None
-    found = _disc_interval(start, way, radius)
-    return found[0] if found and found[0] >= 0 else None
-
-
-def enter_cylinder(
-    start: Sequence[int], way: Sequence[int], radius: int, half_height: int
-) -> Fraction | None:
-    """Where a ray enters the cylinder about the z axis: an endless one and a slab."""
-    x, y, z = start
-    if x * x + y * y <= radius * radius and abs(z) <= half_height:
-        return Fraction(0)
-    entry, leave = Fraction(0), None
-    if way[0] or way[1]:
-        found = _disc_interval(start[:2], way[:2], radius)
-        if found is None:
+def enter(intervals: Iterable[Interval | None]) -> Fraction | None:
+    """Where a ray enters what all intervals have in common."""
+    common = Interval(Fraction(0), math.inf)
+    for one in intervals:
+        if one is None:
             return None
-        entry, leave = max(entry, found[0]), found[1]
-    elif x * x + y * y > radius * radius:
+        common = Interval(max(common.begin, one.begin), min(common.end, one.end))
+    return Fraction(common.begin) if common.begin <= common.end else None
+
+
+def enter_box(lo: Vector, hi: Vector, origin: Vector, direction: Vector) -> Fraction | None:
+    """Where a ray enters a closed box."""
+    return enter(map(slab, lo, hi, origin, direction))
+
+
+class Solid(NamedTuple):
+    """A box, sphere or cylinder."""
+
+    kind: int
+    centre: Vector
+    half: Vector
+    axes: Sequence[Vector] | None  # its own, as rows; None if it is not turned
+
+    def entry(self, origin: Vector, direction: Vector) -> Fraction | None:
+        """Where a ray enters."""
+        start = [o - c for o, c in zip(origin, self.centre, strict=True)]
+        if self.axes is not None:
+            start, direction = _times(self.axes, start), _times(self.axes, direction)
+        if self.kind == ShapeKind.SPHERE:
+            return enter([disc(start, direction, self.half[0])])
+        slabs = [slab(-h, h, *ray) for h, *ray in zip(self.half, start, direction, strict=True)]
+        if self.kind == ShapeKind.CYLINDER:
+            return enter([disc(start[:2], direction[:2], self.half[0]), slabs[2]])
+        return enter(slabs)
+
+
+def _times(rows: Sequence[Vector], vector: Vector) -> list[Fraction]:
+    return [Fraction(sum(m * x for m, x in zip(row, vector, strict=True))) for row in rows]
+
+
+def _axes(quaternion: Sequence[float]) -> list[Vector] | None:
+    """Rows that turn the world into the frame of a shape; not of unit length is no matter."""
+    x, y, z, w = exact(quaternion)
+    length = x * x + y * y + z * z + w * w
+    if not length or not (x or y or z):
         return None
-    if way[2]:
-        low, high = sorted(Fraction(side * half_height - z, way[2]) for side in (-1, 1))
-        entry, leave = max(entry, low), high if leave is None else min(leave, high)
-    elif abs(z) > half_height:
-        return None
-    return entry if leave is not None and entry <= leave else None
-
-
-class WholeShapes:
-    """Shapes in whole numbers, for rays whose numbers need no more than `bits` binary places."""
-
-    def __init__(self, shapes: Shapes, bits: int) -> None:
-        half, turn = (shapes.size * 0.5).tolist(), shapes.orientation.tolist()
-        self.bits = max(bits, *map(bits_below_the_point, (shapes.position.ravel().tolist(),)))
-        self.bits = max(self.bits, bits_below_the_point(x for row in half for x in row))
-        self._kinds: list[int] = shapes.kind.tolist()
-        self._half = [whole(row, self.bits) for row in half]
-        self._centre = [whole(row, self.bits) for row in shapes.position.tolist()]
-        self._turn = [_stretched_rotation(row) for row in turn]
-
-    def entry(self, row: int, origin: Whole, way: Whole) -> Fraction | None:
-        """Where a ray, in units of 2**-bits, enters a shape."""
-        rows, stretch = self._turn[row]
-        offset = [o - c for o, c in zip(origin, self._centre[row], strict=True)]
-        start = [sum(m * x for m, x in zip(line, offset, strict=True)) for line in rows]
-        ahead = [sum(m * x for m, x in zip(line, way, strict=True)) for line in rows]
-        half = [stretch * h for h in self._half[row]]
-        if self._kinds[row] == ShapeKind.SPHERE:
-            return enter_sphere(start, ahead, half[0])
-        if self._kinds[row] == ShapeKind.CYLINDER:
-            return enter_cylinder(start, ahead, half[0], half[2])
-        near = [-h - s for h, s in zip(half, start, strict=True)]
-        far = [h - s for h, s in zip(half, start, strict=True)]
-        return enter_slabs(near, far, ahead)
-
-
-def _stretched_rotation(quaternion: list[float]) -> tuple[list[list[int]], int]:
-    """Rows that turn the world into the shape's frame, stretched by the second value: |q|^2."""
-    if not any(quaternion):
-        quaternion = [0.0, 0.0, 0.0, 1.0]
-    x, y, z, w = whole(quaternion, bits_below_the_point(quaternion))
-    columns: Any = (
+    rows = (
         (x * x - y * y - z * z + w * w, 2 * (x * y + z * w), 2 * (x * z - y * w)),
         (2 * (x * y - z * w), y * y - x * x - z * z + w * w, 2 * (y * z + x * w)),
         (2 * (x * z + y * w), 2 * (y * z - x * w), z * z - x * x - y * y + w * w),
     )
-    return [list(column) for column in columns], x * x + y * y + z * z + w * w
+    return [[x / length for x in row] for row in rows]
 
 
-# ---- The first thing that each ray meets, by brute force and without rounding.
+# ---- The first hit of each ray, by brute force and without rounding
 
 
 Rows = NDArray[np.int64]
@@ -149,95 +121,78 @@ NOTHING = -1
 
 
 class Truth(NamedTuple):
-    """What real arithmetic says of n rays."""
+    """What real arithmetic says of n rays.
+
+    `rows` (n,) are the first objects hit, the lowest among equals, NOTHING where none is; `ts` the
+    exact distances to them. `entry(row, ray)` is where a ray enters an object; None beyond the
+    rows. `lengths` (n,) are those of the directions, m: distances are in units of them.
+    """
 
     rows: Rows
-    """(n,) of the object met first, the lowest among equals; NOTHING where none is."""
     ts: list[Fraction | None]
-    """Exact distance to it."""
     entry: Callable[[int, int], Fraction | None]
-    """Exact distance at which a ray enters an object: entry(row, ray)."""
     lengths: Floats
-    """(n,) of the directions, m: distances are in units of them."""
-
-
-def _ray_bits(rays: Rays) -> int:
-    values = (*rays.origins.ravel().tolist(), *rays.directions.ravel().tolist())
-    return bits_below_the_point(values)
 
 
 def boxes_truth(boxes: Boxes, rays: Rays) -> Truth:
-    """Truth of axis-aligned boxes; coordinates between 1e-150 and 1e150, so that no bound of the
-    filter overflows.
-    """
-    values = (*boxes.lo.ravel().tolist(), *boxes.hi.ravel().tolist())
-    bits = max(_ray_bits(rays), bits_below_the_point(values))
-    starts = [whole(row, bits) for row in rays.origins.tolist()]
-    ways = [whole(row, bits) for row in rays.directions.tolist()]
+    """Truth of axis-aligned boxes, coordinates between 1e-150 and 1e150."""
+    corners = [(exact(lo), exact(hi)) for lo, hi in zip(*(x.tolist() for x in boxes), strict=True)]
 
-    def entry(row: int, ray: int) -> Fraction | None:
-        low, high = whole(boxes.lo[row].tolist(), bits), whole(boxes.hi[row].tolist(), bits)
-        near = [plane - o for plane, o in zip(low, starts[ray], strict=True)]
-        far = [plane - o for plane, o in zip(high, starts[ray], strict=True)]
-        return enter_slabs(near, far, ways[ray])
+    def entry(row: int, origin: Vector, direction: Vector) -> Fraction | None:
+        return enter_box(*corners[row], origin, direction)
 
-    def candidates(ray: int) -> Rows:
-        """Boxes that may be the first: difference and quotient round once each, so an entry or
-        exit is right within 2**-50 of its value, and 1e-300.
-        """
-        with np.errstate(all='ignore'):
-            planes = (np.stack(boxes) - rays.origins[ray]) / rays.directions[ray]
-            planes[:, np.isnan(planes).any(axis=0)] = [[-np.inf], [np.inf]]  # along a plane
-            more = np.copysign(2.0**-50, planes)
-            lower, upper = planes * (1.0 - more) - 1e-300, planes * (1.0 + more) + 1e-300
-        entry, surely_in = (
-            np.maximum(side.min(axis=0).max(axis=1), 0.0) for side in (lower, upper)
-        )
-        surely_out, leave = (side.max(axis=0).min(axis=1) for side in (lower, upper))
-        nearest = surely_in[surely_in <= surely_out].min(initial=np.inf)
-        return np.flatnonzero((entry <= leave) & (entry <= nearest) & (entry < np.inf))
-
-    return _settle(rays, candidates, entry)
+    return _truth(entry, boxes.centers, boxes.edges, rays)
 
 
 def shapes_truth(shapes: Shapes, rays: Rays) -> Truth:
-    """Truth of turned boxes, spheres and cylinders: the true shapes of the quaternions as given.
+    """Truth of turned boxes, spheres and cylinders: the shapes of the quaternions as given."""
+    columns = (shapes.kind, shapes.position, shapes.size, shapes.orientation)
+    solids = [
+        Solid(kind, exact(centre), [x / 2 for x in exact(size)], _axes(turn))
+        for kind, centre, size, turn in zip(*(column.tolist() for column in columns), strict=True)
+    ]
 
-    The filter is the ball around each shape.
-    """
-    solids = WholeShapes(shapes, _ray_bits(rays))
-    starts: list[Whole] = [whole(row, solids.bits) for row in rays.origins.tolist()]
-    ways: list[Whole] = [whole(row, solids.bits) for row in rays.directions.tolist()]
-    reach = np.linalg.norm(shapes.size, axis=1) * 0.5 * 1.001 + 1e-9
+    def entry(row: int, origin: Vector, direction: Vector) -> Fraction | None:
+        return solids[row].entry(origin, direction)
+
+    return _truth(entry, shapes.position, shapes.size, rays)
+
+
+def _truth(
+    enter: Callable[[int, Vector, Vector], Fraction | None],
+    centres: Floats,
+    sizes: Floats,
+    rays: Rays,
+) -> Truth:
+    """By brute force: the nearest first, by a ball around each, until none can be nearer."""
+    exact_rays = [tuple(map(exact, ray)) for ray in zip(*(x.tolist() for x in rays), strict=True)]
+    lengths = np.linalg.norm(rays.directions, axis=1)
+    reach = np.linalg.norm(sizes, axis=1) * 0.501 + 1e-9
+    rows, ts = np.full(len(lengths), NOTHING, np.int64), list[Fraction | None]()
 
     def entry(row: int, ray: int) -> Fraction | None:
-        return solids.entry(row, starts[ray], ways[ray])
+        return enter(row, *exact_rays[ray]) if row < len(sizes) else None
 
-    def candidates(ray: int) -> Rows:
-        offset = shapes.position - rays.origins[ray]
-        way = rays.directions[ray] / np.linalg.norm(rays.directions[ray])
-        along = np.maximum(offset @ way, 0.0)
-        apart = np.linalg.norm(offset - along[:, None] * way, axis=1)
-        return np.flatnonzero(apart <= reach)
-
-    return _settle(rays, candidates, entry)
-
-
-def _settle(
-    rays: Rays, candidates: Callable[[int], Rows], entry: Callable[[int, int], Fraction | None]
-) -> Truth:
-    count = len(rays.origins)
-    rows, ts = np.full(count, NOTHING, np.int64), []
-    for ray in range(count):
-        met = [(t, row) for row in candidates(ray).tolist() if (t := entry(row, ray)) is not None]
-        ts.append(min(met)[0] if met else None)
-        if met:
-            rows[ray] = min(met)[1]
-    return Truth(rows, ts, entry, np.linalg.norm(rays.directions, axis=1))
+    for ray, (origin, direction) in enumerate(zip(*rays, strict=True)):
+        offset, unit = centres - origin, direction / lengths[ray]
+        along, slack = offset @ unit, reach + 1e-12 * np.abs(offset).max()  # more than rounding
+        apart = np.linalg.norm(offset - np.maximum(along, 0.0)[:, None] * unit, axis=1)
+        nearest = (along - slack) / lengths[ray]  # no nearer than that
+        first, best = None, math.inf
+        for row in sorted(np.flatnonzero(apart <= slack).tolist(), key=nearest.__getitem__):
+            if nearest[row] > 1.000001 * best:
+                break
+            t = entry(row, ray)
+            if t is not None and (first is None or (t, row) < first):
+                first, best = (t, row), float(t)
+        ts.append(first[0] if first else None)
+        if first:
+            rows[ray] = first[1]
+    return Truth(rows, ts, entry, lengths)
 
 
-def brute_force(boxes: Boxes, rays: Rays) -> tuple[Rows, Floats]:
-    """The usual slab test in float64 and numpy, ray by ray: (rows, t)."""
+def brute_force(boxes: Boxes, rays: Rays) -> 'Answer':
+    """The usual slab test in float64 and numpy, ray by ray."""
     rows, ts = np.full(len(rays.origins), NOTHING, np.int64), np.full(len(rays.origins), np.inf)
     with np.errstate(all='ignore'):
         for ray, (origin, direction) in enumerate(zip(*rays, strict=True)):
@@ -246,43 +201,34 @@ def brute_force(boxes: Boxes, rays: Rays) -> tuple[Rows, Floats]:
             near, far = np.where(inverse > 0, first, last), np.where(inverse > 0, last, first)
             entry = np.fmax.reduce(near, axis=1, initial=0.0)  # 0 * inf is NaN: bounds nothing
             leave = np.fmin.reduce(far, axis=1, initial=np.inf)
-            met = np.flatnonzero(entry <= leave)
-            if len(met):
-                rows[ray] = met[entry[met].argmin()]
+            entered = np.flatnonzero(entry <= leave)
+            if len(entered):
+                rows[ray] = entered[entry[entered].argmin()]
                 ts[ray] = entry[rows[ray]]
-    return rows, ts
+    return Answer(rows, ts)
 
 
-# ---- What is wrong with answers: counted against the truth, and measured in metres and in ulp.
+# ---- Wrong answers, counted; errors of distances in metres and in ulp
 
 
 class Answer(NamedTuple):
-    """First objects on n rays."""
+    """First objects on n rays: rows (n,), NOTHING where nothing is hit, and the distances."""
 
     rows: Rows
-    """(n,) NOTHING where nothing is met."""
     ts: Floats
-    """(n,) computed distances."""
 
 
 class Score(NamedTuple):
     """What is wrong with an answer."""
 
     rays: int
-    wrong_hits: int
-    """Something is met where there is nothing."""
-    wrong_misses: int
-    """Nothing is met where there is something."""
-    wrong_first: int
-    """An object is met first that is not: farther, or not met at all."""
-    wrong_by: float
-    """How much farther at most, m; inf if it is not met at all."""
-    distances: Floats
-    """|t - exact t| in metres, of all rays that meet something and should."""
-    relative: float
-    """Largest relative error of t where the first object is right."""
-    ulps: float
-    """The same in units in the last place of the exact t."""
+    wrong_hits: int  # a hit where there is none
+    wrong_misses: int  # no hit where there is one
+    wrong_first: int  # the wrong object comes first: it is farther, or not hit at all
+    wrong_by: float  # how much farther at most, m; inf if it is not hit at all
+    distances: Floats  # |t - exact t|, m, of all rays that hit something and should
+    relative: float  # largest relative error of t where the first object is right
+    ulps: float  # the same in units in the last place of the exact t
 
     @property
     def wrong(self) -> float:
@@ -306,8 +252,8 @@ def cells(score: Score) -> list[Cell]:
     """The score as cells under `HEADER`."""
     far = float(np.percentile(score.distances, 95)) if len(score.distances) else 0.0
     largest = float(score.distances.max(initial=0.0))
-    counts: list[Cell] = [score.wrong_hits, score.wrong_misses, score.wrong_first]
-    counts.append(score.wrong_by if score.wrong_first else None)
+    by = score.wrong_by if score.wrong_first else None
+    counts: list[Cell] = [score.wrong_hits, score.wrong_misses, score.wrong_first, by]
     return [*counts, 100 * score.wrong, score.mean, far, largest, score.relative, score.ulps]
 
 
@@ -316,27 +262,37 @@ def score(answer: Answer, truth: Truth) -> Score:
     hits = misses = firsts = 0
     distances: list[float] = []
     relative = ulps = by = 0.0
-    pairs = zip(answer.rows.tolist(), answer.ts.tolist(), truth.rows.tolist(), strict=True)
-    for ray, (row, t, true_row) in enumerate(pairs):
-        exact = truth.ts[ray]
-        if exact is None or row == NOTHING:
-            hits += exact is None and row != NOTHING
-            misses += exact is not None and row == NOTHING
+    pairs = zip(answer.rows.tolist(), answer.ts.tolist(), strict=True)
+    for ray, (row, t) in enumerate(pairs):
+        exact_t = truth.ts[ray]
+        if exact_t is None or row == NOTHING:
+            hits += exact_t is None and row != NOTHING
+            misses += exact_t is not None and row == NOTHING
             continue
-        error = abs(Fraction(t) - exact)
-        distances.append(float(error) * float(truth.lengths[ray]))
-        entry = exact if row == true_row else truth.entry(row, ray)
-        if entry != exact:
+        error, length = abs(Fraction(t) - exact_t), float(truth.lengths[ray])
+        distances.append(float(error) * length)
+        entry = exact_t if row == truth.rows[ray] else truth.entry(row, ray)
+        if entry != exact_t:
             firsts += 1
-            by = max(by, _farther(entry, exact) * float(truth.lengths[ray]))
-        elif error and not exact:
+            by = max(by, math.inf if entry is None else float(entry - exact_t) * length)
+        elif error and not exact_t:
             relative = ulps = math.inf
         elif error:
-            relative = max(relative, float(error / exact))
-            ulps = max(ulps, float(error / Fraction(math.ulp(float(exact)))))
+            relative = max(relative, float(error / exact_t))
+            ulps = max(ulps, float(error / Fraction(math.ulp(float(exact_t)))))
     count = len(answer.rows)
     return Score(count, hits, misses, firsts, by, np.array(distances), relative, ulps)
 
 
-def _farther(entry: Fraction | None, first: Fraction) -> float:
-    return math.inf if entry is None else float(entry - first)
+def joined(scores: Sequence[Score]) -> Score:
+    """The score of several worlds together."""
+    return Score(
+        sum(one.rays for one in scores),
+        sum(one.wrong_hits for one in scores),
+        sum(one.wrong_misses for one in scores),
+        sum(one.wrong_first for one in scores),
+        max(one.wrong_by for one in scores),
+        np.concatenate([one.distances for one in scores]),
+        max(one.relative for one in scores),
+        max(one.ulps for one in scores),
+    )

@@ -2,137 +2,90 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random and recorded worlds of boxes and other shapes, and the rays through them."""
 
-import csv
-from collections import defaultdict
 from collections.abc import Sequence
-from fractions import Fraction
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ... import DynamicBVH
-from ...scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
+from ...scene import NO_NODE, CastHits, Numbered, Scene, ShapeKind, Shapes
 from ...scene.shapes.shape import as_shapes, canonicalise
 from ..page import Page
-from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform_boxes
-from .truth import NOTHING, Answer, Truth, boxes_truth, shapes_truth
-from .ways import MEAN, WRONG, Way, box_ways, compare, show, tree_answer
+from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform_boxes, units
+from .methods import MEAN, WRONG, Method, box_methods, compare, tree_rows
+from .truth import NOTHING, Answer, boxes_truth, shapes_truth
 
-# ---- Recorded input: a building, a laser scan, traffic and shelves, read from their CSV files.
+# ---- Recordings from CSV files: a building, a laser scan and shelves
 
 
-Line = dict[str, str]
+def table(path: Path) -> Any:
+    """The rows of a CSV file, by the names of its columns."""
+    return np.genfromtxt(path, delimiter=',', names=True, dtype=None, encoding='utf-8')
+
+
+def columns(rows: Any, names: str) -> Floats:
+    """Some columns of a table as numbers, shape (n, k)."""
+    return np.column_stack([rows[name] for name in names.split()]).astype(np.float64)
 
 
 def cubes(path: Path) -> Boxes:
     """Rows of x, y, z, size."""
-    rows = np.loadtxt(path, delimiter=',', skiprows=1)
-    half = rows[:, 3:] / 2
-    return Boxes(rows[:, :3] - half, rows[:, :3] + half)
-
-
-def scan_directions(path: Path) -> Floats:
-    """Unit vectors towards the returns of a scan from the origin."""
-    ends = np.loadtxt(path, delimiter=',', skiprows=1)[:, 1:]
-    unit: Floats = ends / np.linalg.norm(ends, axis=1)[:, None]
-    return unit
-
-
-def _numbers(rows: list[Line], columns: str) -> Floats:
-    return np.array([[float(row[name]) for name in columns.split()] for row in rows])
+    rows = table(path)
+    centers, half = columns(rows, 'x y z'), columns(rows, 'size') / 2
+    return Boxes(centers - half, centers + half)
 
 
 def shapes_by_scene(path: Path) -> dict[str, Shapes]:
     """Boxes and cylinders of each planning scene."""
-    scenes: dict[str, list[Line]] = defaultdict(list)
-    with open(path, newline='', encoding='utf-8') as file:
-        for row in csv.DictReader(file):
-            scenes[row['scene']].append(row)
-    return {
-        name: Shapes(
-            np.array([ShapeKind[row['shape'].upper()] for row in rows], np.uint8),
-            _numbers(rows, 'cx cy cz'),
-            _numbers(rows, 'qx qy qz qw'),
-            _numbers(rows, 'sx sy sz'),
-        )
-        for name, rows in scenes.items()
-    }
+    every = table(path)
+    scenes = {}
+    for name in dict.fromkeys(every['scene'].tolist()):
+        rows = every[every['scene'] == name]
+        kinds = np.array([ShapeKind[kind.upper()] for kind in rows['shape']], np.uint8)
+        names = ('cx cy cz', 'qx qy qz qw', 'sx sy sz')
+        position, orientation, size = (columns(rows, some) for some in names)
+        scenes[name] = Shapes(kinds, position, orientation, size)
+    return scenes
 
 
-class Track(NamedTuple):
-    """One vehicle, k frames in order of time."""
-
-    times: Floats
-    """(k,) s."""
-    positions: Floats
-    """(k, 3) m."""
-    turns: Floats
-    """(k, 4) quaternions x, y, z, w, neighbours on one side of the sphere."""
-    size: Floats
-    """(3,) m."""
-
-
-def tracks(path: Path) -> dict[int, Track]:
-    """Vehicles by number."""
-    vehicles: dict[int, list[Line]] = defaultdict(list)
-    with open(path, newline='', encoding='utf-8') as file:
-        for row in csv.DictReader(file):
-            vehicles[int(row['id'])].append(row)
-    return {number: _track(rows) for number, rows in sorted(vehicles.items())}
-
-
-def _track(rows: list[Line]) -> Track:
-    turns = _numbers(rows, 'qx qy qz qw')
-    for i in range(1, len(turns)):
-        if turns[i] @ turns[i - 1] < 0:
-            turns[i] *= -1
-    size = _numbers(rows[:1], 'sx sy sz')[0]
-    return Track(_numbers(rows, 't_s')[:, 0], _numbers(rows, 'cx cy cz'), turns, size)
-
-
-# ---- Rays at axis-aligned boxes: random, adversarial, and a real scan in a real building.
+# ---- Axis-aligned boxes: random, adversarial, and a real scan in a real building
 
 
 PLACES, PLACES_QUICK = 20, 2  # in the building, each with as many beams
 
 
 def random_scene(page: Page, brief: bool) -> None:
-    """Boxes everywhere, rays from anywhere to anywhere."""
+    """10,000 boxes that fill 2 % of a cube of 100 m, 20,000 rays."""
     rng = np.random.default_rng(1)
-    count, asked = (300, 200) if brief else (10_000, 20_000)
-    boxes, rays = uniform_boxes(count, rng), incoherent_rays(asked, rng)
-    page.add('### Random boxes')
-    page.add(f'{count:,} boxes that fill 2 % of a cube of 100 m, {asked:,} rays.')
-    _measure_boxes(page, brief, 'random', 'Random boxes, random rays', boxes, rays)
+    count, many = (300, 200) if brief else (10_000, 20_000)
+    boxes, rays = uniform_boxes(count, rng), incoherent_rays(many, rng)
+    _compare_boxes(page, brief, 'random', 'Random boxes, random rays', boxes, rays)
 
 
 def adversarial_scene(page: Page, brief: bool) -> None:
-    """Boxes on a lattice of tenths, rays through their corners, edges and face planes."""
-    count, asked = (100, 200) if brief else (2_000, 20_000)
-    boxes, rays = corner_rays(count, asked, np.random.default_rng(2))
-    page.add('### Adversarial rays')
-    page.add(
-        f'{count:,} boxes, some flat, whose corners are multiples of 0.1 m, {asked:,} rays aimed '
-        'at corners, edges and faces from other such points, many in the plane of a face. '
-        'Where a ray only touches, rounding decides, unless the decision is exact.'
-    )
-    _measure_boxes(page, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
+    """2,000 boxes, some flat, whose corners are multiples of 0.1 m, 20,000 rays aimed at corners,
+    edges and faces from other such points, many in the plane of a face. Where a ray only touches,
+    rounding decides, unless the decision is exact.
+    """
+    count, many = (100, 200) if brief else (2_000, 20_000)
+    boxes, rays = corner_rays(count, many, np.random.default_rng(2))
+    _compare_boxes(page, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
 
 
-def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes, Rays]:
+def corner_rays(count: int, many: int, rng: np.random.Generator) -> tuple[Boxes, Rays]:
     """Boxes and rays of lattice points; the directions are not normalised."""
     low = rng.integers(-40, 40, (count, 3))
     high = low + rng.integers(0, 4, (count, 3))
     lo, hi = low.astype(np.float64) * 0.1, high.astype(np.float64) * 0.1
-    rows = rng.integers(0, count, asked)
-    targets = np.where(rng.random((asked, 3)) < 0.5, low[rows], high[rows])
-    steps = rng.integers(-3, 4, (asked, 3))
+    rows = rng.integers(0, count, many)
+    targets = np.where(rng.random((many, 3)) < 0.5, low[rows], high[rows])
+    steps = rng.integers(-3, 4, (many, 3))
     steps[~steps.any(axis=1)] = (1, 2, 3)
     # Half of the rays from any lattice point, half along a simple direction.
-    anywhere = np.where(rng.random((asked, 3)) < 0.15, targets, rng.integers(-80, 80, (asked, 3)))
-    before = targets - steps * rng.integers(1, 30, (asked, 1))
-    simple = rng.random((asked, 1)) < 0.5
+    anywhere = np.where(rng.random((many, 3)) < 0.15, targets, rng.integers(-80, 80, (many, 3)))
+    before = targets - steps * rng.integers(1, 30, (many, 1))
+    simple = rng.random((many, 1)) < 0.5
     origins = np.where(simple, before, anywhere) * 0.1
     directions = np.where(simple, steps.astype(float), targets * 0.1 - origins)
     directions[~directions.any(axis=1)] = (0.1, 0.2, 0.3)
@@ -140,57 +93,49 @@ def corner_rays(count: int, asked: int, rng: np.random.Generator) -> tuple[Boxes
 
 
 def building_scene(page: Page, brief: bool) -> None:
-    """A real building, and the beams of a real scanner set up in its free places."""
-    page.add('### Building 079, Freiburg')
-    files = [
-        page.data / 'octomap_fr079' / 'occupied_voxels.csv',
-        page.data / 'octomap_fr079' / 'free_voxels_sample.csv',
-        page.data / 'freiburg_scan3d' / 'scan.csv',
-    ]
+    """Cubes of an OctoMap of the building; 500 beams of a laser scan at each of 20 places in its
+    free space. The scan was taken at a place of its own; its directions are what is real here.
+    """
+    names = 'octomap_fr079/occupied_voxels', 'octomap_fr079/free_voxels_sample'
+    files = [page.data / f'{name}.csv' for name in (*names, 'freiburg_scan3d/scan')]
     if page.misses(files):
         return
-    places = PLACES_QUICK if brief else PLACES
-    beams = 50 if brief else 500
+    places, beams = (PLACES_QUICK, 50) if brief else (PLACES, 500)
     boxes, free = cubes(files[0]), cubes(files[1])
     stand = np.random.default_rng(3).choice(len(free.lo), places, replace=False)
-    directions = scan_directions(files[2])
-    directions = directions[np.linspace(0, len(directions) - 1, beams).astype(int)]
-    origins = np.repeat((free.lo[stand] + free.hi[stand]) / 2, beams, axis=0)
-    page.add(
-        f'{len(boxes.lo):,} cubes of an OctoMap of the building; {beams} beams of a laser scan '
-        f'at each of {places} places in its free space (the scan was taken at a place of its own; '
-        'its directions are what is real here).'
-    )
-    rays = Rays(origins, np.tile(directions, (places, 1)))
-    _measure_boxes(page, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
+    ends = columns(table(files[2]), 'ex ey ez')
+    directions = units(ends)[np.linspace(0, len(ends) - 1, beams).astype(int)]
+    rays = Rays(np.repeat(free.centers[stand], beams, axis=0), np.tile(directions, (places, 1)))
+    _compare_boxes(page, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
 
 
-def _measure_boxes(
+def _compare_boxes(
     page: Page, brief: bool, name: str, title: str, boxes: Boxes, rays: Rays
 ) -> None:
-    ways, truth = box_ways(boxes, rays), boxes_truth(boxes, rays)
-    found = compare(ways, truth, brief)
-    show(page, name, f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays', ways, found)
+    title = f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays'
+    truth = boxes_truth(boxes, rays)
+    compare(page, name, title, box_methods(boxes, rays), [truth], brief)
 
 
-# ---- Rays at turned boxes, spheres and cylinders: what a simpler shape in their place costs.
+# ---- Turned boxes, spheres and cylinders; the error of simpler shapes in their place
 
 
-ShapesAndRays = tuple[Shapes, Rays]
+class ShapeWorld(NamedTuple):
+    """Shapes, and rays through them."""
+
+    shapes: Shapes
+    rays: Rays
 
 
 def random_shapes(page: Page, brief: bool) -> None:
-    """Turned boxes, spheres and cylinders everywhere."""
+    """3,000 turned boxes, spheres and cylinders (a half, a quarter, a quarter) in a cube of 100 m,
+    5,000 rays. Square roots of the truth are cut off after 256 bits.
+    """
     rng = np.random.default_rng(4)
-    count, asked = (100, 200) if brief else (3_000, 5_000)
-    shapes, rays = some_shapes(count, rng), incoherent_rays(asked, rng)
-    page.add('### Random shapes')
-    page.add(
-        f'{count:,} turned boxes, spheres and cylinders (a half, a quarter, a quarter) in a cube '
-        f'of 100 m, {asked:,} rays. Square roots of the truth are cut off after 256 bits.'
-    )
-    title = f'Random shapes: {count:,} shapes, {asked:,} rays'
-    _measure_shapes(page, brief, 'shapes', title, [(shapes, rays)])
+    count, many = (100, 200) if brief else (3_000, 5_000)
+    world = ShapeWorld(some_shapes(count, rng), incoherent_rays(many, rng))
+    title = f'Random shapes: {count:,} shapes, {many:,} rays'
+    _compare_shapes(page, brief, 'shapes', title, [world])
 
 
 def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
@@ -203,45 +148,33 @@ def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
 
 
 def shelves(page: Page, brief: bool) -> None:
-    """Recorded tables and shelves, seen from round about."""
-    page.add('### Shelves and tables')
+    """Planning scenes of boxes and cylinders; 500 rays at each scene, from 1.5 m round its middle
+    towards points in its bounds. Turned shapes are decided in float64: where boards are flush,
+    less than 1e-15 m decides which of them is first.
+    """
     path = page.data / 'manipulation_scenes' / 'scenes.csv'
     if page.misses([path]):
         return
-    rng = np.random.default_rng(5)
-    asked = 20 if brief else 500
-    scenes = shapes_by_scene(path)
-    worlds = [(shapes, rays_round(shapes, asked, rng)) for shapes in scenes.values()]
-    shown = sum(len(shapes.kind) for shapes, _ in worlds)
-    page.add(
-        f'{len(worlds)} planning scenes, {shown} boxes and cylinders; {asked} rays at each scene, '
-        'from 1.5 m round its middle towards points in its bounds. Turned shapes are decided in '
-        'float64: where boards are flush, less than 1e-15 m decides which of them is first.'
-    )
-    title = f'Shelves and tables: {len(worlds)} scenes, {asked * len(worlds):,} rays'
-    _measure_shapes(page, brief, 'shelves', title, worlds)
+    rng, many = np.random.default_rng(5), 20 if brief else 500
+    scenes = shapes_by_scene(path).values()
+    worlds = [ShapeWorld(shapes, rays_round(shapes, many, rng)) for shapes in scenes]
+    title = f'Shelves and tables: {len(worlds)} scenes, {many * len(worlds):,} rays'
+    _compare_shapes(page, brief, 'shelves', title, worlds)
 
 
 def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
     """Rays of unit length from a sphere round the scene to points in its bounds."""
-    lo, hi = bounds_of(shapes)
-    targets = rng.uniform(lo.min(axis=0), hi.max(axis=0), (count, 3))
-    away = rng.normal(size=(count, 3))
-    origins = (lo.min(axis=0) + hi.max(axis=0)) / 2
-    origins = origins + 1.5 * away / np.linalg.norm(away, axis=1)[:, None]
-    ways = targets - origins
-    return Rays(origins, ways / np.linalg.norm(ways, axis=1)[:, None])
+    boxes = bounds_of(shapes)
+    lo, hi = boxes.lo.min(axis=0), boxes.hi.max(axis=0)
+    targets = rng.uniform(lo, hi, (count, 3))
+    origins = (lo + hi) / 2 + 1.5 * units(rng.normal(size=(count, 3)))
+    return Rays(origins, units(targets - origins))
 
 
 def bounds_of(shapes: Shapes) -> Boxes:
     """The axis-aligned box round each shape, as the scene has them."""
     form = canonicalise(as_shapes(shapes))
     return Boxes(form.lo, form.hi)
-
-
-def as_boxes(shapes: Shapes, kind: ShapeKind) -> Shapes:
-    """The same with the box round every shape of a kind in its place."""
-    return shapes._replace(kind=np.where(shapes.kind == kind, 0, shapes.kind).astype(np.uint8))
 
 
 def scene_of(shapes: Shapes) -> Scene:
@@ -253,56 +186,45 @@ def scene_of(shapes: Shapes) -> Scene:
     return scene
 
 
-def scene_answer(scene: Scene, rays: Rays) -> Answer:
-    """First objects by their true shapes."""
-    handles, ts, _, _ = scene.raycast_many(*rays)
-    return Answer(np.where(handles == NO_NODE, NOTHING, handles.astype(np.int64) - 1), ts)
+def scene_rows(hits: CastHits) -> Answer:
+    """Rows of a scene of `scene_of`."""
+    rows = np.where(hits.handles == NO_NODE, NOTHING, hits.handles.astype(np.int64) - 1)
+    return Answer(rows, hits.t)
 
 
-def _scene_way(worlds: Sequence[ShapesAndRays], kind: ShapeKind | None = None) -> Way:
-    changed = [(as_boxes(shapes, kind) if kind else shapes, rays) for shapes, rays in worlds]
-    scenes = [(scene_of(shapes), rays) for shapes, rays in changed]
-    counts = [len(shapes.kind) for shapes, _ in worlds]
-    return lambda: _joined([scene_answer(*pair) for pair in scenes], counts)
+def _true_shapes(worlds: Sequence[ShapeWorld]) -> Method:
+    scenes = [(scene_of(world.shapes), world.rays) for world in worlds]
+    return Method(
+        lambda: [scene.raycast_many(*rays) for scene, rays in scenes],
+        lambda found: [scene_rows(hits) for hits in found],
+    )
 
 
-def _tree_way(worlds: Sequence[ShapesAndRays]) -> Way:
+def _boxed(worlds: Sequence[ShapeWorld], kind: ShapeKind) -> Method:
+    """The same with a box in the place of every shape of a kind."""
+    changed = []
+    for shapes, rays in worlds:
+        kinds = np.where(shapes.kind == kind, ShapeKind.BOX, shapes.kind).astype(np.uint8)
+        changed.append(ShapeWorld(shapes._replace(kind=kinds), rays))
+    return _true_shapes(changed)
+
+
+def _aabbs(worlds: Sequence[ShapeWorld]) -> Method:
     trees = [(DynamicBVH.from_boxes(*bounds_of(shapes)), rays) for shapes, rays in worlds]
-    counts = [len(shapes.kind) for shapes, _ in worlds]
-    return lambda: _joined([tree_answer(*pair) for pair in trees], counts)
+    return Method(
+        lambda: [tree.raycast_many(*rays) for tree, rays in trees],
+        lambda found: [
+            tree_rows(*pair) for pair in zip((t for t, _ in trees), found, strict=True)
+        ],
+    )
 
 
-def _joined(answers: Sequence[Answer], counts: Sequence[int]) -> Answer:
-    """Answers of several scenes as one; rows are counted on from scene to scene."""
-    rows, first = [], 0
-    for answer, count in zip(answers, counts, strict=True):
-        rows.append(np.where(answer.rows == NOTHING, NOTHING, answer.rows + first))
-        first += count
-    return Answer(np.concatenate(rows), np.concatenate([answer.ts for answer in answers]))
-
-
-def joined_truth(truths: Sequence[Truth], counts: Sequence[int]) -> Truth:
-    """Truths of several scenes as one."""
-    merged = _joined([Answer(truth.rows, truth.lengths) for truth in truths], counts)
-    first_row = np.cumsum([0, *counts])
-    first_ray = np.cumsum([0, *(len(truth.rows) for truth in truths)])
-
-    def entry(row: int, ray: int) -> Fraction | None:
-        place = int(np.searchsorted(first_ray, ray, side='right')) - 1
-        return truths[place].entry(row - int(first_row[place]), ray - int(first_ray[place]))
-
-    return Truth(merged.rows, [t for truth in truths for t in truth.ts], entry, merged.ts)
-
-
-def _measure_shapes(
-    page: Page, brief: bool, name: str, title: str, worlds: Sequence[ShapesAndRays]
+def _compare_shapes(
+    page: Page, brief: bool, name: str, title: str, worlds: Sequence[ShapeWorld]
 ) -> None:
-    ways = {'bvh_ros, true shapes': _scene_way(worlds), 'AABB of each shape': _tree_way(worlds)}
-    kinds = {kind for shapes, _ in worlds for kind in shapes.kind.tolist()}
-    if ShapeKind.SPHERE in kinds:
-        ways['sphere as its box'] = _scene_way(worlds, ShapeKind.SPHERE)
-    if ShapeKind.CYLINDER in kinds:
-        ways['cylinder as its box'] = _scene_way(worlds, ShapeKind.CYLINDER)
-    counts = [len(shapes.kind) for shapes, _ in worlds]
-    truth = joined_truth([shapes_truth(*world) for world in worlds], counts)
-    show(page, name, title, ways, compare(ways, truth, brief), (WRONG, MEAN))
+    methods = {'bvh_ros, true shapes': _true_shapes(worlds), 'AABB of each shape': _aabbs(worlds)}
+    for kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER):
+        if any((world.shapes.kind == kind).any() for world in worlds):
+            methods[f'{kind.name.lower()} as its box'] = _boxed(worlds, kind)
+    truths = [shapes_truth(*world) for world in worlds]
+    compare(page, name, title, methods, truths, brief, (WRONG, MEAN))

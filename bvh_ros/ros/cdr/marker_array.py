@@ -21,7 +21,7 @@ from bvh_ros.ros.cdr.reading import (
     visible_text,
     whole_number,
 )
-from bvh_ros.ros.conversions.marker_table import MarkerTable
+from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.tree.compiler import inlined, lean_kernel
 
 # The definition that is decoded here, as the Python classes tell it; see `definitions.py`.

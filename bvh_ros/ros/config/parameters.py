@@ -7,16 +7,209 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bvh_ros.ros.config.option import FARTHEST, ConfigurationError, Option, read
-from bvh_ros.ros.config.settings import Settings, SourceSettings, TransformSettings, ViewSettings
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException
+
 from bvh_ros.ros.texts import shortened
 from bvh_ros.scene.rows import ERROR_PREFIX
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+
+FARTHEST = 1e9  # m, of lengths: what is told in doubles is exact to a tenth of a micrometre there
+Value = bool | int | float | str | list[str] | list[float]
+
+
+class ConfigurationError(ValueError):
+    """A parameter has a value that the node cannot work with; the text says which and why."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One parameter: its default (whose type it keeps), meaning and range."""
+
+    name: str
+    default: Value
+    description: str
+    minimum: float = -sys.float_info.max
+    maximum: float = sys.float_info.max
+    choices: tuple[str, ...] = ()
+
+
+def read(node: Node, prefix: str, option: Option) -> Any:
+    """Return the value of a parameter; declare it, unless an earlier life of the node did."""
+    name = prefix + option.name
+    if node.has_parameter(name):
+        return _checked(name, option, node.get_parameter(name).value)
+    descriptor = ParameterDescriptor(
+        description=option.description, read_only=True, dynamic_typing=True
+    )
+    if option.choices:
+        descriptor.additional_constraints = 'One of: ' + ', '.join(option.choices)
+    low, high = option.minimum, option.maximum
+    if isinstance(option.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    elif isinstance(option.default, int) and not isinstance(option.default, bool):
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    try:
+        value = node.declare_parameter(name, option.default, descriptor).value
+    except InvalidParameterValueException as error:
+        raise _out_of_range(name, option) from error
+    return _checked(name, option, value)
+
+
+def _checked(name: str, option: Option, value: Any) -> Any:
+    """Return the value in its option's type or raise ConfigurationError."""
+    default = option.default
+    if isinstance(default, list):
+        return _checked_list(name, default, value)
+    if isinstance(default, bool):
+        good, wanted = isinstance(value, bool), 'true or false'
+    elif isinstance(default, float):
+        good, wanted = _is_number(value, (int, float)), 'a number'
+        value = float(value) if good else value
+    elif isinstance(default, int):
+        good, wanted = _is_number(value, (int,)), 'a whole number'
+    else:
+        good, wanted = isinstance(value, str), 'a string'
+    if not good:
+        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
+    if option.choices and value not in option.choices:
+        choices = ', '.join(option.choices)
+        raise ConfigurationError(
+            f"parameter '{name}' must be one of {choices}, not {_shown(value)}"
+        )
+    # An integer given for a double escapes rclpy's own range check, and so does NaN.
+    if _is_number(value, (int, float)) and not option.minimum <= value <= option.maximum:
+        raise _out_of_range(name, option)
+    return value
+
+
+def _checked_list(name: str, default: Sequence[object], value: Any) -> list[Any]:
+    items = [] if value is None else list(value) if _is_list(value) else None
+    if isinstance(default[0], float):
+        unlimited = not all(_is_finite(item) for item in default)
+        good = _is_limit if unlimited else _is_finite
+        if items is not None and all(good(item) for item in items):
+            return [float(item) for item in items]
+        wanted = 'numbers' if unlimited else 'finite numbers'
+        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
+    if items is not None and all(isinstance(item, str) for item in items):
+        # YAML cannot say "an empty list of strings" other than ['']
+        return [item for item in items if item]
+    raise ConfigurationError(f"parameter '{name}' must be a list of strings, not {_shown(value)}")
+
+
+def _shown(value: Any) -> str:
+    return shortened(repr(value))
+
+
+def _out_of_range(name: str, option: Option) -> ConfigurationError:
+    unlimited = sys.float_info.max
+    low = f'at least {option.minimum:.10g}' if option.minimum > -unlimited else ''
+    high = f'at most {option.maximum:.10g}' if option.maximum < unlimited else ''
+    limits = ' and '.join(limit for limit in (low, high or 'finite') if limit)
+    return ConfigurationError(f"parameter '{name}' must be {limits}")
+
+
+def _is_number(value: Any, types: tuple[type, ...]) -> bool:
+    return isinstance(value, types) and not isinstance(value, bool)
+
+
+def _is_finite(value: Any) -> bool:
+    return _is_number(value, (int, float)) and math.isfinite(value)
+
+
+def _is_limit(value: Any) -> bool:
+    return _is_number(value, (int, float)) and not math.isnan(value)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
+
+
+# What the node was told, as plain values.
+
+SHARED = 1024  # rows: with fewer, threads take longer to begin than they save
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """What one source was told."""
+
+    name: str
+    type: str
+    topic: str
+    prefix: str
+    required: bool
+    max_age: float  # s, 0 = unlimited
+    options: Mapping[str, Any]  # those of its type
+
+    @property
+    def predicts(self) -> bool:
+        """Whether it tells velocities."""
+        return bool(self.options.get('predict', 'none') != 'none')
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """What one view was told."""
+
+    name: str
+    include: tuple[str, ...]
+    exclude: tuple[str, ...]
+    skip_inside: bool
+
+
+@dataclass(frozen=True)
+class TransformSettings:
+    """Where one frame lies in another, for ever."""
+
+    frame_id: str
+    parent: str
+    xyz: tuple[float, ...]  # m
+    xyzw: tuple[float, ...]  # of any length but zero
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the node was told."""
+
+    frame_id: str
+    planar: bool
+    margin: float  # m
+    max_obstacles: int
+    max_hits: int
+    region: tuple[tuple[float, ...], tuple[float, ...]] | None  # lo, hi, m; None is everywhere
+    nearest_limit: int
+    max_prediction: float  # s
+    uncertainty: float  # m/s
+    history: float  # s
+    batch: bool
+    footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
+    threads: int  # that share the rows of a batch
+    use_tf: bool
+    sources: tuple[SourceSettings, ...]
+    views: tuple[ViewSettings, ...]
+    transforms: tuple[TransformSettings, ...]
+    groups: Mapping[str, Mapping[str, Any]]  # options of parts: group -> option -> value
+
+    @property
+    def predicts(self) -> bool:
+        """Whether a source does."""
+        return any(source.predicts for source in self.sources)
+
+    def threads_for(self, rows: int) -> int:
+        """How many threads share so many rows."""
+        return self.threads if rows >= SHARED else 1
+
+
+# The node's parameters, read once into plain settings.
 
 NO_FOOTPRINT = (0.0,)
 NODE_OPTIONS = (
@@ -61,8 +254,8 @@ NODE_OPTIONS = (
     Option(
         'max_prediction',
         1.0,
-        'So far ahead of the newest data (s) there are answers, where a source predicts; who was '
-        'not told for longer stays where it is predicted last.',
+        'So far ahead of the newest data (s) there are answers, where a source '
+        'predicts. An obstacle without an update for longer stays at its last predicted place.',
         *(0.0, 1e6),
     ),
     Option(
@@ -309,3 +502,97 @@ def given_at_start(node: Node) -> dict[str, Any]:
     """Return the parameters given at start; rclpy keeps them to itself."""
     given = getattr(node, '_parameter_overrides', {})
     return {name: parameter.value for name, parameter in given.items()}
+
+
+# Parameters of the parts that draw and scan: `draw.*` and `virtual_scan.*`.
+
+LASER_SCAN, POINT_CLOUD = 'LaserScan', 'PointCloud2'
+MOST_RAYS = 1_000_000  # of one scan
+
+DRAW_OPTIONS = (
+    Option(
+        'limit',
+        10_000,
+        'So many obstacles on ~/scene, boxes on ~/tree and rays on ~/queries are drawn at most.',
+        minimum=1,
+        maximum=1_000_000,
+    ),
+    Option('first_depth', 0, 'Upper end of the levels on ~/tree; the root has depth 0.', 0, 127),
+    Option('last_depth', 6, 'Lower end of the levels on ~/tree.', 0, 127),
+)
+TURNS = (-100.0, 100.0)  # rad
+SCAN_OPTIONS = (
+    Option('pose_topic', '', 'PoseStamped of the scanner. Empty: there is no virtual scan.'),
+    Option('type', LASER_SCAN, 'What ~/virtual_scan carries.', choices=(LASER_SCAN, POINT_CLOUD)),
+    Option('frame_id', 'laser', "The scanner's own frame. Empty: points in the node's frame."),
+    Option('view', '', 'The view that the scanner has; empty: it sees everything.'),
+    Option(
+        'angle_min', -math.pi, 'First direction (rad) about the z axis of the scanner.', *TURNS
+    ),
+    Option('angle_max', math.pi, 'Last direction (rad).', *TURNS),
+    Option('angle_increment', math.pi / 180, 'Step between directions (rad).', 1e-6, math.tau),
+    Option('channels', 1, 'Rings of a PointCloud2.', 1, 1024),
+    Option('elevation_min', 0.0, 'Lowest ring (rad).', -math.pi / 2, math.pi / 2),
+    Option('elevation_max', 0.0, 'Highest ring (rad).', -math.pi / 2, math.pi / 2),
+    Option('range_min', 0.0, 'What is nearer (m) is -Inf.', 0.0, FARTHEST),
+    Option('range_max', 100.0, 'What is farther (m) is +Inf.', 0.0, FARTHEST),
+    Option('rate', 0.0, 'Scans a second from the newest pose; 0: one scan a pose.', 0.0, 1000.0),
+)
+GROUPS = {'draw': DRAW_OPTIONS, 'virtual_scan': SCAN_OPTIONS}
+
+
+class DrawSettings(NamedTuple):
+    """`draw.*`."""
+
+    limit: int
+    first_depth: int
+    last_depth: int
+
+
+class ScanSettings(NamedTuple):
+    """`virtual_scan.*`, angles in rad, ranges in m."""
+
+    pose_topic: str
+    type: str
+    frame_id: str
+    view: str
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    channels: int
+    elevation_min: float
+    elevation_max: float
+    range_min: float
+    range_max: float
+    rate: float
+
+
+def draw_settings(values: Mapping[str, Any]) -> DrawSettings:
+    """Return `draw.*`; ConfigurationError if the levels are upside down."""
+    settings = DrawSettings(**values)
+    if settings.first_depth > settings.last_depth:
+        raise ConfigurationError("parameter 'draw.first_depth' exceeds 'draw.last_depth'")
+    return settings
+
+
+def scan_settings(values: Mapping[str, Any]) -> ScanSettings:
+    """Return `virtual_scan.*`; ConfigurationError where one contradicts another."""
+    settings = ScanSettings(**values)
+    for what in ('angle', 'elevation', 'range'):
+        if values[f'{what}_min'] > values[f'{what}_max']:
+            raise ConfigurationError(
+                f"parameter 'virtual_scan.{what}_min' exceeds 'virtual_scan.{what}_max'"
+            )
+    if settings.type == LASER_SCAN and (settings.channels > 1 or not settings.frame_id):
+        raise ConfigurationError(
+            "a LaserScan has one channel and a frame of its own: set 'virtual_scan.type' to "
+            "PointCloud2 or change 'virtual_scan.channels' or 'virtual_scan.frame_id'"
+        )
+    beams = (settings.angle_max - settings.angle_min) / settings.angle_increment
+    if beams * settings.channels > MOST_RAYS:
+        raise ConfigurationError(
+            "parameters 'virtual_scan.angle_min', 'virtual_scan.angle_max', "
+            "'virtual_scan.angle_increment' and 'virtual_scan.channels' make more than "
+            f'{MOST_RAYS} rays a scan'
+        )
+    return settings

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import QoSPolicyKind
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.parameters import given_at_start
+from bvh_ros.ros.config.parameters import ConfigurationError, given_at_start
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -4,32 +4,269 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.marker_names import MarkerNames
-from bvh_ros.ros.conversions.marker_order import (
-    LISTED,
-    LISTED_SHAPES,
-    MESH,
-    NOTHING,
-    SINGLE,
-    SINGLE_SHAPES,
-    TRIANGLES,
-    Mask,
-    last_of_lists,
-    order_of,
-    why_not,
-)
-from bvh_ros.ros.conversions.marker_table import Floats, Integers, MarkerTable
-from bvh_ros.ros.conversions.mesh_reading import examined
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import FrameError, Transform
-from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes
+from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes, mesh_of
 from bvh_ros.scene.shapes.shape import FINE, as_shapes, canonicalise
+from bvh_ros.scene.store import run_in_thread
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class MarkerTable(NamedTuple):
+    """n markers, one a row."""
+
+    namespaces: list[str]  # the different ones, and for each row which of them
+    namespace: Integers
+    frame_ids: list[str]
+    frame: Integers
+    stamp: Integers  # (n,) ns
+    id: Integers
+    type: Integers
+    action: Integers
+    position: Floats  # (n, 3)
+    orientation: Floats  # (n, 4) quaternions x, y, z, w
+    scale: Floats  # (n, 3)
+    lifetime: Integers  # (n,) ns
+    points: Callable[[int], Floats]  # of a row, (k, 3)
+    colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
+
+
+def table(markers: Sequence[Any]) -> MarkerTable:
+    """Return the columns of visualization_msgs/Marker objects."""
+    namespaces: dict[str, int] = {}
+    frame_ids: dict[str, int] = {}
+    numbers = np.empty((7, len(markers)), np.int64)
+    places = np.empty((len(markers), 10))
+    for row, marker in enumerate(markers):
+        at, turned, scale = marker.pose.position, marker.pose.orientation, marker.scale
+        places[row, :3] = at.x, at.y, at.z
+        places[row, 3:7] = turned.x, turned.y, turned.z, turned.w
+        places[row, 7:] = scale.x, scale.y, scale.z
+        numbers[:, row] = (
+            namespaces.setdefault(marker.ns, len(namespaces)),
+            frame_ids.setdefault(marker.header.frame_id, len(frame_ids)),
+            nanoseconds(marker.header.stamp),
+            *(marker.id, marker.type, marker.action),
+            nanoseconds(marker.lifetime),
+        )
+    namespace, frame, stamp, number, kind, action, lifetime = numbers
+
+    def points(row: int) -> Floats:
+        found = np.array([(p.x, p.y, p.z) for p in markers[row].points], np.float64)
+        return found.reshape(-1, 3)
+
+    def colours(row: int) -> Floats:
+        found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
+        return found.reshape(-1, 4)
+
+    return MarkerTable(
+        *(list(namespaces), namespace, list(frame_ids), frame),
+        *(stamp, number, kind, action),
+        *(places[:, :3], places[:, 3:7], places[:, 7:]),
+        *(lifetime, points, colours),
+    )
+
+
+# Triangles to meshes, while others have their turn.
+
+MANY_TRIANGLES = 500  # triangles: more take longer than 10 ms
+
+
+def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
+    """Make a mesh of triangles (n, 3, 3) and all that a scene needs of it; pause now and then.
+
+    A large one takes a second, most of it in numpy, so another thread examines it.
+
+    Raises
+    ------
+    ValueError
+        If they are no convex solid.
+    """
+    if len(triangles) <= MANY_TRIANGLES:
+        mesh = _examine(triangles, planar)
+        yield
+        return mesh
+    return (yield from run_in_thread(_examine, triangles, planar))
+
+
+def _examine(triangles: Floats, planar: bool) -> Mesh:
+    mesh = mesh_of(triangles)
+    # Made when they are first asked for, and kept.
+    _ = mesh.outline if planar else (mesh.tree, mesh.discs)
+    return mesh
+
+
+# What a MarkerArray leaves standing, when its markers are read in order.
+#
+# A later marker undoes earlier ones: DELETE those of its name, DELETEALL those of its namespace or
+# all. What is undone need not be done. So a message of any length and order comes down to this:
+# remove some, then add some.
+
+# visualization_msgs/msg/Marker
+ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
+SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
+LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
+TRIANGLES = 11
+TYPE_NAMES = (
+    *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
+    *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
+    'ARROW_STRIP',
+)
+
+SINGLE, LISTED, MESH, REMOVAL, SWEEP, NOTHING = range(6)  # what a marker asks for
+NEVER = -1  # instead of a row
+
+Mask = NDArray[np.bool_]
+
+
+class Order(NamedTuple):
+    """What n markers ask for, and what comes of it."""
+
+    wish: Integers  # (n,) NOTHING where it cannot be understood
+    alive: Mask  # (n,) adds an obstacle that no later marker removes
+    key: Integers | None  # (n,) the same for equal names; None where no name matters
+    clears: bool  # all of the source's obstacles go first
+    swept: Integers  # namespaces, as the table numbers them, whose obstacles go first
+    removed: Integers  # rows of the names that go first
+
+
+def order_of(table: MarkerTable, refused: Mask) -> Order:
+    """Read the actions of markers in order; refused ones ask for nothing."""
+    wish = _wishes(table)
+    wish[refused] = NOTHING
+    adds = wish <= MESH
+    if (wish == SINGLE).all():
+        none = np.empty(0, np.int64)
+        return Order(wish, adds, None, False, none, none)
+    rows = np.arange(len(wish))
+    sweep, removal = wish == SWEEP, wish == REMOVAL
+    nameless = np.array([not namespace for namespace in table.namespaces], np.bool_)
+    everything = np.flatnonzero(sweep & nameless[table.namespace])
+    last_clear = int(everything[-1]) if len(everything) else NEVER
+    last_sweep = _last(rows[sweep], table.namespace[sweep], len(table.namespaces))
+    key = np.unique((table.namespace << 32) + table.id, return_inverse=True)[1].reshape(-1)
+    last_removal = _last(rows[removal], key[removal], len(rows))
+    before = np.maximum(last_sweep[table.namespace], last_clear)
+    return Order(
+        wish,
+        adds & (rows > np.maximum(before, last_removal[key])),
+        key,
+        last_clear > NEVER,
+        np.flatnonzero((last_sweep > last_clear) & ~nameless),
+        rows[removal & (rows > before) & (rows == last_removal[key])],
+    )
+
+
+def last_of_lists(order: Order, good: Mask) -> Mask:
+    """Of good rows, which to keep: of a name that is a list somewhere only the last.
+
+    Of single markers of one name the scene takes the last good one; but a list that becomes
+    shorter, or a single marker, must not leave elements of an earlier one behind.
+    """
+    listed = good & (order.wish == LISTED)
+    if order.key is None or not listed.any():
+        return good
+    rows = np.arange(len(good))
+    last = _last(rows[good], order.key[good], len(rows))
+    in_lists = np.zeros(len(rows), np.bool_)
+    in_lists[order.key[listed]] = True
+    return good & (~in_lists[order.key] | (rows == last[order.key]))
+
+
+def _last(rows: Integers, of: Integers, count: int) -> Integers:
+    """The last of ascending rows for each of so many numbers, else NEVER."""
+    last = np.full(count, NEVER)
+    last[of] = rows  # of several, the last is written last
+    return last
+
+
+# What a marker that adds wants, by its type; the last is for types that there are not.
+_ADDED = np.full(TRIANGLES + 2, NOTHING)
+_ADDED[list(SINGLE_SHAPES)], _ADDED[list(LISTED_SHAPES)], _ADDED[TRIANGLES] = SINGLE, LISTED, MESH
+
+
+def _wishes(table: MarkerTable) -> Integers:
+    kind, action = table.type, table.action
+    known = (kind >= 0) & (kind <= TRIANGLES)
+    wish: Integers = _ADDED[np.where(known, kind, TRIANGLES + 1)]
+    wish[(action != ADD_OR_MODIFY) | (table.lifetime < 0)] = NOTHING
+    wish[action == DELETE] = REMOVAL
+    wish[action == DELETE_ALL] = SWEEP
+    return wish
+
+
+def why_not(table: MarkerTable, row: int) -> str:
+    """Say why a marker of this type and action cannot be used."""
+    kind, action = int(table.type[row]), int(table.action[row])
+    if action != ADD_OR_MODIFY:
+        return f'unknown marker action {action}'
+    if table.lifetime[row] < 0:
+        return f'negative lifetime {table.lifetime[row] / 1e9:g} s'
+    type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
+    return f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'
+
+
+# What markers are called in the scene: `ns/id`, and `ns/id#3` for an element of a list.
+
+
+class MarkerNames(NamedTuple):
+    """Names of the rows of a table."""
+
+    table: MarkerTable
+    prefix: str
+
+    def of(self, row: int) -> str:
+        """The name of one marker."""
+        namespace = self.table.namespaces[self.table.namespace[row]]
+        return f'{self.prefix}{namespace}/{self.table.id[row]}'
+
+    def singles(self, rows: Integers) -> Families:
+        """Two families a namespace: `ns/` and, for negative ids, `ns/-`."""
+        table, number = self.table, self.table.id[rows]
+        if not len(rows):
+            return Families([], rows, number)
+        used, place = np.array([0]), np.zeros(len(rows), np.int64)
+        if len(table.namespaces) > 1:
+            used, place = np.unique(table.namespace[rows], return_inverse=True)
+        spaces = [f'{self.prefix}{table.namespaces[space]}/' for space in used.tolist()]
+        prefixes = [spaces[i // 2] + '-' * (i % 2) for i in range(2 * len(spaces))]
+        return Families(prefixes, 2 * place + (number < 0), np.abs(number))
+
+    def with_elements(
+        self, rows: Integers, counts: Integers, listed: Mask
+    ) -> tuple[Families, Families, dict[str, int]]:
+        """Names of all obstacles, of those that are no elements of lists, and list markers;
+        `counts` is how many obstacles each row is.
+        """
+        single = self.singles(rows)
+        if not listed.any():
+            return single, single, {}
+        lists = [self.of(row) for row in rows[listed].tolist()]
+        prefixes = [*single.prefixes, *(f'{name}#' for name in lists)]
+        family, numbers = single.family.copy(), np.repeat(single.numbers, counts)
+        family[listed] = len(single.prefixes) + np.arange(len(lists))
+        places = np.arange(len(numbers)) - np.repeat(np.cumsum(counts) - counts, counts)
+        element = np.repeat(listed, counts)
+        numbers[element] = places[element]
+        sizes = dict(zip(lists, counts[listed].tolist(), strict=True))
+        return (
+            Families(prefixes, np.repeat(family, counts), numbers),
+            single.take(np.flatnonzero(~listed)),
+            sizes,
+        )
+
+
+# A MarkerArray as one change of the scene: what goes, and what comes.
 
 # By marker type.
 _KINDS = np.zeros(12, np.uint8)
@@ -46,8 +283,8 @@ class Change(NamedTuple):
 
     clears: bool  # everything of the source goes
     namespaces: list[str]  # whose obstacles go
-    removed: Families  # who goes, as a single obstacle or as a list
-    names: Families  # (n,) who comes or is modified: single ones, and elements of lists
+    removed: Families  # that leave, as a single obstacle or as a list
+    names: Families  # (n,) that come or are modified: single ones, and elements of lists
     shapes: Shapes  # (n,)
     stamp: Integers  # (n,) ns
     expires: Integers  # (n,) ns on the node's clock, 0 = never
@@ -237,11 +474,11 @@ class _Reader:
         """Obstacles in the node's frame; `of` is the marker that each comes from."""
         shapes = yield from self._placed(rows, of)
         if self.meshes:
-            held = np.empty(len(of), object)
+            given = np.empty(len(of), object)
             for at in np.flatnonzero(self.table.type[of] == TRIANGLES).tolist():
-                held[at] = mesh = self.meshes[int(of[at])]
+                given[at] = mesh = self.meshes[int(of[at])]
                 shapes.kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
-            shapes = shapes._replace(mesh=held)
+            shapes = shapes._replace(mesh=given)
         if self.moved is not None:
             yield from self._move(shapes, of)
         return shapes

@@ -5,14 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.ray_clouds import Floats, first_fault
+from bvh_ros.ros.conversions.query_clouds import Faults, Floats, take
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -20,43 +20,54 @@ from bvh_ros.scene import ShapeKind, Shapes
 class Poses(NamedTuple):
     """Poses of one path; nothing is known of their values yet."""
 
-    frame_id: str
-    stamp: int  # ns
     places: Floats  # (n, 3) m
     turns: Floats  # (n, 4) quaternions
     elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
-    stamps: NDArray[np.int64]  # (n,) ns, when somebody is there; 0: nobody says
-
-    def rows(self, rows: Any) -> Poses:
-        """Return some of the rows."""
-        columns: Any = (column[rows] for column in self[2:])
-        return Poses(self.frame_id, self.stamp, *columns)
+    stamps: NDArray[np.int64]  # (n,) ns, the time that the pose is asked about; 0: now
 
     def moved(self, transform: Transform) -> Poses:
         """Return the same in the node's frame."""
-        with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-            return self._replace(
-                places=transform.points(self.places),
-                turns=transform.orientations(rotations.normalised(self.turns)),
-            )
+        turns = transform.orientations(rotations.normalised(self.turns))
+        return self._replace(places=transform.points(self.places), turns=turns)
 
-    def fault(self, number: int) -> tuple[NDArray[np.bool_], str]:
-        """Return which rows (n,) cannot be answered, and of the first of them why."""
-        far = np.isfinite(self.places) & (np.abs(self.places) < 1e300)
-        faults: dict[str, NDArray[np.bool_]] = {
-            'its position is not finite, or beyond 1e300': np.logical_not(far.all(axis=1)),
-            'its orientation is not finite': np.logical_not(np.isfinite(self.turns).all(axis=1)),
+    def faults(self) -> Faults:
+        """Return why rows (n,) cannot be answered."""
+        near = np.isfinite(self.places) & (np.abs(self.places) < 1e300)
+        return {
+            'its position is not finite, or beyond 1e300': ~near.all(axis=1),
+            'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
             'its frame is not that of the path': self.elsewhere,
         }
-        return first_fault(faults, number)
 
 
-def read(message: bytes) -> Poses:
-    """Read a serialised path; ValueError if it is none."""
-    path = decoder.read(message)
-    return Poses(
-        path.frame_id, path.stamp, path.positions, path.orientations, path.elsewhere, path.stamps
-    )
+class PathPoses:
+    """The poses of a serialised path, to be read in parts as those of a `QueryCloud`; ValueError
+    if it is none.
+    """
+
+    real, height, has_radii = np.dtype(np.float64), 1, False
+
+    def __init__(self, message: bytes) -> None:
+        path = decoder.read(message)
+        self.frame_id, self.stamp = path.frame_id, path.stamp
+        self._poses = Poses(path.positions, path.orientations, path.elsewhere, path.stamps)
+        self.width = len(path.stamps)
+
+    def __len__(self) -> int:
+        return self.width
+
+    @property
+    def has_times(self) -> bool:
+        """Whether some poses are about other times than now."""
+        return bool(self._poses.stamps.any())
+
+    def moments(self) -> Poses:
+        """All poses, which have their times."""
+        return self._poses
+
+    def rows(self, begin: int, end: int) -> Poses:
+        """Return some of the poses."""
+        return take(self._poses, slice(begin, end))
 
 
 def shapes(poses: Poses, footprint: Sequence[float]) -> Shapes:

@@ -84,7 +84,7 @@ class Replies:
     """
 
     def __init__(self) -> None:
-        self._kept: list[PoseStamped] = []
+        self._poses: list[PoseStamped] = []
 
     def fill(self, plan: Path, hits: Sequence[SceneHit], frame_id: str, newest: int) -> None:
         """Write the answer to a query into a Path.
@@ -99,8 +99,8 @@ class Replies:
             Time of the newest update that the answer knows of, ns.
         """
         _set_header(plan.header, frame_id, newest)
-        self._kept += [PoseStamped() for _ in range(len(hits) - len(self._kept))]
-        poses = self._kept[: len(hits)]
+        self._poses += [PoseStamped() for _ in range(len(hits) - len(self._poses))]
+        poses = self._poses[: len(hits)]
         for pose, hit in zip(poses, hits, strict=True):
             turn = rotations.from_normal(*hit.normal.tolist())
             _set_pose(pose, hit.name, hit.stamp, hit.point.tolist(), turn)

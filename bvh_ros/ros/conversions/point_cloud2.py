@@ -93,9 +93,9 @@ class BoxCloud:
         usable = np.ones(n, dtype=bool)
         if self._ids is not None and self._good is not None:
             numbers, usable = self._ids[begin:end], self._good[begin:end]
-            gone = usable & np.isnan(size).any(axis=1)
-            deleted = numbers[gone]
-            usable = usable & ~gone
+            is_deleted = usable & np.isnan(size).any(axis=1)
+            deleted = numbers[is_deleted]
+            usable = usable & ~is_deleted
         known = ~np.isnan(centre).any(axis=1)
         skipped = int((usable & ~known).sum())
         usable = usable & known

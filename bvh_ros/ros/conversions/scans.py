@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan
 
-from bvh_ros.ros.config.part_settings import ScanSettings
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED, Floats
+from bvh_ros.ros.config.parameters import ScanSettings
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 
 ROUNDING = 1e-6  # steps: angle_max is a direction too where it should be one
 

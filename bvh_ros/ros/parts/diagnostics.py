@@ -1,28 +1,141 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`/diagnostics`: how the world, its sources and the answers are doing, once a second."""
+"""What the node says about itself, and what it does now and then."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+import resource
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from bvh_ros.ros.parts.part import NodePart
-from bvh_ros.ros.world.survey import SceneStatistics, resident_bytes
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
     from rclpy.node import Node
 
-    from bvh_ros.ros.parts.refusals import Refused
+    from bvh_ros.ros.parts.part import Timings
     from bvh_ros.ros.parts.services import QueryServices
-    from bvh_ros.ros.parts.timings import Timings
     from bvh_ros.ros.sources.source import Source
+    from bvh_ros.ros.texts import Refused
     from bvh_ros.ros.world.world import World
+
+SHARE = 0.01  # of the time may go into surveys
+TURN = 0.01  # seconds after which the rest is left for the next look
+DONE = object()
+
+
+class SceneStatistics:
+    """Looks at the whole world, so seldom that it takes at most a hundredth of the time, and with
+    many views bit by bit.
+
+    The cost of a tree of 10^6 boxes takes 40 ms: such a world is looked at every four seconds.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._work: Iterator[None] | None = None
+        self._spent = 0.0  # s on the look that is being taken
+        self._figures: dict[str, Any] = {}
+        self._visible = dict.fromkeys((view.name for view in world.views), 0)
+        self._taken = -float('inf')
+        self._due = -float('inf')
+
+    def look(self) -> tuple[dict[str, Any], dict[str, int]]:
+        """Return the figures of the scene, and how many obstacles each view shows."""
+        began = time.monotonic()
+        if self._work is None and began >= self._due:
+            self._work, self._spent = self._take(), 0.0
+        while self._work is not None:
+            if next(self._work, DONE) is DONE:
+                self._work, self._taken = None, time.monotonic()
+                spent = self._spent + self._taken - began
+                self._due = self._taken + spent / SHARE
+            elif self._figures and time.monotonic() - began > TURN:
+                break
+        now = time.monotonic()
+        self._spent += now - began
+        return {
+            **self._figures,
+            'age of these figures': f'{now - self._taken:.1f} s',
+        }, self._visible
+
+    def _take(self) -> Iterator[None]:
+        if self._world.scene.interrupted:
+            return  # nobody knows what it holds
+        visible = {}
+        for view in self._world.views:
+            visible[view.name] = self._world.scene.count(view.mask)
+            yield
+        self._figures, self._visible = self._take_figures(), visible
+
+    def _take_figures(self) -> dict[str, Any]:
+        scene = self._world.scene
+        stats = scene.stats()
+        tree = stats['tree']
+        return {
+            **{f'obstacles of {name}': count for name, count in stats['sources'].items()},
+            'height': stats['height'],
+            'cost': f'{stats["cost"]:.4g}',
+            'cost over that of the last build': _ratio(stats['cost'], tree['cost_when_built']),
+            'turned or round obstacles': stats['shaped'],
+            'different meshes': stats['meshes'],
+            'obstacles with a lifetime': stats['mortal'],
+            'bytes of the tree': tree['bytes'] + tree['snapshot_bytes'],
+            'bytes of the scene': stats['bytes'],
+            'pairs of true shapes compared': stats['pairs_compared'],
+            'of these with more digits': stats['pairs_in_more_digits'],
+            'node handles left': stats['node_handles_left'],
+        }
+
+
+def resident_bytes() -> int | None:
+    """Return how much memory this process occupies; None where the system does not say."""
+    try:
+        pages = int(Path('/proc/self/statm').read_text().split()[1])
+    except OSError:
+        return None
+    return pages * resource.getpagesize()
+
+
+def _ratio(cost: float, when_built: float) -> str:
+    return f'{cost / when_built:.3f}' if when_built > 0.0 else 'never built at once'
+
+
+# What has to be done again and again, whoever asks.
+
+EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
+QOS_PERIOD = 1.0  # seconds
+
+
+class Maintenance(NodePart):
+    """Removes obstacles whose time is over, and follows what publishers offer."""
+
+    def __init__(self, node: Node, world: World) -> None:
+        super().__init__(node)
+        self._world = world
+        self._turn = node.create_guard_condition(self._expire)
+        self._close.append(lambda: node.destroy_guard_condition(self._turn))
+        self.every(EXPIRY_PERIOD, self._expire)
+        self.every(QOS_PERIOD, self._check_qos)
+
+    def _expire(self) -> None:
+        if self._world.expire(self.node.get_clock().now().nanoseconds):
+            self._turn.trigger()
+
+    def _check_qos(self) -> None:
+        for source in self._world.sources:
+            if source.subscription is not None:
+                source.subscription.check()
+
+
+# `/diagnostics`: how the world, its sources and the answers are doing, once a second.
 
 PERIOD = 1.0  # seconds
 LOWEST, HIGHEST = 'lowest corner [m]', 'highest corner [m]'
@@ -77,13 +190,13 @@ class Diagnostics(NodePart):
     def publish(self) -> None:
         """Publish the state as it is now."""
         now = self._clock.now()
-        figures, seen = self._survey.look()
+        figures, visible = self._survey.look()
         problem = self._world.problem(now.nanoseconds)
         message = DiagnosticArray()
         message.header.stamp = now.to_msg()
         message.status = [
             self._world_status(figures, now.nanoseconds, problem),
-            *(self._query_status(queries, seen, problem) for queries in self._queries),
+            *(self._query_status(queries, visible, problem) for queries in self._queries),
             *(self._answerer_status(answerer, problem) for answerer in self._answerers),
             *(self._source_status(source, now.nanoseconds) for source in self._world.sources),
         ]
@@ -117,14 +230,14 @@ class Diagnostics(NodePart):
         return self._status('world', level, text, values)
 
     def _query_status(
-        self, queries: QueryServices, seen: Mapping[str, int], problem: str
+        self, queries: QueryServices, visible: Mapping[str, int], problem: str
     ) -> DiagnosticStatus:
         refused, view = queries.refused, queries.view.name
         name = f'queries of {view}' if view else 'queries'
         level, text = self._refused_since(name, refused.count, refused.last)
         if problem:
             level, text = ERROR, f'nothing is answered: {problem}'
-        count = seen[view]
+        count = visible[view]
         nothing = f'no obstacle matches the view {view}' if view and not count else 'answering'
         values = {
             'obstacles seen': count,
@@ -175,10 +288,10 @@ class Diagnostics(NodePart):
         listening = 'receiving' if source.has_spoken else 'has not spoken yet'
         return self._status(f'source {source.name}', level, text or listening, values)
 
-    def _refused_since(self, who: str, count: int, last: str) -> tuple[bytes, str]:
+    def _refused_since(self, part: str, count: int, last: str) -> tuple[bytes, str]:
         """Warn while something is being refused, not for ever after."""
-        before = self._refused_before.get(who, 0)
-        self._refused_before[who] = count
+        before = self._refused_before.get(part, 0)
+        self._refused_before[part] = count
         return (WARN, f'refused {count - before}: {last}') if count > before else (OK, '')
 
     def _status(

@@ -13,7 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.serialization import serialize_message
 
-from bvh_ros.ros.parts.watched import OnDemandPublisher
+from bvh_ros.ros.parts.part import OnDemandPublisher
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -1,20 +1,170 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A part of the node: what it opened on the node goes away with it."""
+"""Parts of the node: what they open on it, and when they publish."""
 
 from __future__ import annotations
 
+import math
+import time
+import warnings
+from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from bvh_ros.ros.parts.replies import Replies
 from bvh_ros.ros.qos import REPEATED, REQUESTS
 
 if TYPE_CHECKING:
     from rclpy.node import Node
+    from rclpy.service import Service
+    from rclpy.timer import Timer
+
+MOST = 4096  # durations kept between two looks; of more, the latest
+
+
+class Summary(NamedTuple):
+    """What happened since the last look."""
+
+    rate: float  # a second
+    median: float  # ms, NaN if nothing happened
+    p99: float  # ms
+    longest: float  # ms
+
+
+class Timings:
+    """Durations between two looks."""
+
+    def __init__(self) -> None:
+        self.durations: deque[int] = deque(maxlen=MOST)
+        self._count = 0
+        self._longest = 0
+        self._since = time.monotonic()
+
+    def add(self, began: int) -> None:
+        """Note that something that began at `began` (time.perf_counter_ns) is done."""
+        took = time.perf_counter_ns() - began
+        self.durations.append(took)
+        self._count += 1
+        self._longest = max(self._longest, took)
+
+    def look(self) -> Summary:
+        """Return what happened since the last look, and begin anew."""
+        now = time.monotonic()
+        rate = self._count / max(now - self._since, 1e-9)
+        ordered = sorted(self.durations)
+        median, p99 = (_quantile(ordered, share) for share in (0.5, 0.99))
+        summary = Summary(rate, median, p99, self._longest / 1e6 if ordered else float('nan'))
+        self.durations.clear()
+        self._count, self._longest, self._since = 0, 0, now
+        return summary
+
+
+def _quantile(ordered: list[int], share: float) -> float:
+    """The smallest duration (ms) that at least this share does not exceed."""
+    if not ordered:
+        return float('nan')
+    return ordered[max(0, math.ceil(share * len(ordered)) - 1)] / 1e6
+
+
+# Replies whose client is found late.
+
+AGAIN_AFTER = 0.4, 1.0, 3.0
+"""Seconds between one attempt and the next. DDS announces a reader anew every second."""
+LOOK_EVERY = 0.1  # seconds
+
+
+class Late(NamedTuple):
+    """A reply that is not delivered.
+
+    Attributes
+    ----------
+    due : float
+        When to try again, on the monotonic clock.
+    attempts : int
+        That failed.
+    response, header
+        As rclpy sends them.
+    """
+
+    due: float
+    attempts: int
+    response: Any
+    header: Any
+
+
+class Replies:
+    """Sends the replies of a service, and once more those whose client was not found.
+
+    A client asks as soon as it knows the node, which may not know the reader of its replies yet:
+    news of that comes by packets of its own. rmw_fastrtps waits 0.1 s for them, then drops the
+    reply, and rclpy warns. On a loaded machine the first request of a client remained unanswered.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Serves; its executor tries again.
+    service : rclpy.service.Service
+        From now on sends this way.
+    """
+
+    def __init__(self, node: Node, service: Service) -> None:
+        self._node = node
+        self._name = service.srv_name
+        self._send = service.send_response
+        self._late: list[Late] = []
+        self._timer: Timer | None = None
+        service.send_response = self.send
+
+    def send(self, response: Any, header: Any) -> None:
+        """Send a reply now, or as soon as its client is found."""
+        self._try(Late(0.0, 0, response, header))
+
+    def close(self) -> None:
+        """Try no more."""
+        self._late.clear()
+        self._stop_looking()
+
+    def _try(self, late: Late) -> None:
+        if self._is_sent(late):
+            return
+        if late.attempts == len(AGAIN_AFTER):
+            self._node.get_logger().warning(
+                f'a reply of {self._name} is lost: its client asked, but cannot be reached'
+            )
+            return
+        due = time.monotonic() + AGAIN_AFTER[late.attempts]
+        self._late.append(late._replace(due=due, attempts=late.attempts + 1))
+        if self._timer is None:
+            clock = Clock(clock_type=ClockType.STEADY_TIME)
+            self._timer = self._node.create_timer(LOOK_EVERY, self._look, clock=clock)
+
+    def _is_sent(self, late: Late) -> bool:
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter('always', RuntimeWarning)
+            self._send(late.response, late.header)
+        return not any('failed to send response' in str(one.message) for one in said)
+
+    def _look(self) -> None:
+        """Try one: an attempt that fails takes 0.1 s, in which nobody else is served."""
+        late = min(self._late, key=lambda one: one.due)
+        if late.due <= time.monotonic():
+            self._late.remove(late)
+            self._try(late)
+        if not self._late:
+            self._stop_looking()
+
+    def _stop_looking(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+            self._timer = None
+
+
+# A part of the node: what it opened on the node goes away with it.
 
 
 class NodePart:
@@ -63,3 +213,64 @@ class NodePart:
         """Close what was opened, the last first. Doing so twice does nothing more."""
         while self._close:
             self._close.pop()()
+
+
+# Topics that are worked for only while somebody listens.
+
+PERIOD = 1.0  # seconds
+TELL = 2  # times that a newcomer is told: it may find us a moment after we found it
+
+
+class OnDemandPublisher(NodePart):
+    """Publishes at most once a second, latched, and only while there are subscribers.
+
+    Only subscribers that ask for it get a latched message. The others would wait for a change:
+    when there is a new subscriber, the last message is published again.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        super().__init__(node)
+        self.is_watched = False
+        self._published_at = -PERIOD
+        self._last: Any = None
+        self._to_tell = 0  # times that the last message is still to be said again
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(PERIOD, self._publish, clock=steady, autostart=False)
+        self._close.append(partial(node.destroy_timer, self._timer))
+        self._publisher = self.publisher(
+            kind,
+            topic,
+            QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
+        )
+
+    @abstractmethod
+    def message(self) -> Any:
+        """Return the next message, or its bytes; None if there is nothing new."""
+
+    def _on_matched(self, status: Any) -> None:
+        if status.current_count == 0:
+            self.is_watched = False
+            self._timer.cancel()
+            return
+        if status.current_count_change > 0:
+            self._to_tell = TELL
+        if not self.is_watched:
+            self.is_watched = True
+            self._timer.reset()
+            if time.monotonic() - self._published_at >= PERIOD:
+                self._publish()
+
+    def _publish(self) -> None:
+        message = self.message()
+        if message is None and self._to_tell > 0:
+            message = self._last
+        if message is not None:
+            self.send(message)
+
+    def send(self, message: Any) -> None:
+        """Publish a message, which is the newest from now on."""
+        self._to_tell -= self._to_tell > 0
+        self._last = message
+        self._published_at = time.monotonic()
+        self._publisher.publish(message)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from types import coroutine
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +17,9 @@ from std_srvs.srv import Trigger
 
 from bvh_ros.ros.compile_jobs import NEAREST, NEAREST_THEN
 from bvh_ros.ros.conversions import plans
-from bvh_ros.ros.parts.part import NodePart
-from bvh_ros.ros.parts.refusals import Refused, explain
-from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import repeated
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.known_times import NOW, Span, span_of
 from bvh_ros.ros.world.large_changes import PATIENCE
 from bvh_ros.scene import TooManyHitsError
@@ -28,12 +27,13 @@ from bvh_ros.scene import TooManyHitsError
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.parts.on_demand import OnDemand
-    from bvh_ros.ros.parts.query_drawing import QueryDrawing
+    from bvh_ros.ros.parts.drawing import QueryDrawing
+    from bvh_ros.ros.parts.readiness import OnDemand
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import Scene, SceneHit
 
+FEW = 10_000  # obstacles, of which the tree is built anew in some 5 ms
 Acting = Generator[None, None, str]  # pauses, and returns the reply
 Answer = Callable[['Scene', plans.Query, Span], 'Sequence[SceneHit]']
 
@@ -86,14 +86,14 @@ class QueryServices(NodePart):
 
     def _raycast(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
-        hit = scene.raycast(*way, *span)
+        ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        hit = scene.raycast(*ray, *span)
         return () if hit is None else (hit,)
 
     def _raycast_all(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
-        way = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
-        return scene.raycast_all(*way, self._most, *span)
+        ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
+        return scene.raycast_all(*ray, self._most, *span)
 
     def _overlap(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         box = query.start, query.goal, query.orientation, query.tolerance, self.view.mask
@@ -175,10 +175,11 @@ class TriggerServices(NodePart):
         self._world = world
         self._sources = world.sources
         self._group = MutuallyExclusiveCallbackGroup()
+        self._work: Iterable[None] = ()  # in the helper thread
         for name, act in (
-            ('~/clear', self._clear),
-            ('~/rebuild', self._rebuild),
-            ('~/validate', self._validate),
+            ('~/clear', self.clear),
+            ('~/rebuild', self.rebuild),
+            ('~/validate', self.validate),
         ):
             self._serve(name, act)
 
@@ -198,7 +199,8 @@ class TriggerServices(NodePart):
 
         self.service(Trigger, name, callback, callback_group=self._group)
 
-    def _clear(self) -> Acting:
+    def clear(self) -> Acting:
+        """Remove all obstacles; sources begin anew."""
         self._world.catch_up()
         yield from self._until_unchanged()
         removed = self._world.scene.clear()
@@ -208,13 +210,25 @@ class TriggerServices(NodePart):
         yield
         return f'removed {removed} obstacles'
 
-    def _rebuild(self) -> Acting:
+    def rebuild(self) -> Acting:
+        """Build the tree anew: a large one in the helper thread, while a copy answers."""
         yield from self._until_unchanged()
-        self._world.scene.rebuild()
+        scene = self._world.scene
+        if len(scene) < FEW:
+            scene.rebuild()
+        else:
+            self._work = self._world.changes.make(self, scene.rebuild)
+            yield from self._work
         yield
         return self._tree_in_words()
 
-    def _validate(self) -> Acting:
+    def finish(self) -> None:
+        """Build the tree anew until it is done."""
+        for _ in self._work:
+            pass
+
+    def validate(self) -> Acting:
+        """Check everything, bit by bit."""
         if self._world.compiling:
             raise RuntimeError(self._world.compiling)
         yield from self._until_unchanged()

@@ -12,21 +12,20 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from bvh_ros.ros.config.part_settings import LASER_SCAN
-from bvh_ros.ros.conversions import ray_clouds, rotations, scans
-from bvh_ros.ros.conversions.ray_clouds import Hits
+from bvh_ros.ros.config.parameters import LASER_SCAN
+from bvh_ros.ros.conversions import rotations, scans
+from bvh_ros.ros.conversions.query_clouds import Hits, answers_cloud, unanswered
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.part import NodePart
-from bvh_ros.ros.parts.refusals import Refused, explain
-from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.frames import Transform
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.part_settings import ScanSettings
+    from bvh_ros.ros.config.parameters import ScanSettings
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import Scene
@@ -88,7 +87,7 @@ class VirtualScan(NodePart):
         began = time.perf_counter_ns()
         now = self.node.get_clock().now()
         place = Transform(np.zeros(3), np.array(rotations.IDENTITY))
-        hits, reason = Hits.unanswered(len(self._pattern.directions)), ''
+        hits, reason = unanswered(Hits, len(self._pattern.directions)), ''
         try:
             place = self._place(pose)
             hits = self._measure(self._world.at(now.nanoseconds), place)
@@ -140,4 +139,4 @@ class VirtualScan(NodePart):
             normals = place.inverse().vectors(normals)
         points = np.where(np.isfinite(measured)[:, None], points, np.nan)
         found = Hits(hits.obstacles, measured, points, normals)
-        return ray_clouds.hits_cloud(found, settings.channels, len(given.angles), np.float32)
+        return answers_cloud(found, settings.channels, len(given.angles), np.float32)

@@ -10,8 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.config.option import FARTHEST, Option
-from bvh_ros.ros.config.settings import SourceSettings
+from bvh_ros.ros.config.parameters import FARTHEST, Option, SourceSettings
 from bvh_ros.scene import ShapeKind
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.conversions.marker_table import table
+from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part, ShapeKind
 from bvh_ros.scene.names import as_families
@@ -57,26 +57,28 @@ class MarkerArraySource(Source):
             prefix=self.settings.prefix,
             planar=self.scene.planar,
         )
-        self.tells_all = change.clears
+        self.is_whole = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)
         part = part._replace(velocities=self.follow)
         count, refusals = len(change.names), change.refusals
         removed = self._with_elements(change.removed)
-        gone = self.scene.find(self.name, removed, change.namespaces)
+        leaving = self.scene.find(self.name, removed, change.namespaces)
         meshes = int(np.count_nonzero(change.shapes.kind == ShapeKind.MESH))
         costly = COSTLY_AS_ROWS * meshes > count
-        at_once = len(gone) < AT_ONCE and not self.scene.is_long(
+        at_once = len(leaving) < AT_ONCE and not self.scene.is_long(
             self.name, count, whole=change.clears, costly=costly
         )
         if at_once:
-            self.scene.remove_group(self.name, '') if change.clears else self.scene.discard(gone)
+            self.scene.remove_group(self.name, '') if change.clears else self.scene.discard(
+                leaving
+            )
         self._forget_lists(change)
         for name, size in change.lists.items():  # before: should anything go wrong on the way
             self._lists[name] = max(size, self._lists.get(name, 0))
         whole = change.clears and not at_once
         refused = yield from self._in_slices('', count, part.cut, whole=whole, costly=costly)
         if not at_once:  # not before: others have asked meanwhile
-            yield from self.scene.discard_in_slices(gone, besides=change.names)
+            yield from self.scene.discard_in_slices(leaving, besides=change.names)
         refusals.extend(refused)
         yield from self._settle_lists(change)
         return len(columns.id) + count - len(change.singles), refusals
@@ -111,8 +113,10 @@ class MarkerArraySource(Source):
             left[name] = size, self._lists[name]
             self._lists[name] = size
         if left:
-            gone = self._elements(left, as_families(list(change.lists)))
-            yield from self.scene.discard_in_slices(self.scene.find(self.name, gone), besides=[])
+            leaving = self._elements(left, as_families(list(change.lists)))
+            yield from self.scene.discard_in_slices(
+                self.scene.find(self.name, leaving), besides=[]
+            )
 
     def _lists_among(self, names: Families) -> set[str]:
         return self._lists.keys() & names.texts() if self._lists else set()

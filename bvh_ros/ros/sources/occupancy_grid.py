@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 
-from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions import occupancy_grid
 from bvh_ros.ros.conversions.markers import moved
 from bvh_ros.ros.conversions.times import nanoseconds
@@ -32,7 +32,7 @@ class OccupancyGridSource(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Replace all boxes."""
-        self.tells_all = True
+        self.is_whole = True
         options = self.settings.options
         shapes = yield from occupancy_grid.boxes(
             message,

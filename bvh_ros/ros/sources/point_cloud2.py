@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from sensor_msgs.msg import PointCloud2
@@ -14,6 +15,9 @@ from bvh_ros.ros.conversions import point_cloud2
 from bvh_ros.ros.conversions.markers import TOO_FAR_AHEAD, moved
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Numbered, Part
+from bvh_ros.scene.store import run_in_thread
+
+MANY = 30_000  # rows, whose ids take some 5 ms to compare
 
 
 def says_everything(serialised: bytes) -> bool:
@@ -40,8 +44,10 @@ class PointCloud2Source(Source):
         given = decoder.read(*message)
         options = self.settings.options
         moving = options['predict'] == 'given'
-        cloud = point_cloud2.BoxCloud(given, voxel=options['voxel'], moving=moving)
-        self.tells_all = not cloud.by_id
+        read = partial(point_cloud2.BoxCloud, given, voxel=options['voxel'], moving=moving)
+        large = given.width * given.height >= MANY
+        cloud = (yield from run_in_thread(read)) if large else read()
+        self.is_whole = not cloud.by_id
         stamp = given.stamp
         transform = self.frames.into_node(given.frame_id, stamp)
         prefix = f'{self.settings.prefix}{self.name}#'

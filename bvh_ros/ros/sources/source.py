@@ -14,12 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from rclpy.serialization import deserialize_message
 
-from bvh_ros.ros.parts.refusals import Refused, explain
-from bvh_ros.ros.parts.timings import Timings
+from bvh_ros.ros.parts.part import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
-from bvh_ros.ros.sources.completeness import Completeness
-from bvh_ros.ros.sources.numbering import Heard
-from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
+from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Refusal, Refusals
 
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
     from bvh_ros.ros.compile_jobs import Job
-    from bvh_ros.ros.config.settings import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import Scene
     from bvh_ros.scene.slicing import Parts
@@ -64,7 +62,7 @@ class Source(ABC):
         # Called after each message; may pause.
         self.on_applied: Callable[[Source, int], Iterable[None]] = lambda source, now: ()
         self.changes = LargeChanges(scene)
-        self.tells_all = False  # whether the message that is being applied says everything
+        self.is_whole = False  # whether the message that is being applied says everything
         # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
         self.raw = self.together = False
         self.follow = _follower(settings)
@@ -116,9 +114,9 @@ class Source(ABC):
         if self.subscription is not None:
             self.subscription.catch_up()
 
-    def _note(self, heard: Heard, kept: bool) -> None:
+    def _note(self, heard: Heard, latched: bool) -> None:
         """The message that comes now does not just follow those before it."""
-        self._then(partial(self.completeness.note, heard, kept=kept))
+        self._then(partial(self.completeness.note, heard, latched=latched))
 
     def receive(self, messages: Sequence[bytes]) -> None:
         """Apply a message, or several small ones as one, after those before."""
@@ -130,12 +128,12 @@ class Source(ABC):
         """Apply a message at once, as if it came at `now` (ns on whatever clock)."""
         self.messages += 1
         self._hurried = True
-        for _ in self._applying([serialised], now):
+        for _ in self.applying([serialised], now):
             pass
 
     def _begin(self, messages: Sequence[bytes], now: int) -> None:
         self._size = sum(map(len, messages))
-        self._work = self._applying(messages, now)
+        self._work = self.applying(messages, now)
 
     def _then(self, act: Callable[[], object], size: int = 0) -> None:
         """Do this when all before is applied."""
@@ -185,10 +183,10 @@ class Source(ABC):
         if (self._work is not None or self._waiting) and self._turn is not None:
             self._turn.trigger()
 
-    def _applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
+    def applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
         """Apply messages; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
-        alone, self.tells_all = len(messages) == 1, False
+        alone, self.is_whole = len(messages) == 1, False
         try:
             items, refusals = yield from self.apply(self._read(messages), now)
             useless = 0 < items == len(refusals)
@@ -199,8 +197,8 @@ class Source(ABC):
             yield from self.on_applied(self, now)
             if not useless:
                 self.spoke_at, self.has_spoken = now, True
-                if self.tells_all:
-                    self.completeness.note_all_told()
+                if self.is_whole:
+                    self.completeness.note_all_known()
             return
         except ValueError as error:
             reason = str(error)
@@ -211,7 +209,7 @@ class Source(ABC):
             self.refused.add(reason)
             return
         for message in messages:  # some may be of use
-            yield from self._applying([message], now)
+            yield from self.applying([message], now)
 
     def _in_slices(
         self, group: str, total: int, parts: Parts, *, whole: bool, costly: bool = False

@@ -1,41 +1,396 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscription that follows what the publishers offer, and counts what is lost."""
+"""Subscriptions that follow what publishers offer, and count what is lost."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 
 from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
 from bvh_ros.ros.qos import DEPTH, Delivery
-from bvh_ros.ros.seldom import Seldom
-from bvh_ros.ros.sources.backlog import Backlog
-from bvh_ros.ros.sources.kinds import (
-    BEST_EFFORT,
-    KINDS,
-    LATCHED,
-    RELIABLE,
-    Kind,
-    asked,
-    is_kept,
-    unheard,
-)
-from bvh_ros.ros.sources.merging import HOLD, Merger, Told
-from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
-from bvh_ros.ros.sources.resting import Resting
+from bvh_ros.ros.texts import Seldom
 
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.qos_overriding_options import QoSOverridingOptions
     from rclpy.subscription import Subscription
+
+
+class Kind(NamedTuple):
+    """What a subscription asks for."""
+
+    reliability: ReliabilityPolicy
+    durability: DurabilityPolicy
+
+
+LATCHED = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = Kind(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+BEST_EFFORT = Kind(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+KINDS = (LATCHED, RELIABLE, BEST_EFFORT)  # each hears all that the ones before it hear
+# What every publisher offers.
+LEAST = {'reliability': 'best_effort', 'durability': 'volatile'}
+
+
+def with_overrides(kind: Kind, given: Mapping[str, Any]) -> Kind:
+    """Return what to ask for with the user's overrides."""
+    reliability, durability = given.get('reliability'), given.get('durability')
+    return Kind(
+        ReliabilityPolicy[reliability.upper()] if reliability else kind.reliability,
+        DurabilityPolicy[durability.upper()] if durability else kind.durability,
+    )
+
+
+def is_latched(kind: Kind) -> bool:
+    """Return whether publishers that are heard so keep messages for late joiners."""
+    return kind.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def unheard(topic: str, policy: str, kind: Kind) -> str:
+    """Say that a publisher offers less of a policy than is asked for, and the two ways out."""
+    policy = policy.lower()
+    if policy not in LEAST:
+        return f'a publisher is not heard: its {policy} is not what is asked for'
+    wanted = getattr(kind, policy).name.lower()
+    return (
+        f'a publisher is not heard: it offers less than the {policy} {wanted} that is asked for. '
+        f"Let it publish with {policy} {wanted}, or set this node's parameter "
+        f"'qos_overrides.{topic}.subscription.{policy}' to '{LEAST[policy]}'"
+    )
+
+
+# Which messages of a topic's publishers were never heard.
+#
+# Each publisher numbers its messages from 1. rclpy tells the number of a message, but not whose it
+# is. So a number is given to the publisher that was heard last of those it follows directly; where
+# it follows none, something is missing. Two publishers that count in step can be mistaken for each
+# other: a gap is then seen as soon as the other one speaks.
+
+SPARE = 16  # publishers that are gone already, while what they said still waits
+
+
+class Heard(NamedTuple):
+    """What the number of a message says about those before it."""
+
+    is_new: bool = False  # the first that is heard of its publisher
+    unheard: int = 0  # messages of that publisher before
+    lost: int = 0  # of a publisher that was heard before
+
+
+NEXT = Heard()
+
+
+class Numbering:
+    """Follows the numbers of all publishers of one topic."""
+
+    def __init__(self) -> None:
+        self._last: list[int] = []  # of each publisher; the one heard last comes last
+        self._counts = True
+
+    def note(self, number: int | None, publishers: int) -> Heard:
+        """Take notice of a message.
+
+        Parameters
+        ----------
+        number : int or None
+            As its publisher counts; None where the middleware does not tell.
+        publishers : int
+            How many there are now.
+        """
+        if number is None:
+            # Neither earlier messages are known, nor later losses.
+            is_new, self._counts = self._counts, False
+            return Heard(is_new, unheard=1) if is_new else NEXT
+        for place in range(len(self._last) - 1, -1, -1):
+            if self._last[place] == number - 1:
+                del self._last[place]
+                self._last.append(number)
+                return NEXT
+        heard = self._irregular(number, publishers)
+        self._last.append(number)
+        del self._last[: max(len(self._last) - publishers - SPARE, 0)]
+        return heard
+
+    def _irregular(self, number: int, publishers: int) -> Heard:
+        if number == 1:
+            return Heard(is_new=True)
+        alive = self._last[-publishers:] if publishers else self._last
+        before = [last for last in alive if last < number]
+        if len(alive) < publishers or not before:
+            return Heard(is_new=True, unheard=number - 1)
+        last = max(before)
+        self._last.remove(last)
+        return Heard(lost=number - last - 1)
+
+
+# Whether all obstacles of a source are known. Messages that only bring changes leave that open.
+#
+# All are known after a message that replaces everything: a cloud without ids, a grid, markers
+# after a DELETEALL of all namespaces. So they are where publishers are heard from their first
+# message on, or keep messages for late joiners. They no longer are once a message is lost, or a
+# publisher turns up that has published before, until everything is replaced again.
+
+SETTLED = 0.2  # seconds without a further message: a late joiner has got what was kept for it
+
+
+class Completeness:
+    """Whether a message may be missing, and why."""
+
+    def __init__(self) -> None:
+        self._unheard = ''
+        self._forgotten = ''
+        self._settles = 0.0  # on the monotonic clock; 0: not waited for
+
+    def note(self, heard: Heard, *, latched: bool) -> None:
+        """Take notice of how a message follows the others.
+
+        Parameters
+        ----------
+        latched : bool
+            Whether its publisher keeps messages for late joiners.
+        """
+        if heard.lost:
+            self._unheard = f'{heard.lost} of its messages were lost'
+        elif latched and (heard.is_new or self._settles):
+            self._settles = time.monotonic() + SETTLED
+        elif heard.unheard:
+            self._unheard = 'it had spoken before it was heard'
+
+    def note_all_known(self) -> None:
+        """A message said everything."""
+        self._unheard = self._forgotten = ''
+        self._settles = 0.0
+
+    def forget(self, reason: str) -> None:
+        """Earlier messages are no longer known, or changes since may be missing."""
+        self._forgotten = reason
+
+    def missing(self) -> str:
+        """Say why not all is known, or return an empty text."""
+        if self._settles and time.monotonic() > self._settles:
+            self._settles, self._forgotten = 0.0, ''
+        settling = 'what it keeps for late joiners is still coming' if self._settles else ''
+        return self._unheard or settling or self._forgotten
+
+
+# Several subscriptions to one topic: each message is taken once and in its publisher's order.
+#
+# A best-effort subscription hears reliable publishers, too, and rclpy does not say by which
+# subscription a message would have come. A message of the weaker subscription is delayed for a
+# moment. If it comes by the stronger one as well, that copy counts: it is complete and in order.
+
+DELAY = 0.05  # seconds: on the way, both copies are one packet
+REMEMBERED = 10_000  # messages
+
+
+class Received(NamedTuple):
+    """A message, and what the middleware says of it."""
+
+    message: Any
+    number: int | None  # by its publisher's count
+    latched: bool  # its publisher keeps messages for late joiners
+
+
+class Merger:
+    """Passes each message on once, whichever subscriptions it comes by.
+
+    Parameters
+    ----------
+    deliver : callable
+        Takes a `Received`.
+    delay : float
+        Of messages of the weaker subscription, s; 0 where the order does not matter.
+    """
+
+    def __init__(self, deliver: Callable[[Received], None], delay: float = DELAY) -> None:
+        self._deliver = deliver
+        self._delay = delay
+        self._known: dict[tuple[Any, Any], None] = {}
+        self._delayed: dict[tuple[Any, Any], tuple[float, Received]] = {}
+
+    @property
+    def is_delaying(self) -> bool:
+        """Whether something waits for `release`."""
+        return bool(self._delayed)
+
+    def take(self, received: Received, sent: int, *, others_hear: bool, better_hear: bool) -> None:
+        """Take a message.
+
+        Parameters
+        ----------
+        sent : int
+            When its publisher sent it, ns: together with the number, whose it is.
+        others_hear : bool
+            Whether it may come by another subscription, too, or has come by one.
+        better_hear : bool
+            Whether it is likely to come by one that asks for more.
+        """
+        if not others_hear:
+            self._deliver(received)
+            return
+        key = sent, received.number
+        if key in self._known:
+            return
+        if better_hear and self._delay:
+            self._delayed.setdefault(key, (time.monotonic() + self._delay, received))
+            return
+        self._delayed.pop(key, None)
+        self._pass_on(key, received)
+
+    def release(self) -> None:
+        """Pass on messages that were delayed for long enough: no other subscription has them."""
+        now = time.monotonic()
+        for key, (due, received) in [*self._delayed.items()]:
+            if due > now:
+                return
+            del self._delayed[key]
+            self._pass_on(key, received)
+
+    def _pass_on(self, key: tuple[Any, Any], received: Received) -> None:
+        self._known[key] = None
+        if len(self._known) > REMEMBERED:
+            del self._known[next(iter(self._known))]
+        self._deliver(received)
+
+
+# Messages that wait. Every change is needed; of messages that replace everything only the newest.
+#
+# A publisher of large clouds may be faster than the node, which must not fall behind, nor grow.
+
+TOGETHER = 64  # messages
+MOST_WHOLE = 10  # messages that say everything; the newest may yet be refused
+
+
+class Waiting(NamedTuple):
+    """A message that waits."""
+
+    received: Received
+    heard: Heard
+    is_whole: bool  # replaces all before it
+
+
+class Backlog:
+    """A queue that drops messages that newer ones replace.
+
+    Parameters
+    ----------
+    says_everything : callable
+        Whether a message replaces all before it.
+    joins : callable
+        Whether a waiting message may be handed over with those before it.
+    """
+
+    def __init__(
+        self, says_everything: Callable[[Any], bool], joins: Callable[[Waiting], bool]
+    ) -> None:
+        self.superseded = 0
+        self._says_everything = says_everything
+        self._joins = joins
+        self._waiting: deque[Waiting] = deque()
+        self._whole = 0
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def add(self, received: Received, heard: Heard) -> None:
+        """Append a message, and what its number says about those before it."""
+        self._waiting.append(Waiting(received, heard, self._says_everything(received.message)))
+        self._whole += self._waiting[-1].is_whole
+        while self._whole > MOST_WHOLE or (
+            self._whole == MOST_WHOLE and not self._waiting[0].is_whole
+        ):
+            self.superseded += 1
+            self._take()
+
+    def next(self) -> list[Waiting]:
+        """Take out the oldest message and those that join it."""
+        some = [self._take()]
+        while self._waiting and len(some) < TOGETHER and self._joins(self._waiting[0]):
+            some.append(self._take())
+        return some
+
+    def _take(self) -> Waiting:
+        first = self._waiting.popleft()
+        self._whole -= first.is_whole
+        return first
+
+
+# A busy topic is looked at every few milliseconds; not every message wakes the node.
+
+REST = 0.01  # seconds, in which many small messages come for one round of the executor
+BUSY = 0.002  # seconds between messages
+
+
+class Resting:
+    """Lets a busy topic's subscriptions wake nobody, and looks at them by a timer.
+
+    An executor that does not know `resting`, a set of entities to leave out, goes on being woken.
+
+    Parameters
+    ----------
+    subscriptions : collection of rclpy.subscription.Subscription
+        As they are at any time.
+    take : callable
+        Takes and hands over what waits; returns how many messages that were.
+    """
+
+    def __init__(
+        self, node: Node, subscriptions: Collection[Subscription], take: Callable[[], int]
+    ) -> None:
+        self._node = node
+        self._subscriptions = subscriptions
+        self._take = take
+        self._woken = -1.0  # when, s
+        self._asleep: set[Subscription] | None = None  # what the executor leaves out
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(REST, self._look, clock=steady, autostart=False)
+
+    def woken(self) -> None:
+        """Take notice that the executor was woken for a message; sleep if that comes often."""
+        last, self._woken = self._woken, time.perf_counter()
+        if self._woken - last < BUSY:
+            self._asleep = getattr(self._node.executor, 'resting', None)
+            if self._asleep is not None:
+                self._asleep.update(self._subscriptions)
+                self._timer.reset()
+
+    def catch_up(self) -> None:
+        """Take what waits before somebody asks."""
+        if self._asleep is not None:
+            self._take()
+
+    def wake(self) -> None:
+        """Be woken by each message again."""
+        if self._asleep is not None:
+            self._asleep.difference_update(self._subscriptions)
+            self._asleep = None
+            self._timer.cancel()
+
+    def destroy(self) -> None:
+        """End for good, before the subscriptions do."""
+        self.wake()
+        self._node.destroy_timer(self._timer)
+
+    def _look(self) -> None:
+        if self._take() < 2:
+            self.wake()
+
+
+# A subscription that follows what the publishers offer, and counts what is lost.
 
 TURN = 0.01  # seconds after which others get a turn
 SMALL = 4096  # bytes of messages that may be handed over together
@@ -78,7 +433,7 @@ class FollowingSubscription:
         callback: Callable[[list[Any]], None],
         delivery: Delivery,
         *,
-        on_irregular: Callable[[Heard, bool], None] = lambda _heard, _kept: None,
+        on_irregular: Callable[[Heard, bool], None] = lambda _heard, _latched: None,
         says_everything: Callable[[Any], bool] | None = None,
         is_full: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -93,9 +448,11 @@ class FollowingSubscription:
         self.lost = 0  # messages
         self._losses = Seldom(lambda text: node.get_logger().warning(text))
         self._numbering = Numbering()
-        self._merger = Merger(self._deliver, HOLD if delivery.ordered else 0.0)
+        self._merger = Merger(self._deliver, DELAY if delivery.ordered else 0.0)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._holding = node.create_timer(HOLD / 2, self._release, clock=steady, autostart=False)
+        self._release_timer = node.create_timer(
+            DELAY / 2, self._release, clock=steady, autostart=False
+        )
         # Subscriptions come and go outside of their own events' callbacks.
         self._change = node.create_guard_condition(self.check)
         self._supersedes = says_everything is not None
@@ -103,7 +460,7 @@ class FollowingSubscription:
         self._more = node.create_guard_condition(self._hand_over_some)
         self._is_handing_over = False
         given = overrides(node, self.topic)
-        wanted = asked(LATCHED if delivery.latched else RELIABLE, given)
+        wanted = with_overrides(LATCHED if delivery.latched else RELIABLE, given)
         self._wanted = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=delivery.depth)
         self._subscriptions: dict[Kind, Subscription] = {}
         self._resting = Resting(node, self._subscriptions.values(), self._take_what_waits)
@@ -144,7 +501,7 @@ class FollowingSubscription:
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
-        self._node.destroy_timer(self._holding)
+        self._node.destroy_timer(self._release_timer)
         self._node.destroy_guard_condition(self._change)
         self._node.destroy_guard_condition(self._more)
 
@@ -162,7 +519,7 @@ class FollowingSubscription:
         return int(self._node.count_publishers(self.topic))
 
     def figures(self) -> dict[str, object]:
-        """Return who is heard, how, and what was lost, as /diagnostics shows it."""
+        """Return how publishers are heard and what was lost, as /diagnostics shows it."""
         counts = self._counts()
         kinds = [kind for kind, count in counts.items() if count] or [*counts]
         figures: dict[str, object] = {
@@ -201,35 +558,35 @@ class FollowingSubscription:
 
     def _take_what_waits(self) -> int:
         """Take and hand over what waits; return how many messages came."""
-        # Who is replaced by a newer message is known once that is taken.
+        # A newer message may replace those that wait: it has to be taken first.
         limit = math.inf if self._supersedes else TURN
         taken = sum(self._take_the_rest(kind, limit) for kind in self._subscriptions)
         self._hand_over_some()
         return taken
 
     def _take(self, kind: Kind, message: Any, info: dict[str, Any]) -> None:
-        told = Told(message, info['publication_sequence_number'], is_kept(kind))
+        received = Received(message, info['publication_sequence_number'], is_latched(kind))
         counts = self._counts()
         place = KINDS.index(kind) if kind in KINDS else 0
         self._merger.take(
-            told,
+            received,
             info['source_timestamp'],
-            # Whoever is counted: a publisher may be gone while what it said still waits.
+            # By count: a publisher may have ended while its messages still wait.
             others_hear=len(counts) > 1,
             better_hear=any(counts.get(other) for other in KINDS[:place]),
         )
-        if self._merger.is_holding and self._holding.is_canceled():
-            self._holding.reset()
+        if self._merger.is_delaying and self._release_timer.is_canceled():
+            self._release_timer.reset()
 
     def _release(self) -> None:
         self._merger.release()
-        if not self._merger.is_holding:
-            self._holding.cancel()
+        if not self._merger.is_delaying:
+            self._release_timer.cancel()
         self._hand_over_some()
 
-    def _deliver(self, told: Told) -> None:
+    def _deliver(self, received: Received) -> None:
         publishers = max(self._counts().values(), default=0)
-        heard = self._numbering.note(told.number, publishers)
+        heard = self._numbering.note(received.number, publishers)
         if heard.lost:
             self.lost += heard.lost
             self._losses.add(
@@ -237,7 +594,7 @@ class FollowingSubscription:
                 'were taken, or on a connection that loses some',
                 heard.lost,
             )
-        self._backlog.add(told.message, (told, heard))
+        self._backlog.add(received, heard)
 
     def _hand_over_some(self) -> None:
         """Hand over what waits until the turn is over, and go on after others had theirs."""
@@ -245,19 +602,18 @@ class FollowingSubscription:
         self._is_handing_over = True
         try:
             while self._backlog and not self._is_full() and time.perf_counter() < end:
-                self._hand_over(*self._backlog.next())
+                self._hand_over(self._backlog.next())
         finally:
             self._is_handing_over = False
             self.resume()
 
-    def _joins(self, message: Any, more: tuple[Told, Heard]) -> bool:
-        return self._together and more[1] is NEXT and len(message) <= SMALL
+    def _joins(self, one: Waiting) -> bool:
+        return self._together and one.heard is NEXT and len(one.received.message) <= SMALL
 
-    def _hand_over(self, messages: list[Any], first: tuple[Told, Heard]) -> None:
-        told, heard = first
-        if heard is not NEXT:
-            self._on_irregular(heard, told.kept)
-        self._callback(messages)
+    def _hand_over(self, some: list[Waiting]) -> None:
+        if some[0].heard is not NEXT:
+            self._on_irregular(some[0].heard, some[0].received.latched)
+        self._callback([one.received.message for one in some])
 
     def _take_the_rest(self, kind: Kind, limit: float) -> int:
         """Take what already waits, for so many seconds; return how many messages that were."""
@@ -281,7 +637,7 @@ class FollowingSubscription:
     def _on_incompatible(self, kind: Kind, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         if kind == LATCHED and RELIABLE in self._subscriptions:
-            return  # that one hears who keeps nothing
+            return  # that one hears publishers that keep nothing
         if self._follows and policy == 'RELIABILITY':
             self._change.trigger()
             return

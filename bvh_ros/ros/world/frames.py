@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rclpy.time import Time
 
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.settings import TransformSettings
+from bvh_ros.ros.config.parameters import ConfigurationError, TransformSettings
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.texts import as_line, shortened
 
@@ -120,13 +119,13 @@ class Frames:
                 f"parameter 'transforms': '{shortened(self.frame_id)}' is the node's own frame; "
                 'it is placed nowhere'
             )
-        transform, frame, seen = _transform(given), given.parent, {given.frame_id}
+        transform, frame, passed = _transform(given), given.parent, {given.frame_id}
         while frame in parents:
-            if frame in seen:
+            if frame in passed:
                 raise ConfigurationError(
                     f"parameter 'transforms': '{shortened(frame)}' stands on itself"
                 )
-            seen.add(frame)
+            passed.add(frame)
             transform, frame = _transform(parents[frame]).after(transform), parents[frame].parent
         if frame != self.frame_id and self.lookup is None:
             raise ConfigurationError(

@@ -1,29 +1,76 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The times that a node can be asked about: as much of the past as it keeps, and then so far as it
-may predict.
-
-A node that does neither has none of this: the stamps of its requests say nothing.
-"""
+"""The times that queries may be about, and what was known at each."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.texts import seconds
-from bvh_ros.ros.world.past import Past
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from bvh_ros.ros.config.settings import Settings
+    from bvh_ros.ros.config.parameters import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.large_changes import LargeChanges
     from bvh_ros.scene import Scene
+
+COPIED_AT_ONCE = 10_000  # obstacles, some 5 ms
+
+
+class Past:
+    """Keeps what was known when.
+
+    Parameters
+    ----------
+    changes : LargeChanges
+        Has the scene.
+    history : float
+        So much of the past (s) is kept; 0: nothing, and nothing is copied.
+    """
+
+    def __init__(self, changes: LargeChanges, history: float) -> None:
+        self._changes = changes
+        self._states: list[tuple[int, Scene]] = []  # newest stamp included, ns, and what was known
+        self.length = round(history * 1e9)
+
+    def note(self, source: Source, now: int) -> Iterator[None]:
+        """Keep the scene as it is after a message of a source that came at `now` (ns on the node's
+        clock); forget what is too old. Pause while a large scene is copied.
+        """
+        scene = self._changes.visible
+        if not self.length or scene.interrupted:
+            return
+        if len(scene) < COPIED_AT_ONCE:
+            copy = scene.copy()
+        else:
+            copy = yield from self._changes.read(source, scene.copy)
+        stamp = min(copy.newest, now)  # no data are newer than now, whatever they say
+        if self._states and self._states[-1][0] >= stamp:
+            stamp = self._states.pop()[0]
+        self._states.append((stamp, copy))
+        # The last one before the time that is kept says what was known at its beginning.
+        before = [k for k, (one, _) in enumerate(self._states) if one <= stamp - self.length]
+        del self._states[: max(before, default=0)]
+
+    def forget(self) -> None:
+        """Forget all."""
+        self._states.clear()
+
+    def states(self) -> tuple[NDArray[np.int64], list[Scene]]:
+        """What was known, and since when (n,), ns; ascending."""
+        stamps = np.array([stamp for stamp, _ in self._states], np.int64)
+        return stamps, [scene for _, scene in self._states]
+
+
+# The times that a node can be asked about: as much of the past as it keeps, and then so far as it
+# may predict.
+#
+# A node that does neither has none of this: the stamps of its requests say nothing.
 
 NOTHING = 'nothing has been told yet that could be predicted'
 
@@ -69,10 +116,10 @@ class KnownTimes:
         first, last = self._ends(now)
         stop = span.at if span.until is None else span.until
         if span.at < first:
-            kept = self.past.length
+            length = self.past.length
             raise ValueError(
-                f'the time asked for is {seconds(first - span.at + kept)} s before the newest '
-                f'data, more than history ({seconds(kept)} s)'
+                f'the time asked for is {seconds(first - span.at + length)} s before the newest '
+                f'data, more than history ({seconds(length)} s)'
             )
         self.state(span.at, now)
         if stop > last:

@@ -50,13 +50,19 @@ class LargeChanges:
 
     def make(self, owner: object, change: Callable[[], T]) -> Generator[None, None, T]:
         """Call `change` in the helper thread and return its result; pause until it is there."""
+
+        def change_and_refit() -> T:
+            result = change()
+            self._scene.refit()
+            return result
+
         while self.reading:
             time.sleep(PATIENCE)
             yield
         self.owner = owner
         try:
             self._copy = yield from run_in_thread(self._scene.copy)
-            return (yield from run_in_thread(change))
+            return (yield from run_in_thread(change_and_refit))
         finally:
             self._end()
 

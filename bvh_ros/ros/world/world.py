@@ -7,10 +7,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+
+from bvh_ros.ros.texts import LOG_EVERY, Seldom
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bvh_ros.ros.config.settings import Settings
+    from rclpy.node import Node
+
+    from bvh_ros.ros.config.parameters import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.ros.world.known_times import KnownTimes
@@ -18,12 +25,15 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.views import View
     from bvh_ros.scene import Scene
 
-
 EXPIRED_AT_ONCE = 8192  # obstacles, about 10 ms
 
 
 class IncompleteWorldError(ValueError):
     """What the answers depend on is missing: a source, or kernels. The text says which and why."""
+
+
+class CompilingError(IncompleteWorldError):
+    """Kernels are missing; the text says how far compiling has come."""
 
 
 @dataclass
@@ -70,7 +80,7 @@ class World:
         early = thin_ray and not self.scene.any_shaped
         problem = self._silence(now) if early else self.problem(now)
         if problem:
-            raise IncompleteWorldError(problem)
+            raise (CompilingError if problem == self.compiling else IncompleteWorldError)(problem)
         self.expire(now)
         return self.scene
 
@@ -110,8 +120,8 @@ class World:
             self.times.past.forget()
 
     def shift(self, by: int, now: int) -> None:
-        """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Who
-        moved is at rest until it is told again, and the past is forgotten.
+        """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Moving
+        obstacles are at rest until their next update, and the past is forgotten.
         """
         self.finish_changes()
         self.scene.shift_expiries(by)
@@ -120,3 +130,45 @@ class World:
         self.scene.newest = min(self.scene.newest, now)
         for source in self.sources:
             source.spoke_at += by
+
+
+# The node's clock may jump: a simulation starts over, a recording loops, /clock takes over.
+#
+# What an obstacle has left to live and how long a source has been silent are carried over to the
+# new time. Otherwise, after a jump back, obstacles would outlive their lifetimes by the length of
+# the jump, and a silent source would look fresh for as long. A jump forward is time that passes.
+
+
+class ClockJumps:
+    """Moves the world to the new time whenever the clock jumps back or is exchanged."""
+
+    def __init__(self, node: Node, world: World) -> None:
+        self._clock = node.get_clock()
+        self._node = node
+        self._jumps = Seldom(lambda text: node.get_logger().warning(text))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(LOG_EVERY, self._jumps.log, clock=steady)
+        self._world = world
+        self._before = 0  # ns
+        self._handle = self._clock.create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1)),
+            pre_callback=self._note_time,
+            post_callback=self._on_jump,
+        )
+
+    def _note_time(self) -> None:
+        self._before = self._clock.now().nanoseconds
+
+    def _on_jump(self, _jump: object) -> None:
+        # Not by the jump's own account: that is zero where /clock takes over.
+        now = self._clock.now().nanoseconds
+        by = now - self._before
+        self._jumps.add(
+            f'the clock jumped by {by / 1e9:.3f} s; lifetimes and ages go on from there'
+        )
+        self._world.shift(by, now)
+
+    def destroy(self) -> None:
+        """Take no notice any more."""
+        self._handle.unregister()
+        self._node.destroy_timer(self._timer)

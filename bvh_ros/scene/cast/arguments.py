@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import DEEPEST, RAY_FLOATS, RAY_ROWS, ROOT, DynamicBVH, checks
+from ...tree.access import RAY_FLOATS, RAY_ROWS, ROOT, DynamicBVH, checks
 from ...tree.compiler import entry_point, inlined, lean_kernel
 from ..shapes.shape import Floats
 from ..store import Columns
 
-SCRATCH = RAY_FLOATS + 21 + 2 * DEEPEST  # floats of a `Scratch`
+SCRATCH = RAY_FLOATS + 21  # floats of a `Scratch`
 UNIT_T_MAX = np.ones(1)  # of segments
 BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
 
@@ -76,8 +76,6 @@ class Scratch(NamedTuple):
     ray: Any
     box: Any
     work: Any
-    stack: Any
-    entries: Any
 
 
 def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
@@ -163,14 +161,8 @@ def call(kernel: Any, world: CastWorld, *arguments: Any) -> Any:
 def scratch_in(memory, ndim):
     """Room for one ray in SCRATCH floats, which kernels have on their stack."""
     ray, box = memory[: RAY_ROWS * ndim], memory[RAY_FLOATS : RAY_FLOATS + 2 * ndim]
-    work, stack, entries = RAY_FLOATS + 6, RAY_FLOATS + 21, RAY_FLOATS + 21 + DEEPEST
-    return Scratch(
-        ray.reshape(RAY_ROWS, ndim),
-        box.reshape(2, ndim),
-        memory[work:stack].reshape(5, 3),
-        memory[stack:entries].view(np.int64),
-        memory[entries : entries + DEEPEST],
-    )
+    work = memory[RAY_FLOATS + 6 : SCRATCH]
+    return Scratch(ray.reshape(RAY_ROWS, ndim), box.reshape(2, ndim), work.reshape(5, 3))
 
 
 def too_long(start: Floats, goal: Floats) -> ValueError:

@@ -39,6 +39,7 @@ from .exact_ball import cast_ball
 from .query import (
     AT,
     Candidates,
+    Caster,
     Hit,
     Query,
     candidates,
@@ -135,13 +136,13 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         hit, wanted = cast_row(world, snapshot, node_handles, segment, query, scratch, memory)
         if wanted > 0:
             break
-        met = hit.slot != NONE
+        is_hit = hit.slot != NONE
         if hits.slots.shape[0] > 0:
             hits.slots[row] = hit.slot
         hits.handles[row], hits.t[row] = NO_NODE, np.inf
         for axis in range(3):
-            hits.points[row, axis], hits.normals[row, axis] = 0.0 if met else np.nan, 0.0
-        if met:
+            hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
+        if is_hit:
             touch(world, scratch, radius, hit, hits.points[row], hits.normals[row])
             hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
             if ndim == 2:
@@ -156,14 +157,15 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
 @inlined
 def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
     """(the first hit of a ray or ball; the room that its candidates want, NEEDS_EXACT, or 0)."""
+    caster = Caster(world, query, scratch)
     if memory is None:
-        return first_hit(world, snapshot, segment, query, scratch), np.int64(0)
+        return first_hit(caster, snapshot, segment), np.int64(0)
     if query.radius == 0.0:
-        return first_hit(world, snapshot, segment, query, scratch), np.int64(0)
+        return first_hit(caster, snapshot, segment), np.int64(0)
     room = candidates_in(memory)
     slack = slack_of(world, scratch.ray, query.radius)
-    query = Query(query.radius, slack, *query[2:])
-    count = candidates(world, snapshot, segment, query, scratch, room)
+    caster = Caster(world, Query(query.radius, slack, *query[2:]), scratch)
+    count = candidates(caster, snapshot, segment, room)
     if count > room.slots.shape[0]:
         return no_hit(), count
     first, sure = first_candidate(world, node_handles, room, count, query.skip_inside)

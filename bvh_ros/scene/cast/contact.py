@@ -58,13 +58,13 @@ def to_frame(shape, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_shape(shape, hulls, met, radius, t_max, work):
+def enter_shape(shape, hulls, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
 
     t is in units of the ray's direction. What misses, but would not if the shape were larger by
     the frame's slack, touches: so rounding makes no hit a miss.
     """
-    ray, lo, hi = met
+    ray, lo, hi = pair
     if not shape.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -146,13 +146,13 @@ def axis_point(shape, scale, z):
 
 
 @lean_kernel
-def contact(shape, hulls, met, hit, radius, work, point, normal):
+def contact(shape, hulls, pair, hit, radius, work, point, normal):
     """Fill in the obstacle's point that is met by a hit (t, feature), and the outward normal.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
-    ray, lo, hi = met
+    ray, lo, hi = pair
     t, feature = hit
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0

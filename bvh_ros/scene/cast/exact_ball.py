@@ -1,13 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a swept ball touches an axis-aligned box, in exact arithmetic.
+"""Swept balls: the first obstacle, or all; among axis-aligned boxes in exact arithmetic.
 
 The squared distance of origin + t * direction from a box is convex in t and, between two of
 planes of faces, a quadratic with rational coefficients. So the first contact is the smaller root
 of one of them, middle - sqrt(square), and squaring twice compares two of those.
-
-
-What a swept ball meets; among axis-aligned boxes decided as real arithmetic decides.
 
 The closed form of `shapes.enter_rounded_box` rounds: each offset of the origin from a face
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
@@ -50,9 +47,12 @@ from .query import (
     MINUTE,
     SWEEP_SLACK,
     Candidates,
+    Caster,
+    Hit,
     Query,
     candidates,
     slack_of,
+    touch,
     touch_rows,
 )
 
@@ -180,12 +180,22 @@ FEW = 64  # boxes whose roots are computed one by one
 
 
 @lean_kernel
-def find_candidates(world, segment, query, room):
-    """`candidates` of one ball, segment = (origin, direction)."""
+def find_candidates(world, segment, query, room, place):
+    """`candidates` of one ball, segment = (origin, direction): (how many there are, whether it is
+    one that is surely touched, and surely from the start or not). The point and normal of that one
+    are the rows of `place`.
+    """
     scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
     set_ray(scratch.ray, *segment)
     query = Query(query.radius, slack_of(world, scratch.ray, query.radius), *query[2:])
-    return candidates(world, None, segment, query, scratch, room)
+    count = candidates(Caster(world, query, scratch), None, segment, room)
+    sure = False
+    if count == 1 and room.slots.shape[0] > 0 and room.times[LATE, 0] < np.inf:
+        sure = (room.features[EARLY, 0] == INSIDE) == (room.features[LATE, 0] == INSIDE)
+    if sure:
+        hit = Hit(room.slots[0], room.times[AT, 0], room.features[AT, 0])
+        touch(world, scratch, query.radius, hit, place[0], place[1])
+    return count, sure
 
 
 def cast_ball(
@@ -199,21 +209,22 @@ def cast_ball(
     origin, direction, radius, mask, skip_inside, every = sweep
     segment = origin[:ndim], direction[:ndim]
     query = Query(radius, 0.0, 1.0, mask, skip_inside, every, False)
-    count, room = FEW, Candidates(*(np.empty(0),) * 3)
+    count, room, place = FEW, Candidates(*(np.empty(0),) * 3), np.zeros((2, 3))
     while count > len(room.slots):
         times, features = np.empty((3, count)), np.empty((3, count), np.int64)
         room = Candidates(np.empty(count, np.int64), times, features)
-        count = call(find_candidates, world, segment, query, room)
+        count, sure = call(find_candidates, world, segment, query, room, place)
     if every:
         require_few(count, most)
-    if count == 0:
+    if count == 0 or (sure and skip_inside and room.features[AT, 0] == INSIDE):
         return ()
+    if sure:
+        if ndim == 2:
+            place[0, 2] = origin[2]
+        return ((room.slots.item(0), room.times.item(AT, 0), place[0], place[1]),)
     sweep = sweep._replace(origin=segment[0], direction=segment[1])
     found = Candidates(room.slots[:count], room.times[:, :count], room.features[:, :count])
-    if count == 1 and _is_sure(found):
-        slots, ts, features = found.slots, found.times[AT], found.features[AT]
-    else:
-        slots, ts, features = _in_order(columns, found, sweep)
+    slots, ts, features = _in_order(columns, found, sweep)
     if skip_inside:
         outside = features != INSIDE
         slots, ts, features = slots[outside], ts[outside], features[outside]
@@ -228,29 +239,21 @@ def cast_ball(
     return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
 
 
-def _is_sure(found: Candidates) -> bool:
-    """Whether a single candidate is surely touched, and surely from the start, or not."""
-    inside = found.features.item(EARLY, 0) == INSIDE
-    return found.times.item(LATE, 0) < np.inf and inside == (
-        found.features.item(LATE, 0) == INSIDE
-    )
-
-
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
     """Those that are met, in order of their exact times, then handles."""
     slots, times, features = found
     order = np.lexsort((columns.node_handle[slots], times[AT]))
     slots, times, features = slots[order], times[:, order], features[:, order]
-    ts, met = times[AT], features[AT]
+    ts, at_features = times[AT], features[AT]
     open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
     if not len(open_ones):
-        return Hits(slots, ts, met)
+        return Hits(slots, ts, at_features)
     roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
     order = _sorted(columns.node_handle[slots], ts, roots)
     for row, root in roots.items():
         if root is not None:
-            ts[row], met[row] = float(root), INSIDE if root is START else ROUND
-    return Hits(slots[order], np.maximum.accumulate(ts[order]), met[order])
+            ts[row], at_features[row] = float(root), INSIDE if root is START else ROUND
+    return Hits(slots[order], np.maximum.accumulate(ts[order]), at_features[order])
 
 
 def _shaped(columns: Columns) -> NDArray[np.bool_]:

@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A disc swept along a ray against the rim of a convex polygon.
-
-A thin ray, or a disc swept along it, against one footprint; the planar sister of `contact`.
+"""A thin ray, or a disc swept along it, against one footprint: `contact` in two dimensions.
 
 Everything is relative to the footprint's centre. An axis-aligned rectangle is met by its corners
 in the tree, which are exact.
@@ -100,12 +98,12 @@ def to_centre(footprint, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_footprint(footprint, hulls, met, radius, t_max, work):
+def enter_footprint(footprint, hulls, pair, radius, t_max, work):
     """(t, feature) as `contact.enter_shape`.
 
     The feature of a thin ray is FACE and the edge of a polygon that is entered, or ROUND.
     """
-    ray, lo, hi = met
+    ray, lo, hi = pair
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -192,13 +190,13 @@ def look_out(footprint, hulls, scale, point, normal, closest):
 
 
 @lean_kernel
-def touch_footprint(footprint, hulls, met, hit, radius, work, point, normal):
+def touch_footprint(footprint, hulls, pair, hit, radius, work, point, normal):
     """Fill in the footprint's point that is met by a hit (t, feature), and the outward normal.
 
     The normal of a disc is zero where its centre is in the footprint, or no farther from it than
     rounding: there it would be noise.
     """
-    ray, lo, hi = met
+    ray, lo, hi = pair
     t, feature = hit
     frame = to_centre(footprint, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0

@@ -1,10 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A thin ray against one convex mesh in its own frame, through the tree of its triangles.
+"""Rays and balls against one convex mesh in its own frame.
 
-The ray is followed from before the mesh, so that where it enters is the first triangle that it
-crosses, whatever the winding; where the origin lies beyond that, the same from behind says whether
-it lies before the way out, that is inside.
+GJK computes the distance of a ball. A thin ray goes through the tree of the mesh's triangles. It
+is followed from before the mesh, so that where it enters is the first triangle that it
+crosses, whatever the winding. Where the origin lies beyond that, the same from behind decides
+whether it lies before the exit, that is inside.
 
 **Nothing slips through an edge** (Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection",
 2013): the ray is moved to the origin and sheared onto an axis. A corner comes out the same in all
@@ -13,12 +14,6 @@ products. Rounding keeps their order: the sign is right or zero, and of the two 
 edge one has -(a - b). A triangle counts with its edges, so a ray that crosses the surface between
 rounded corners crosses a triangle. Those corners are within a few ulp of the mesh's size of the
 true ones; the boxes in the tree are larger by more (`meshes.PAD`).
-
-
-Rays and balls against one convex mesh in its own frame.
-
-A thin ray is followed through the tree of its triangles. How far a ball is away,
-GJK says.
 """
 
 from typing import Any, NamedTuple
@@ -32,12 +27,12 @@ from ...tree.access import (
     INSIDE,
     NONE,
     ORIGIN,
-    PAD,
     RAY_ROWS,
-    TINY,
-    descend,
-    intersect_node,
+    Stack,
+    enter_box,
+    next_leaf,
     prepare_ray,
+    push_root,
     set_ray,
     traversal_distance,
 )
@@ -60,6 +55,14 @@ class Surface(NamedTuple):
     nodes: Any
     root: Any
     radius: Any
+
+
+class Line(NamedTuple):
+    """What `enter_box` reads."""
+
+    ray: Any
+    mask: Any
+    wide: Any
 
 
 class Shear(NamedTuple):
@@ -109,29 +112,22 @@ def first_crossing(surface, ray):
     """(s, number) of the first triangle that a line crosses; (inf, NONE) if it crosses none."""
     nodes, root = surface.nodes, surface.root
     set_ray(ray, ray[ORIGIN], ray[DIRECTION])
-    best, met, frame = np.inf, np.int64(NONE), shear(ray[DIRECTION])
+    best, crossed, frame = np.inf, np.int64(NONE), shear(ray[DIRECTION])
     scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    limit = traversal_distance(4.0 * surface.radius, scale)
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = (
-        root,
-        intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide),
-        1,
-    )
+    line, limit = Line(ray, ALL, wide), traversal_distance(4.0 * surface.radius, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, line, limit, stack, enter_box)
     while top > 0:
-        top -= 1
-        if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
-            continue
-        node, top = descend(nodes, ray, limit, wide, ALL, stack, entries, top)
-        if node == NONE:
-            continue
-        face = np.int64(node >> 1)
+        leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+        if leaf == NONE:
+            break
+        face = np.int64(leaf >> 1)
         depth = cross_triangle(surface.vertices, surface.corners[face], ray[ORIGIN], frame)
         s = depth / ray[DIRECTION, frame.z]
         if s < best:
-            best, met = s, face
+            best, crossed = s, face
             limit = traversal_distance(s, scale)
-    return best, met
+    return best, crossed
 
 
 @inlined

@@ -19,36 +19,42 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import (
-    DEEPEST,
+    CLOSEST,
     INSIDE,
     LARGEST,
     NONE,
     NOT_FINITE,
-    PAD,
     RAY_ROWS,
     ROOT,
-    TINY,
+    Found,
     end_query,
+    entry_points,
     of_row,
     set_ray,
     set_swept_box,
+    slot_of,
 )
+from ...tree.access import Hit as TreeHit
 from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     FRONTS,
     OUTSIDE,
     begin_asking,
     box_of,
+    cast_one,
     course_of,
     covers,
-    descend,
     elapsed,
+    enter_bounds,
     is_before,
     locate,
     meet_box,
     moments_of,
     moves,
+    no_motion,
+    path_at,
     set_fronts,
+    sort_hits_at,
     span_of,
 )
 from ..results import NO_NODE, require_few
@@ -57,7 +63,7 @@ from ..store import Obstacles, most_growth
 from .arguments import SCRATCH, BoxHit, CastWorld, Sweep, code_for, scratch_in, too_long
 from .batch import RowHits
 from .boxes import segment_between
-from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch
+from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
 from .shapes import COORDINATES, FRAME_SLACK
 
 HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
@@ -66,7 +72,7 @@ EXACT_BOX, GOING, STOPPED = range(3)  # how a hit was decided: by the tree, in w
 BOXES_ONLY = None, None  # instead of `Columns.shapes`, where the tree decides all
 
 
-class TimedRays(NamedTuple):
+class TimedBalls(NamedTuple):
     """n rays, or balls, at a time. A column of one row is one for all."""
 
     origins: Any
@@ -92,9 +98,17 @@ class Cast(NamedTuple):
     world: Any
     tree: Any
     moving: Any
-    rays: TimedRays
+    rays: TimedBalls
     node_handles: Any
     scratch: Any
+
+
+class CasterAt(NamedTuple):
+    """One ray or ball at a time, as visitors see it."""
+
+    cast: Cast
+    row: Any
+    course: Any
 
 
 class FirstHits(NamedTuple):
@@ -219,7 +233,7 @@ def ray_in_stopped_frame(rays, i, box, left, ray):
 @inlined
 def fetch(tree, moving, geometry, footprints, slot):
     """Ask for the memory that `meet_obstacle` reads of most obstacles."""
-    prefetch(moving.kept, slot, 1)
+    prefetch(moving.velocities, slot, 1)
     prefetch(tree.handles, slot, 1)
     if geometry is not None:
         prefetch(geometry[0], slot, 2)
@@ -227,7 +241,7 @@ def fetch(tree, moving, geometry, footprints, slot):
         prefetch(footprints[0], slot, 2)
 
 
-# ---- visitors: (what is kept so far, how far the walk goes on) after one more leaf
+# ---- visitors: (the hits so far, the t up to which the walk goes on) after one more leaf
 
 
 @inlined
@@ -236,15 +250,14 @@ def no_first_hits():
 
 
 @inlined
-def update_first_hit(cast, i, course, room, slot, first):
+def update_first_hit(caster, room, slot, first):
     """The `FirstHits` of a ray."""
+    (cast, i, course), (box, other, stopped) = caster, first
     contact = meet_obstacle(cast, i, course, slot)
-    box, other, stopped = first
     if contact.hit and contact.kind == EXACT_BOX:
-        hit = slot, contact.t, contact.feature
-        if box.slot == NONE or is_before(
-            *(cast.tree, cast.moving, course, hit), (box.slot, box.t, box.feature)
-        ):
+        hit = TreeHit(slot, contact.t, contact.feature)
+        before = TreeHit(box.slot, box.t, box.feature)
+        if box.slot == NONE or is_before(cast.tree, cast.moving, course, hit, before):
             box = Hit(slot, contact.t, contact.feature)
     elif contact.hit:
         nearer = contact.t < other.t
@@ -253,17 +266,17 @@ def update_first_hit(cast, i, course, room, slot, first):
         if nearer:
             other = Hit(slot, contact.t, contact.feature)
             stopped = contact.kind == STOPPED
-    return FirstHits(box, other, stopped), min(box.t, other.t)
+    return FirstHits(box, other, stopped), min(box.t, other.t, of_row(cast.rays.t_max, i))
 
 
 @inlined
-def add_hit(cast, i, course, room, slot, count):
+def add_hit(caster, room, slot, count):
     """How many hits there are; those that `room`, an `EveryHit`, has place for are written."""
-    contact = meet_obstacle(cast, i, course, slot)
+    contact = meet_obstacle(caster.cast, caster.row, caster.course, slot)
     if contact.hit and count < room.slots.shape[0]:
         room.slots[count], room.ts[count] = slot, contact.t
         room.features[count], room.kinds[count] = contact.feature, contact.kind
-    return count + contact.hit, np.inf
+    return count + contact.hit, of_row(caster.cast.rays.t_max, caster.row)
 
 
 # ---- the walk
@@ -280,30 +293,20 @@ def reach_of(rays, i):
 
 
 @inlined
-def walk_moving(cast, i, course, room, kept, visit):
-    """Hand the leaves that a ray may meet to a visitor; return what it keeps, `kept` at first."""
-    rays, moving, root = cast.rays, cast.moving, cast.world.root
-    nodes, fronts = moving.nodes, stack_array(FRONTS, np.float64)
+def walk_moving(caster, room, found, visit):
+    """`walk_nodes` of a ray or ball at a time."""
+    cast, i, course = caster
+    rays, moving, fronts = cast.rays, cast.moving, stack_array(FRONTS, np.float64)
     corners, more = stack_array((2, 3), np.float64), reach_of(rays, i)
     for axis in range(rays.origins.shape[1]):
         corners[0, axis] = rays.origins[i, axis] - more
         corners[1, axis] = rays.origins[i, axis] + more
     set_fronts(fronts, moving, corners[0], corners[1], rays.directions[i])
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = root, 0.0, (0 if root == NONE else 1)
-    at, pace, mask, limit = course.at, course.pace, of_row(rays.masks, i), of_row(rays.t_max, i)
-    bounded = covers(moving, at, pace, limit) > 0
-    while top > 0:
-        top -= 1
-        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
-            continue
-        waiting = stack, entries, top
-        node, top = descend(nodes, fronts, bounded, (at - moving.start, pace, limit), waiting)
-        if node == NONE or nodes[node].mask & mask == 0:
-            continue
-        kept, t = visit(cast, i, course, room, np.int64(node >> 1), kept)
-        limit = min(limit, t)
-    return kept
+    t_max = of_row(rays.t_max, i)
+    path = path_at(cast.tree, moving, course, t_max, of_row(rays.masks, i), fronts)
+    return walk_nodes(
+        moving.nodes, cast.world.root, path, 0, t_max, enter_bounds, caster, room, found, visit
+    )
 
 
 # ---- where hits are
@@ -318,14 +321,14 @@ def write_first_hit(cast, i, course, first, hits):
         by_box = cast.node_handles[box.slot] < cast.node_handles[other.slot]
     by_box = by_box and box.slot != NONE
     slot, t = (box.slot, box.t) if by_box else (other.slot, other.t)
-    point, normal, met = hits.points[i], hits.normals[i], slot != NONE
+    point, normal, is_hit = hits.points[i], hits.normals[i], slot != NONE
     hits.slots[i], hits.t[i] = slot, t
-    hits.handles[i] = cast.node_handles[slot] if met else NO_NODE
+    hits.handles[i] = cast.node_handles[slot] if is_hit else NO_NODE
     for axis in range(3):
-        point[axis], normal[axis] = 0.0 if met else np.nan, 0.0
+        point[axis], normal[axis] = 0.0 if is_hit else np.nan, 0.0
     if by_box:
         _locate_box(cast, i, course, box, point, normal)
-    elif met:
+    elif is_hit:
         _touch_moving(cast, i, other, stopped, point, normal)
 
 
@@ -367,7 +370,7 @@ def _touch_moving(cast, i, hit, stopped, point, normal):
 
 @lean_kernel
 def first_rows(shapes, tree, moving, rays, node_handles, hits):
-    """Write the first hit of each of the `TimedRays` to `RowHits`; shapes as of `Columns.shapes`,
+    """Write the first hit of each of the `TimedBalls` to `RowHits`; shapes as of `Columns.shapes`,
     or BOXES_ONLY. Returns 0, OUTSIDE or REFUSED.
     """
     count = rays.origins.shape[0]
@@ -382,26 +385,42 @@ def first_rows(shapes, tree, moving, rays, node_handles, hits):
         if covers(moving, course.at, course.pace, of_row(rays.t_max, i)) == 0:
             why = np.int64(OUTSIDE)
             break
-        first = walk_moving(cast, i, course, 0, no_first_hits(), update_first_hit)
+        caster = CasterAt(cast, i, course)
+        first = walk_moving(caster, 0, no_first_hits(), update_first_hit)
         write_first_hit(cast, i, course, first, hits)
     end_query(tree.state)
     return why
 
 
 @lean_kernel
-def first_segment(shapes, tree, moving, ends, ball, when, node_handles, place):
-    """`first_rows` of one row, ends = (start, goal), ball as of `first_of_one`, when = (at, pace):
-    (slot, t), and its point and normal as the rows of `place`. Instead of a slot NONE, NOT_FINITE,
-    OUTSIDE or REFUSED.
+def first_box(tree, moving, start, goal, mask, skip_inside, when, place):
+    """The first box from `start` to `goal`, when = (at, pace): (slot, t), and its point and normal
+    as the rows of `place`; instead of a slot what `cast_one` says.
+    """
+    direction, ndim = stack_array(3, np.float64), moving.velocities[0].velocity.shape[0]
+    if not segment_between(start, goal, direction, place):
+        return np.int64(NOT_FINITE), np.inf
+    swept, query = (
+        (start[:ndim], start[:ndim], direction[:ndim]),
+        (1.0, mask, skip_inside, CLOSEST),
+    )
+    handle, t = cast_one(tree, moving, swept, query, when, place)
+    return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
+
+
+@lean_kernel
+def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
+    """`first_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, rate,
+    grown), when = (at, pace): as `first_box`.
     """
     (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
-    ndim, direction = moving.kept[0].velocity.shape[0], stack_array(3, np.float64)
+    ndim, direction = moving.velocities[0].velocity.shape[0], stack_array(3, np.float64)
     if not segment_between(start, goal, direction, place):
         return np.int64(NOT_FINITE), np.inf
     numbers, masks = stack_array((5, 1), np.float64), stack_array(1, np.uint32)
     numbers[0, 0], numbers[1, 0], numbers[2, 0] = 1.0, radius, grown
     numbers[3, 0], numbers[4, 0], masks[0] = when[0], when[1], mask
-    rays = TimedRays(
+    rays = TimedBalls(
         *(start[:ndim].reshape(1, ndim), direction[:ndim].reshape(1, ndim), numbers[0], masks),
         *(numbers[1], numbers[3], numbers[4], numbers[2], rate, skip_inside),
     )
@@ -413,7 +432,7 @@ def first_segment(shapes, tree, moving, ends, ball, when, node_handles, place):
 
 @lean_kernel
 def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
-    """Write all hits of one of the `TimedRays` to an `EveryHit`, in no order; return how many
+    """Write all hits of one of the `TimedBalls` to an `EveryHit`, in no order; return how many
     there are, which may be more than fit; or OUTSIDE or REFUSED.
     """
     why = begin_asking(tree, moving, moments_of(rays.pace, 1))
@@ -424,7 +443,7 @@ def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
     course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
     count = np.int64(OUTSIDE)
     if covers(moving, course.at, course.pace, rays.t_max[0]) != 0:
-        count = walk_moving(cast, 0, course, hits, np.int64(0), add_hit)
+        count = walk_moving(CasterAt(cast, 0, course), hits, np.int64(0), add_hit)
     end_query(tree.state)
     return count
 
@@ -437,24 +456,13 @@ def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals)
     scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
     cast = cast_of(shapes, tree, moving, rays, 0, scratch)
     course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
-    slots, ts, features, kinds = hits
-    for j in range(1, boxes):
-        hit, place = (slots[j], ts[j], features[j]), j
-        while place > 0 and is_before(
-            *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], features[place - 1])
-        ):
-            slots[place], ts[place] = slots[place - 1], ts[place - 1]
-            features[place] = features[place - 1]
-            place -= 1
-        slots[place], ts[place], features[place] = hit
-    for j in range(slots.shape[0]):
-        if 0 < j < boxes:
-            ts[j] = max(ts[j], ts[j - 1])
-        hit = Hit(slots[j], ts[j], features[j])
+    sort_hits_at(tree, moving, course, Found(hits.slots, hits.ts, hits.features), boxes)
+    for j in range(hits.slots.shape[0]):
+        hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
         if j < boxes:
             _locate_box(cast, 0, course, hit, points[j], normals[j])
         else:
-            _touch_moving(cast, 0, hit, kinds[j] == STOPPED, points[j], normals[j])
+            _touch_moving(cast, 0, hit, hits.kinds[j] == STOPPED, points[j], normals[j])
 
 
 # ---- one ray
@@ -469,24 +477,22 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside), when = (at, pace).
     """
-    tree, motion = store.tree, store.tree.motion
-    shapes, rate, grown = store.columns.shapes, store.uncertainty, 0.0
-    if rate:
-        at = np.array([when[0]])
-        grown = float(np.max(most_growth(store, at, at + when[1])))
-    elif ball[0] == 0.0 and not store.columns.shaped:
-        shapes = BOXES_ONLY
-    place, moment = np.empty((2, 3)), when[1] == 0.0
-    given = ends, (*ball, rate, grown), when, store.columns.node_handle, place
-    moving: Any = motion.bounds if moment else motion.moving  # type: ignore[union-attr]
-    arrays = tree.view().tree
-    code = code_for(first_segment, shapes, (shapes, arrays, moving, *given), tree.ndim)
-    slot, t = code(shapes, arrays, moving, *given)
-    while slot < NONE:
-        if slot == NOT_FINITE:
-            raise too_long(*ends)
-        moving = motion.others(tree, moving, slot, span_of(*when, 1.0), moment)  # type: ignore[union-attr]
-        slot, t = code(shapes, tree.view().tree, moving, *given)
+    tree, columns, place = store.tree, store.columns, np.empty((2, 3))
+    given: tuple[Any, ...]
+    if ball[0] == 0.0 and not (columns.shaped or store.uncertainty):
+        code, given = _box_entry(tree.ndim), (*ends, *ball[1:], when, place)
+    else:
+        grown = 0.0
+        if store.uncertainty:
+            at = np.array([when[0]])
+            grown = float(np.max(most_growth(store, at, at + when[1])))
+        grown_ball = *ball, store.uncertainty, grown
+        given = columns.shapes, ends, grown_ball, when, columns.node_handle, place
+        arrays = tree.view().tree, tree.motion.moving  # type: ignore[union-attr]
+        code = code_for(first_segment, columns.shapes, (*arrays, *given), tree.ndim)
+    slot, t = tree.motion.ask_path(tree, code, given, *when, 1.0)  # type: ignore[union-attr]
+    if slot == NOT_FINITE:
+        raise too_long(*ends)
     if tree.ndim == 2:
         place[0, 2] = ends[0][2]
     return None if slot == NONE else (slot, t, place[0], place[1])
@@ -507,7 +513,7 @@ def cast_every(
         grown = np.atleast_1d(most_growth(store, at, at + pace))
     masks, radii = np.array([sweep.mask]), np.array([sweep.radius])
     parts = np.ones(1), masks, radii, at, pace, grown, store.uncertainty, sweep.skip_inside
-    rays, begun, room, count = TimedRays(*segment, *parts), tree.view(), 0, 16
+    rays, begun, room, count = TimedBalls(*segment, *parts), tree.view(), 0, 16
 
     def ask(arrays: Any, moving: Any) -> Any:
         given = shapes, arrays, moving, rays, columns.node_handle, hits
@@ -538,3 +544,9 @@ def cast_every(
         *(hits.slots[order].tolist(), hits.ts[order].tolist(), points[order], normals[order]),
         strict=True,
     )
+
+
+_POINT = np.empty(3)
+_box_entry = entry_points(
+    first_box, no_motion, _POINT, _POINT, np.uint32(0), False, (0.0, 0.0), np.empty((2, 3))
+)

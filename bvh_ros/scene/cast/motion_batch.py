@@ -60,8 +60,8 @@ from ...tree.motion.access import (
     UNSUITED,
     WAITING,
     WAITING_SHARE,
-    RaysThen,
     Sweep,
+    TimedRays,
     box_of,
     cast_few,
     cast_rows,
@@ -70,11 +70,11 @@ from ...tree.motion.access import (
     fetch_box,
     locate,
     may_meet,
+    never_better,
     no_sweep,
-    not_yet,
-    start_seen,
+    split_times,
+    start_in_drift_frame,
     times_of,
-    told_once,
 )
 from ..results import NO_NODE, CastHits
 from ..shapes.shape import along_axes
@@ -84,8 +84,9 @@ from .batch import RowHits
 from .motion import (
     BOXES_ONLY,
     Cast,
+    CasterAt,
     FirstHits,
-    TimedRays,
+    TimedBalls,
     cast_of,
     course_of_row,
     fetch,
@@ -162,7 +163,7 @@ class StreamScratch(NamedTuple):
     records: Any
     lists: Any
     found: Any
-    met: Any
+    hit_lanes: Any
     stack: Any
     pairs: Any
     """Slot of a leaf, and in the lower half the place of the ray that may meet it: deferred."""
@@ -209,7 +210,7 @@ def stream_rays(shapes, tree, sweep, rays, when, goals, node_handles, lists, hit
         at[0], pace[0] = when
     if not begin_query(tree.state, sweep.moving.version):
         return np.int64(REFUSED)
-    every = TimedRays(
+    every = TimedBalls(
         *(rays.origins, directions, rays.t_max, rays.masks, rays.radii, at, pace),
         *(rays.grown, rays.rate, rays.skip_inside),
     )
@@ -231,7 +232,7 @@ def _cast_group(stream, start, stop, lists, hits):
     nodes = WIDTH * snapshot.depth + LOOSE_NODES
     marks = stack_array((6, RAYS_AT_ONCE), np.int64)
     ts = stack_array((2, RAYS_AT_ONCE), np.float64)
-    found, met = stack_array(RAYS_AT_ONCE, np.int32), stack_array(_MET, np.uint32)
+    found, hit_lanes = stack_array(RAYS_AT_ONCE, np.int32), stack_array(_MET, np.uint32)
     rows, listed = marks[5][: stop - start], lists[3 * nodes :]
     stack = lists[: 3 * nodes].reshape(nodes, 3)
     boxes, others = Hits(marks[0], ts[0], marks[1]), Hits(marks[2], ts[1], marks[3])
@@ -242,7 +243,7 @@ def _cast_group(stream, start, stop, lists, hits):
         write(no_hit(), boxes, place)
         write(no_hit(), others, place)
         reach, record = reach_of(cast.rays, row) * snapshot.per_length, records[place]
-        suited = start_seen(record, snapshot, stream.sweep.leaves, cast.rays, row)
+        suited = start_in_drift_frame(record, snapshot, stream.sweep.leaves, cast.rays, row)
         suited &= reach < FARTHEST_ORIGIN
         hits.slots[row] = NONE if suited else UNSUITED
         if suited:
@@ -251,11 +252,13 @@ def _cast_group(stream, start, stop, lists, hits):
             alive += 1
     most = min(max(LEAST_WAITING, alive // WAITING_SHARE), MOST_WAITING)
     pairs, ray = stack_array(MOST_WAITING, np.int64)[:most], stack_array((RAY_ROWS, 3), np.float64)
-    group = StreamScratch(ray, records, listed, found, met, stack, pairs, boxes, others, marks[4])
+    group = StreamScratch(
+        ray, records, listed, found, hit_lanes, stack, pairs, boxes, others, marks[4]
+    )
     tally[FOUND] = tally[WAITING] = 0
     if alive > 0:
         which = MIXED, rows, alive
-        traverse(snapshot, cast.tree, which, stream, group, tally, defer_leaf, not_yet)
+        traverse(snapshot, cast.tree, which, stream, group, tally, defer_leaf, never_better)
     flush_deferred(cast.tree, stream, rows, group, tally)
     for place in range(rows.shape[0]):
         row = rows[place]
@@ -310,7 +313,7 @@ def flush_deferred(tree, stream, rows, group, tally):
         slot, place = pairs[j] >> 32, pairs[j] & 0xFFFFFFFF
         i, before, record = rows[place], first_hits_at(group, place), group.records[place]
         course = course_of_row(rays, i, cast.moving, ray)
-        first, t = update_first_hit(cast, i, course, 0, slot, before)
+        first, t = update_first_hit(CasterAt(cast, i, course), 0, slot, before)
         write(first.box, group.boxes, place)
         write(first.other, group.others, place)
         group.stopped[place] = first.stopped
@@ -324,16 +327,16 @@ def flush_deferred(tree, stream, rows, group, tally):
 
 @lean_kernel
 def stream_boxes(tree, sweep, rays, to_goals, node_handles, scratch, hits):
-    """First hits of `RaysThen` in one call, as `RowHits` with the ids of the tree for slots, whose
-    normals have as many axes as the tree. Returns how many rays are UNSUITED; 1 where a ray is not
-    finite, or REFUSED. `to_goals`: the directions are the goals of the rays.
+    """First hits of `TimedRays` in one call, as `RowHits` with the ids of the tree for slots,
+    whose normals have as many axes as the tree. Returns how many rays are UNSUITED; 1 where a ray
+    is not finite, or REFUSED. `to_goals`: the directions are the goals of the rays.
     """
     directions, ids = rays.directions, hits.slots
     if to_goals:
         directions = hits.points
         if fill_directions(rays.origins, rays.directions, directions) >= 0:
             return np.int64(1)
-    some = RaysThen(
+    some = TimedRays(
         *(rays.origins, directions, rays.t_max, rays.masks, rays.skip_inside, rays.mode),
         *(rays.at, rays.pace, rays.when),
     )
@@ -359,7 +362,7 @@ def stream_few_boxes(tree, sweep, rays, skip_inside, when, to_goals, node_handle
     if done == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
         at[0], pace[0] = when
-        query = RaysThen(*some, skip_inside, CLOSEST, at, pace, when)
+        query = TimedRays(*some, skip_inside, CLOSEST, at, pace, when)
         describe(tree, sweep.moving, query, node_handles, ids, hits)
     return done
 
@@ -472,8 +475,8 @@ def _some_hits(
             for column, part in zip(hits, others, strict=True):
                 column[rows] = part
     if planar:
-        met = hits.handles != NO_NODE
-        hits.points[met, 2] = given.origins[met, 2]
+        hit = hits.handles != NO_NODE
+        hits.points[hit, 2] = given.origins[hit, 2]
     return tuple.__new__(CastHits, hits[1:])
 
 
@@ -482,8 +485,8 @@ def _stream_boxes(
 ) -> int:
     """Call `stream_boxes`."""
     count, ndim = rays.origins.shape
-    parts = *rays[:4], rays.skip_inside, CLOSEST, *told_once((times.at, times.pace))
-    query, room = tuple.__new__(RaysThen, parts), scratch_for(count, ndim, sweep.snapshot.depth)
+    parts = *rays[:4], rays.skip_inside, CLOSEST, *split_times((times.at, times.pace))
+    query, room = tuple.__new__(TimedRays, parts), scratch_for(count, ndim, sweep.snapshot.depth)
     flat = hits if ndim == 3 else hits._replace(normals=np.empty((count, 2)))
     given = query, rays.to_goals, store.columns.node_handle, room, flat
     done: int = _boxes_entry(ndim)(arrays, sweep, *given)
@@ -497,7 +500,7 @@ def _stream_shapes(
 ) -> int:
     """Call `stream_rays`."""
     shapes, handles = store.columns.shapes, store.columns.node_handle
-    at, pace, when = told_once((times.at, times.pace))
+    at, pace, when = split_times((times.at, times.pace))
     goals = np.empty(rays.origins.shape) if rays.to_goals else _ROWS
     query = _timed(store, rays, at, pace, times)
     lists = lists_for(sweep.snapshot.depth)
@@ -527,8 +530,8 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     return hits
 
 
-def _timed(store: Obstacles, rays: Rays, at: Any, pace: Any, times: Times) -> TimedRays:
-    """The rays as kernels read them; at and pace as `told_once` has them."""
+def _timed(store: Obstacles, rays: Rays, at: Any, pace: Any, times: Times) -> TimedBalls:
+    """The rays as kernels read them; at and pace as `split_times` has them."""
     grown, radii = NOTHING, NOTHING if rays.radii is None else rays.radii
     if store.uncertainty:
         begin, rate = np.atleast_1d(times.at), np.atleast_1d(times.pace)
@@ -536,7 +539,7 @@ def _timed(store: Obstacles, rays: Rays, at: Any, pace: Any, times: Times) -> Ti
             ends = np.where(rate > 0.0, begin + rate * rays.t_max, begin)
         grown = np.atleast_1d(most_growth(store, begin, ends))
     parts = *rays[:4], radii, at, pace, grown, store.uncertainty, rays.skip_inside
-    return tuple.__new__(TimedRays, parts)
+    return tuple.__new__(TimedBalls, parts)
 
 
 _few_entry = entry_points(

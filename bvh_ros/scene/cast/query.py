@@ -20,33 +20,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import (
-    ALL32,
+    DEEPEST,
     DIRECTION,
     FARTHEST_ORIGIN,
     INSIDE,
     NONE,
     ORIGIN,
-    PAD,
     STACK,
-    TINY,
     DynamicBVH,
-    child_of,
+    Stack,
     compare_hits,
     intersect_node,
-    is_leaf,
     leaf_box,
     limit32,
-    octant_of,
+    next_leaf,
+    next_wide_leaf,
     prepare_ray,
-    push_children,
     push_loose,
-    seen16,
+    push_root,
     set_ray,
     start_ray,
-    stream16,
     traversal_distance,
 )
-from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..results import require_few
 from ..shapes.footprint import ROUND
 from ..shapes.shape import LARGE, SMALL
@@ -76,6 +72,14 @@ class Query(NamedTuple):
     """All hits, not only the first."""
     patched: Any
     """Whether a leaf may be visited twice: in a snapshot that was patched."""
+
+
+class Caster(NamedTuple):
+    """One ray or ball at rest, as visitors see it."""
+
+    world: Any
+    query: Any
+    scratch: Any
 
 
 class Hit(NamedTuple):
@@ -125,17 +129,17 @@ def is_plain_box(geometry, footprints, slot):
 def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    met = RayAndBox(ray, lo, hi)
-    return enter_any(world.geometry, world.footprints, slot, met, radius, t_max, work)
+    pair = RayAndBox(ray, lo, hi)
+    return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
 
 
 @lean_kernel
-def enter_any(geometry, footprints, slot, met, radius, t_max, work):
+def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     t, feature = np.inf, np.int64(INSIDE)
     if geometry is not None:
-        t, feature = enter_shape(geometry[0][slot], geometry[1], met, radius, t_max, work)
+        t, feature = enter_shape(geometry[0][slot], geometry[1], pair, radius, t_max, work)
     if footprints is not None:
-        t, feature = enter_footprint(footprints[0][slot], footprints[1], met, radius, t_max, work)
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, radius, t_max, work)
     return t, feature
 
 
@@ -143,18 +147,18 @@ def enter_any(geometry, footprints, slot, met, radius, t_max, work):
 def touch(world, scratch, radius, hit, point, normal):
     """Fill in where a ray or ball meets an obstacle, and the outward normal there."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
-    met, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
+    pair, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
     at = hit.t, hit.feature
-    touch_any(world.geometry, world.footprints, hit.slot, met, at, radius, scratch.work, out)
+    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, scratch.work, out)
 
 
 @lean_kernel
-def touch_any(geometry, footprints, slot, met, hit, radius, work, out):
+def touch_any(geometry, footprints, slot, pair, hit, radius, work, out):
     point, normal = out
     if geometry is not None:
-        contact(geometry[0][slot], geometry[1], met, hit, radius, work, point, normal)
+        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal)
     if footprints is not None:
-        touch_footprint(footprints[0][slot], footprints[1], met, hit, radius, work, point, normal)
+        touch_footprint(footprints[0][slot], footprints[1], pair, hit, radius, work, point, normal)
 
 
 @inlined
@@ -227,13 +231,13 @@ def precedes(world, ray, hit, other):
     return order < 0 or (order == 0 and world.handles[hit.slot] < world.handles[other.slot])
 
 
-# ---- visitors: (what is kept so far, how far the walk goes on) after one more leaf
+# ---- visitors: (the hits so far, the t up to which the walk goes on) after one more leaf
 
 
 @inlined
-def visit_first(world, query, scratch, room, slot, first):
+def visit_first(caster, room, slot, first):
     """The first hits of a thin ray, as of `no_hits`."""
-    box, other = first
+    (world, query, scratch), (box, other) = caster, first
     t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         hit = Hit(slot, t, np.int64(feature))
@@ -245,10 +249,11 @@ def visit_first(world, query, scratch, room, slot, first):
 
 
 @inlined
-def visit_every(world, query, scratch, room, slot, count):
+def visit_every(caster, room, slot, count):
     """How many hits of a thin ray there are; those that `room`, `Hits`, has place for are written
     there, in no order.
     """
+    world, query, scratch = caster
     t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         write(Hit(slot, t, np.int64(feature)), room, count)
@@ -275,9 +280,9 @@ class Reached(NamedTuple):
 
 
 @inlined
-def visit_candidate(world, query, scratch, room, slot, reached):
+def visit_candidate(caster, room, slot, reached):
     """The `Reached` of a ball; `room` are `Candidates`."""
-    count, soonest, latest, path = reached
+    (world, query, scratch), (count, soonest, latest, path) = caster, reached
     if path.pace < 0.0:  # many balls meet no leaf
         path = ball_path(world, scratch.ray, query.radius, path.unit)
     ts, features = stack_array(3, np.float64), stack_array(3, np.int64)
@@ -332,73 +337,84 @@ def grow(node, radius, box):
             box[1, axis] += abs(box[1, axis]) * 2.0**-52
 
 
+class GrownPath(NamedTuple):
+    """A ray or ball among the nodes of the tree."""
+
+    ray: Any
+    box: Any
+    """Scratch, (2, ndim)."""
+    mask: Any
+    wide: Any
+    """See `prepare_ray`."""
+    reach: Any
+    """By how much nodes are grown."""
+
+
 @inlined
-def walk_tree(world, query, scratch, room, kept, visit):
-    """Hand the leaves to a visitor that a ray may meet; return what it keeps, `kept` at first."""
-    nodes, root, ray, bounds = world.nodes, world.root, scratch.ray, scratch.box
-    stack, entries, top = scratch.stack, scratch.entries, 0
-    reach, scale, limit, wide = reach_of(query, ray), 1.0, 0.0, False
-    if root != NONE and nodes[root].mask & query.mask != 0:
-        grow(nodes[root], reach, bounds)
-        scale, wide = prepare_ray(ray, bounds[0], bounds[1])
-        limit = traversal_distance(query.t_max, scale)
-        stack[0], entries[0] = root, intersect_node(bounds[0], bounds[1], ray, limit, wide)
-        top = 1
+def enter_grown(nodes, node, path, limit):
+    """Where a ray may enter a node that is grown."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    grow(nodes[node], path.reach, path.box)
+    return intersect_node(path.box[0], path.box[1], path.ray, limit, path.wide)
+
+
+@inlined
+def walk_nodes(nodes, root, path, scale, t_max, enter, caster, room, found, visit):
+    """Hand the leaves that a path may reach by t_max to a visitor; return what it found, `found`
+    at first. `enter` is as of `next_leaf`, in units of 2**scale; visit(caster, room, slot, found)
+    returns what is found now, and the t up to which the walk goes on.
+    """
+    limit = traversal_distance(t_max, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
-        top -= 1
-        node, entry = stack[top], entries[top]
-        if entry > limit * PAD + TINY or entry == np.inf:
-            continue
-        if is_leaf(node):
-            kept, t = visit(world, query, scratch, room, np.int64(node >> 1), kept)
-            limit = traversal_distance(t, scale)
-        else:
-            top = push_nodes(nodes, node, query.mask, reach, limit, wide, scratch, top)
-    return kept
-
-
-@lean_kernel
-def push_nodes(nodes, node, mask, radius, limit, wide, scratch, top):
-    """Put the children that the ray may enter on the stack, the nearer on top."""
-    box, stack, entries, bottom = scratch.box, scratch.stack, scratch.entries, top
-    for child in (np.int64(nodes[node].left), np.int64(nodes[node].right)):
-        if nodes[child].mask & mask != 0:
-            grow(nodes[child], radius, box)
-            entry = intersect_node(box[0], box[1], scratch.ray, limit, wide)
-            if entry < np.inf:
-                stack[top], entries[top] = child, entry
-                top += 1
-    if top == bottom + 2 and entries[bottom] < entries[bottom + 1]:
-        stack[bottom], stack[bottom + 1] = stack[bottom + 1], stack[bottom]
-        entries[bottom], entries[bottom + 1] = entries[bottom + 1], entries[bottom]
-    return top
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter)
+        if leaf == NONE:
+            break
+        found, t = visit(caster, room, leaf >> 1, found)
+        limit = traversal_distance(t, scale)
+    return found
 
 
 @inlined
-def walk_snapshot(world, snapshot, segment, query, scratch, room, kept, visit):
-    """`walk_tree` through the snapshot, segment = (origin, direction): (what the visitor keeps,
+def walk_tree(caster, room, found, visit):
+    """`walk_nodes` of a ray or ball at rest."""
+    (world, query, scratch), scale, wide = caster, np.int64(0), False
+    nodes, root, bounds, reach = world.nodes, world.root, scratch.box, reach_of(query, scratch.ray)
+    if root != NONE:
+        grow(nodes[root], reach, bounds)
+        scale, wide = prepare_ray(scratch.ray, bounds[0], bounds[1])
+    path = GrownPath(scratch.ray, bounds, query.mask, wide, reach)
+    return walk_nodes(
+        nodes, root, path, scale, query.t_max, enter_grown, caster, room, found, visit
+    )
+
+
+@inlined
+def walk_snapshot(caster, snapshot, segment, room, found, visit):
+    """`walk_tree` through the snapshot, segment = (origin, direction): (what the visitor found,
     whether the ray is suited to the snapshot).
     """
-    origin, direction = segment
+    (world, query, scratch), (origin, direction) = caster, segment
     records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
-    record, limits = records[0], stack_array(1, np.float32)
+    record, place = records[0], stack_array(1, np.int32)
     reach, top = reach_of(query, scratch.ray) * snapshot.per_length, 0
     units = snapshot.center, snapshot.per_length
     suited = start_ray(record, origin, direction, *units, query.t_max) and reach < FARTHEST_ORIGIN
-    octant = octant_of(direction)
+    place[0] = 0
     if suited:
         widen(record, reach)
-        limits[0] = record.limit
         stack[0] = 0
         top = push_loose(snapshot, stack, 1)
     while top > 0:
-        slot, top = next_leaf(snapshot, records, octant, query.mask, limits, stack, top)
+        slot, top = next_wide_leaf(snapshot, records, place, query.mask, stack, top)
         # What was written since is removed, or has another mask now.
         if slot == NONE or (snapshot.loose > 0 and world.nodes[2 * slot].mask & query.mask == 0):
             continue
-        kept, t = visit(world, query, scratch, room, slot, kept)
-        record.limit = limits[0] = limit32(t, record.unit)
-    return kept, suited
+        found, t = visit(caster, room, slot, found)
+        record.limit = limit32(t, record.unit)
+    return found, suited
 
 
 @inlined
@@ -418,68 +434,48 @@ def widen(record, reach):
 
 
 @inlined
-def next_leaf(snapshot, records, octant, mask, limits, stack, top):
-    """(slot of the next leaf that the ray may meet before its limit, or NONE; the new top)."""
-    nearest, met = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
-    first = stack_array(1, np.int32)
-    first[0] = 0
-    while top > 0:
-        top -= 1
-        if stack[top] >> 32 > limits.view(np.int32)[0]:
-            continue
-        node = child_of(stack[top])
-        if node < 0:
-            return ~node, top
-        lanes = stream16(snapshot.planes, node, np.uint64(octant), records, first, met, nearest)
-        if mask != ALL32:
-            lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
-        top = push_children(snapshot, node, lanes, nearest, stack, top)
-    return np.int64(NONE), top
-
-
-@inlined
-def walk(world, snapshot, segment, query, scratch, room, kept, visit):
-    """What a visitor keeps of a ray, by the snapshot if the ray is suited to it. `snapshot`: None
+def walk(caster, snapshot, segment, room, nothing, visit):
+    """What a visitor finds for a ray, by the snapshot if the ray is suited to it. `snapshot`: None
     if there never is one.
     """
     if snapshot is None:
-        return walk_tree(world, query, scratch, room, kept, visit)
+        return walk_tree(caster, room, nothing, visit)
     if snapshot.size > 0:
-        found, suited = walk_snapshot(world, snapshot, segment, query, scratch, room, kept, visit)
+        found, suited = walk_snapshot(caster, snapshot, segment, room, nothing, visit)
         if suited:
             return found
-    return walk_tree(world, query, scratch, room, kept, visit)
+    return walk_tree(caster, room, nothing, visit)
 
 
 # ---- the answers of one ray
 
 
 @inlined
-def first_hit(world, snapshot, segment, query, scratch):
+def first_hit(caster, snapshot, segment):
     """The first `Hit` of a thin ray."""
-    box, other = walk(world, snapshot, segment, query, scratch, 0, no_hits(), visit_first)
-    return box if precedes(world, scratch.ray, box, other) else other
+    box, other = walk(caster, snapshot, segment, 0, no_hits(), visit_first)
+    return box if precedes(caster.world, caster.scratch.ray, box, other) else other
 
 
 @inlined
-def candidates(world, snapshot, segment, query, scratch, room):
+def candidates(caster, snapshot, segment, room):
     """Fill `room` with the obstacles that a ball may touch first, or at all if the query is for
     every hit; return how many there are, which may be more than fit.
     """
     unit = stack_array(3, np.float64)
     nothing = Reached(np.int64(0), np.inf, 1.0, BallPath(unit, -1.0, False))
-    reached = walk(world, snapshot, segment, query, scratch, room, nothing, visit_candidate)
+    reached = walk(caster, snapshot, segment, room, nothing, visit_candidate)
     if reached.count > room.slots.shape[0]:
         return reached.count
-    kept = np.int64(0)
+    count = np.int64(0)
     for j in range(reached.count):
         if room.times[EARLY, j] <= reached.latest:
-            room.slots[kept] = room.slots[j]
+            room.slots[count] = room.slots[j]
             for i in range(3):
-                room.times[i, kept] = room.times[i, j]
-                room.features[i, kept] = room.features[i, j]
-            kept += 1
-    return kept
+                room.times[i, count] = room.times[i, j]
+                room.features[i, count] = room.features[i, j]
+            count += 1
+    return count
 
 
 @lean_kernel
@@ -548,7 +544,7 @@ def every_hit(world, segment, query, hits):
     """
     scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
     set_ray(scratch.ray, *segment)
-    return walk_tree(world, query, scratch, hits, np.int64(0), visit_every)
+    return walk_tree(Caster(world, query, scratch), hits, np.int64(0), visit_every)
 
 
 @lean_kernel

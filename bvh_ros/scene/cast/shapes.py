@@ -1,37 +1,31 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a ray is seen from a shape: in lengths that may be squared, with what of them is rounding.
+"""A thin ray, or a ball swept along it, against one shape in the shape's own frame.
 
-Lengths are brought by a power of two, which rounds nothing, to where products of four neither
-overflow nor vanish. In everyday scenes they are there, and stay metres.
+**Frames.** Lengths are scaled by a power of two, which rounds nothing, so that products of four
+neither overflow nor vanish. In everyday scenes the scale is 1.
 
+**Closed forms.** A ball of radius r meets a shape where its centre meets the shape grown by r with
+rounded edges (Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives
+(s, feature): the distance at which `origin + s * direction`, a unit vector, enters the shape, inf
+if it does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray
+starts in the (grown) shape, the axis of a flat face, ROUND elsewhere.
 
-When a swept ball touches a convex solid, where no closed form says.
+The error is one of place: origin + s * direction, computed exactly, is within 8 u L of the
+surface of the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the
+shape, or an edge). How far s itself is off follows from the angle at which the ray meets the
+surface.
 
-The walk is Newton's on the distance, a convex function of the path, and ends with a proof. Each
-step looks for a plane through, or next to, the solid's closest point, with the ball before it and
-all of the solid behind it:
+**Other convex solids.** `approach_by` takes Newton's steps on the distance, a convex function of
+the path, and ends with a proof. Each step looks for a plane through, or next to, the solid's
+closest point, with the ball before it and all of the solid behind it:
 
       ball ->            |  ___            The ball is surely free until it touches the plane;
         ( )   - - - - -  | /   solid       there the next step begins. It is free for ever where
                          |(                it moves along the plane, or away from it.
 
 So no answer is `free` that a plane does not prove, however much noise there is in its normal. What
-no plane proves is a hit: there the ball is as near to the solid as rounding tells.
-
-
-A thin ray, or a ball swept along it, against one shape in the shape's own frame.
-
-A ball of radius r meets a shape where its centre meets the shape grown by r with rounded edges
-(Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives (s, feature):
-the distance at which `origin + s * direction`, a unit vector, enters the shape, inf if it
-does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray starts
-in the (grown) shape, the axis of a flat face, ROUND elsewhere.
-
-The error is one of place: origin + s * direction, computed exactly, is within 8 u L of the
-surface of the shape (u = 2**-53, L the largest length in play: a coordinate of the ray or of the
-shape, or an edge). How far s itself is off follows from the angle at which the ray meets the
-surface.
+no plane proves is a hit: there the ball is as near to the solid as rounding can decide.
 """
 
 import math
@@ -76,7 +70,7 @@ class RayAndBox(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """How a ray is seen from a shape."""
+    """A shape's frame, for one ray."""
 
     pace: Any
     """How far it goes up to t = 1, in the frame's lengths."""
@@ -117,7 +111,7 @@ def slope_of(normal, direction):
 
 
 def approach_by(measure: Any) -> Any:
-    """The walk to solids whose distances a kernel measures.
+    """Newton's steps towards solids whose distances a kernel measures.
 
     `measure(solid, point, normal)` gives (low, high) around the distance of a point: that by which
     a plane with the unit normal that it fills in keeps the solid off, and that of a point of the
@@ -218,8 +212,8 @@ def slab_times(origin, direction, lo, hi):
     """
     below, above = origin - lo, origin - hi
     if direction == 0.0:  # beside the slab, or in it, for ever
-        beside = below < 0.0 or above > 0.0
-        return (below if below < 0.0 else above), (np.inf if beside else -np.inf), 0.0, np.inf
+        outside = below < 0.0 or above > 0.0
+        return (below if below < 0.0 else above), (np.inf if outside else -np.inf), 0.0, np.inf
     first, second = (below, above) if direction > 0.0 else (above, below)
     return first, -first / direction, second, -second / direction
 
@@ -316,13 +310,13 @@ def measure_cylinder(solid, point, normal):
     """`approach`'s measure: the distance, and a unit vector from the closest point."""
     radius, half_height = solid
     across = math.hypot(point[0], point[1])
-    beside, beyond = max(across - radius, 0.0), max(abs(point[2]) - half_height, 0.0)
-    distance = math.hypot(beside, beyond)
+    sideways, beyond = max(across - radius, 0.0), max(abs(point[2]) - half_height, 0.0)
+    distance = math.hypot(sideways, beyond)
     if distance > 0.0:
         normal[0] = normal[1] = 0.0
-        if beside > 0.0:
-            normal[0] = beside / distance * (point[0] / across)
-            normal[1] = beside / distance * (point[1] / across)
+        if sideways > 0.0:
+            normal[0] = sideways / distance * (point[0] / across)
+            normal[1] = sideways / distance * (point[1] / across)
         normal[2] = math.copysign(beyond / distance, point[2])
     return distance, distance
 

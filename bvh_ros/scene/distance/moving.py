@@ -139,7 +139,7 @@ def touch_rows(tree, moving, then, queries, asked, memory, answers):
     grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
     own, fit = stack_array(1, records), min(room.slots.shape[0], found.slots.shape[0])
     needed, written, compared = np.int64(0), np.int64(0), np.int64(0)
-    ndim = moving.kept[0].velocity.shape[0]
+    ndim = moving.velocities[0].velocity.shape[0]
     while row < stop:
         at, tolerance = of_row(then.at, row), of_row(tolerances, row)
         record, bounds, fault = make_row(queries, row, own, box)

@@ -564,6 +564,8 @@ class Mesh:
     """
 
     def __init__(self, triangles: ArrayLike) -> None:
+        if isinstance(triangles, np.ndarray) and triangles.shape[1:] != (3, 3):
+            raise ValueError(f'triangles must have shape (m, 3, 3), not {triangles.shape}')
         corners = checks.floats('triangles', triangles)
         if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
             raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')

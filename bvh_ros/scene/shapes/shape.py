@@ -137,9 +137,15 @@ class Shapes(NamedTuple):
     """(n,) a `Mesh` in the rows of kind MESH; None if there are no such rows."""
 
     def take(self, rows: Any) -> 'Shapes':
-        """Some of the rows."""
+        """Some of the rows: a slice, integers or booleans, as numpy takes them."""
+        try:
+            kind = self.kind[rows]
+        except checks.FOREIGN as error:
+            raise ValueError(f'rows must name rows of {len(self.kind)}: {error}') from None
+        if kind.ndim != 1:
+            raise ValueError(f'rows must have one dimension, not those of {kind.shape}')
         return Shapes(
-            *(self.kind[rows], self.position[rows], self.orientation[rows], self.size[rows]),
+            *(kind, self.position[rows], self.orientation[rows], self.size[rows]),
             None if self.mesh is None else self.mesh[rows],
         )
 
@@ -156,9 +162,16 @@ class Shapes(NamedTuple):
         if orientation is not None:
             turns = _rows('orientation', orientation, 4)
         if len(turns) != len(centres):
-            raise ValueError(f'there are {len(turns)} orientations for {len(centres)} positions')
+            raise ValueError(
+                f'orientation has {len(turns)} rows for {len(centres)} rows of position'
+            )
         kind, sizes = np.full(len(centres), ShapeKind.BOX, np.uint8), checks.floats('size', size)
         if sizes.shape != centres.shape:
+            if sizes.shape not in ((), (1,), (3,), (1, 3)):
+                raise ValueError(
+                    f'size must have shape (3,) or {centres.shape}, not {sizes.shape}: '
+                    f'there are {len(centres)} rows of position'
+                )
             sizes = np.broadcast_to(sizes, centres.shape).copy()  # or every question would
         return cls(kind, centres, turns, sizes)
 
@@ -167,12 +180,14 @@ class Shapes(NamedTuple):
         cls, meshes: Sequence[Mesh], position: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
         """Convex meshes; without `orientation` (n, 4) unturned."""
-        meshes = list(meshes)
-        if not all(isinstance(mesh, Mesh) for mesh in meshes):
-            raise ValueError('meshes must be a sequence of Mesh')
+        given, meshes = checks.iterator('meshes', meshes), []
+        for mesh in given:
+            if not isinstance(mesh, Mesh):
+                raise ValueError('meshes must be a sequence of Mesh')
+            meshes.append(mesh)
         sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
         if len(_rows('position', position, 3)) != len(meshes):
-            raise ValueError(f'there must be one position for each of {len(meshes)} meshes')
+            raise ValueError(f'position must have a row for each of {len(meshes)} meshes')
         rows = cls.boxes(position, sizes, orientation)
         held = np.empty(len(meshes), object)
         held[:] = meshes

@@ -3,7 +3,7 @@
 """A read-only snapshot of the tree for batches of rays: nodes of sixteen children, whose boxes are
 tested with one vector operation.
 
-The snapshot is a filter and decides nothing: see `wide.raycasting`. Its boxes are float32 in units
+The snapshot is a filter and decides nothing: see `streams`. Its boxes are float32 in units
 in which the scene fits into [-1, 1], rounded outwards. It is built when a batch comes that is
 worth it, and again after the tree has changed.
 
@@ -56,7 +56,7 @@ NOWHERE = np.float32(-1.0)  # a limit that no box is within
 
 @functools.cache
 def ray_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of a ray on its way through the snapshot, of one cache line: its best hit so far, and
+    """Record of a ray in the snapshot, of one cache line: its best hit so far, and
     what `stream16` reads. `set_slopes` writes four bytes more than each of its three fields, one
     after the other.
     """
@@ -232,7 +232,7 @@ BEYOND = -2
 
 
 class Snapshot(NamedTuple):
-    """The arrays that `wide.raycasting` reads."""
+    """The arrays that `streams` reads."""
 
     planes: NDArray[np.float32]
     """Per node and axis sixteen lower, then per axis sixteen upper planes."""
@@ -460,7 +460,7 @@ def collapse(tree, version, shares, snapshot, queue):
 
 @functools.cache
 def no_snapshot(ndim: int) -> Snapshot:
-    """Arrays without places: for who has none, and to tell a compiler the types."""
+    """Empty arrays of the right types, where there is no snapshot."""
     lanes = np.empty(0, np.float32), np.empty(0, np.int32), np.empty(0, np.uint32)
     return Snapshot(*lanes, np.empty(0), 1.0, 0, 0, 0, 0, np.empty(0, ray_dtype(ndim)))
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array, trailing_zeros
 from ..entries import entry_points
 from ..nodes import ALL, NONE, aligned_empty, leaf_box
-from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, is_before, of_row, raycast_row
+from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, Hit, is_before, of_row, raycast_row
 from ..query.slab import (
     DIRECTION,
     EXACT,
@@ -93,14 +93,14 @@ def is_better(tree, ray, t_max, skip_inside, slot, best):
     verdict, t, axis = quick_decision(lo, hi, ray, best_t)
     if verdict != ASK:
         return verdict == MEETS, t, axis
-    met, t, axis = intersect_exact(lo, hi, ray, t_max)
-    if not met or (skip_inside and axis == INSIDE):
+    hit, t, axis = intersect_exact(lo, hi, ray, t_max)
+    if not hit or (skip_inside and axis == INSIDE):
         return False, t, axis
     if best_slot == NONE:
         return True, t, axis
     best_lo, best_hi = leaf_box(tree.nodes, tree.tight, 2 * best_slot)
     best_axis = exact_entry_axis(best_lo, best_hi, ray, t_max, best_t, best_axis)
-    better = is_before(tree, ray, (slot, t, axis), (best_slot, best_t, best_axis))
+    better = is_before(tree, ray, Hit(slot, t, axis), Hit(best_slot, best_t, best_axis))
     return better, t, axis
 
 
@@ -110,7 +110,7 @@ RAYS_SORTED = 8 * RAYS_AT_ONCE
 
 OCTANTS = 8  # of two dimensions, four are empty
 
-# Scratch for so many rays is kept by a thread, 0.5 MB among 10,000 boxes: to make it takes 5 us, a
+# A thread reuses scratch for so many rays, 0.5 MB among 10,000 boxes: to make it takes 5 us, a
 # sixth of 400 short rays, and less than 3 % of more rays.
 KEPT_RAYS = 1024
 
@@ -135,7 +135,7 @@ class Scratch(NamedTuple):
     """Places in `records`."""
     found: NDArray[np.int32]
     """Places in `records` of those that hit anything."""
-    met: NDArray[np.uint32]
+    hit_lanes: NDArray[np.uint32]
     """Bit masks of the children that the rays of a list meet."""
     stack: NDArray[np.int32]
     """A node a row."""
@@ -156,23 +156,23 @@ def make_scratch(count: int, ndim: int, depth: int) -> Scratch:
     )
 
 
-class Kept(threading.local):
-    """What a thread keeps of it, by number of dimensions. Kernels write it before they read it."""
+class ScratchPool(threading.local):
+    """Scratch of a thread, by number of dimensions. Kernels write it before they read it."""
 
     def __init__(self) -> None:
         self.rooms: dict[int, Scratch] = {}
 
 
-_kept = Kept()
+_pool = ScratchPool()
 
 
 def scratch_for(count: int, ndim: int, depth: int) -> Scratch:
-    """`make_scratch`, or what is kept of as much or more."""
+    """`make_scratch`, or scratch of the thread that is as large."""
     if count > KEPT_RAYS:
         return make_scratch(count, ndim, depth)
-    scratch = _kept.rooms.get(ndim)
+    scratch = _pool.rooms.get(ndim)
     if scratch is None or len(scratch.stack) < WIDTH * depth + LOOSE_NODES:
-        scratch = _kept.rooms[ndim] = make_scratch(KEPT_RAYS, ndim, depth)
+        scratch = _pool.rooms[ndim] = make_scratch(KEPT_RAYS, ndim, depth)
     return scratch
 
 
@@ -183,12 +183,12 @@ def without_lowest(bits):
 
 
 @inlined
-def farthest_first(met, nearest, keys):
+def farthest_first(hit_lanes, nearest, keys):
     """Sort the children of `met`; return how many. The lane is in the last four bits of a key."""
     count = 0
-    while met != np.uint32(0):
-        lane = np.int64(trailing_zeros(met))
-        met = without_lowest(met)
+    while hit_lanes != np.uint32(0):
+        lane = np.int64(trailing_zeros(hit_lanes))
+        hit_lanes = without_lowest(hit_lanes)
         key = np.int64(nearest[lane]) << 32 | lane
         place = count
         while place > 0 and keys[place - 1] < key:
@@ -337,7 +337,7 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
     """
     octant, rows, alive = group
     lists, stack, masks = scratch.lists, scratch.stack, rays.masks
-    all_seen = masks.shape[0] == 1 and masks[0] == ALL32
+    sees_all = masks.shape[0] == 1 and masks[0] == ALL32
     nearest, keys = stack_array(WIDTH, np.int32), stack_array(WIDTH, np.int64)
     top = 1 + snapshot.loose
     for row in range(top):
@@ -353,19 +353,21 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
             visit_leaf(tree, ~node, patched, listed, rays, scratch, tally, better)
             continue
         here = lists[start : start + count]
-        met = stream16(snapshot.planes, node, octant, scratch.records, here, scratch.met, nearest)
-        if not all_seen:
-            met = apply_masks(snapshot.masks, node, masks, rows, here, scratch.met)
-        if met == np.uint32(0):
+        hit_lanes = stream16(
+            snapshot.planes, node, octant, scratch.records, here, scratch.hit_lanes, nearest
+        )
+        if not sees_all:
+            hit_lanes = apply_masks(snapshot.masks, node, masks, rows, here, scratch.hit_lanes)
+        if hit_lanes == np.uint32(0):
             continue
         begin, end = start, start + count  # the list of a single ray serves all children
-        scratch.met[count : count + AT_ONCE] = np.uint32(0)
-        for i in range(farthest_first(met, nearest, keys)):
+        scratch.hit_lanes[count : count + AT_ONCE] = np.uint32(0)
+        for i in range(farthest_first(hit_lanes, nearest, keys)):
             lane = keys[i] & (WIDTH - 1)
             child = snapshot.children[node * WIDTH + lane]
             if count > 1:
                 begin = end
-                end = list_met8(lists, start, count, scratch.met, lane, begin)
+                end = list_met8(lists, start, count, scratch.hit_lanes, lane, begin)
             if child >= 0:
                 fetch_node(snapshot, np.int64(child))
             else:
@@ -408,13 +410,13 @@ def set_inverse(ray, origin, direction):
 
 
 @inlined
-def apply_masks(wide_masks, node, masks, rows, places, met):
+def apply_masks(wide_masks, node, masks, rows, places, hit_lanes):
     """Take from `met` what a ray's mask does not see; return what any ray still meets."""
     any_met = np.uint32(0)
     for i in range(places.shape[0]):
         mask = of_row(masks, rows[places[i]])
-        met[i] &= seen16(wide_masks, node * WIDTH, mask)
-        any_met |= met[i]
+        hit_lanes[i] &= seen16(wide_masks, node * WIDTH, mask)
+        any_met |= hit_lanes[i]
     return any_met
 
 

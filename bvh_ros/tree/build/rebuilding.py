@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Building again: the whole tree, what is too high of it, or treelets and the top over them."""
 
-import math
-
 import numpy as np
 
 from ..compiler import LANES, inlined, lean_kernel, stack_array
@@ -16,7 +14,9 @@ from ..nodes import (
     REBUILDS,
     REFITS,
     ROOT,
+    floor_log2,
     free_inner,
+    height_limit,
     is_leaf,
     next_node,
     refit_node,
@@ -29,11 +29,6 @@ from .room import TREELET, Room
 # when built, or the number of boxes so different, the tree is built anew.
 REFITS_BEFORE_A_LOOK = 1
 WORSE = 1.2
-
-
-@inlined
-def floor_log2(count):
-    return math.frexp(float(count))[1] - 1
 
 
 @lean_kernel
@@ -85,12 +80,6 @@ def rebuild_subtree(nodes, heights, state, root, room, count, levels):
     else:
         nodes[parent].right = fresh
     return fresh
-
-
-@inlined
-def height_limit(count):
-    """At most 4 log2(count) + 4."""
-    return 4 * floor_log2(count) + 4
 
 
 @inlined

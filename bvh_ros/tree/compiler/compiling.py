@@ -10,8 +10,10 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from . import inside, worker
+from . import inside, kernel_cache, worker
 from .workers import run_beside
+
+kernel_cache.parts = inside.parts
 
 
 def _compiled(function: Callable[..., Any], **private: Any) -> Any:

@@ -12,15 +12,19 @@ import hashlib
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import llvmlite
 import numba
 from numba import config
 
-from . import inside, kernel_sources, shipped
+from . import kernel_sources, shipped
 from .private_folder import UnsafeError, open_private, write_whole
+
+parts: Callable[[], Any] = type(None)
+"""`inside.parts`, which `compiling` hands in: that module imports those that import this one."""
 
 PART = '.part'  # ends the names of files of which only compiling makes use
 # Settings of numba that leave machine code as it is, by a word in their names.
@@ -71,7 +75,7 @@ def cache_folder() -> Path | None:
 
 @functools.cache
 def _find_folder(settings: tuple[str, ...]) -> Path | None:
-    if inside.parts() is None:
+    if parts() is None:
         return None
     name = hashlib.sha256('\n'.join(settings).encode()).hexdigest()[:16]
     refused: list[OSError] = []
@@ -102,7 +106,7 @@ def note(what: str) -> None:
 
 def is_noted(what: str) -> bool:
     """Whether all of what this names was kept before, or shipped."""
-    if inside.parts() is None:
+    if parts() is None:
         return False
     ready_made = shipped.find(settings())
     if ready_made is not None and (ready_made.folder / _note(what)).exists():
@@ -134,5 +138,5 @@ def ship() -> Path:
         raise OSError('there is no folder to write kernels to')
     for part in folder.glob(f'*{PART}'):
         part.unlink()
-    shipped.finish(folder, settings(), inside.parts().code_generator())
+    shipped.finish(folder, settings(), parts().code_generator())
     return folder

@@ -3,8 +3,8 @@
 """What the rest of the package uses of moving boxes: imported with the first velocity."""
 
 from ..simd.moving_sides import FRONTS
-from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, set_fronts
-from .entries import descend, locate
+from .bounds import LONGEST, OUTSIDE, begin_asking, covers, moments_of, no_motion, set_fronts
+from .entries import cast_one, enter_bounds, locate, path_at, sort_hits_at
 from .exact_contact import (
     box_of,
     course_of,
@@ -30,12 +30,12 @@ from .sweep import (
     UNSUITED,
     WAITING,
     WAITING_SHARE,
-    RaysThen,
     Sweep,
+    TimedRays,
     cast_few,
     cast_rows,
+    never_better,
     no_sweep,
-    not_yet,
-    start_seen,
-    told_once,
+    split_times,
+    start_in_drift_frame,
 )

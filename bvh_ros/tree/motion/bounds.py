@@ -7,13 +7,13 @@ is concave: between two times it is never below the line through what it is at b
 side is never above (Grünschloß et al. 2011, "MSBVH"). At both ends the bounds are tight, and in
 between loose by no more than a quarter of how far the boxes of a node part in that time.
 
-Nodes are those of the tree, whose boxes lie close together where they were told to be. Where they
-have gone far apart by the times that are asked for, and often, another `Layout` takes its place.
+Nodes are those of the tree: their boxes lie close together at their reference times. Where boxes
+have moved far apart by the times of many queries, another `Layout` of nodes takes its place.
 
-The bounds only prune: `meeting` decides. They are widened by 2**-48 of what they are at either
-end, many times all that a query loses by rounding within the span, by how far they go in 2**-50 of
-its times, as those of a query are rounded, too, and by `LEAST`, as products may underflow. A bound
-that is not finite is none.
+The bounds only prune: `exact_contact` decides. They are widened by 2**-48 of what they are at
+either end, many times all that a query loses by rounding within the span, by how far they go in
+2**-50 of its times, as those of a query are rounded, too, and by `LEAST`, as products may
+underflow. A bound that is not finite is none.
 """
 
 import functools
@@ -37,8 +37,7 @@ LEAST = 1e-280
 LONGEST = 1e40
 OUTSIDE = -4  # why a query did nothing: bounds are to be fitted, or looked at, first
 ROWS = 8  # of a batch take as long as one question
-# What state[ASKS] is where nobody counts; so many less than LOOKED are left where bounds were just
-# looked at: however many come next, they are asked.
+# Sentinels of state[ASKS]: counter off; bounds just checked (then LOOKED less what is left).
 EVER_SO_MANY, LOOKED = -1, -2
 AT_REST, AT_START, AT_STOP = range(3)  # sums of half areas of inner nodes
 
@@ -100,22 +99,22 @@ def _fit_leaf(node, box, moving):
         share = (end - start) / (stop - start)
     node.loose = 0.0
     for axis in range(ndim):
-        way, later, bent = velocity[axis] * first, velocity[axis] * last, 0.0
+        first_shift, last_shift, bent = velocity[axis] * first, velocity[axis] * last, 0.0
         if share > 0.0:  # it stops meanwhile, so far beside the line
-            bent = (later - way) * (1.0 - share)
+            bent = (last_shift - first_shift) * (1.0 - share)
         extent = abs(lo[axis]) + abs(hi[axis])
         extent += abs(velocity[axis]) * (abs(start) + abs(stop) + abs(reference))
         per_second, below, above = 1.0 / (stop - start), min(bent, 0.0), max(bent, 0.0)
         below, above = lo[axis] + below, hi[axis] + above
         bounds = _set_side(
             *(node.lower, node.lower_rates, axis),
-            *(below + way, below + later, per_second, extent),
+            *(below + first_shift, below + last_shift, per_second, extent),
         )
         bounds &= _set_side(
             *(node.upper, node.upper_rates, axis),
-            *(-(above + way), -(above + later), per_second, extent),
+            *(-(above + first_shift), -(above + last_shift), per_second, extent),
         )
-        # As much as it is widened by is lost by rounding at most, and once more by who asks.
+        # Rounding loses at most as much as the widening, and the query as much again.
         node.loose += 3.0 * (extent * WIDER + LEAST) + abs(bent) if bounds else np.nan
 
 
@@ -223,8 +222,8 @@ def covers(moving, at, pace, t_max):
 
 @inlined
 def begin_asking(tree, moving, count):
-    """`begin_query` of so many questions about moments: 0; REFUSED; or OUTSIDE, where so many have
-    been asked that the bounds are to be looked at first. Of courses 0 are counted.
+    """`begin_query` of so many queries at one time: 0; REFUSED; or OUTSIDE after so many that the
+    bounds are to be checked first. Queries over a span of time count 0.
     """
     left = tree.state[ASKS]
     if count > 0 and left != EVER_SO_MANY:
@@ -239,7 +238,7 @@ def begin_asking(tree, moving, count):
 
 @inlined
 def moments_of(pace, count):
-    """How many of so many courses are counted, by one pace for all or a row."""
+    """How many of so many courses count, given one pace for all or a pace a row."""
     return count if pace.shape[0] == 1 and pace[0] == 0.0 else 0
 
 
@@ -264,7 +263,7 @@ def may_ask(tree, moving, at, count):
 def set_fronts(fronts, moving, lo, hi, direction):
     """Write what `moving_sides` asks for, (FRONTS,), of a box that goes somewhere."""
     fronts[: 2 * HALF], fronts[2 * HALF :] = np.inf, 0.0
-    for axis in range(moving.kept[0].velocity.shape[0]):
+    for axis in range(moving.velocities[0].velocity.shape[0]):
         fronts[axis], fronts[HALF + axis] = hi[axis], -lo[axis]
         fronts[2 * HALF + axis], fronts[3 * HALF + axis] = direction[axis], -direction[axis]
 

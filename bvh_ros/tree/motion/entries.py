@@ -1,11 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What rays and swept boxes meet in a tree whose boxes move. Arguments are those of the tree's
-methods of the same names, which hand them on.
+"""Rays and swept boxes among boxes that move. Arguments are those of the tree's methods of the
+same names.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,34 +15,36 @@ from ..batch.streams import RAYS_AT_ONCE
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, is_leaf
-from ..query.ray import ANY, CLOSEST, EVERY, Asked, Found, more_room, of_row, room_for_hits
-from ..query.ray_queries import room_for_rays, rows_of
-from ..query.slab import (
-    DIRECTION,
-    EXACT,
-    INSIDE,
-    ORIGIN,
-    PAD,
-    RAY_ROWS,
-    TINY,
-    UPPER,
-    set_swept_box,
+from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree
+from ..query.ray import (
+    ANY,
+    CLOSEST,
+    EVERY,
+    Found,
+    RayOptions,
+    cast,
+    more_room,
+    of_row,
+    room_for_hits,
+    room_for_rays,
+    rows_of,
+    sort_hits,
 )
+from ..query.slab import DIRECTION, EXACT, INSIDE, ORIGIN, RAY_ROWS, UPPER, set_swept_box
 from ..results import RayHits
 from ..simd.moving_sides import FRONTS
 from ..store.turns import NOT_FINITE, accepted, count_rays, end_query
 from ..store.workers import in_threads
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, no_motion, set_fronts
-from .exact_contact import as_met, box_of, course_of, elapsed, is_before, meet_box
+from .exact_contact import box_of, course_of, elapsed, is_before, meet_box, phase_at_hit
 from .state import Motion, both_times, span_of, times_of
-from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, RaysThen, Sweep, cast_swept, few_entry
+from .sweep import AS_ARRAYS, NO_TIMES, UNSUITED, TimedRays, cast_swept, few_entry
 
 Floats = NDArray[np.float64]
 
 
 class Casts(NamedTuple):
-    """What is asked for."""
+    """n rays or swept boxes, at times."""
 
     lo: Floats
     """Shape (n, ndim), as hi and the directions; a ray has both at its origin."""
@@ -65,74 +66,88 @@ class Places(NamedTuple):
     normals: Floats
 
 
-@lean_kernel
-def cast(tree, moving, course, asked, found, filled):
-    """Write the hits of a course, `asked` as of `Asked`, to `found` from `filled` on; return where
-    the next would go. See `rays.raycasting.raycast`; instead of axes, faces of `meet_box`.
+class PathAt(NamedTuple):
+    """A ray, or a swept box, among boxes that move."""
 
-    What the bounds do not hold for visits all boxes.
-    """
-    nodes, root, mask = moving.nodes, tree.state[ROOT], asked.mask
-    slots, ts, faces, ray = found.slots, found.ts, found.axes, course.ray
-    if root == NONE:
-        return filled
-    bounded = covers(moving, course.at, course.pace, asked.t_max) > 0
-    ahead, limit = course.at - moving.start, asked.t_max
-    begin, best, fronts = filled, np.int64(NONE), stack_array(FRONTS, np.float64)
-    set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], entries[0], top = root, 0.0, 1
-    while top > 0:
-        top -= 1
-        if entries[top] > limit * PAD + TINY or nodes[stack[top]].mask & mask == 0:
-            continue
-        node, top = descend(
-            nodes, fronts, bounded, (ahead, course.pace, limit), (stack, entries, top)
-        )
-        if node == NONE or nodes[node].mask & mask == 0:
-            continue
-        slot = np.int64(node >> 1)
-        hit, t, face = meet_box(box_of(tree, moving, slot), course, asked.t_max)
-        if not hit or (asked.skip_inside and face == INSIDE):
-            continue
-        place = filled
-        if asked.mode == CLOSEST:
-            if best != NONE and not is_before(
-                tree, moving, course, (slot, t, face), (best, ts[begin], faces[begin])
-            ):
-                continue
-            best, place, limit = slot, begin, t
-        if place < slots.shape[0]:
-            slots[place], ts[place], faces[place] = slot, t, face
-        filled = place + 1
-        if asked.mode == ANY:
-            break
-    return filled
+    tree: Tree
+    moving: Any
+    """`Moving`"""
+    course: Any
+    """`Course`"""
+    mask: np.uint32
+    bounded: bool
+    """Whether the bounds of nodes hold for all times of the course."""
+    ahead: float
+    """From the start of their span to that of the course, s."""
+    fronts: Floats
+    """What the sides of a node are compared with, see `moving_sides`."""
 
 
 @inlined
-def descend(nodes, fronts, bounded, course, waiting):
-    """Follow the nearer child from the last of the nodes that wait, (stack, entries, top), down to
-    a leaf: (leaf or NONE, top). fronts and course = (ahead, pace, limit) as of `enter_node`.
+def path_at(tree, moving, course, t_max, mask, fronts):
+    """The path of a course up to t_max; `fronts` are as of `set_fronts`. What the bounds do not
+    hold for visits all boxes.
     """
-    stack, entries, top = waiting
-    node = stack[top]
-    while not is_leaf(node):
-        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        first_entry, second_entry = 0.0, 0.0
-        if bounded:
-            first_entry = enter_node(nodes, first, fronts, *course)
-            second_entry = enter_node(nodes, second, fronts, *course)
-        if second_entry < first_entry:
-            first, second = second, first
-            first_entry, second_entry = second_entry, first_entry
-        if first_entry == np.inf:
-            return np.int64(NONE), top
-        if second_entry < np.inf:
-            stack[top], entries[top] = second, second_entry
-            top += 1
-        node = first
-    return node, top
+    bounded = covers(moving, course.at, course.pace, t_max) > 0
+    return PathAt(tree, moving, course, mask, bounded, course.at - moving.start, fronts)
+
+
+@inlined
+def enter_bounds(nodes, node, path, limit):
+    """`enter_node` of a node that the mask of a `PathAt` selects."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    if not path.bounded:
+        return 0.0
+    return enter_node(nodes, node, path.fronts, path.ahead, path.course.pace, limit)
+
+
+@inlined
+def _decide(path, slot, t_max):
+    return meet_box(box_of(path.tree, path.moving, slot), path.course, t_max)
+
+
+@inlined
+def _precedes(path, hit, other):
+    return is_before(path.tree, path.moving, path.course, hit, other)
+
+
+@inlined
+def sort_hits_at(tree, moving, course, found, count):
+    """`sort_hits` of the first hits of a course, so many."""
+    path = PathAt(tree, moving, course, np.uint32(0), False, 0.0, course.ray[ORIGIN])
+    sort_hits(path, found, 0, count, _precedes)
+
+
+@lean_kernel
+def raycast_at(tree, moving, course, options, found, filled):
+    """`query.ray.cast` one ray, or swept box, among boxes that move; instead of axes, faces of
+    `meet_box`.
+    """
+    ray, fronts = course.ray, stack_array(FRONTS, np.float64)
+    set_fronts(fronts, moving, ray[ORIGIN], ray[UPPER], ray[DIRECTION])
+    path = path_at(tree, moving, course, options.t_max, options.mask, fronts)
+    return cast(
+        moving.nodes,
+        tree.state[ROOT],
+        path,
+        0,
+        options,
+        found,
+        filled,
+        enter_bounds,
+        _decide,
+        _precedes,
+    )
+
+
+class EveryHit(NamedTuple):
+    """Hits of n rows, those of row i at [offsets[i], offsets[i + 1]) of the others."""
+
+    offsets: NDArray[np.int64]
+    ids: NDArray[np.int64]
+    found: Found
+    places: Places
 
 
 @inlined
@@ -152,36 +167,35 @@ def locate(box, course, t, face, point, normal):
     touch the closest to the centre of what is swept, in the box as it is then, on the face met.
     """
     lo, hi, velocity, reference = box
-    seen, face = as_met(box, course, face)
-    since = elapsed(seen.at, reference, seen.nanoseconds)[0]
-    if seen.pace != 0.0:
-        since += t * seen.pace
+    phase, face = phase_at_hit(box, course, face)
+    since = elapsed(phase.at, reference, phase.nanoseconds)[0]
+    if phase.pace != 0.0:
+        since += t * phase.pace
     for k in range(lo.shape[0]):
         low, high = course.ray[ORIGIN, k], course.ray[UPPER, k]
         normal[k], point[k] = 0.0, low * 0.5 + high * 0.5
         if face == INSIDE and low == high:
             continue
-        way = velocity[k] * since
+        shift = velocity[k] * since
         if face != INSIDE and k == face >> 1:
-            point[k], normal[k] = (lo[k] + way, -1.0) if face & 1 == 0 else (hi[k] + way, 1.0)
+            point[k], normal[k] = (lo[k] + shift, -1.0) if face & 1 == 0 else (hi[k] + shift, 1.0)
         else:
             if course.ray[DIRECTION, k] != 0.0 and t > 0.0:
                 point[k] += t * course.ray[DIRECTION, k]
-            point[k] = min(max(point[k], lo[k] + way), hi[k] + way)
+            point[k] = min(max(point[k], lo[k] + shift), hi[k] + shift)
 
 
 @lean_kernel
-def cast_one(tree, moving, swept, asked, times, place):
-    """One ray or box, swept = (lo, hi, direction), asked = what an `Asked` holds, which Python
-    makes slowly, times = (at, pace): (handle, t), and for CLOSEST its point and normal in `place`.
-    Instead of a handle why there is none: NONE, NOT_FINITE if the input is not, REFUSED if the
-    tree is of another version, or OUTSIDE.
+def cast_one(tree, moving, swept, options, times, place):
+    """One ray or box, swept = (lo, hi, direction), options as a plain `RayOptions`, times = (at,
+    pace): (handle, t), and for CLOSEST its point and normal in `place`. Instead of a handle: NONE,
+    NOT_FINITE if the input is not, REFUSED if the tree is of another version, or OUTSIDE.
     """
     (lo, hi, direction), (at, pace), state = swept, times, tree.state
-    asked = Asked(asked[0], asked[1], asked[2], asked[3])
+    options = RayOptions(options[0], options[1], options[2], options[3])
     if not is_sound(lo, hi, direction, times):
         return NOT_FINITE, np.inf
-    if covers(moving, at, pace, asked.t_max) == 0:
+    if covers(moving, at, pace, options.t_max) == 0:
         return OUTSIDE, np.inf
     why = begin_asking(tree, moving, 1 if pace == 0.0 else 0)
     if why != 0:
@@ -191,9 +205,9 @@ def cast_one(tree, moving, swept, asked, times, place):
     slots, faces = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     handle, t = np.int64(NONE), np.inf
-    if cast(tree, moving, course, asked, Found(slots, ts, faces), 0) > 0:
+    if raycast_at(tree, moving, course, options, Found(slots, ts, faces), 0) > 0:
         handle, t = tree.handles[slots[0]], ts[0]
-        if asked.mode == CLOSEST:
+        if options.mode == CLOSEST:
             locate(box_of(tree, moving, slots[0]), course, t, faces[0], place[0], place[1])
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(course.ray[EXACT, 0])
@@ -225,8 +239,8 @@ def cast_rows(tree, moving, casts, offsets, found, first):
         if refused != 0:
             break
         set_swept_box(ray, lo, hi, direction)
-        asked = Asked(t_max, mask, casts.skip_inside, casts.mode)
-        end = cast(tree, moving, course, asked, found, offsets[done])
+        options = RayOptions(t_max, mask, casts.skip_inside, casts.mode)
+        end = raycast_at(tree, moving, course, options, found, offsets[done])
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
@@ -240,26 +254,18 @@ def cast_rows(tree, moving, casts, offsets, found, first):
 @lean_kernel
 def describe_rows(tree, moving, casts, offsets, found, places):
     """Bring the hits of each row, sorted by computed distance, into the order of the exact one,
-    then of handles; each t becomes the largest up to it. Points and normals go to `places`.
+    see `sort_hits`. Points and normals go to `places`.
     """
-    slots, ts, faces = found.slots, found.ts, found.axes
+    ts, faces = found.ts, found.axes
     ray = stack_array((RAY_ROWS, 3), np.float64)
     for i in range(casts.lo.shape[0]):
         set_swept_box(ray, casts.lo[i], casts.hi[i], casts.directions[i])
         course = course_of(ray, of_row(casts.at, i), of_row(casts.pace, i), moving)
-        for j in range(offsets[i] + 1, offsets[i + 1]):
-            hit, place = (slots[j], ts[j], faces[j]), j
-            while place > offsets[i] and is_before(
-                *(tree, moving, course, hit), (slots[place - 1], ts[place - 1], faces[place - 1])
-            ):
-                slots[place], ts[place] = slots[place - 1], ts[place - 1]
-                faces[place] = faces[place - 1]
-                place -= 1
-            slots[place], ts[place], faces[place] = hit
+        start, end = offsets[i], offsets[i + 1]
+        hits = Found(found.slots[start:end], ts[start:end], faces[start:end])
+        sort_hits_at(tree, moving, course, hits, end - start)
         for j in range(offsets[i], offsets[i + 1]):
-            if j > offsets[i]:
-                ts[j] = max(ts[j], ts[j - 1])
-            box = box_of(tree, moving, slots[j])
+            box = box_of(tree, moving, found.slots[j])
             locate(box, course, ts[j], faces[j], places.points[j], places.normals[j])
 
 
@@ -279,13 +285,13 @@ Ids = NDArray[np.int64]
 
 
 class MotionRays(Motion):
-    """What rays and boxes meet on their ways."""
+    """Queries of rays and swept boxes at times."""
 
     def cast(
         self,
         tree: Any,
         swept: tuple[Floats, Floats, Floats],
-        asked: tuple[float, np.uint32, bool, int],
+        options: tuple[float, np.uint32, bool, int],
         times: tuple[Any, Any],
         place: Floats,
     ) -> tuple[int, float]:
@@ -293,20 +299,27 @@ class MotionRays(Motion):
         at, pace = times
         if not (type(at) is type(pace) is float):
             times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
-        kernel, moving = one_entry(tree._ndim), self.moving if pace else self.bounds
-        handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
-        while handle < NONE and handle != NOT_FINITE:
-            span = span_of(at, pace, asked[0])
-            moving = self.others(tree, moving, handle, span, pace == 0.0)
-            handle, t = kernel(tree._settled().tree, moving, swept, asked, times, place)
+        given = swept, options, times, place
+        handle, t = self.ask_path(tree, one_entry(tree._ndim), given, at, pace, options[0])
         if handle == NOT_FINITE:
             time_checks.moments('at', at, None)
             time_checks.moments('pace', pace, None)
         return handle, t
 
-    def every_ray(
-        self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]
-    ) -> tuple[Ids, Ids, Found, Places]:
+    def ask_path(
+        self, tree: Any, kernel: Any, given: tuple[Any, ...], at: float, pace: float, t_max: float
+    ) -> tuple[int, float]:
+        """What a kernel of one path returns, with bounds that hold for its times: (handle, t), or
+        NONE or NOT_FINITE for a handle.
+        """
+        moving = self.moving if pace else self.bounds
+        handle, t = kernel(tree._settled().tree, moving, *given)
+        while handle < NONE and handle != NOT_FINITE:
+            moving = self.others(tree, moving, handle, span_of(at, pace, t_max), pace == 0.0)
+            handle, t = kernel(tree._settled().tree, moving, *given)
+        return handle, t
+
+    def every_ray(self, tree: Any, rays: tuple[Any, ...], times: tuple[Any, Any]) -> EveryHit:
         """`every` hit of rays = (origins, directions, t_max, mask, skip_inside)."""
         origins, directions, t_max, mask, skip_inside = rays
         count, skip = len(origins), checks.flag('skip_inside', skip_inside)
@@ -314,10 +327,8 @@ class MotionRays(Motion):
         rows = limits, checks.masks_or_one(mask, count), *both_times(times, count)
         return self.every(tree, Casts(origins, origins, directions, *rows, skip, EVERY))
 
-    def every(self, tree: Any, casts: Casts) -> tuple[Ids, Ids, Found, Places]:
-        """All hits of rays or boxes, nearest first, or the first of each: (offsets, handles, what
-        was found, where).
-        """
+    def every(self, tree: Any, casts: Casts) -> EveryHit:
+        """All hits of rays or boxes, nearest first, or the first of each."""
         count, ndim, begun = len(casts.lo), tree.ndim, tree.view()
         offsets, done = np.zeros(count + 1, np.int64), 0
         found = room_for_hits(count if casts.mode != EVERY else 64)
@@ -343,7 +354,7 @@ class MotionRays(Motion):
             kernel(begun.tree, self.moving, casts, offsets, found, places)
         handles = begun.tree.handles[found.slots]
         tree.check_unchanged(begun)
-        return offsets, handles, found, places
+        return EveryHit(offsets, handles, found, places)
 
     def first_many(
         self,
@@ -360,24 +371,37 @@ class MotionRays(Motion):
         count, ndim, (at, pace) = len(rays[0]), tree._ndim, times
         if threads == 1 and type(at) is type(pace) is float and not tree._storage.heirs:
             # What is ready is looked for before anything is made: of few rays, that is most.
-            hits = self._alike(tree, rays, skip, mode, times)
+            hits = self._few_at_one_time(tree, rays, skip, mode, times)
             if hits is not None:
                 return hits
         when = time_checks.times('at', at, count), time_checks.times('pace', pace, count)
         span, every = times_of(*when, rays[2])
         if not every:
             when = both_times(times, count)
-        asked = RaysThen(*rays, skip, mode, *when, AS_ARRAYS)
+        query = TimedRays(*rays, skip, mode, *when, AS_ARRAYS)
         if threads == 1 and every and count and not tree._storage.heirs:
-            hits = self._ready(tree, asked, *span)
+            hits = self._ready(tree, query, *span)
             if hits is not None:
                 return hits
         view, hits = tree.view(), room_for_rays(count, ndim, mode)
         sweep = self.swept_for(tree, view, count, span) if every and count else None
-        self.answer(tree, (view, sweep), asked, hits, threads, cast_swept)
+        if sweep is None:
+            _check_finite(query)
+
+        def work(start: int, stop: int) -> int:
+            part, into = query, hits
+            if stop - start < count:
+                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (query, hits))
+            if sweep is not None:
+                return accepted(cast_swept(view.tree, sweep, part, into))
+            self._by_nodes(tree, part, into)
+            return 0
+
+        if any(in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)):
+            self._answer_unsuited(tree, query, hits)
         return hits
 
-    def _alike(
+    def _few_at_one_time(
         self,
         tree: Any,
         rays: tuple[Floats, Floats, Floats, Any],
@@ -395,8 +419,8 @@ class MotionRays(Motion):
                 return None
             limit = t_max.item() if len(t_max) == 1 else t_max.max().item()
             last = at if pace == 0.0 else at + limit * pace
-            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
-            return self._ready(tree, asked, at, last)
+            query = TimedRays(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            return self._ready(tree, query, at, last)
         if mode != CLOSEST:
             hits = room_for_rays(count, ndim, mode)
         else:  # as RayHits(...), which would take one more call of a function of Python's
@@ -404,85 +428,55 @@ class MotionRays(Motion):
             hits = tuple.__new__(RayHits, parts)
         done = few_entry(ndim)(tree._storage.tree, sweep, rays, skip, mode, when, hits)
         if done > 0:
-            asked = RaysThen(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
-            self._tell_unsuited(tree, asked, hits)
+            query = TimedRays(*rays, skip, mode, NO_TIMES, NO_TIMES, when)
+            self._answer_unsuited(tree, query, hits)
         return hits if done >= 0 else None
 
-    def _ready(self, tree: Any, asked: RaysThen, first: float, last: float) -> Any:
+    def _ready(self, tree: Any, query: TimedRays, first: float, last: float) -> Any:
         """Hits of rays from a time to another, through what is swept already; None where nothing
         is.
         """
-        count, arrays = len(asked.origins), tree._storage.tree
+        count, arrays = len(query.origins), tree._storage.tree
         sweep = self.ready_sweep(arrays, count, first, last)
         if sweep is None:
             return None
-        hits = room_for_rays(count, tree._ndim, asked.mode)
-        done = cast_swept(arrays, sweep, asked, hits)
+        hits = room_for_rays(count, tree._ndim, query.mode)
+        done = cast_swept(arrays, sweep, query, hits)
         if done > 0:
-            self._tell_unsuited(tree, asked, hits)
+            self._answer_unsuited(tree, query, hits)
         return hits if done >= 0 else None
 
-    def answer(
-        self,
-        tree: Any,
-        seen: tuple[View, Sweep | None],
-        asked: RaysThen,
-        hits: Any,
-        threads: int,
-        cast: Callable[[Tree, Sweep, RaysThen, Any], int],
-    ) -> bool:
-        """Fill in the first hits of rays, a `RayHits` or what has more columns. `cast` is called
-        as `cast_swept` of some, where there is a sweep; whether it has told all.
-        """
-        count, (view, sweep) = len(asked.origins), seen
-        if sweep is None:
-            _check_finite(asked)
-
-        def work(start: int, stop: int) -> int:
-            part, into = asked, hits
-            if stop - start < count:
-                part, into = (rows_of(rows, count, slice(start, stop)) for rows in (asked, hits))
-            if sweep is not None:
-                return accepted(cast(view.tree, sweep, part, into))
-            self._one_by_one(tree, part, into)
-            return 0
-
-        unsuited = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
-        if any(unsuited):
-            self._tell_unsuited(tree, asked, hits)
-        return sweep is not None and not any(unsuited)
-
-    def _tell_unsuited(self, tree: Any, rays: RaysThen, hits: Any) -> None:
+    def _answer_unsuited(self, tree: Any, rays: TimedRays, hits: Any) -> None:
         """Answer those rays that are UNSUITED."""
         if not len(rays.at):
             rays = rays._replace(at=np.array(rays.when[:1]), pace=np.array(rays.when[1:]))
         count, others = len(rays.origins), np.flatnonzero(hits.ids == UNSUITED)
         _check_finite(rays)
         some = rows_of(hits, count, others)
-        self._one_by_one(tree, rows_of(rays, count, others), some)
+        self._by_nodes(tree, rows_of(rays, count, others), some)
         for column, part in zip(hits, some, strict=True):
             column[others[: len(part)]] = part
 
-    def _one_by_one(self, tree: Any, rays: RaysThen, hits: Any) -> None:
+    def _by_nodes(self, tree: Any, rays: TimedRays, hits: Any) -> None:
         """Answer rays by the tree's own nodes."""
         if len(rays.origins) == 1:  # with a third of the Python
             swept = *rays.origins, *rays.origins, *rays.directions
-            asked = rays.t_max.item(), rays.masks[0], rays.skip_inside, rays.mode
+            options = rays.t_max.item(), rays.masks[0], rays.skip_inside, rays.mode
             times, place = (rays.at.item(), rays.pace.item()), np.empty((2, tree._ndim))
-            hits.ids[0], t = self.cast(tree, swept, asked, times, place)
+            hits.ids[0], t = self.cast(tree, swept, options, times, place)
             if rays.mode == CLOSEST:
                 hits.t[0], hits.normals[0] = t, place[1] if hits.ids[0] >= 0 else 0.0
             return
         casts = Casts(rays.origins, *rays[:4], *rays[6:8], rays.skip_inside, rays.mode)
-        offsets, handles, found, places = self.every(tree, casts)
-        rows = np.flatnonzero(np.diff(offsets))
+        every = self.every(tree, casts)
+        rows = np.flatnonzero(np.diff(every.offsets))
         hits.ids[:] = NONE
-        hits.ids[rows] = handles
+        hits.ids[rows] = every.ids
         if rays.mode == CLOSEST:
             hits.t[:], hits.normals[:] = np.inf, 0.0
-            hits.t[rows], hits.normals[rows] = found.ts, places.normals
+            hits.t[rows], hits.normals[rows] = every.found.ts, every.places.normals
 
 
-def _check_finite(rays: RaysThen) -> None:
+def _check_finite(rays: TimedRays) -> None:
     checks.finite('origins', rays.origins)
     checks.finite('directions', rays.directions)

@@ -1,11 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The exact decision of a ray, or a box that is swept, and a box that goes on for ever.
+"""The exact decision of a ray, or a swept box, and a box that moves.
 
-As `rays.slab` decides of boxes at rest, in relative motion: on each axis `sums.gap` is how far a
-side of the box is ahead, `sums.rate` how fast it comes nearer. Their signs are exact. Of two
-distances along a ray, gap over rate, each is computed within 2 ulp; where that does not tell
-their order, the products of the four sums do, which `wide_numbers` multiplies without rounding.
+It decides as `query.slab` does of boxes at rest, in relative motion: on each axis `gap` is how far
+a side of the box is ahead, `rate` how fast it comes nearer. Their signs are exact. A distance
+along a ray, gap over rate, is computed within 2 ulp. Where that does not decide the order of two
+of them, `compare_products` multiplies the four sums without rounding.
 """
 
 import functools
@@ -137,21 +137,21 @@ def gap(plane, front, velocity, at, reference, nanoseconds):
 @inlined
 def quick_gap(plane, front, velocity, since, lost):
     """`gap` in doubles, since + lost = at - reference: (high, low, whether that is enough)."""
-    way, below = two_product(velocity, since)
+    shift, below = two_product(velocity, since)
     apart, least = two_sum(plane, -front)
-    total, rest = two_sum(apart, way)
+    total, rest = two_sum(apart, shift)
     rest += below + velocity * lost + least
     high = total + rest
-    largest = max(abs(plane), abs(front), abs(way))
+    largest = max(abs(plane), abs(front), abs(shift))
     enough = (max(CANCELLED * largest, SMALL) < abs(high)) & (largest < LARGE)
     return high, rest - (high - total), enough
 
 
 @inlined
-def surely_below(plane, front, way):
-    """Whether plane - front + way is below zero, as far as its rounding tells that."""
-    doubt = (abs(plane) + abs(front) + abs(way)) * DOUBT
-    return (plane - front) + way < -(doubt + SMALL)
+def surely_below(plane, front, shift):
+    """Whether plane - front + shift is below zero, beyond its rounding."""
+    doubt = (abs(plane) + abs(front) + abs(shift)) * DOUBT
+    return (plane - front) + shift < -(doubt + SMALL)
 
 
 @inlined
@@ -204,16 +204,16 @@ def quotient(above, below):
 
 @functools.cache
 def velocity_dtype(ndim: int) -> np.dtype[Any]:
-    """Record of a slot: whose velocity it is, m/s, and when the box is where it was told to be,
-    s. Who has the slot since has none.
+    """Record of a slot: the velocity, m/s, of the box `owner`, and the time at which that box is
+    at its place in the tree, s. Another box in the slot has no velocity.
     """
     velocity = 'velocity', np.float64, (ndim,)
     return np.dtype([('owner', np.int64), ('reference', np.float64), velocity])
 
 
 def velocity_records(capacity: int, ndim: int, old: NDArray[Any] | None = None) -> NDArray[Any]:
-    """Records for so many slots, and a last one for who has no velocity, with what smaller ones
-    hold.
+    """Records for so many slots, with the contents of smaller ones, and a last record for boxes
+    without a velocity.
     """
     new = np.zeros(capacity + 1, velocity_dtype(ndim))
     new['owner'] = NONE
@@ -223,9 +223,9 @@ def velocity_records(capacity: int, ndim: int, old: NDArray[Any] | None = None) 
 
 
 class Moving(NamedTuple):
-    """What kernels know of the motion of a tree's boxes."""
+    """The motion of a tree's boxes, for kernels."""
 
-    kept: NDArray[Any]
+    velocities: NDArray[Any]
     """Of `velocities.velocity_dtype`, by slot."""
     nodes: NDArray[Any]
     """Of `bounds.moving_dtype`: nodes of the tree, from `start` to `stop`."""
@@ -236,7 +236,7 @@ class Moving(NamedTuple):
     nanoseconds: bool
     """Whether the times of decisions are whole nanoseconds: the nearest, as `sums` has them."""
     left: float
-    """Boxes go on for so long, s, after they were told, and then stand; inf if they never do."""
+    """Boxes move for so long after their reference time, s, and then stand; inf if for ever."""
 
 
 class Course(NamedTuple):
@@ -263,10 +263,10 @@ def course_of(ray, at, pace, moving):
 def box_of(tree, moving, slot):
     """The box of a slot as (lo, hi, velocity, reference)."""
     lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-    row = moving.kept.shape[0] - 1
-    if slot < row and moving.kept[slot].owner == tree.handles[slot]:
+    row = moving.velocities.shape[0] - 1
+    if slot < row and moving.velocities[slot].owner == tree.handles[slot]:
         row = slot
-    return lo, hi, moving.kept[row].velocity, moving.kept[row].reference
+    return lo, hi, moving.velocities[row].velocity, moving.velocities[row].reference
 
 
 @inlined
@@ -282,7 +282,7 @@ def moves(box):
 def fetch_box(tree, moving, slot):
     """Ask for the memory of what `box_of` reads."""
     prefetch(tree.handles, slot, 1)
-    prefetch(moving.kept, slot, 1)
+    prefetch(moving.velocities, slot, 1)
     if tree.tight.shape[0] > 0:
         prefetch(tree.tight, slot, 1)
     else:
@@ -403,7 +403,7 @@ def meet(box, course, t_max):
     return True, t, entered
 
 
-STOPPED = 16  # more than its face says that a box stopped on the way and stood when it was met
+STOPPED = 16  # is added to the face of a box that had come to rest when it was met
 LATER = 2.0**-40  # of times: more than is lost as the last of a course is computed
 
 
@@ -432,8 +432,8 @@ def _stop(end):
 
 
 @inlined
-def as_met(box, course, face):
-    """The course as a box sees it that was met, while it went or as it stood, and the face."""
+def phase_at_hit(box, course, face):
+    """The course in the phase of a box in which it was met, moving or at rest, and the face."""
     end = end_of(box, course.left)
     if face >= STOPPED + INSIDE:
         return _standing(course, end), face - STOPPED
@@ -441,33 +441,33 @@ def as_met(box, course, face):
 
 
 @inlined
-def _after_the_end(box, seen, t, face, course, end):
-    """Sign of the t at which a face is met, by the course as the box is seen, less that at which
-    time is up.
+def _after_the_end(box, phase, t, face, course, end):
+    """Sign of the t at which a face is met, in a phase of the box, less the t at which it
+    stops.
     """
     stop = _stop(end)
-    times, other = (seen.at, seen.pace), (course.at, course.pace)
+    times, other = (phase.at, phase.pace), (course.at, course.pace)
     return compare(
-        seen, t, side_of(box, seen, face), times, quotient_of(course, stop), stop, other
+        phase, t, side_of(box, phase, face), times, quotient_of(course, stop), stop, other
     )
 
 
 @lean_kernel
 def _meet_both(box, course, t_max, end):
-    """`meet_box` of one that goes when the course starts, and may stop on the way."""
+    """`meet_box` of a box that moves when the course starts, and may stop meanwhile."""
     hit, t, face = meet(box, course, t_max)
     if hit and (face == INSIDE or _after_the_end(box, course, t, face, course, end) <= 0):
         return hit, t, face
-    seen = _standing(course, end)
-    hit, t, face = meet(box, seen, t_max)
+    phase = _standing(course, end)
+    hit, t, face = meet(box, phase, t_max)
     if hit:
-        hit = face != INSIDE and _after_the_end(box, seen, t, face, course, end) >= 0
+        hit = face != INSIDE and _after_the_end(box, phase, t, face, course, end) >= 0
     return hit, t, face + STOPPED
 
 
 @inlined
 def meet_box(box, course, t_max):
-    """`meeting.meet` of a box that may stop: (hit, t, face); `as_met` reads the face."""
+    """`meet` of a box that may stop: (hit, t, face); `phase_at_hit` reads the face."""
     end = end_of(box, course.left)
     if end < course.at:
         return meet(box, _standing(course, end), t_max)
@@ -479,9 +479,9 @@ def meet_box(box, course, t_max):
 @inlined
 def _is_over(course, t_max, end):
     """Whether a course surely is before the end."""
-    way = course.pace * t_max
-    more = (abs(course.at) + way) * LATER + (1.0 + t_max) * A_NANOSECOND
-    return course.at + way + more < end or end == np.inf
+    duration = course.pace * t_max
+    more = (abs(course.at) + duration) * LATER + (1.0 + t_max) * A_NANOSECOND
+    return course.at + duration + more < end or end == np.inf
 
 
 @inlined
@@ -498,31 +498,30 @@ def face_met(box, course, t_max, t, face):
 
 @inlined
 def distance_of(box, course, face):
-    """t of `meet_box`, which has told the face."""
-    seen, face = as_met(box, course, face)
-    return 0.0 if face == INSIDE else quotient_of(seen, side_of(box, seen, face))
+    """t of `meet_box`, given its face."""
+    phase, face = phase_at_hit(box, course, face)
+    return 0.0 if face == INSIDE else quotient_of(phase, side_of(box, phase, face))
 
 
 @lean_kernel
 def is_before(tree, moving, course, hit, other):
-    """Whether the first of two hits of a course, each (slot, t, face), is the nearer, or as near
-    with the smaller handle.
+    """Whether the first of two hits of a course, `query.ray.Hit` with faces for axes, is the
+    nearer, or as near with the smaller handle.
     """
-    (slot, t, face), (other_slot, other_t, other_face) = hit, other
-    box, other_box = box_of(tree, moving, slot), box_of(tree, moving, other_slot)
-    seen, face = as_met(box, course, face)
-    other_seen, other_face = as_met(other_box, course, other_face)
+    box, other_box = box_of(tree, moving, hit.slot), box_of(tree, moving, other.slot)
+    phase, face = phase_at_hit(box, course, hit.axis)
+    other_phase, other_face = phase_at_hit(other_box, course, other.axis)
     order = np.int64(face != INSIDE) - np.int64(other_face != INSIDE)
     if face != INSIDE and other_face != INSIDE:
-        times, other_times = (seen.at, seen.pace), (other_seen.at, other_seen.pace)
-        side = side_of(box, seen, face)
-        other_side = side_of(other_box, other_seen, other_face)
-        order = compare(course, t, side, times, other_t, other_side, other_times)
-    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
+        times, other_times = (phase.at, phase.pace), (other_phase.at, other_phase.pace)
+        side = side_of(box, phase, face)
+        other_side = side_of(other_box, other_phase, other_face)
+        order = compare(course, hit.t, side, times, other.t, other_side, other_times)
+    return order < 0 or (order == 0 and tree.handles[hit.slot] < tree.handles[other.slot])
 
 
-# Slower than this boxes and rays have no common ways in numbers; and how far t of a hit may be
-# from that of the same box's record.
+# Below SLOWEST, the speed of a ray towards a box counts as none. The t of a hit may be NEAR, as a
+# share, from that of the same box's record.
 SLOWEST, NEAR = 1e-290, 2.0**-16
 FASTEST, LEAST_32 = 1e30, np.float32(1e-37)
 LOST = 2.0**-44  # of lengths: more than a ray and a box that are written here lose by rounding
@@ -563,11 +562,11 @@ def may_meet(leaves, slot, origin, direction, since, pace, limit, more):
 
 
 @lean_kernel
-def quick_decision_of_both(tree, moving, leaves, slot, way, limit):
-    """`quick_decision` of a box that goes for a part of the way = (origin, direction, at, pace),
-    and then stands: by a record of each part. `leaves` tells the type of these.
+def quick_decision_of_both(tree, moving, leaves, slot, path, limit):
+    """`quick_decision` of a box that moves for a part of a path = (origin, direction, at, pace),
+    and then stands: by a record of each part. `leaves` has the type of these.
     """
-    (origin, direction, at, pace), box = way, box_of(tree, moving, slot)
+    (origin, direction, at, pace), box = path, box_of(tree, moving, slot)
     part, end, until = stack_array(1, leaves), box[3] + moving.left, np.inf
     if end < at:
         until = -1.0
@@ -599,18 +598,18 @@ def _write_part(leaf, box, velocity, span, origin):
     for a ray from an origin. Where they meet on an axis, the ray has gone no further than the sum
     of all that `more` is a share of.
     """
-    (lo, hi, told, reference), (start, stop) = box, span
+    (lo, hi, given, reference), (start, stop) = box, span
     leaf.loose = np.float32(0.0)
     for axis in range(lo.shape[0]):
         speed = np.float32(velocity[axis] if abs(velocity[axis]) < FASTEST else 0.0)
-        gone, rest = told[axis] * (start - reference), velocity[axis] - np.float64(speed)
+        shift, rest = given[axis] * (start - reference), velocity[axis] - np.float64(speed)
         rest *= stop - start
         more = abs(lo[axis]) + abs(hi[axis]) + abs(origin[axis])
-        more += abs(told[axis]) * (abs(start) + abs(stop) + abs(reference))
+        more += abs(given[axis]) * (abs(start) + abs(stop) + abs(reference))
         more = more * LOST + SLOWEST
         leaf.velocity[axis] = speed
-        leaf.lo[axis] = lo[axis] + gone + min(rest, 0.0) - more
-        leaf.hi[axis] = hi[axis] + gone + max(rest, 0.0) + more
+        leaf.lo[axis] = lo[axis] + shift + min(rest, 0.0) - more
+        leaf.hi[axis] = hi[axis] + shift + max(rest, 0.0) + more
         # By half more, as it is a float32.
         loose = np.float32((abs(rest) + 3.0 * more) * 1.5) + LEAST_32
         leaf.loose = max(leaf.loose, loose)

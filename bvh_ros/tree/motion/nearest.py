@@ -27,6 +27,7 @@ from ..query.nearest import (
     pruning_limit,
     visit_nearest,
     visit_packet,
+    within,
 )
 from ..query.ray import of_row
 from ..simd.float64x8 import EIGHT, WHEN, moving_squares8
@@ -88,15 +89,15 @@ def _quick_apart(box, axis, low, high, since):
     lanes.
     """
     (lo, hi, velocity, _), (since, lost) = box, since
-    way = velocity[axis] * since
-    below, above = (lo[axis] - high[axis]) + way, (low[axis] - hi[axis]) - way
+    shift = velocity[axis] * since
+    below, above = (lo[axis] - high[axis]) + shift, (low[axis] - hi[axis]) - shift
     # One side tells it, as the other is surely passed; a choice costs less than a guess.
     lower = below > above
     plane, front = (lo[axis], high[axis]) if lower else (hi[axis], low[axis])
     apart, _, enough = quick_gap(plane, front, velocity[axis], since, lost)
     apart = apart if lower else -apart
-    plane, front, way = (low[axis], hi[axis], -way) if lower else (lo[axis], high[axis], way)
-    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, way))
+    plane, front, shift = (low[axis], hi[axis], -shift) if lower else (lo[axis], high[axis], shift)
+    return max(apart, 0.0), enough & ((apart > 0.0) | surely_below(plane, front, shift))
 
 
 @inlined
@@ -163,11 +164,14 @@ def near_at(moving, at, low, high, k, reach, mask):
 
 
 @inlined
-def _square(nodes, node, query):
+def _square(nodes, node, query, limit):
+    if nodes[node].mask & query.mask == 0:
+        return np.inf
     fetch_children(nodes, node)
     if not query.box.bounded:
         return 0.0
-    return square_beside(nodes, node, query.box.fronts, query.box.ahead)
+    square = square_beside(nodes, node, query.box.fronts, query.box.ahead)
+    return within(square, limit)
 
 
 @inlined

@@ -52,11 +52,11 @@ def touches_at(box, low, high, at, moving):
     since, _ = elapsed(at, reference, moving.nanoseconds)
     clear, nowhere = True, stack_array(3, np.float64)
     for axis in range(lo.shape[0]):
-        way, nowhere[axis] = velocity[axis] * since, 0.0
-        if surely_below(high[axis], lo[axis], -way) or surely_below(hi[axis], low[axis], way):
+        shift, nowhere[axis] = velocity[axis] * since, 0.0
+        if surely_below(high[axis], lo[axis], -shift) or surely_below(hi[axis], low[axis], shift):
             return False
-        clear &= surely_below(lo[axis], high[axis], way)
-        clear &= surely_below(low[axis], hi[axis], -way)
+        clear &= surely_below(lo[axis], high[axis], shift)
+        clear &= surely_below(low[axis], hi[axis], -shift)
     if clear:
         return True
     course = course_of(stack_array((RAY_ROWS, 3), np.float64), at, 0.0, moving)

@@ -24,7 +24,7 @@ class MotionQueries(MotionRays):
 
     overlap, nearest = overlap, nearest
 
-    def ask_one(self, tree: Any, kernel: Any, at: Any, *asked: Any) -> int:
+    def ask_one(self, tree: Any, kernel: Any, at: Any, *arguments: Any) -> int:
         """What a kernel of one query returns, with bounds that hold for its time: a count, or
         NOT_FINITE.
         """
@@ -32,7 +32,7 @@ class MotionQueries(MotionRays):
             at = time_checks.moment('at', at)
         moving = self.bounds
         while True:
-            count: int = kernel(tree._settled().tree, moving, at, *asked)
+            count: int = kernel(tree._settled().tree, moving, at, *arguments)
             if count >= 0:
                 return count
             if count == NOT_FINITE:
@@ -40,13 +40,13 @@ class MotionQueries(MotionRays):
                 return count
             moving = self.others(tree, moving, count, span_of(at, 0.0, 0.0))
 
-    def ask_rows(self, tree: Any, kernel: Any, at: Any, count: int, *asked: Any) -> Any:
+    def ask_rows(self, tree: Any, kernel: Any, at: Any, count: int, *arguments: Any) -> Any:
         """The same of a batch, at a time or at a time a row: what the kernel returns if it is no
         negative number, or NOT_FINITE.
         """
         times, moving = time_checks.times('at', at, count), self.bounds
         while True:
-            found = kernel(tree._settled().tree, moving, times, *asked)
+            found = kernel(tree._settled().tree, moving, times, *arguments)
             if isinstance(found, tuple) or found >= 0:
                 return found
             if found == NOT_FINITE:

@@ -1,8 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a tree has that knows velocities: where they are kept, and bounds over the times that are
-asked for.
-"""
+"""The velocities of a tree's boxes, and bounds of its nodes over the times of queries."""
 
 import functools
 import math
@@ -15,7 +13,6 @@ from numpy.typing import NDArray
 from .. import time_checks
 from ..batch.snapshot import Snapshot, take_snapshot
 from ..compiler import CACHE_LINE, WIDTH, entry_point, lean_kernel
-from ..dynamic_bvh import DynamicBVH
 from ..entries import entry_points
 from ..nodes import (
     ASKS,
@@ -49,9 +46,13 @@ from .bounds import (
 from .exact_contact import Moving, velocity_dtype, velocity_records
 from .sweep import FEW, Sweep, swept
 
+Ids = NDArray[np.int64]
+Build = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]], View]
+"""From lower and upper corners and masks to a tree."""
+
 
 @lean_kernel
-def write_velocities(tree, version, kept, handles, velocities, references):
+def write_velocities(tree, version, records, handles, velocities, references):
     """Write velocities, (n, ndim), and references, (n,) or one for all, of the boxes of `handles`;
     0, or why not.
     """
@@ -60,7 +61,7 @@ def write_velocities(tree, version, kept, handles, velocities, references):
         return np.int64(refused)
     for i in range(handles.shape[0]):
         slot = handles[i] & SLOT_MASK
-        here = kept[slot]
+        here = records[slot]
         here.owner, here.reference = handles[i], references[i if references.shape[0] > 1 else 0]
         for axis in range(velocities.shape[1]):
             here.velocity[axis] = velocities[i, axis]
@@ -69,19 +70,19 @@ def write_velocities(tree, version, kept, handles, velocities, references):
 
 
 def velocities_of(
-    kept: NDArray[Any], handles: NDArray[np.int64], slots: NDArray[np.int64]
+    records: NDArray[Any], handles: NDArray[np.int64], slots: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(velocities, references) of the boxes of slots; zeros where a box has none."""
-    rows = kept[np.minimum(slots, len(kept) - 1)]
-    told = rows['owner'] == handles[slots]
-    return np.where(told[:, None], rows['velocity'], 0.0), np.where(told, rows['reference'], 0.0)
+    rows = records[np.minimum(slots, len(records) - 1)]
+    owned = rows['owner'] == handles[slots]
+    return np.where(owned[:, None], rows['velocity'], 0.0), np.where(owned, rows['reference'], 0.0)
 
 
-def packed_velocities(kept: NDArray[Any], handles: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """What a file holds: those of living boxes."""
-    count = min(len(kept) - 1, len(handles))
-    owners = kept['owner'][:count]
-    live = kept[np.flatnonzero((owners == handles[:count]) & (owners >= 0))]
+def packed_velocities(records: NDArray[Any], handles: Ids) -> dict[str, NDArray[Any]]:
+    """The velocities of living boxes, as a file holds them."""
+    count = min(len(records) - 1, len(handles))
+    owners = records['owner'][:count]
+    live = records[np.flatnonzero((owners == handles[:count]) & (owners >= 0))]
     names = {'moving': 'owner', 'velocities': 'velocity', 'references': 'reference'}
     return {name: np.ascontiguousarray(live[field]) for name, field in names.items()}
 
@@ -104,21 +105,25 @@ FARTHEST = 1e300  # m: a tree takes finite boxes
 
 @functools.cache
 def layout_of_tree(ndim: int) -> Layout:
-    """To leave boxes in the nodes of the tree."""
+    """Boxes stay in the nodes of the tree."""
     return Layout(empty_tree(ndim).nodes, NONE, np.empty(0, np.int64))
 
 
-def lay_out(view: View, kept: NDArray[np.void], at: float, left: float) -> Layout:
-    """Nodes built over the places of all boxes at a time, rounded, which go on for `left` s:
+def rebuild_at_time(
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
+) -> Layout:
+    """Nodes built over the rounded places of all boxes at a time; boxes move for `left` s.
     `bounds` are fitted to them.
     """
-    (tree, _), slots = _built(view, kept, at, left)
+    (tree, _), slots = _built(build, view, records, at, left)
     return Layout(tree.nodes, tree.state.item(ROOT), slots)
 
 
-def snapshot_then(view: View, kept: NDArray[np.void], at: float, left: float) -> Snapshot | None:
+def snapshot_at_time(
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
+) -> Snapshot | None:
     """A snapshot of such nodes, for `sweeping`."""
-    built, slots = _built(view, kept, at, left)
+    built, slots = _built(build, view, records, at, left)
     snapshot = take_snapshot(built)
     if snapshot is None:
         return None
@@ -128,7 +133,7 @@ def snapshot_then(view: View, kept: NDArray[np.void], at: float, left: float) ->
 
 
 def _built(
-    view: View, kept: NDArray[np.void], at: float, left: float
+    build: Build, view: View, records: NDArray[np.void], at: float, left: float
 ) -> tuple[View, NDArray[np.int64]]:
     """A tree of all boxes at a time, and their slots in the other tree, in its order of slots;
     RuntimeError if that is being changed.
@@ -136,13 +141,13 @@ def _built(
     (nodes, _, tight, handles, state), version = view
     slots = np.flatnonzero(handles >= 0)
     boxes, masks = tight[slots] if len(tight) else nodes[2 * slots], nodes['mask'][2 * slots]
-    velocities, references = velocities_of(kept, handles, slots)
+    velocities, references = velocities_of(records, handles, slots)
     if state.item(TURN) < 0 or state.item(CHANGES) != version:
         raise RuntimeError(IS_CHANGED)
     with np.errstate(over='ignore'):
-        ways = velocities * np.minimum(at - references, left)[:, None]
-        lo, hi = (np.clip(boxes[side] + ways, -FARTHEST, FARTHEST) for side in ('lo', 'hi'))
-    return DynamicBVH.from_boxes(lo, hi, mask=masks).view(), slots
+        shifts = velocities * np.minimum(at - references, left)[:, None]
+        lo, hi = (np.clip(boxes[side] + shifts, -FARTHEST, FARTHEST) for side in ('lo', 'hi'))
+    return build(lo, hi, masks), slots
 
 
 Floats = NDArray[np.float64]
@@ -191,31 +196,30 @@ def _entry() -> Callable[..., Any]:
     return entry_point(span_of_rows, *(np.empty(0),) * 3)
 
 
-Ids = NDArray[np.int64]
-
 NOT_FITTED = -2  # no tree's version, nor ANY_VERSION
-HANDFUL = 17  # so few rays go through what is swept for however long, of however few boxes
+HANDFUL = 17  # so few rays go through any sweep, however long its span, however few its boxes
 HORIZON = 1.0  # s: from one time on bounds are fitted to so many more
 # Batches for which sweeping a snapshot pays: so many rays a box.
 RAYS_PER_BOX = 0.05
 LAYOUT_RAYS_PER_BOX = 2.0  # rays that grow as much for which sweeping another snapshot pays
-# How many times as long as what is asked for its span may be for a large batch.
+# The span of a sweep may be so many times as long as that of a large batch.
 LONGER = 1.5
-# Where nodes are so many times as large as at rest, their boxes have parted, and others lie close
-# together. To lay out nodes of these takes as long as questions that grow as much, so many a box;
-# of batches ROWS take as long as one, see `bounds`. They hold until they have grown by so much.
+# Where nodes are PARTED times as large as at rest, their boxes have parted. Then nodes are rebuilt
+# over boxes that lie close together at the time of the query. That takes as long as ASKS_PER_BOX
+# queries a box lose by it; of batches, ROWS take as long as one query, see `bounds`. Rebuilt nodes
+# hold until they have grown by SOON.
 PARTED, ASKS_PER_BOX, LEAST_ASKS, SOON = 1.15, 0.135, 256, 0.5
 LEAST_SPAN = 2.0**-40  # of a time
 fit_entry = entry_points(fit_nodes, no_motion, layout_of_tree, np.empty(0, np.int64), np.empty(3))
 
 
 def rows_were_changed() -> ValueError:
-    """What is raised where a kernel was given other numbers than are there now."""
+    """The error where an argument was changed while a kernel read it."""
     return ValueError('a row was changed while it was read')
 
 
-class Wanted(NamedTuple):
-    """How many rays wanted a sweep of a span of time, and the sweep, once it is made."""
+class SweepCache(NamedTuple):
+    """How many rays needed a sweep of a span of time, and the sweep, once it is made."""
 
     version: int
     """Of the tree."""
@@ -225,29 +229,42 @@ class Wanted(NamedTuple):
     made: bool = False
     sweep: Sweep | None = None
     enough: float = 0.0
-    """Rays for which boxes were to be swept at once."""
-    worn: float = np.inf
-    """What the tree says of rays when nodes are to be laid out for this time."""
+    """So many rays make a sweep worth while."""
+    rebuild_after: float = np.inf
+    """Nodes are rebuilt for this time when `state[RAYS]` of the tree reaches this."""
 
 
 def asks_for(boxes: int, grown: float) -> int:
-    """How often bounds are asked for before they are looked at."""
+    """How many queries use bounds before `Motion` looks at them again."""
     if not grown > PARTED:
         return EVER_SO_MANY
     return max(LEAST_ASKS, int(ASKS_PER_BOX * boxes / (grown - 1.0)))
 
 
 class Motion:
-    """The velocities of a tree, and bounds of its nodes over the times that are asked for."""
+    """The velocities of a tree, and bounds of its nodes over the times of queries.
 
-    def __init__(self, ndim: int, nanoseconds: bool = False, left: float = math.inf) -> None:
-        self.kept = velocity_records(0, ndim)
+    Parameters
+    ----------
+    ndim : int
+        2 or 3.
+    build : callable
+        Builds a tree over the places of boxes at a time.
+    nanoseconds, left
+        As of `DynamicBVH.count_nanoseconds`.
+    """
+
+    def __init__(
+        self, ndim: int, build: Build, nanoseconds: bool = False, left: float = math.inf
+    ) -> None:
+        self._build = build
+        self.velocities = velocity_records(0, ndim)
         known = no_motion(ndim)._replace(version=NOT_FITTED)
         self.moving = known._replace(nanoseconds=nanoseconds, left=left)
         self._no_nodes = self.moving.nodes
-        self._wanted = Wanted(NOT_FITTED, 0.0, 0.0, 0)
-        # Those that a moment is asked of first: of nodes that are laid out for some, if there are
-        # any. Where these do not hold, `moving` may.
+        self._cache = SweepCache(NOT_FITTED, 0.0, 0.0, 0)
+        # Queries at one time use these first: bounds of nodes that are rebuilt for a time, if
+        # there are any. Where these do not hold, `moving` may.
         self.bounds = self.moving
         # How many times as large as at rest the nodes of the tree are at the start of `moving`,
         # and by how much more each second.
@@ -256,20 +273,20 @@ class Motion:
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
         """Call `write_velocities`, with room for all slots."""
         capacity = len(tree.handles)
-        if len(self.kept) <= capacity:
-            self.kept = velocity_records(capacity, rows.shape[1], self.kept)
+        if len(self.velocities) <= capacity:
+            self.velocities = velocity_records(capacity, rows.shape[1], self.velocities)
         kernel = write_entry(rows.shape[1])
-        done: int = kernel(tree, version, self.kept, handles, rows, times)
+        done: int = kernel(tree, version, self.velocities, handles, rows, times)
         return done
 
     def packed(self, handles: Ids) -> dict[str, Any]:
         """`packed_velocities`; and `left`, where times are whole nanoseconds."""
-        told = packed_velocities(self.kept, handles)
-        return told | {'left': self.moving.left} if self.moving.nanoseconds else told
+        packed = packed_velocities(self.velocities, handles)
+        return packed | {'left': self.moving.left} if self.moving.nanoseconds else packed
 
-    def told_to(self, handles: Ids, slots: Ids) -> tuple[Floats, Floats]:
+    def velocities_of(self, handles: Ids, slots: Ids) -> tuple[Floats, Floats]:
         """`velocities_of`."""
-        return velocities_of(self.kept, handles, slots)
+        return velocities_of(self.velocities, handles, slots)
 
     # ---- bounds
 
@@ -280,9 +297,9 @@ class Motion:
         call: Any,
         moments: bool = True,
     ) -> Any:
-        """What call(arrays, moving) returns, it or its first value not negative, with bounds that
-        hold for what is asked. `spans` tells the times: ((first, last), ...); `moments`: of
-        questions about moments.
+        """What call(arrays, moving) returns, with bounds that hold for the times of the query: it,
+        or its first value, is not negative. `spans` returns the times: ((first, last), ...);
+        `moments`: whether all queries are at one time.
         """
         moving = self.bounds if moments else self.moving
         while True:
@@ -297,16 +314,16 @@ class Motion:
     def others(
         self, tree: Any, moving: Moving, why: int, span: tuple[float, float], moments: bool = True
     ) -> Moving:
-        """The bounds to ask next, where those did not hold, and why."""
+        """The next bounds to try where these did not hold, and why."""
         if moving is self.bounds is not self.moving and why == OUTSIDE:
             return self.moving
         return self.fit(tree, *span, moments)
 
     def fit(self, tree: Any, first: float, last: float, moments: bool = True) -> Moving:
-        """Fit bounds of the tree as it is now to this time, at whose ends they are tight. Has it
-        been asked for others since it changed, they are fitted to a longer time that holds both.
-        Where they hold, it has been asked often for moments: for these, nodes may be laid out.
-        Returns bounds that hold; RuntimeError if the tree is being changed.
+        """Fit bounds of the tree as it is now to a span of time, at whose ends they are tight. If
+        there are bounds for another span since the last change, the new span holds both. If they
+        hold already, there were many queries at one time: for these, nodes may be rebuilt. Returns
+        bounds that hold; RuntimeError if the tree is being changed.
         """
         view, before = tree.view(), self.moving
         if before.version != view.version:
@@ -318,8 +335,8 @@ class Motion:
         if view.tree.state.item(TURN) < 0:
             raise RuntimeError(IS_CHANGED)
         if before.start <= first <= last <= before.stop:
-            return self._look_at(view, first, last) if moments else before
-        # Further than that the way that the times go, as they may go on.
+            return self._bounds_for(view, first, last) if moments else before
+        # Further in the direction in which the times move, as they may go on.
         earlier, later = first < before.start, last > before.stop
         first, last = min(first, before.start), max(last, before.stop)
         more = 0.5 * (last - first)
@@ -337,7 +354,7 @@ class Motion:
         nodes = aligned_empty(len(arrays.nodes), moving_dtype(ndim), 2 * CACHE_LINE)
         order, areas = np.empty(len(arrays.nodes), np.int64), np.empty(3)
         span = float(first), float(last)
-        moving = Moving(self.kept, nodes, *span, view.version, *self.moving[-2:])
+        moving = Moving(self.velocities, nodes, *span, view.version, *self.moving[-2:])
         if fit_entry(ndim)(arrays, moving, layout, order, areas) == REFUSED:
             raise RuntimeError(IS_CHANGED)
         if own:
@@ -348,31 +365,55 @@ class Motion:
             arrays.state[ASKS] = self._asks
         return moving
 
-    def _look_at(self, view: View, first: float, last: float) -> Moving:
-        """Lay out nodes for these moments, which have been asked for often, if boxes have parted
-        by then; bounds that hold.
+    def _bounds_for(self, view: View, first: float, last: float) -> Moving:
+        """Rebuild nodes for these times, of which there were many queries, if boxes have parted by
+        then; bounds that hold.
         """
         moving, laid, (parted, per_second) = self.moving, self.bounds, self._parted
         middle = 0.5 * first + 0.5 * last
         if laid is not moving and laid.start <= first <= last <= laid.stop:
             moving = laid
         elif parted + per_second * (middle - moving.start) > PARTED:
-            layout = lay_out(view, self.kept, middle, moving.left)
+            layout = rebuild_at_time(self._build, view, self.velocities, middle, moving.left)
             soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
             stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
             self.bounds = moving = self._fit(view, layout, first, stop)
         view.tree.state[ASKS] = LOOKED - self._asks
         return moving
 
+    def holds(self, version: int, first: float, last: float) -> bool:
+        """Whether bounds are fitted that hold for a span of time."""
+        moving = self.moving
+        return moving.version == version and moving.start <= first and last <= moving.stop
+
+    def prepare(self, tree: Any, count: int, first: float, last: float) -> None:
+        """Fit bounds for a span of time; sweep a snapshot if so many rays in it would do so."""
+        view = tree.view()
+        if not self.holds(view.version, first, last):
+            self.fit(tree, first, last, moments=False)
+        cache, enough = self._cache, RAYS_PER_BOX * view.tree.state.item(COUNT)
+        before = cache.rays if cache.version == view.version else 0
+        if (
+            count
+            and before + 2 * count >= enough  # once more by the batch
+            and self.ready_sweep(view.tree, count, first, last) is None
+        ):
+            self.swept_for(tree, view, max(count, math.ceil(enough)), (first, last))
+
+    def refit(self, tree: Any, first: float) -> None:
+        """Fit bounds to the time from `first` on, if any were fitted before."""
+        if self.moving.version != NOT_FITTED and not self.holds(tree.view().version, first, first):
+            self.fit(tree, first, first, moments=False)
+
     def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
-        """What is swept for rays, so many, whose times lie in a span; None while that does not pay
-        or would not help. The rays of small batches wait until they are enough for one together.
+        """The sweep for `count` rays whose times lie in a span; None while that does not pay or
+        would not help. The rays of small batches add up until they are enough for one together.
         """
-        (first, last), wanted = span, self._wanted
-        known, sweep = wanted.version == view.version, None
+        (first, last), cache = span, self._cache
+        known, sweep = cache.version == view.version, None
         if known:
-            if view.tree.state.item(RAYS) >= wanted.worn:
-                self._wanted = wanted = self._laid_out(view, wanted)
+            if view.tree.state.item(RAYS) >= cache.rebuild_after:
+                self._cache = cache = self._rebuilt(view, cache)
             sweep = self.ready_sweep(view.tree, count, first, last)
         if sweep is not None:
             return sweep
@@ -380,72 +421,75 @@ class Motion:
         if rest is None:
             return None
         enough = RAYS_PER_BOX * view.tree.state.item(COUNT)
-        covered = known and wanted.start <= first and last <= wanted.stop
-        if covered and wanted.made:
-            if count < enough or wanted.stop - wanted.start <= LONGER * (last - first):
-                return None  # it did not help
+        covered = known and cache.start <= first and last <= cache.stop
+        if covered and cache.made:
+            if count < enough or cache.stop - cache.start <= LONGER * (last - first):
+                return None  # the sweep did not help
             known = False
-        if not known or (wanted.made and not covered):
-            wanted = Wanted(view.version, first, last, 0)
-        rays, start, stop, worn = wanted.rays + count, first, last, np.inf
+        if not known or (cache.made and not covered):
+            cache = SweepCache(view.version, first, last, 0)
+        rays, start, stop, rebuild_after = cache.rays + count, first, last, np.inf
         if count < enough:
-            start, stop = min(first, wanted.start), max(last, wanted.stop)
+            start, stop = min(first, cache.start), max(last, cache.stop)
         made = rays >= enough
         if made:
             sweep, grown = swept(view.tree, self.known(view, start, stop), rest)
-            worn = self._worn(view, start, stop, grown)
-        self._wanted = Wanted(view.version, start, stop, rays, made, sweep, enough, worn)
+            rebuild_after = self._rebuild_after(view, start, stop, grown)
+        self._cache = SweepCache(
+            view.version, start, stop, rays, made, sweep, enough, rebuild_after
+        )
         return sweep
 
-    def _worn(self, view: View, start: float, stop: float, grown: float) -> float:
-        """What the tree says of rays when others than its nodes, which have grown so much, are to
-        be swept: where boxes have parted before the span, not only within it.
+    def _rebuild_after(self, view: View, start: float, stop: float, grown: float) -> float:
+        """The `rebuild_after` of nodes that have grown so much: where boxes have parted before the
+        span, not only within it.
         """
         if not grown > PARTED:
             return np.inf
-        told = self.kept['reference'][self.kept['owner'] >= 0]
-        if abs(0.5 * (start + stop) - np.median(told)) <= stop - start:
+        references = self.velocities['reference'][self.velocities['owner'] >= 0]
+        if abs(0.5 * (start + stop) - np.median(references)) <= stop - start:
             return np.inf
         state = view.tree.state
         rays: float = LAYOUT_RAYS_PER_BOX * state.item(COUNT) / (grown - 1.0)
         return state.item(RAYS) + rays
 
-    def _laid_out(self, view: View, wanted: Wanted) -> Wanted:
+    def _rebuilt(self, view: View, cache: SweepCache) -> SweepCache:
         """The sweep of nodes that are built for its time."""
-        start, stop, sweep = wanted.start, wanted.stop, wanted.sweep
-        snapshot = snapshot_then(view, self.kept, 0.5 * start + 0.5 * stop, self.moving.left)
+        start, stop, sweep = cache.start, cache.stop, cache.sweep
+        middle, left = 0.5 * start + 0.5 * stop, self.moving.left
+        snapshot = snapshot_at_time(self._build, view, self.velocities, middle, left)
         if snapshot is not None:
             sweep, _ = swept(view.tree, self.known(view, start, stop), snapshot)
-        return wanted._replace(sweep=sweep, worn=np.inf)
+        return cache._replace(sweep=sweep, rebuild_after=np.inf)
 
     def ready_sweep(self, tree: Tree, count: int, one: float, other: float) -> Sweep | None:
-        """The sweep that is made, of whatever version of the tree, if it serves so many rays from
-        one time to the other.
+        """The sweep that exists, of any version of the tree, if it serves so many rays from one
+        time to the other.
         """
-        _, start, stop, _, _, sweep, enough, worn = self._wanted
+        _, start, stop, _, _, sweep, enough, rebuild_after = self._cache
         if sweep is None or not (start <= one <= stop and start <= other <= stop):
             return None
         if count < enough or stop - start <= LONGER * abs(other - one):
-            return sweep if tree.state.item(RAYS) < worn else None
+            return sweep if tree.state.item(RAYS) < rebuild_after else None
         return None
 
     def few_sweep(self, count: int) -> Sweep | None:
-        """The sweep that is made, of whatever version of the tree and span, if it serves so many
+        """The sweep that exists, of any version of the tree and any span, if it serves so many
         rays, and they are few.
         """
-        _, _, _, _, _, sweep, enough, _ = self._wanted
+        _, _, _, _, _, sweep, enough, _ = self._cache
         return sweep if count < FEW and count < max(enough, HANDFUL) else None
 
     def known(self, view: View, start: float, stop: float) -> Moving:
-        """What is known of the motion of a tree, for a span, without bounds."""
+        """The motion of a tree over a span, without bounds."""
         _, _, _, _, _, nanoseconds, left = self.moving
-        told = self.kept, self._no_nodes, start, stop, view[1], nanoseconds, left
-        return tuple.__new__(Moving, told)
+        parts = self.velocities, self._no_nodes, start, stop, view[1], nanoseconds, left
+        return tuple.__new__(Moving, parts)
 
     @property
     def nbytes(self) -> int:
         """Memory of all."""
-        sweep = self._wanted.sweep
+        sweep = self._cache.sweep
         more = 0 if sweep is None else sweep.nbytes
         more += 0 if self.bounds is self.moving else self.bounds.nodes.nbytes
-        return self.kept.nbytes + self.moving.nodes.nbytes + more
+        return self.velocities.nbytes + self.moving.nodes.nbytes + more

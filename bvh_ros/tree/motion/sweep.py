@@ -1,14 +1,13 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A wide snapshot of all places where boxes are within a span of time.
+"""A wide snapshot of all places where boxes are within a span of time, and rays through it.
 
 Nodes and children are those of the snapshot of boxes at rest; the planes of each leaf bound it
 from the start of the span to its stop, those of an inner node its children. It only prunes, so it
 serves every ray whose times lie within the span; the shorter that is, the better.
 
-Where boxes go together, places are those that somebody sees who goes with them, at their mean
-velocity, the drift: where he is at the start of the span nodes stay as small as at rest, and it is
-rays that go further, see `starting`. Leaves: see `leaves`.
+Where boxes move together, places are in the frame of their mean velocity, the drift. In that frame
+nodes stay as small as at rest, and rays are transformed into it, see `start_in_drift_frame`.
 """
 
 import functools
@@ -18,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..batch.single import ABREAST, STACK, cast_through
+from ..batch.single import cast_abreast
 from ..batch.snapshot import (
     BLURRED,
     LARGEST_SCENE,
@@ -48,15 +47,13 @@ from ..batch.streams import (
     scratch_for,
     traverse,
     visit_leaf,
-    write_miss,
 )
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
 from ..entries import entry_points
 from ..nodes import NONE, Tree, aligned_empty
-from ..query.ray import ANY, CLOSEST, NO_HITS, of_row
-from ..query.slab import EXACT, INSIDE, RAY_ROWS, set_ray
+from ..query.ray import ANY, CLOSEST, NO_HITS, Hit, of_row
+from ..query.slab import EXACT, INSIDE, set_ray
 from ..results import RayHits
-from ..simd.float32x16 import stream16
 from ..store.turns import REFUSED, accepted, begin_query, count_rays, end_query
 from .bounds import LEAST, WIDER, no_motion
 from .exact_contact import (
@@ -65,7 +62,6 @@ from .exact_contact import (
     LATER,
     LEAST_32,
     Moving,
-    as_met,
     box_of,
     course_of,
     distance_of,
@@ -74,6 +70,7 @@ from .exact_contact import (
     may_meet,
     meet_box,
     moves,
+    phase_at_hit,
     quick_decision,
     quick_decision_of_both,
 )
@@ -108,23 +105,23 @@ class Leaves(NamedTuple):
 
 @inlined
 def swept_side(box, axis, moving, drift):
-    """The bounds of a box on an axis over the span as who drifts sees it, surely wide enough."""
-    least, most, more = _ways(box, axis, moving, drift[axis])
+    """The bounds of a box on an axis over the span, in the drift frame, surely wide enough."""
+    least, most, more = _displacements(box, axis, moving, drift[axis])
     return box[0][axis] + least - more, box[1][axis] + most + more
 
 
 @inlined
-def _ways(box, axis, moving, drift):
-    """How far a box has gone in the span, the least and the most, where who goes at `drift` from
-    the start on sees it, and how wrong its place may be then.
+def _displacements(box, axis, moving, drift):
+    """How far a box moves in the span relative to the drift: the least, the most, and the error of
+    its place.
     """
     lo, hi, velocity, reference = box
     speed, end, length = velocity[axis], reference + moving.left, moving.stop - moving.start
     first = speed * (min(moving.start, end) - reference)
-    # Where it stops it stays: on the way there, and from there on, its place is linear in time.
-    gone = speed * (min(moving.stop, end) - reference)
-    bent = gone - drift * min(max(end - moving.start, 0.0), length)
-    last = gone - drift * length
+    # Its place is linear in time until it stops, and from then on.
+    displacement = speed * (min(moving.stop, end) - reference)
+    bent = displacement - drift * min(max(end - moving.start, 0.0), length)
+    last = displacement - drift * length
     extent, times = abs(lo[axis]) + abs(hi[axis]), abs(moving.start) + abs(moving.stop)
     extent += abs(speed) * (times + abs(reference)) + abs(drift) * times
     return min(first, bent, last), max(first, bent, last), extent * WIDER + LEAST
@@ -160,7 +157,7 @@ def set_leaf(leaf, box, axis, moving, per_length):
     """
     speed = speed_of(box, axis, moving)
     speed = np.float32(speed if abs(speed) < FASTEST else 0.0)
-    least, most, more = _ways(box, axis, moving, np.float64(speed))
+    least, most, more = _displacements(box, axis, moving, np.float64(speed))
     margin = MARGIN / per_length
     more += margin
     leaf.velocity[axis] = speed
@@ -171,19 +168,19 @@ def set_leaf(leaf, box, axis, moving, per_length):
 
 
 USELESS = -2  # why there is no such snapshot
-# Boxes go together if on the average what they sweep is so many times what they sweep as who goes
-# along with them sees it.
+# Boxes move together if on the average they sweep so many times what they sweep in the drift
+# frame.
 TOGETHER = 2.0
 # No snapshot sees boxes go along for more than so many of its units: then rays begin too far away.
 FARTHEST_DRIFT = 2.0**9
 
 
 class Sweep(NamedTuple):
-    """What `wide_casting` asks."""
+    """A snapshot that is swept over a span of time."""
 
     snapshot: Snapshot
     moving: Moving
-    """What it was made of."""
+    """The motion from which it was made."""
     leaves: Leaves
 
     @property
@@ -193,7 +190,7 @@ class Sweep(NamedTuple):
 
 
 def no_sweep(ndim: int) -> Sweep:
-    """To tell a compiler the types."""
+    """Empty arrays of the right types."""
     leaves = Leaves(np.empty(0, leaf_dtype(ndim)), 0.0)
     return Sweep(no_snapshot(ndim), no_motion(ndim), leaves)
 
@@ -216,15 +213,15 @@ def _half_area(sides):
 
 @inlined
 def _set_frame(tree, moving, snapshot, frame, drift, mean):
-    """Write the centre of all that is swept, as who drifts sees it, units in which it lies within
+    """Write the centre of all that is swept in the drift frame, units in which it lies within
     [-1, 1], and the mean velocity; return (whether there are such units, as in
-    `wide.snapshot.take_snapshot`, whether boxes go together).
+    `batch.snapshot.take_snapshot`, whether boxes move together).
     """
     ndim, half, farthest, count = frame.shape[0] - 1, 0.0, 0.0, 0
     length = moving.stop - moving.start
     low, high = stack_array(3, np.float64), stack_array(3, np.float64)
     low[:], high[:], mean[:] = np.inf, -np.inf, 0.0
-    # What a box sweeps on the average, and as who goes at the mean velocity sees it.
+    # What a box sweeps on the average, and what it sweeps in the frame of the mean velocity.
     swept, apart = stack_array(3, np.float64), stack_array(3, np.float64)
     swept[:] = apart[:] = 0.0
     for lane in range((snapshot.size + snapshot.loose) * WIDTH):
@@ -266,14 +263,14 @@ def _choose_frame(tree, moving, snapshot, frame, last):
         for axis in range(drift.shape[0]):
             drift[axis], farthest = mean[axis], max(farthest, abs(mean[axis]))
     last.loose = np.float32(farthest != 0.0)
-    way = farthest * (moving.stop - moving.start) * frame[drift.shape[0]]
-    return fits and way <= FARTHEST_DRIFT
+    shift = farthest * (moving.stop - moving.start) * frame[drift.shape[0]]
+    return fits and shift <= FARTHEST_DRIFT
 
 
 @inlined
 def _sweep_leaf(box, lane, moving, frame, drift, planes, leaf):
     """Write the planes and the record of a leaf."""
-    # Who may stop meanwhile is going when a ray meets it, or is not: no rounded test tells which.
+    # No rounded test decides whether a box that may stop still moves when a ray meets it.
     ndim, leaf.loose = frame.shape[0] - 1, np.float32(np.inf if may_stop(box, moving) else 0.0)
     for axis in range(ndim):
         lo, hi = swept_side(box, axis, moving, drift)
@@ -364,7 +361,7 @@ Floats = NDArray[np.float64]
 NO_TIMES, AS_ARRAYS = np.empty(0), (0.0, 0.0)
 
 
-class RaysThen(NamedTuple):
+class TimedRays(NamedTuple):
     """Rays as of `rays.raycasting.Rays`, and when they start."""
 
     origins: Floats
@@ -380,13 +377,13 @@ class RaysThen(NamedTuple):
     """For all rays: of few, to make arrays takes as long as some of them."""
 
 
-def told_once(when: tuple[Any, Any]) -> tuple[Floats, Floats, tuple[float, float]]:
-    """`at`, `pace` and `when` of `RaysThen`, of what may be two numbers for all or two arrays."""
+def split_times(when: tuple[Any, Any]) -> tuple[Floats, Floats, tuple[float, float]]:
+    """`at`, `pace` and `when` of `TimedRays`, of what may be two numbers for all or two arrays."""
     return (NO_TIMES, NO_TIMES, when) if type(when[0]) is float else (*when, AS_ARRAYS)
 
 
 class MovingRays(NamedTuple):
-    """What of `RaysThen` and `sweeping.Sweep` each ray asks for."""
+    """`TimedRays` and the parts of a `Sweep` that each ray needs."""
 
     origins: Any
     directions: Any
@@ -401,17 +398,17 @@ class MovingRays(NamedTuple):
 
 
 _ROW, _ROWS = np.empty(0), np.empty((0, 3))
-NO_RAYS = RaysThen(
+NO_RAYS = TimedRays(
     *(_ROWS, _ROWS, _ROW, np.empty(0, np.uint32), False, CLOSEST), *(NO_TIMES, NO_TIMES, AS_ARRAYS)
 )
 
 
-# Who goes along with the drift still goes somewhere, a 2**-50 of his way: a ray must.
+# A ray that moves with the drift keeps 2**-50 of its direction: it must not be zero.
 ALMOST_ONE = 1.0 - 2.0**-50
 
 
 @inlined
-def start_seen(record, snapshot, leaves, rays, row):
+def start_in_drift_frame(record, snapshot, leaves, rays, row):
     """`filtering.start_ray` of one of `rays`, MovingRays or what has as much to say; whether it is
     suited to the snapshot of a `sweeping.Sweep`, whose leaves these are.
     """
@@ -431,7 +428,7 @@ def start_group(snapshot, rays, rows, scratch):
     """
     alive, last = 0, rows.shape[0]
     for i in range(rows.shape[0]):
-        suited = start_seen(scratch.records[i], snapshot, rays.leaves, rays, rows[i])
+        suited = start_in_drift_frame(scratch.records[i], snapshot, rays.leaves, rays, rows[i])
         last -= not suited
         scratch.lists[alive if suited else last] = i
         alive += suited
@@ -440,7 +437,7 @@ def start_group(snapshot, rays, rows, scratch):
 
 @lean_kernel
 def sort_by_octant(rays, start, octants, rows, ends):
-    """Fill `rows` with the numbers from `start` on, octant by octant of where rays are seen to go;
+    """Fill `rows` with the numbers from `start` on, octant by octant of the rays' directions;
     those of octant k end before ends[k]. `octants` is scratch.
     """
     ends[:], drift = 0, rays.leaves.records[-1].lo
@@ -450,8 +447,8 @@ def sort_by_octant(rays, start, octants, rows, ends):
         if rays.leaves.records[-1].loose != 0.0:
             octant = 0
             for axis in range(direction.shape[0]):
-                way = direction[axis] - (drift[axis] * pace + 0.0)
-                octant |= (math.copysign(1.0, way) < 0.0) << axis
+                shift = direction[axis] - (drift[axis] * pace + 0.0)
+                octant |= (math.copysign(1.0, shift) < 0.0) << axis
         octants[i] = octant
         ends[octants[i]] += 1
     before = 0
@@ -463,13 +460,13 @@ def sort_by_octant(rays, start, octants, rows, ends):
 
 
 UNSUITED = -3  # not a handle, nor NONE
-AHEAD = 4  # so many hits before it is described, the memory of a box is asked for
+AHEAD = 4  # the memory of a box is prefetched so many hits before its hit is described
 WAITING, PLACES = TALLY, TALLY + 1  # behind what is tallied: how many pairs wait
 # Pairs that wait at most, and the share of a group's rays: what is met is known so much later.
 MOST_WAITING, LEAST_WAITING, WAITING_SHARE = 64, 8, 8
 
 
-class Waiting(NamedTuple):
+class DeferringScratch(NamedTuple):
     """`ray_streams.Scratch` for a group of rays, and pairs of a ray and a leaf that it may meet.
 
     Most of them part when it is looked at closely. One after the other that is a guess of the
@@ -480,7 +477,7 @@ class Waiting(NamedTuple):
     records: Any
     lists: Any
     found: Any
-    met: Any
+    hit_lanes: Any
     stack: Any
     pairs: NDArray[np.int64]
     """Slot of the leaf, and in the lower half the ray's place; as many as wait at most."""
@@ -496,9 +493,9 @@ def is_better(tree, ray, rays, row, slot, best):
     ray[EXACT, 0] = 0.0
     leaves = rays.leaves
     if leaves.records[slot].loose == np.inf:
-        way = origin, direction, at, pace
+        path = origin, direction, at, pace
         verdict, t, face = quick_decision_of_both(
-            tree, rays.moving, leaves.records, slot, way, best[1]
+            tree, rays.moving, leaves.records, slot, path, best[1]
         )
     else:
         since = at - leaves.start
@@ -520,7 +517,7 @@ def _is_better(tree, course, rays, row, slot, best):
     if better and best[0] != NONE:
         best_t = distance_of(box_of(tree, rays.moving, best[0]), course, best[2])
         better = is_before(
-            *(tree, rays.moving, course, (slot, t, face)), (best[0], best_t, best[2])
+            tree, rays.moving, course, Hit(slot, t, face), Hit(best[0], best_t, best[2])
         )
     return better, t, face
 
@@ -534,25 +531,25 @@ def write_hit(tree, ray, rays, row, hit, hits):
         course = course_of(ray, of_row(rays.at, row), of_row(rays.pace, row), rays.moving)
         box = box_of(tree, rays.moving, slot)
         hits.t[row] = distance_of(box, course, face)
-        _, face = as_met(box, course, face)
+        _, face = phase_at_hit(box, course, face)
         if face != INSIDE:
             hits.normals[row, face >> 1] = -1.0 if face & 1 == 0 else 1.0
 
 
 @lean_kernel
-def cast_rows(tree, sweep, asked, scratch, hits):
-    """As `wide.raycasting.cast_rows`, but the id of a ray that is not suited is UNSUITED. Returns
+def cast_rows(tree, sweep, query, scratch, hits):
+    """As `batch.streams.cast_rows`, but the id of a ray that is not suited is UNSUITED. Returns
     how many are not, or REFUSED.
     """
     if not begin_query(tree.state, sweep.moving.version):
         return np.int64(REFUSED)
-    snapshot, at, pace = sweep.snapshot, asked.at, asked.pace
+    snapshot, at, pace = sweep.snapshot, query.at, query.pace
     if at.shape[0] == 0:
         at, pace = stack_array(1, np.float64), stack_array(1, np.float64)
-        at[0], pace[0] = asked.when
+        at[0], pace[0] = query.when
     rays = MovingRays(
-        *(asked.origins, asked.directions, asked.t_max, asked.masks),
-        *(asked.skip_inside, asked.mode, at, pace, sweep.moving, sweep.leaves),
+        *(query.origins, query.directions, query.t_max, query.masks),
+        *(query.skip_inside, query.mode, at, pace, sweep.moving, sweep.leaves),
     )
     tally, ends = stack_array(PLACES, np.int64), stack_array(OCTANTS, np.int64)
     tally[DECIDED_EXACTLY] = tally[WAITING] = 0
@@ -588,13 +585,13 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
     if alive > 0:
         most = min(max(LEAST_WAITING, alive // WAITING_SHARE), MOST_WAITING)
         pairs = stack_array(MOST_WAITING, np.int64)[:most]
-        room = Waiting(
-            *(scratch.ray, scratch.records, scratch.lists, scratch.found, scratch.met),
+        room = DeferringScratch(
+            *(scratch.ray, scratch.records, scratch.lists, scratch.found, scratch.hit_lanes),
             *(scratch.stack, pairs, snapshot.loose > 0),
         )
         group = octant, rows, alive
-        traverse(snapshot, tree, group, rays, room, tally, let_wait, not_yet)
-        visit_waiting(tree, rows, rays, room, tally)
+        traverse(snapshot, tree, group, rays, room, tally, defer_leaf, never_better)
+        flush_deferred(tree, rows, rays, room, tally)
     found = scratch.found[: tally[FOUND]]
     for place in range(found.shape[0]):
         if place + AHEAD < found.shape[0]:
@@ -608,7 +605,7 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
 
 
 @inlined
-def let_wait(tree, rays, slot, listed, scratch, tally):
+def defer_leaf(tree, rays, slot, listed, scratch, tally):
     """Let rays wait that may meet a leaf, listed = (rows, places); ask for its memory."""
     rows, places = listed
     prefetch(rays.leaves.records, slot, 1)
@@ -616,20 +613,20 @@ def let_wait(tree, rays, slot, listed, scratch, tally):
         scratch.pairs[tally[WAITING]] = slot << 32 | place
         tally[WAITING] += 1
         if tally[WAITING] == scratch.pairs.shape[0]:
-            visit_waiting(tree, rows, rays, scratch, tally)
+            flush_deferred(tree, rows, rays, scratch, tally)
     return True
 
 
 @inlined
-def not_yet(tree, ray, rays, row, slot, best):
-    """As `is_better` where no leaf is visited as it is met: `let_wait` has taken them all."""
+def never_better(tree, ray, rays, row, slot, best):
+    """As `is_better` where no leaf is visited as it is met: `defer_leaf` has taken them all."""
     return False, best[1], best[2]
 
 
 @lean_kernel
-def visit_waiting(tree, rows, rays, scratch, tally):
+def flush_deferred(tree, rows, rays, scratch, tally):
     """See of the pairs that wait whether the leaf is the ray's best hit."""
-    pairs, kept, leaves = scratch.pairs, 0, rays.leaves
+    pairs, remaining, leaves = scratch.pairs, 0, rays.leaves
     alike = rays.at.shape[0] == 1 and rays.pace.shape[0] == 1
     since, pace = rays.at[0] - leaves.start, rays.pace[0]
     for i in range(tally[WAITING]):
@@ -638,13 +635,13 @@ def visit_waiting(tree, rows, rays, scratch, tally):
         row, limit = rows[place], scratch.records[place].best_t
         if not alike:
             since, pace = of_row(rays.at, row) - leaves.start, of_row(rays.pace, row)
-        way = rays.origins[np.uint64(row)], rays.directions[np.uint64(row)]
-        near = may_meet(leaves.records, slot, *way, since, pace, limit, 0.0)
-        pairs[kept] = pair
-        kept += near
+        path = rays.origins[np.uint64(row)], rays.directions[np.uint64(row)]
+        near = may_meet(leaves.records, slot, *path, since, pace, limit, 0.0)
+        pairs[remaining] = pair
+        remaining += near
         if near and leaves.records[slot].loose == np.inf:
             fetch_box(tree, rays.moving, slot)
-    for i in range(kept):
+    for i in range(remaining):
         group = rows, (pairs[i] & 0xFFFFFFFF,)
         visit_leaf(tree, pairs[i] >> 32, scratch.patched, group, rays, scratch, tally, is_better)
     tally[WAITING] = 0
@@ -655,7 +652,7 @@ cast_entry = entry_points(
 )
 
 
-def cast_swept(tree: Tree, sweep: Sweep, rays: RaysThen, hits: RayHits) -> int:
+def cast_swept(tree: Tree, sweep: Sweep, rays: TimedRays, hits: RayHits) -> int:
     """Answer rays whose times lie in the span of a sweep, but those that are UNSUITED: how many;
     REFUSED if the tree is not what was swept, or is changed meanwhile.
     """
@@ -671,12 +668,11 @@ FEW = 72
 
 
 @lean_kernel
-def cast_few(tree, sweep, asked, skip_inside, mode, when, hits):
-    """As `wide_casting.cast_rows`, of rays asked = (origins, directions, t_max, masks) that share
-    their times, when = (at, pace); REFUSED, too, where those do not lie within the span that was
-    swept.
+def cast_few(tree, sweep, query, skip_inside, mode, when, hits):
+    """`cast_rows` of rays = (origins, directions, t_max, masks) that share their times, when =
+    (at, pace); REFUSED, too, where those do not lie within the span that was swept.
     """
-    (origins, directions, t_max, masks), (at, pace), moving = asked, when, sweep.moving
+    (origins, directions, t_max, masks), (at, pace), moving = query, when, sweep.moving
     within = moving.start <= at <= moving.stop
     for row in range(t_max.shape[0]):
         last = at if pace == 0.0 else at + t_max[row] * pace
@@ -689,49 +685,32 @@ def cast_few(tree, sweep, asked, skip_inside, mode, when, hits):
         *(origins, directions, t_max, masks, skip_inside, mode),
         *(ats, paces, moving, sweep.leaves),
     )
-    unsuited = _cast_all(sweep.snapshot, tree, rays, hits)
+    exact, unsuited = cast_abreast(
+        sweep.snapshot, tree, rays, _start, 0, hits, leave_ray, is_better, _set_and_write_hit
+    )
+    count_rays(tree.state, origins.shape[0], exact)
     end_query(tree.state)
     return unsuited
 
 
 @inlined
-def _cast_all(snapshot, tree, rays, hits):
-    """Answer all that are suited; return how many are not."""
-    ray, stack = stack_array((RAY_ROWS, 3), np.float64), stack_array(STACK, np.int64)
-    records, rows = stack_array(ABREAST, snapshot.record), stack_array(ABREAST, np.int64)
-    places, met = stack_array(ABREAST, np.int32), stack_array(ABREAST, np.uint32)
-    nearest = stack_array((ABREAST, WIDTH), np.int32)
-    count, row = rays.origins.shape[0], np.int64(0)
-    exact, unsuited = np.int64(0), np.int64(0)
-    while row < count:
-        alive = np.int64(0)
-        while row < count and alive < ABREAST:
-            rows[alive], places[alive] = row, alive
-            write_miss(rays, row, hits)
-            if start_seen(records[alive], snapshot, rays.leaves, rays, row):
-                alive += 1
-            else:
-                hits.ids[row] = UNSUITED
-                unsuited += 1
-            row += 1
-        if alive == 0:
-            continue
-        stream16(snapshot.planes, 0, MIXED, records, places[:alive], met, nearest)
-        for i in range(alive):
-            ray[EXACT, 0] = 0.0
-            seen = places[i : i + 1], met[i], nearest[i : i + 1]
-            room = ray, records, stack
-            hit = cast_through(snapshot, tree, rays, rows[i], seen, room, as_it_is, is_better)
-            exact += np.int64(ray[EXACT, 0])
-            if hit[0] != NONE:
-                set_ray(ray, rays.origins[rows[i]], rays.directions[rows[i]])
-                write_hit(tree, ray, rays, rows[i], hit, hits)
-    count_rays(tree.state, count, exact)
-    return unsuited
+def _start(snapshot, tree, rays, row, record, state, hits):
+    """`start` of `cast_abreast`; it counts the rays that are UNSUITED."""
+    suited = start_in_drift_frame(record, snapshot, rays.leaves, rays, row)
+    if not suited:
+        hits.ids[row] = UNSUITED
+    return suited, np.int64(not suited)
 
 
 @inlined
-def as_it_is(ray, origin, direction):
+def _set_and_write_hit(tree, ray, rays, row, hit, hits):
+    set_ray(ray, rays.origins[row], rays.directions[row])
+    write_hit(tree, ray, rays, row, hit, hits)
+    return False
+
+
+@inlined
+def leave_ray(ray, origin, direction):
     """Leave the ray: `is_better` writes it where it needs it."""
 
 

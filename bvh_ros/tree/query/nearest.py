@@ -27,8 +27,10 @@ from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_que
 from .overlap import is_box
 from .ray import of_row
 from .slab import PAD, TINY
+from .traversal import Stack, next_leaf, push_root
 
 Ids = NDArray[np.int64]
+LARGEST_SQUARE = float(np.finfo(np.float64).max)
 
 
 class Near(NamedTuple):
@@ -89,15 +91,22 @@ def distance(lo, hi, low, high):
 
 
 @inlined
-def _square(nodes, node, query):
-    """Squared distance of a node, only to prune by: where it overflows or vanishes, so does its
-    limit.
+def within(square, limit):
+    """A squared distance if it is within a limit, else inf. It only prunes: where it overflows or
+    vanishes, so does its limit.
     """
+    return min(square, LARGEST_SQUARE) if square <= limit else np.inf
+
+
+@inlined
+def _square(nodes, node, query, limit):
+    if nodes[node].mask & query.mask == 0:
+        return np.inf
     lo, hi, total = nodes[node].lo, nodes[node].hi, 0.0
     for axis in range(lo.shape[0]):
         gap = max(lo[axis] - query.high[axis], 0.0, query.low[axis] - hi[axis])
         total += gap * gap
-    return total
+    return within(total, limit)
 
 
 @inlined
@@ -115,30 +124,16 @@ def visit_nearest(tree, nodes, query, best, limit, square, look_at):
     many boxes are found, and the last limit.
 
     look_at(tree, query, leaf, square, best, count, limit) puts a leaf among the best and returns
-    the new count and limit. square(nodes, node, query) may be too small, not too large.
+    the new count and limit. square(nodes, node, query, limit) is as `enter` of `next_leaf`.
     """
-    root, mask = np.int64(tree.state[ROOT]), query.mask
-    stack, squares = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], squares[0], top = root, 0.0, (0 if root == NONE else 1)
-    count = np.int64(0)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top, count = push_root(nodes, tree.state[ROOT], query, limit, stack, square), np.int64(0)
     while top > 0:
-        top -= 1
-        node, apart = stack[top], squares[top]
-        if apart > limit or nodes[node].mask & mask == 0:
-            continue
-        while not is_leaf(node):
-            near, far = np.int64(nodes[node].left), np.int64(nodes[node].right)
-            apart, farther = square(nodes, near, query), square(nodes, far, query)
-            if farther < apart:
-                near, far, apart, farther = far, near, farther, apart
-            if farther <= limit:
-                stack[top], squares[top] = far, farther
-                top += 1
-            node = near
-            if apart > limit or nodes[near].mask & mask == 0:
-                break
-        if is_leaf(node) and apart <= limit and nodes[node].mask & mask != 0:
-            count, limit = look_at(tree, query, node, apart, best, count, limit)
+        leaf, top = next_leaf(nodes, query, limit, stack, top, square)
+        if leaf == NONE:
+            break
+        apart = stack.entries[top]
+        count, limit = look_at(tree, query, leaf, apart, best, count, limit)
     return count, limit
 
 

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept boxes through the binary tree: the first hit, any hit, all hits.
 
-The nearer child is visited first; the other waits on a stack with its entry distance. A node that
-is entered after the best hit is not visited.
+`cast` is the loop for boxes at rest and for boxes that move: functions that are handed in enter a
+node, decide at a leaf, and order two hits.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from .. import checks
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
-from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, View, is_leaf, leaf_box
+from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, leaf_box
 from ..results import RayHits
 from ..store.turns import (
     ANY_VERSION,
@@ -30,9 +30,7 @@ from .slab import (
     EXACT,
     INSIDE,
     ORIGIN,
-    PAD,
     RAY_ROWS,
-    TINY,
     compare_hits,
     intersect_exact,
     intersect_node,
@@ -42,6 +40,7 @@ from .slab import (
     set_swept_box,
     traversal_distance,
 )
+from .traversal import Stack, next_leaf, push_root
 
 Ids = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -52,7 +51,7 @@ FEW_HITS = 12  # of one ray: sorted by insertion alone
 
 
 class Rays(NamedTuple):
-    """What is asked for."""
+    """n rays, and what to find."""
 
     origins: Floats
     """Shape (n, ndim), as the directions."""
@@ -65,7 +64,7 @@ class Rays(NamedTuple):
     mode: int
     """CLOSEST, ANY or EVERY."""
     counted: bool = False
-    """Whether the kernel counts them, too: it does of a batch that is not cut into parts."""
+    """Whether the kernel counts the rays: it does where a batch is not cut into parts."""
 
 
 class Found(NamedTuple):
@@ -77,8 +76,8 @@ class Found(NamedTuple):
     """The axis entered last, INSIDE where the ray starts in the box."""
 
 
-class Asked(NamedTuple):
-    """What is asked of one ray."""
+class RayOptions(NamedTuple):
+    """How far one ray goes, which boxes it sees, and what to find."""
 
     t_max: float
     mask: np.uint32
@@ -94,113 +93,122 @@ class Hit(NamedTuple):
     axis: int
 
 
+class Path(NamedTuple):
+    """A ray, or a swept box, among boxes at rest."""
+
+    tree: Tree
+    ray: NDArray[np.float64]
+    """See `slab`."""
+    mask: np.uint32
+    wide: bool
+    """See `slab.prepare_ray`."""
+
+
 @inlined
 def of_row(values, i):
     """The value of row i; where there is but one, it is for all."""
     return values[i if values.shape[0] > 1 else 0]
 
 
-@lean_kernel
-def raycast(tree, ray, asked, found, filled):
-    """Cast one ray (see `slab`), `asked` as of `Asked`, and write its hits to `found` from
-    `filled` on; return where the next would go.
+# ---- one ray
+
+
+@inlined
+def cast(nodes, root, path, scale, options, found, filled, enter, decide, precedes):
+    """Write the hits of a path, `options` as of `RayOptions`, to `found` from `filled` on; return
+    where the next would go.
 
     CLOSEST leaves one hit or none, ANY the first one found, EVERY all, in no order. A return
     beyond the arrays' end says how large they should have been: what did not fit is counted, not
     written.
+
+    `enter` is as of `next_leaf`, in units of 2**scale. decide(path, slot, t_max) is (hit, t, axis)
+    of a leaf. precedes(path, hit, other) says which of two `Hit`s comes first.
     """
-    nodes, root, mask = tree.nodes, tree.state[ROOT], asked.mask
     slots, ts, axes = found.slots, found.ts, found.axes
-    if root == NONE or nodes[root].mask & mask == 0:
-        return filled
-    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    limit = traversal_distance(asked.t_max, scale)
-    begin, best = filled, np.int64(NONE)
-    stack, entries = stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64)
-    stack[0], top = root, 1
-    entries[0] = intersect_node(nodes[root].lo, nodes[root].hi, ray, limit, wide)
+    begin, limit = filled, traversal_distance(options.t_max, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, path, limit, stack, enter)
     while top > 0:
-        top -= 1
-        if entries[top] == np.inf or entries[top] > limit * PAD + TINY:
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter)
+        if leaf == NONE:
+            break
+        slot = leaf >> 1
+        hit, t, axis = decide(path, slot, options.t_max)
+        if not hit or (options.skip_inside and axis == INSIDE):
             continue
-        node, top = descend(nodes, ray, limit, wide, mask, stack, entries, top)
-        if node == NONE:
-            continue
-        lo, hi = leaf_box(nodes, tree.tight, node)
-        hit, t, axis = intersect_exact(lo, hi, ray, asked.t_max)
-        if not hit or (asked.skip_inside and axis == INSIDE):
-            continue
-        slot = np.int64(node >> 1)
         place = filled
-        if asked.mode == CLOSEST:
-            if best != NONE and not is_before(
-                tree, ray, (slot, t, axis), (best, ts[begin], axes[begin])
+        if options.mode == CLOSEST:
+            if filled > begin and not precedes(
+                path, Hit(slot, t, axis), Hit(slots[begin], ts[begin], axes[begin])
             ):
                 continue
-            best, place = slot, begin
-            limit = traversal_distance(t, scale)
+            place, limit = begin, traversal_distance(t, scale)
         if place < slots.shape[0]:
             slots[place], ts[place], axes[place] = slot, t, axis
         filled = place + 1
-        if asked.mode == ANY:
+        if options.mode == ANY:
             break
     return filled
 
 
 @inlined
-def descend(nodes, ray, limit, wide, mask, stack, entries, top):
-    """Follow the nearer child from the node stack[top] down to a leaf, putting the others on the
-    stack: (leaf or NONE, top of the stack).
-    """
-    node = stack[top]
-    while not is_leaf(node):
-        first, second = np.int64(nodes[node].left), np.int64(nodes[node].right)
-        first_entry, second_entry = np.inf, np.inf
-        if nodes[first].mask & mask != 0:
-            first_entry = intersect_node(nodes[first].lo, nodes[first].hi, ray, limit, wide)
-        if nodes[second].mask & mask != 0:
-            second_entry = intersect_node(nodes[second].lo, nodes[second].hi, ray, limit, wide)
-        if second_entry < first_entry:
-            first, second = second, first
-            first_entry, second_entry = second_entry, first_entry
-        if first_entry == np.inf:
-            return np.int64(NONE), top
-        if second_entry < np.inf:
-            stack[top], entries[top] = second, second_entry
-            top += 1
-        node = first
-    return node, top
+def enter_box(nodes, node, path, limit):
+    """`intersect_node` of a node that the mask of a `Path` selects."""
+    if nodes[node].mask & path.mask == 0:
+        return np.inf
+    return intersect_node(nodes[node].lo, nodes[node].hi, path.ray, limit, path.wide)
+
+
+@inlined
+def decide_box(path, slot, t_max):
+    lo, hi = leaf_box(path.tree.nodes, path.tree.tight, 2 * slot)
+    return intersect_exact(lo, hi, path.ray, t_max)
+
+
+@inlined
+def precedes(path, hit, other):
+    return is_before(path.tree, path.ray, hit, other)
+
+
+@lean_kernel
+def raycast(tree, ray, options, found, filled):
+    """`cast` one ray, or swept box (see `slab`), among boxes at rest."""
+    nodes, root = tree.nodes, tree.state[ROOT]
+    if root == NONE:
+        return filled
+    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
+    path = Path(tree, ray, options.mask, wide)
+    return cast(nodes, root, path, scale, options, found, filled, enter_box, decide_box, precedes)
 
 
 @lean_kernel
 def is_before(tree, ray, hit, other):
-    """Whether the first of two hits of a ray, each (slot, t, axis), is the nearer, or as near with
-    the smaller handle.
+    """Whether the first of two `Hit`s of a ray is the nearer, or as near with the smaller
+    handle.
     """
-    (slot, t, axis), (other_slot, other_t, other_axis) = hit, other
-    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-    other_lo, other_hi = leaf_box(tree.nodes, tree.tight, 2 * other_slot)
-    order = compare_hits(ray, lo, hi, (t, axis), other_lo, other_hi, (other_t, other_axis))
-    return order < 0 or (order == 0 and tree.handles[slot] < tree.handles[other_slot])
+    lo, hi = leaf_box(tree.nodes, tree.tight, 2 * hit.slot)
+    other_lo, other_hi = leaf_box(tree.nodes, tree.tight, 2 * other.slot)
+    one, another = (hit.t, hit.axis), (other.t, other.axis)
+    order = compare_hits(ray, lo, hi, one, other_lo, other_hi, another)
+    return order < 0 or (order == 0 and tree.handles[hit.slot] < tree.handles[other.slot])
 
 
 @inlined
-def sort_hits(tree, ray, found, start, end):
-    """Bring the hits [start, end) of a ray into the order of the exact distance, then of handles.
+def sort_hits(path, found, start, end, precedes):
+    """Bring the hits [start, end) of a path into the order of the exact distance, then of handles.
     Each t then becomes the largest up to it: within 2 ulp still, and never falling.
     """
     slots, ts, axes = found.slots, found.ts, found.axes
-    if end - start > FEW_HITS:
-        sort_roughly(tree.handles, found, start, end)
     for i in range(start + 1, end):
-        hit, place = (slots[i], ts[i], axes[i]), i
-        while place > start and is_before(
-            tree, ray, hit, (slots[place - 1], ts[place - 1], axes[place - 1])
+        hit, place = Hit(slots[i], ts[i], axes[i]), i
+        while place > start and precedes(
+            path, hit, Hit(slots[place - 1], ts[place - 1], axes[place - 1])
         ):
             slots[place], ts[place] = slots[place - 1], ts[place - 1]
             axes[place] = axes[place - 1]
             place -= 1
-        slots[place], ts[place], axes[place] = hit
+        slots[place], ts[place], axes[place] = hit.slot, hit.t, hit.axis
     for i in range(start + 1, end):
         ts[i] = max(ts[i], ts[i - 1])
 
@@ -226,16 +234,16 @@ def sort_roughly(handles, found, start, end):
 
 
 @lean_kernel
-def raycast_every_row(tree, version, asked, named, offsets, room, before):
+def raycast_every_row(tree, version, batch, named, offsets, room, before):
     """All hits of every ray, nearest first; those of ray i go to [offsets[i], offsets[i + 1]) of
-    `room`, where handles take the place of slots if they are to be `named`. asked, room: plain
+    `room`, where handles take the place of slots if they are to be `named`. batch, room: plain
     `Rays` and `Found`, before = (rays done so far, how many of them took exact arithmetic).
 
     Returns (rays done, room wanted, how many took exact arithmetic, version of the tree): fewer
     than there are where there is no room for the hits of the next one; instead NOT_FINITE if a ray
     is not, REFUSED if the tree is changed meanwhile.
     """
-    (done, exact), end, rays, found = before, np.int64(0), Rays(*asked), Found(*room)
+    (done, exact), end, rays, found = before, np.int64(0), Rays(*batch), Found(*room)
     if not begin_query(tree.state, version):
         return np.int64(REFUSED), end, exact, np.int64(0)
     ray, version = stack_array((RAY_ROWS, 3), np.float64), tree.state[CHANGES]
@@ -248,12 +256,14 @@ def raycast_every_row(tree, version, asked, named, offsets, room, before):
             return np.int64(NOT_FINITE), end, exact, version
         set_ray(ray, origin, direction)
         t_max, mask = of_row(rays.t_max, done), of_row(rays.masks, done)
-        question = Asked(t_max, mask, rays.skip_inside, EVERY)
+        question = RayOptions(t_max, mask, rays.skip_inside, EVERY)
         end = raycast(tree, ray, question, found, start)
         if end > found.slots.shape[0]:
             break
         exact += np.int64(ray[EXACT, 0])
-        sort_hits(tree, ray, found, start, end)
+        if end - start > FEW_HITS:
+            sort_roughly(tree.handles, found, start, end)
+        sort_hits(Path(tree, ray, mask, False), found, start, end, precedes)
         if named:
             for i in range(start, end):
                 found.slots[i] = tree.handles[found.slots[i]]
@@ -346,8 +356,8 @@ def raycast_one(tree, origin, direction, t_max, mask, skip_inside, mode, place):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     set_ray(ray, origin, direction)
-    asked, found = Asked(t_max, mask, skip_inside, mode), Found(slots, ts, axes)
-    hits = raycast(tree, ray, asked, found, 0)
+    options, found = RayOptions(t_max, mask, skip_inside, mode), Found(slots, ts, axes)
+    hits = raycast(tree, ray, options, found, 0)
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     handle = np.int64(NONE)
@@ -369,9 +379,11 @@ def raycast_row(tree, ray, rays, row, found, hits):
     if not is_finite(origin, direction):
         return np.int64(NOT_FINITE)
     set_ray(ray, origin, direction)
-    asked = Asked(of_row(rays.t_max, row), of_row(rays.masks, row), rays.skip_inside, rays.mode)
+    options = RayOptions(
+        of_row(rays.t_max, row), of_row(rays.masks, row), rays.skip_inside, rays.mode
+    )
     slot, axis, t = np.int64(NONE), np.int64(INSIDE), np.inf
-    if raycast(tree, ray, asked, found, 0) > 0:
+    if raycast(tree, ray, options, found, 0) > 0:
         slot, axis, t = found.slots[0], found.axes[0], found.ts[0]
     hits.ids[row] = tree.handles[slot] if slot != NONE else NONE
     if rays.mode == CLOSEST:
@@ -438,7 +450,7 @@ def boxcast(tree, lo, hi, translation, mask, place):
     slots, axes = stack_array(1, np.int64), stack_array(1, np.int64)
     ts = stack_array(1, np.float64)
     found = Found(slots, ts, axes)
-    hits = raycast(tree, ray, Asked(1.0, mask, False, CLOSEST), found, 0)
+    hits = raycast(tree, ray, RayOptions(1.0, mask, False, CLOSEST), found, 0)
     state[RAYS] += 1
     state[EXACT_RAYS] += np.int64(ray[EXACT, 0])
     if hits == 0:
@@ -461,3 +473,33 @@ def boxcast(tree, lo, hi, translation, mask, place):
 
 _POINT = np.empty(0)
 boxcast_entry = entry_points(boxcast, *(_POINT,) * 3, np.uint32(0), np.empty((0, 3)))
+
+
+# Rows of batches, and room for their answers.
+
+LARGE_BATCH = 1024  # rays, whose answers are one piece of memory
+_NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
+
+
+def rows_of(table: Any, count: int, rows: Any) -> Any:
+    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
+    return type(table)(
+        *(
+            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
+            for column in table
+        )
+    )
+
+
+def room_for_rays(count: int, ndim: int, mode: int) -> RayHits:
+    """Room for the answers of so many rays."""
+    if mode != CLOSEST:
+        return tuple.__new__(RayHits, (np.empty(count, INT64), *_NOT_DESCRIBED[ndim]))
+    if count < LARGE_BATCH:
+        parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
+        return tuple.__new__(RayHits, parts)
+    # One piece of memory: three make the allocator give theirs back to the system after each
+    # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
+    room = np.empty(count * (2 + ndim))
+    ids, ts, normals = room[:count].view(INT64), room[count : 2 * count], room[2 * count :]
+    return RayHits(ids, ts, normals.reshape(count, ndim))

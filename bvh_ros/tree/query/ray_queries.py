@@ -22,12 +22,15 @@ from .ray import (
     ANY,
     CLOSEST,
     EVERY,
+    LARGE_BATCH,
     Rays,
     count_entry,
     every_hit,
     locate_entry,
     one_entry,
+    room_for_rays,
     rows_entry,
+    rows_of,
 )
 
 # Smaller batches go through the snapshot ray by ray. Measured with other rays in each batch, with
@@ -38,9 +41,6 @@ FEW_TOGETHER = 72
 # for 80 among 1,000, for 200 among 10,000, for 370 among 30,000, for 1,500 among 100,000, for
 # 3,000 among more.
 BOXES_A_RAY, FEW_RAYS = 64, 3000
-# From so many rays on the answers of a batch are one piece of memory.
-LARGE = 1024
-_NOT_DESCRIBED = {ndim: (np.empty(0), np.empty((0, ndim))) for ndim in (2, 3)}
 
 
 def answer_rays(
@@ -85,30 +85,6 @@ def is_scan(origins: NDArray[np.float64]) -> bool:
     return origins[-1].tolist() == first == origins[len(origins) // 2].tolist()
 
 
-def rows_of(table: Any, count: int, rows: Any) -> Any:
-    """Some rows of a named tuple of so many; what stands for all, or for none, stays as it is."""
-    return type(table)(
-        *(
-            column[rows] if isinstance(column, np.ndarray) and len(column) == count else column
-            for column in table
-        )
-    )
-
-
-def room_for_rays(count: int, ndim: int, mode: int) -> RayHits:
-    """Room for the answers of so many rays."""
-    if mode != CLOSEST:
-        return tuple.__new__(RayHits, (np.empty(count, INT64), *_NOT_DESCRIBED[ndim]))
-    if count < LARGE:
-        parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
-        return tuple.__new__(RayHits, parts)
-    # One piece of memory: three make the allocator give theirs back to the system after each
-    # batch, and fetching it anew, page by page, costs a tenth of a ray among 1,000 boxes.
-    room = np.empty(count * (2 + ndim))
-    ids, ts, normals = room[:count].view(INT64), room[count : 2 * count], room[2 * count :]
-    return RayHits(ids, ts, normals.reshape(count, ndim))
-
-
 class RayAsking(Timed):
     """What the methods about rays share."""
 
@@ -128,16 +104,16 @@ class RayAsking(Timed):
         origin = checks.vector('origin', origin, ndim)
         direction = checks.vector('direction', direction, ndim)
         place, skip = np.empty((2, ndim)), checks.flag('skip_inside', skip_inside)
-        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        limit, bits = checks.limit('t_max', t_max), checks.mask(mask)
         motion = self._motion
         if at is None or (motion is None and not at is pace is NOW):
             motion = self._motion_at(at, pace)
         if motion is not None:
-            swept, asked = (origin, origin, direction), (limit, seen, skip, mode)
-            handle, t = motion.cast(self, swept, asked, (at, pace), place)
+            swept, options = (origin, origin, direction), (limit, bits, skip, mode)
+            handle, t = motion.cast(self, swept, options, (at, pace), place)
         else:
             handle, t = one_entry(ndim)(
-                self._settled().tree, origin, direction, limit, seen, skip, mode, place
+                self._settled().tree, origin, direction, limit, bits, skip, mode, place
             )
         if handle >= 0:
             return handle, t, place
@@ -185,8 +161,8 @@ class RayAsking(Timed):
         if motion is not None:
             some = origins, directions, t_max, masks
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
-        asked = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        return self.first_hits(asked, threads)
+        rays_given = origins, directions, t_max, masks, skip_inside, mode, threads == 1
+        return self.first_hits(rays_given, threads)
 
     def few_rays(self, rays: Rays) -> bool:
         """Whether rays are so few that they go through the snapshot one by one."""
@@ -201,13 +177,13 @@ class RayAsking(Timed):
             return None
         return storage.latest, snapshot
 
-    def first_hits(self, asked: tuple[Any, ...], threads: int) -> RayHits:
+    def first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
         """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
         where they are asked for by one thread.
         """
-        origins, _, t_max, _, _, mode, _ = asked
+        origins, _, t_max, _, _, mode, _ = rays_given
         count, ndim = len(origins), self._ndim
-        if mode != CLOSEST or count >= LARGE:
+        if mode != CLOSEST or count >= LARGE_BATCH:
             hits = room_for_rays(count, ndim, mode)
         else:
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
@@ -219,14 +195,14 @@ class RayAsking(Timed):
             if snapshot.loose:
                 pass
             elif are_few(origins, t_max, tree):
-                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, asked, hits)
+                done = few_entry(ndim)(tree, ANY_VERSION, snapshot, rays_given, hits)
             else:
-                rays = tuple.__new__(Rays, asked)
+                rays = tuple.__new__(Rays, rays_given)
                 done = cast_in_lists(tree, ANY_VERSION, snapshot, rays, hits)
             if done >= 0:
                 return hits
         # As Rays(...), which would take one more call of a function of Python's.
-        view, rays = self.view(), tuple.__new__(Rays, asked)
+        view, rays = self.view(), tuple.__new__(Rays, rays_given)
         snapshot = self.snapshot_for(count, view)
         if threads == 1:
             exact = answer_rays(*view, snapshot, rays, hits)
@@ -333,20 +309,20 @@ class RayQueries(RayAsking):
         """
         origin = checks.point('origin', origin, self._ndim)
         direction = checks.point('direction', direction, self._ndim)
-        limit, seen = checks.limit('t_max', t_max), checks.mask(mask)
+        limit, bits = checks.limit('t_max', t_max), checks.mask(mask)
         motion = self._motion_at(at, pace)
         if motion is not None:
-            some = origin[None], direction[None], limit, seen, skip_inside
-            _, ids, found, places = motion.every_ray(self, some, (at, pace))
-            rows = zip(ids.tolist(), found.ts.tolist(), *places, strict=True)
+            some = origin[None], direction[None], limit, bits, skip_inside
+            every = motion.every_ray(self, some, (at, pace))
+            rows = zip(every.ids.tolist(), every.found.ts.tolist(), *every.places, strict=True)
             return [RayHit(*row) for row in rows]
         view, skip = self.view(), checks.flag('skip_inside', skip_inside)
-        asked = np.array([limit]), np.array([seen]), skip, EVERY, True
-        rays = origin[None], direction[None], *asked
-        _, end, met = every_hit(view, rays, False)
+        options = np.array([limit]), np.array([bits]), skip, EVERY, True
+        rays = origin[None], direction[None], *options
+        _, end, columns = every_hit(view, rays, False)
         hits = [
             self._hit(view, origin, direction, *row)
-            for row in zip(*(column[:end].tolist() for column in met), strict=True)
+            for row in zip(*(column[:end].tolist() for column in columns), strict=True)
         ]
         self.check_unchanged(view)
         return hits
@@ -362,8 +338,8 @@ class RayQueries(RayAsking):
         pace: float = NOW,
     ) -> bool:
         """Whether the ray meets any box; cheaper than `raycast`. Arguments as there."""
-        asked = t_max, mask, skip_inside, ANY, at, pace
-        return self._cast(origin, direction, *asked) is not None
+        options = t_max, mask, skip_inside, ANY, at, pace
+        return self._cast(origin, direction, *options) is not None
 
     def raycast_many(
         self,
@@ -428,13 +404,13 @@ class RayQueries(RayAsking):
         if motion is not None or not at is pace is NOW:
             motion = self._motion_at(at, pace, len(origins))
         if motion is not None:
-            way = (
+            path = (
                 checks.points('origins', origins, ndim),
                 checks.points('directions', directions, ndim),
             )
-            some = *way, t_max, mask, skip_inside
-            offsets, ids, found, _ = motion.every_ray(self, some, (at, pace))
-            return offsets, ids, found.ts
+            some = *path, t_max, mask, skip_inside
+            every = motion.every_ray(self, some, (at, pace))
+            return every.offsets, every.ids, every.found.ts
         count = len(origins)
         limits, masks, skip = checks.FOREVER, checks.EVERYTHING, skip_inside
         if t_max is not np.inf:

@@ -18,7 +18,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from .. import checks
-from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN, Tree
+from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN
 from ..validation import array_forms
 from . import mapped
 from .drafts import put_in_place
@@ -29,6 +29,7 @@ VERSIONS = VERSION, WITH_MOTION
 MOTION = ('moving', 'velocities', 'references')
 LEFT = 'left'  # is told beside them, where times are whole nanoseconds
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
+COPIED = {*ARRAYS, *MOTION}  # by `pack`
 # A letter of numpy's for each kind of number or text that a value may be.
 VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 'serial': 'i'}
 
@@ -36,6 +37,10 @@ VALUES = {'version': 'i', 'ndim': 'i', 'margin': 'if', 'sibling_search': 'U', 's
 # (those of an empty tree). What is yet smaller would fill the memory with what is no tree.
 SMALLEST_SHARE = 64
 LARGEST_VALUE = 4096  # bytes
+
+
+class Copied(dict[str, Any]):
+    """What `pack` returned, of a tree in this process: it needs no validation."""
 
 
 def pack(tree: Any) -> dict[str, Any]:
@@ -128,14 +133,10 @@ def _member(archive: zipfile.ZipFile, name: str) -> Any:
 def _form(archive: zipfile.ZipFile, name: str) -> tuple[np.dtype[Any], tuple[int, ...]]:
     """Type and shape of an array, from its header; ValueError if its size is not what they say."""
     with archive.open(f'{name}.npy') as file:
-        readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
-        shape, _, dtype = readers[npy.read_magic(file)](file)
-        count = 1
-        for length in shape:  # in Python's integers: they do not overflow
-            count *= length
-        if file.tell() + count * dtype.itemsize != archive.getinfo(f'{name}.npy').file_size:
-            raise ValueError(f'its {name} are not of the size that they claim')
-    return dtype, shape
+        try:
+            return mapped.form_of(file, archive.getinfo(f'{name}.npy').file_size)
+        except ValueError as error:
+            raise ValueError(f'its {name}: {error}') from None
 
 
 def _check_forms(ndim: int, forms: dict[str, tuple[Any, Any]]) -> None:
@@ -190,14 +191,21 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
     return kept | {'counters': _counters(packed['counters'], counters)}
 
 
-def attach(tree: Any, path: Path) -> None:
-    """Let a new tree be what a file written by `mapped.save` holds, read-only and not copied."""
-    header, arrays = mapped.attach(path)
+def attach(tree: Any, path: Path, verify: bool) -> None:
+    """Let a new tree be what a file written by `mapped.save` holds, read-only and not copied.
+    `verify`: read and check all of it.
+    """
+    header, arrays = mapped.attach(path, verify)
     tree._be(header['ndim'], header['margin'], header['sibling_search'])
     state = np.zeros(ALL_PLACES, np.int64)
     _fill_state(state, header, _counters(header['counters'], tree.COUNTERS))
     state[TURN] = 1  # of a query that never ends
-    tree._storage = storage_of(Tree(**arrays, state=state), READ_ONLY)
+    tree._storage = storage_of(arrays._replace(state=state), READ_ONLY)
+    if verify:
+        try:
+            tree.validate()
+        except RuntimeError as error:
+            raise ValueError(f'{path} is damaged: {error}') from None
 
 
 def _fill_state(state: NDArray[np.int64], kept: dict[str, Any], counters: dict[str, int]) -> None:
@@ -217,7 +225,8 @@ def unpack(tree: Any, packed: Any) -> None:
     storage.tree.state[TURN] = 0
     tree._storage = storage
     try:
-        tree.validate()
+        if not isinstance(packed, Copied):
+            tree.validate()
         if kept['version'] == WITH_MOTION:
             if LEFT in packed:
                 tree.count_nanoseconds(checks.limit(LEFT, packed[LEFT]))

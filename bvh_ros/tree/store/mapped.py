@@ -6,11 +6,14 @@ all processes of a machine.
 The file: MAGIC, length and CRC-32 of the header (uint32 each, little-endian), the header as JSON,
 then the arrays of the tree, each on a page of its own.
 
-A file that is mapped is not read before it is used, so it is trusted: only its header and its
-length are checked. Who reads it without mapping it gets the checks that any file gets.
+When a process maps a file for the first time, it checks the header, the length and the links
+between nodes, so that no query leads outside the arrays. Boxes and masks are trusted, unless the
+caller asks to verify them. A file that is read without mapping is always checked as a whole.
 """
 
+import functools
 import json
+import math
 import mmap
 import os
 import struct
@@ -20,10 +23,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from ..nodes import COUNT, LAST_SERIAL, NONE, ROOT, SLOT_MASK
-from ..validation import array_forms
+from ..nodes import COUNT, LAST_SERIAL, NONE, ROOT, SLOT_MASK, Tree
+from ..validation import COMPLAINTS, SOUND, array_forms, check_structure
 from .drafts import put_in_place
 
 MAGIC = b'BVHTREE\n'
@@ -31,6 +35,8 @@ VERSION = 1
 HEAD = struct.Struct('<8sII')  # magic, length and CRC-32 of the header
 PAGE = 4096
 LONGEST_HEADER = 1 << 16
+MOST_REMEMBERED = 4096
+_linked: dict[tuple[int, ...], None] = {}  # versions of files whose links this process checked
 ARRAYS = ('nodes', 'heights', 'tight', 'handles')
 KINDS = {
     **dict.fromkeys(('version', 'ndim', 'serial', 'capacity', 'crc'), int),
@@ -61,9 +67,7 @@ def save(path: Path, packed: dict[str, Any]) -> None:
         'counters': packed['counters'],
     }
     arrays = [packed[name] for name in ARRAYS]
-    crc = 0
-    for array in arrays:
-        crc = zlib.crc32(_bytes_of(array), crc)
+    crc = functools.reduce(_crc, arrays, 0)
     text = json.dumps(header | {'crc': crc}).encode()
     with put_in_place(path) as file:
         file.write(HEAD.pack(MAGIC, len(text), zlib.crc32(text)) + text)
@@ -76,32 +80,75 @@ def load(path: Path) -> dict[str, Any]:
     """Read what `save` wrote, and compare its CRC-32; ValueError if it is anything else."""
     with open(path, 'rb') as file:
         header = _read_header(path, file)
-        crc, packed = 0, {'state': np.array(header['state'], np.int64)}
+        packed = {'state': np.array(header['state'], np.int64)}
         for name, (dtype, count, offset) in _places(header, file.tell())[0].items():
             file.seek(offset)
             packed[name] = np.fromfile(file, dtype, count)
-            crc = zlib.crc32(_bytes_of(packed[name]), crc)
-    if crc != header['crc']:
+    if functools.reduce(_crc, (packed[name] for name in ARRAYS), 0) != header['crc']:
         raise ValueError(f'{path} is damaged: the CRC-32 of its arrays is not what it says')
     return header | packed
 
 
-def attach(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Map what `save` wrote: its header, and its arrays by name; ValueError if it is no such
-    file. A write to the arrays would stay in this process.
+def attach(path: Path, verify: bool) -> tuple[dict[str, Any], Tree]:
+    """Map what `save` wrote: its header, and its arrays; ValueError if it is no such file. A write
+    to the arrays would stay in this process. `verify` compares the CRC-32 of the arrays.
     """
     if not is_mapped(path):
         raise ValueError(f'{path} cannot be mapped: it was not saved with mapped=True')
     with open(path, 'rb') as file:
         header = _read_header(path, file)
         places, size = _places(header, file.tell())
-        if os.fstat(file.fileno()).st_size != size:
+        status = os.fstat(file.fileno())
+        if status.st_size != size:
             raise ValueError(f'{path} is damaged: it is not {size} bytes long')
         memory = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
-    return header, {
-        name: np.frombuffer(memory, dtype, count, offset) if count else np.empty(0, dtype)
-        for name, (dtype, count, offset) in places.items()
-    }
+    arrays = {name: _array_at(memory, *place) for name, place in places.items()}
+    tree = Tree(**arrays, state=np.array(header['state'], np.int64))
+    version = status.st_dev, status.st_ino, size, status.st_mtime_ns, status.st_ctime_ns
+    if version not in _linked:
+        kind, node = check_structure(tree.nodes, tree.handles, tree.state)
+        if kind != SOUND:
+            raise ValueError(f'{path} is damaged: {COMPLAINTS[kind]} (node {node})')
+        _linked[version] = None
+        if len(_linked) > MOST_REMEMBERED:
+            del _linked[next(iter(_linked))]
+    if verify and functools.reduce(_crc, arrays.values(), 0) != header['crc']:
+        raise ValueError(f'{path} is damaged: the CRC-32 of its arrays is not what it says')
+    return header, tree
+
+
+def map_array(path: Path, count: int) -> NDArray[np.int64]:
+    """Map an .npy file of so many integers; ValueError if it is anything else."""
+    with open(path, 'rb') as file:
+        try:
+            dtype, shape = form_of(file, os.fstat(file.fileno()).st_size)
+        except Exception as error:  # numpy raises errors of many kinds
+            raise ValueError(f'{path} is damaged: {error}') from None
+        if (dtype, shape) != (np.dtype(np.int64), (count,)):
+            what = f'it holds {dtype} of shape {shape}, not int64 of shape ({count},)'
+            raise ValueError(f'{path} is damaged or of another tree: {what}')
+        memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        return _array_at(memory, dtype, count, file.tell())
+
+
+def form_of(file: Any, size: int) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    """Type and shape of an .npy file of so many bytes, from its header; the file stands behind it
+    then. Any exception if the header is damaged; ValueError if the size is not what it says.
+    """
+    readers = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+    shape, _, dtype = readers[npy.read_magic(file)](file)
+    if file.tell() + math.prod(shape) * dtype.itemsize != size:
+        raise ValueError('it is not of the size that it claims')
+    return dtype, shape
+
+
+def _array_at(memory: mmap.mmap, dtype: np.dtype[Any], count: int, start: int) -> NDArray[Any]:
+    return np.frombuffer(memory, dtype, count, start) if count else np.empty(0, dtype)
+
+
+def _crc(crc: int, array: NDArray[Any]) -> int:
+    """The CRC-32 of what came before and an array."""
+    return zlib.crc32(_bytes_of(array), crc)
 
 
 def checksum(path: Path) -> int:

@@ -23,7 +23,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from bvh_ros.ros.cdr import definitions, marker_array, path, reading
-from bvh_ros.ros.conversions.marker_table import table
+from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.conversions.times import nanoseconds
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from tree.compiler.alone import run_alone
 
-from bvh_ros.ros.config.option import ConfigurationError
+from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.texts import LONGEST_LINE, as_line, shortened
 

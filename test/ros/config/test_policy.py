@@ -14,6 +14,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_namespace import validate_namespace
 
+from bvh_ros.ros.server import has_typed_services
+
 POLICY = Path(__file__).parents[3] / 'config' / 'bvh_policy.xml'
 # What sros2's schema allows of the elements used: attributes (those that must be there first),
 # and children.
@@ -99,6 +101,8 @@ def used(world, name='bvh'):
 
 def check(policy, enclave, world):
     expected = granted(policy, enclave, world.name)
+    if not has_typed_services():  # they come with another package
+        expected['reply'] = {name for name in expected['reply'] if '/query/' not in name}
     try:
         world.until(lambda: used(world) == expected)
     except AssertionError:

@@ -12,7 +12,7 @@ import pytest
 from ros.conversions.generators import ended
 
 from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.conversions.marker_table import table
+from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import Scene, ShapeKind
 
@@ -332,7 +332,7 @@ def random_marker(random):
 def source_of():
     """A source of markers without a node."""
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-    from bvh_ros.ros.config.settings import SourceSettings
+    from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.sources.marker_array import MarkerArraySource
 
     def make(scene):

@@ -145,22 +145,23 @@ def test_the_fields_of_questions():
     has to be is said of the one that is not.
     """
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-    from bvh_ros.ros.conversions.query_clouds import Boxes, Points, QueryCloud
-    from bvh_ros.ros.conversions.ray_clouds import RayCloud
+    from bvh_ros.ros.conversions.query_clouds import Boxes, Points, QueryCloud, Rays
 
-    for read, names, optional in (
-        (RayCloud, ('x', 'y', 'z', 'dx', 'dy', 'dz'), 't_max'),
-        (lambda asked: QueryCloud(asked, Boxes), ('x', 'y', 'z', 'sx', 'sy', 'sz'), 'tolerance'),
-        (lambda asked: QueryCloud(asked, Points), ('x', 'y', 'z'), 'max_distance'),
+    for kind_of_rows, names, optional in (
+        (Rays, ('x', 'y', 'z', 'dx', 'dy', 'dz'), 't_max'),
+        (Boxes, ('x', 'y', 'z', 'sx', 'sy', 'sz'), 'tolerance'),
+        (Points, ('x', 'y', 'z'), 'max_distance'),
     ):
         columns = {name: [1.0] for name in (*names, optional)} | {'mask': [1]}
         for kinds, real in (({}, 'f4'), ({optional: 'f8'}, 'f8'), ({'x': 'f8'}, 'f8')):
             for mask in ('u1', 'u2', 'u4'):
                 asked = plain_cloud(columns, kinds={'mask': mask, **kinds})
-                assert read(asked).real == np.dtype(real)
+                questions = QueryCloud(asked, kind_of_rows)
+                assert questions.real == np.dtype(real)
+                assert len(questions.rows(0, 1).masks) == 1
         for wrong, kind, needed in (
             ('mask', 'i4', "'mask' is int32; it has to be an unsigned integer"),
             (optional, 'i2', f"'{optional}' is int16; it has to be float32 or float64"),
         ):
             with pytest.raises(ValueError, match=needed):
-                read(plain_cloud(columns, kinds={'mask': 'u4', wrong: kind}))
+                QueryCloud(plain_cloud(columns, kinds={'mask': 'u4', wrong: kind}), kind_of_rows)

@@ -9,13 +9,14 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.parts.refusals import LISTED, Refused
-from bvh_ros.ros.parts.timings import MOST, Timings
-from bvh_ros.ros.world import survey
+from bvh_ros import DynamicBVH
+from bvh_ros.ros.parts import diagnostics
+from bvh_ros.ros.parts.part import MOST, Timings
+from bvh_ros.ros.texts import LISTED, Refused
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
-from bvh_ros.scene import Refusal, Scene
+from bvh_ros.scene import Refusal, Scene, Shapes
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
@@ -121,9 +122,9 @@ def test_publishers_that_are_gone_are_a_warning(start_node, messages, diagnostic
     world.until(lambda: world.everything() == {'a/1'})
     seen = diagnostics(world)
     assert seen['source markers'].level == OK
-    for publisher in world._publishers.values():
+    for publisher in world.publishers.values():
         world.node.destroy_publisher(publisher)
-    world._publishers.clear()
+    world.publishers.clear()
     world.until(lambda: seen['source markers'].level == WARN)
     assert seen['source markers'].message == 'its publishers are gone; what they said is kept'
     assert world.everything() == {'a/1'}
@@ -176,7 +177,7 @@ def test_durations(monkeypatch):
     assert timings.look()[0] == 0.0
     for _ in range(3 * MOST):
         timings.add(now[0])
-    assert len(timings._durations) == MOST
+    assert len(timings.durations) == MOST
     now[1] = 6.0
     assert timings.look().rate == 3 * MOST
 
@@ -197,7 +198,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
         scene = SlowScene()
         views = (WHOLE,)
 
-    looks = survey.SceneStatistics(World())
+    looks = diagnostics.SceneStatistics(World())
     for _ in range(100):
         figures, _seen = looks.look()
         assert 'age of these figures' in figures
@@ -206,13 +207,18 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_world_whose_change_was_interrupted():
+def test_a_world_whose_change_was_interrupted(monkeypatch):
     """Nothing is answered before it is cleared, and diagnostics say so."""
     scene = Scene()
     world = World(None, LargeChanges(scene), None, (), (WHOLE,))
-    looks = survey.SceneStatistics(world)
-    with pytest.raises(KeyboardInterrupt), scene._held.change:
+    looks = diagnostics.SceneStatistics(world)
+
+    def interrupt(*_):
         raise KeyboardInterrupt
+
+    monkeypatch.setattr(DynamicBVH, 'insert_many', interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        scene.update('s', ['a'], Shapes.boxes([(0, 0, 0)], (1, 1, 1)), stamp=1)
     assert '~/clear' in world.problem(0)
     with pytest.raises(IncompleteWorldError):
         world.at(0, thin_ray=True)

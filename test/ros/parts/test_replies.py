@@ -13,7 +13,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
-from bvh_ros.ros.parts import replies
+from bvh_ros.ros.parts import part
 from bvh_ros.ros.parts.part import NodePart
 
 SOON = 0.2, 0.1, 0.3  # seconds
@@ -23,9 +23,9 @@ LOST = 'failed to send response (timeout): client will not receive response'
 @pytest.mark.parametrize('failures', [0, 1, len(SOON), len(SOON) + 1])
 def test_a_reply_is_sent_again_until_its_client_is_found(ros, monkeypatch, failures):
     """The middleware fails as it does where the reader of a client is not found in time."""
-    monkeypatch.setattr(replies, 'AGAIN_AFTER', SOON)
+    monkeypatch.setattr(part, 'AGAIN_AFTER', SOON)
     node, executor = ros
-    part = NodePart(node)
+    opened = NodePart(node)
     attempts = []
 
     def answer(request, response):
@@ -50,7 +50,7 @@ def test_a_reply_is_sent_again_until_its_client_is_found(ros, monkeypatch, failu
 
     monkeypatch.setattr(node, 'create_service', create_failing)
     name = f'late_{failures}'
-    part.service(Trigger, name, answer)
+    opened.service(Trigger, name, answer)
     client = node.create_client(Trigger, name)
     timers = len(list(node.timers))
     try:
@@ -66,7 +66,7 @@ def test_a_reply_is_sent_again_until_its_client_is_found(ros, monkeypatch, failu
         for _ in range(5):
             executor.spin_once(0.05)
     finally:
-        part.destroy()
+        opened.destroy()
         node.destroy_client(client)
     assert len(attempts) == tried
     assert reply.done() == (tried > failures)

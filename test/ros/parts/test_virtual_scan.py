@@ -15,10 +15,9 @@ from ros.clouds import table
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.part_settings import SCAN_OPTIONS, scan_settings
+from bvh_ros.ros.config.parameters import SCAN_OPTIONS, ConfigurationError, scan_settings
 from bvh_ros.ros.conversions import scans
-from bvh_ros.ros.conversions.ray_clouds import FREE, UNANSWERED
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
 
 BOXES, TIMEOUT = 60, 60.0
 RNG = np.random.default_rng(3)

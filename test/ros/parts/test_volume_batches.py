@@ -19,7 +19,7 @@ from nav_msgs.msg import Path
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
-from bvh_ros.ros.config.settings import SHARED
+from bvh_ros.ros.config.parameters import SHARED
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
@@ -262,7 +262,7 @@ def test_nearest_as_a_service(client, scene, world):
 def test_an_incomplete_world(start_node, node):
     world = start_node({'markers.required': True, 'footprint': [0.3]})
     client = BvhClient(node, world.name, timeout=120.0)
-    world.until(client.services.nearest.service_is_ready)  # else the request goes to nobody
+    client.wait_until_ready()
     with pytest.raises(BvhError, match='has not spoken yet'):
         client.nearest([0, 0, 0])
     for ask in (
@@ -276,7 +276,7 @@ def test_an_incomplete_world(start_node, node):
 
 
 def test_a_footprint_that_is_none(configure):
-    from bvh_ros.ros.config.option import ConfigurationError
+    from bvh_ros.ros.config.parameters import ConfigurationError
 
     for wrong in ([1.0, 2.0], [-1.0], [math.inf], [0.0, 1.0, 1.0]):
         with pytest.raises(ConfigurationError, match='footprint'):
@@ -298,4 +298,4 @@ def test_what_paths_need_is_compiled_at_the_start(configure):
             names = [job.name for job in server.jobs(wholly=wholly)]
             assert names.count('paths') == has_paths
             assert wholly == ('nearest' in names)
-        assert 'paths' not in {job.name for job in later_jobs(server._needs())}
+        assert 'paths' not in {job.name for job in later_jobs(server.needs())}

@@ -6,11 +6,20 @@ import random
 
 import pytest
 
-from bvh_ros.ros.sources import completeness, merging
-from bvh_ros.ros.sources.backlog import KEPT, TOGETHER, Backlog
-from bvh_ros.ros.sources.completeness import SETTLED, Completeness
-from bvh_ros.ros.sources.merging import HOLD, Merger, Told
-from bvh_ros.ros.sources.numbering import NEXT, Heard, Numbering
+from bvh_ros.ros.sources import subscribing
+from bvh_ros.ros.sources.subscribing import (
+    DELAY,
+    MOST_WHOLE,
+    NEXT,
+    SETTLED,
+    TOGETHER,
+    Backlog,
+    Completeness,
+    Heard,
+    Merger,
+    Numbering,
+    Received,
+)
 
 NEW = Heard(is_new=True)
 
@@ -57,34 +66,34 @@ def test_every_gap_of_many_publishers_is_counted():
 
 def test_what_is_missing_until_all_is_told(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(completeness.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(subscribing.time, 'monotonic', lambda: now[0])
     told = Completeness()
-    told.note(NEW, kept=False)
+    told.note(NEW, latched=False)
     assert told.missing() == ''
-    told.note(Heard(lost=3), kept=False)
+    told.note(Heard(lost=3), latched=False)
     assert told.missing() == '3 of its messages were lost'
-    told.note(NEW, kept=False)  # another publisher does not mend it
+    told.note(NEW, latched=False)  # another publisher does not mend it
     assert told.missing()
-    told.note_all_told()
+    told.note_all_known()
     assert told.missing() == ''
     told.forget('paused')
-    told.note(Heard(is_new=True, unheard=5), kept=True)
+    told.note(Heard(is_new=True, unheard=5), latched=True)
     assert 'still coming' in told.missing()
     now[0] += 2 * SETTLED
     assert told.missing() == ''
-    told.note(Heard(is_new=True, unheard=5), kept=False)
+    told.note(Heard(is_new=True, unheard=5), latched=False)
     assert told.missing() == 'it had spoken before it was heard'
 
 
 def test_two_copies_are_one_and_the_better_one_orders(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(merging.time, 'monotonic', lambda: now[0])
+    monkeypatch.setattr(subscribing.time, 'monotonic', lambda: now[0])
     out = []
     merger = Merger(lambda told: out.append(told.message))
 
     def take(message, number, *, better):
-        told = Told(message, number, kept=False)
-        merger.take(told, 1000 + number, others_hear=True, better_hear=better)
+        one = Received(message, number, latched=False)
+        merger.take(one, 1000 + number, others_hear=True, better_hear=better)
 
     take('second, early', 2, better=True)
     take('first', 1, better=False)
@@ -93,33 +102,42 @@ def test_two_copies_are_one_and_the_better_one_orders(monkeypatch):
     take('from another', 7, better=True)
     merger.release()
     assert out == ['first', 'second']
-    now[0] += 2 * HOLD
+    now[0] += 2 * DELAY
     merger.release()
     assert out == ['first', 'second', 'from another']
-    assert not merger.is_holding
+    assert not merger.is_delaying
+
+
+def received(message):
+    return Received(message, 1, latched=False)
+
+
+def texts(backlog):
+    return ''.join(one.received.message for one in backlog.next())
 
 
 def test_every_change_waits_but_few_that_say_everything():
-    backlog = Backlog(str.isupper, lambda *_: False)
+    backlog = Backlog(str.isupper, lambda _: False)
     for message in ['a', 'b', *'ABCD', 'c', *'EFGHIJKLM', 'd']:
-        backlog.add(message, None)
-    waiting = ''.join(backlog.next()[0][0] for _ in range(len(backlog)))
+        backlog.add(received(message), NEXT)
+    waiting = ''.join(texts(backlog) for _ in range(len(backlog)))
     assert waiting == 'DcEFGHIJKLMd'
-    assert sum(map(str.isupper, waiting)) == KEPT
+    assert sum(map(str.isupper, waiting)) == MOST_WHOLE
     assert backlog.superseded == 5
     for message in 'abc' * 1000:
-        backlog.add(message, None)
+        backlog.add(received(message), NEXT)
     assert len(backlog) == 3000
 
 
 def test_small_messages_are_taken_out_together():
-    backlog = Backlog(lambda _: False, lambda message, more: message.islower() and more == 'next')
-    for message, more in [('A', ''), ('b', 'next'), ('c', 'next'), ('D', 'next'), ('e', 'lost')]:
-        backlog.add(message, more)
-    assert backlog.next() == (['A', 'b', 'c'], '')
-    assert backlog.next() == (['D'], 'next')
-    assert backlog.next() == (['e'], 'lost')
+    lost = Heard(lost=1)
+    backlog = Backlog(
+        lambda _: False, lambda one: one.received.message.islower() and one.heard is NEXT
+    )
+    for message, heard in [('A', lost), ('b', NEXT), ('c', NEXT), ('D', NEXT), ('e', lost)]:
+        backlog.add(received(message), heard)
+    assert [texts(backlog) for _ in range(3)] == ['Abc', 'D', 'e']
     for _ in range(3 * TOGETHER):
-        backlog.add('f', 'next')
-    assert [len(backlog.next()[0]) for _ in range(3)] == [TOGETHER] * 3
+        backlog.add(received('f'), NEXT)
+    assert [len(backlog.next()) for _ in range(3)] == [TOGETHER] * 3
     assert not len(backlog)

@@ -119,12 +119,12 @@ def test_the_same_name_from_a_second_source_is_refused(clean, messages):
 
 def test_best_effort_then_reliable(start_node, messages):
     world = start_node()
-    world._publishers['bvh/obstacles'] = world.node.create_publisher(
+    world.publishers['bvh/obstacles'] = world.node.create_publisher(
         MarkerArray, f'{world.namespace}/bvh/obstacles', BEST_EFFORT
     )
     world.markers(messages.marker(1))
     world.until(lambda: world.everything() == {'a/1'})
-    world.node.destroy_publisher(world._publishers.pop('bvh/obstacles'))
+    world.node.destroy_publisher(world.publishers.pop('bvh/obstacles'))
 
     def reliable_is_heard():
         world.markers(messages.marker(2))  # again: one may fall between the two subscriptions

@@ -20,7 +20,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.ros.config.settings import SourceSettings
+from bvh_ros.ros.config.parameters import SourceSettings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources import create_source
 from bvh_ros.ros.sources.subscribing import FollowingSubscription

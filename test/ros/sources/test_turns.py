@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.scene import Scene, slicing
+from bvh_ros.scene import Numbered, Scene, Shapes, slicing
 
 PARAMETERS = {
     'sources': ['given', 'followed', 'markers'],
@@ -79,7 +79,7 @@ def test_a_large_cloud_is_applied_by_a_helper_and_the_old_one_is_visible(
     world, of = server.world, source(server, name)
     for height in (0, 10, 20):
         before = len(world.scene)
-        work, pauses = of._applying([serialize_message(cloud(messages, 1000, height))], 1), 0
+        work, pauses = of.applying([serialize_message(cloud(messages, 1000, height))], 1), 0
         for _ in work:
             pauses += 1
             assert len(world.scene) == before
@@ -95,12 +95,12 @@ def test_a_large_cloud_is_applied_by_a_helper_and_the_old_one_is_visible(
 
 
 def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, messages, rows_in_main):
-    for _ in source(server, 'given')._applying([serialize_message(cloud(messages, 9000, 0))], 1):
+    for _ in source(server, 'given').applying([serialize_message(cloud(messages, 9000, 0))], 1):
         pass
     assert rows_in_main == []
     markers = [messages.marker(k, (k, 0, 50)) for k in range(1000)]
     message = serialize_message(MarkerArray(markers=markers))
-    pauses = sum(1 for _ in source(server, 'markers')._applying([message], 2))
+    pauses = sum(1 for _ in source(server, 'markers').applying([message], 2))
     assert pauses >= 1000 // slicing.SLICE
     assert sum(rows_in_main) == 1000
     assert max(rows_in_main) <= slicing.SLICE
@@ -109,7 +109,7 @@ def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, message
 
 def test_other_sources_wait_for_a_large_change_and_then_apply_theirs(server, messages):
     world, large, small = server.world, source(server, 'given'), source(server, 'markers')
-    work = large._applying([serialize_message(cloud(messages, 1000, 0))], 1)
+    work = large.applying([serialize_message(cloud(messages, 1000, 0))], 1)
     next(work)
     assert world.changes.owner is large
     small.receive([serialize_message(MarkerArray(markers=[messages.marker(0, (0, 0, 50))]))])
@@ -133,7 +133,7 @@ def test_a_newer_cloud_replaces_those_that_wait(server, messages):
 
 def test_a_change_whose_message_is_dropped_ends_before_the_next(server, messages):
     of = source(server, 'given')
-    work = of._applying([serialize_message(cloud(messages, 1000, 0))], 1)
+    work = of.applying([serialize_message(cloud(messages, 1000, 0))], 1)
     next(work)
     assert server.world.changes.owner is of
     work.close()
@@ -148,7 +148,7 @@ def test_nothing_is_removed_while_the_scene_is_copied(server, messages):
     source(server, 'markers').apply_now(
         serialize_message(MarkerArray(markers=[messages.marker(0, lifetime=1)])), 0
     )
-    work = source(server, 'given')._applying([serialize_message(cloud(messages, 1000, 9))], 1)
+    work = source(server, 'given').applying([serialize_message(cloud(messages, 1000, 9))], 1)
     next(work)
     if world.changes.copying:
         assert world.expire(10**12) is False
@@ -170,43 +170,91 @@ class Clock:
 
 
 @pytest.mark.parametrize('row', [1e-7, 1e-6, 1e-5, 1e-4, 1e-3])
-def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(server, monkeypatch, row):
-    from bvh_ros.ros.parts import batch
+def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(monkeypatch, row):
+    from bvh_ros.ros.parts import batches
 
     clock, pieces = Clock(), []
-    monkeypatch.setattr(batch.time, 'perf_counter', clock.perf_counter)
-    one = object.__new__(batch.RayBatch)
-    one._rows, one._world = batch.FIRST_PIECE, server.world
+    monkeypatch.setattr(batches.time, 'perf_counter', clock.perf_counter)
 
     def answer(piece):
         pieces.append(piece)
         clock.now += row * (piece.stop - piece.start)
 
-    for _ in range(3):
-        pieces.clear()
-        for _ in one._in_pieces(50_000, answer):
-            pass
-        assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
-        assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
+    for _ in batches.in_pieces(50_000, answer):
+        pass
+    assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
+    assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
     sizes = [piece.stop - piece.start for piece in pieces]
-    most = min(max(1.01 * batch.PIECE_TIME / row, batch.LEAST_PIECE), batch.LARGEST_PIECE)
+    most = min(max(1.01 * batches.PIECE_TIME / row, batches.SMALLEST_PIECE), batches.LARGEST_PIECE)
     assert max(sizes) <= most
     assert np.median(sizes) >= 0.25 * min(most, 50_000)
 
 
-def test_a_scene_that_is_prepared_answers_a_batch_as_one_that_is_not():
-    from bvh_ros.scene import Numbered, Shapes
-
+def boxes_and_ends(count=3000):
+    """A scene of boxes with velocities, and ends of rays."""
     random = np.random.default_rng(3)
-    places, ends = random.uniform(0, 20, (2, 3000, 3))
+    places, ends = random.uniform(0, 20, (2, count, 3))
+    scene, names = Scene(), Numbered('b', np.arange(count))
+    speeds = random.uniform(-1, 1, (count, 3))
+    scene.update('s', names, Shapes.boxes(places, (0.5,) * 3), stamp=1, velocities=speeds)
+    return scene, places, ends
+
+
+@pytest.mark.parametrize('until', [None, 0, 10**8])
+def test_a_scene_that_is_prepared_answers_a_batch_as_one_that_is_not(until):
     answers = []
     for prepared in (False, True):
-        scene = Scene()
-        scene.update(
-            's', Numbered('b', np.arange(3000)), Shapes.boxes(places, (0.5,) * 3), stamp=1
-        )
+        scene, places, ends = boxes_and_ends()
+        at = None if until is None else np.linspace(2, 10**9, len(ends)).astype(np.int64)
+        then = None if at is None else at + until
         if prepared:
-            scene.prepare_batch(3000)
-        answers.append(scene.raycast_many(ends, ends - places))
+            scene.prepare_rays(len(ends))
+            if at is not None:
+                assert not scene.is_prepared(at, then)
+                scene.prepare_times(len(ends), at, then)
+                assert scene.is_prepared(at, then)
+        answers.append(scene.raycast_many(ends, ends - places, 1.0, at=at, until=then))
     for one, other in zip(*answers, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_scene_is_prepared_again_where_others_than_now_were_asked_for():
+    scene = boxes_and_ends()[0]
+    scene.refit()
+    at = np.array([2])
+    assert not scene.is_prepared(at, at)
+    scene.raycast((0, 0, 0), (1, 0, 0), at=2)
+    assert scene.is_prepared(at, at)
+    scene.update(
+        's', ['b0'], Shapes.boxes([(0, 0, 0)], (1, 1, 1)), stamp=2, velocities=[(1, 0, 0)]
+    )
+    assert not scene.is_prepared(at, at)
+    scene.refit()
+    assert scene.is_prepared(at, at)
+
+
+def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, messages, monkeypatch):
+    from bvh_ros.ros.parts import services
+
+    monkeypatch.setattr(services, 'FEW', 300)
+    for _ in source(server, 'given').applying([serialize_message(cloud(messages, 1000, 0))], 1):
+        pass
+    threads = []
+    rebuild = Scene.rebuild
+    monkeypatch.setattr(
+        Scene,
+        'rebuild',
+        lambda scene: threads.append(threading.current_thread()) or rebuild(scene),
+    )
+    triggers = services.TriggerServices(server.node, server.world)
+    for _ in triggers.rebuild():
+        assert is_there(server.world.scene, 0)
+    assert server.world.changes.owner is None
+    (thread,) = threads
+    assert thread is not threading.current_thread()
+    work = triggers.rebuild()
+    next(work)
+    server.world.finish_changes()
+    assert server.world.changes.owner is None
+    assert list(work) == [None]
+    triggers.destroy()

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bvh_ros.ros.config.option import ConfigurationError
-from bvh_ros.ros.config.settings import TransformSettings
+from bvh_ros.ros.config.parameters import ConfigurationError, TransformSettings
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.world.frames import FrameError, Frames, listen_to_tf2
 

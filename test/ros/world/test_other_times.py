@@ -342,7 +342,7 @@ def test_the_client_asks_about_times(clean):
     with pytest.raises(BvhError, match='start has none'):
         client.raycast(*ends, until=now)
     for wrong in (-1, 0, (1 << 31) * SECOND, 1.5, math.nan):
-        with pytest.raises(ValueError, match='a time must be'):
+        with pytest.raises(ValueError, match='at must be'):
             client.raycast(*ends, at=wrong)
     starts, ways = np.zeros((3, 3)), np.full((3, 3), [20.0, 0, 0])
     hits = client.raycast_many(starts, ways, 1.0, at=[now, now + SECOND, now + 9 * SECOND])
@@ -381,7 +381,7 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
 
 
 def test_which_parameters_are_refused(configure):
-    from bvh_ros.ros.config.option import ConfigurationError
+    from bvh_ros.ros.config.parameters import ConfigurationError
 
     for given in ({'history': -1.0}, {'markers.predict': 'given'}, {'max_prediction': -1.0}):
         with pytest.raises(ConfigurationError, match=next(iter(given))):

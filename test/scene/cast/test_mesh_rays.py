@@ -7,10 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scene.reference import box_of_triangles, hull_of, icosphere, scene_of
-from scipy.spatial import QhullError
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
@@ -154,22 +151,3 @@ def test_ends_of_rays(start, goal, t):
     scene = scene_of(Shapes.of_meshes([Mesh(box_of_triangles((2, 2, 2)))], [(0, 0, 0)]))
     hit = scene.raycast(start, goal)
     assert hit is None if t is None else hit.t == t
-
-
-coordinates = st.floats(-1, 1, width=32)
-
-
-@settings(max_examples=40)
-@given(
-    points=st.lists(st.tuples(*[coordinates] * 3), min_size=4, max_size=14),
-    rays=st.lists(st.tuples(*[coordinates] * 6), min_size=1, max_size=6),
-)
-def test_any_hull_answers_as_its_planes(points, rays):
-    try:
-        mesh = Mesh(hull_of(np.array(points)))
-    except (QhullError, ValueError):
-        return  # flat, or nearly
-    if (mesh.size < 1e-3).any():
-        return
-    ends = 2 * np.array(rays)
-    check_rays(mesh, ends[:, :3], ends[:, 3:])

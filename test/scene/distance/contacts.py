@@ -287,14 +287,32 @@ def scene_of(made, planar=False):
     return scene
 
 
-def pairs_of(made, scene):
-    """Slots (n, 2), and what the kernels read."""
-    slots = [scene._held.registry.slot(str(i)) for i in range(2 * len(made))]
-    return (
-        np.array(slots).reshape(-1, 2),
-        scene._held.columns.geometry,
-        scene._held.columns.hulls,
-    )
+def answers(one, planar=False):
+    """Whether the pair of a contact touches, and its clearance as seen from either side."""
+    scene = scene_of([one], planar)
+    return bool(scene.overlap_pairs()), scene.clearance('0'), scene.clearance('1')
+
+
+def shape_of(one, row):
+    body = one.geometry_arrays[row]
+    position, turn = one.positions[row : row + 1], one.turns[row : row + 1]
+    if body.mesh is not None:
+        return Shapes.of_meshes([body.mesh], position, turn)
+    return Shapes(np.array([body.kind], np.uint8), position, turn, 2 * body.half[None])
+
+
+def touches_within(one, tolerance):
+    """Whether the first solid of a contact touches the second one, grown by the tolerance."""
+    scene = Scene()
+    scene.update('test', ['it'], shape_of(one, 1), stamp=1)
+    return bool(scene.overlap_shape(shape_of(one, 0), tolerance=tolerance))
+
+
+def farthest_outside(one, found, planar=False):
+    """How far the points of a clearance are outside their solids, at most."""
+    points = found.point, found.other_point
+    places = zip(one.geometry_arrays, one.positions, one.turns, points, strict=True)
+    return max(outside(*place, planar) for place in places)
 
 
 def outside(body, position, turn, point, planar=False):

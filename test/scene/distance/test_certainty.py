@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, bulging, geometry_arrays, hull_distances, hull_of
+from scene.reference import bulging, geometry_arrays, hull_distances, hull_of
 from tree.reference import effort, exact_hits
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
@@ -225,7 +225,7 @@ KINDS = [(kind, planar) for kind in ShapeKind for planar in (False, True)]
 def test_thin_rays(kind, planar):
     rng = np.random.default_rng([int(kind), planar, 1])
     none, passed, met = np.zeros(400), 0, 0
-    for _ in range(effort(40, 500)):
+    for _ in range(effort(20, 500)):
         body = Body(rng, kind, planar)
         starts, goals, touch = segments(rng, body, 400, none)
         begin, end = starts + body.position, goals + body.position
@@ -253,7 +253,7 @@ def test_thin_rays(kind, planar):
 def test_balls(kind, planar):
     rng = np.random.default_rng([int(kind), planar, 2])
     passed, met, count = 0, 0, 60
-    for _ in range(effort(40, 500)):
+    for _ in range(effort(20, 500)):
         body = Body(rng, kind, planar)
         radius = 10.0 ** rng.uniform(-9, 1, count) * body.size
         starts, goals, touch = segments(rng, body, count, radius)
@@ -275,30 +275,6 @@ def test_balls(kind, planar):
     assert min(passed, met) > effort(200, 200)
 
 
-def test_a_small_ball_touches_a_mesh_where_it_is_met():
-    """Next to it the way between the two closest points is noise; the plane between is not."""
-    rng, met = np.random.default_rng(5), 0
-    for _ in range(effort(30, 500)):
-        body = Body(rng, BOX, False)
-        if body.inner < 1e-3 * body.size:
-            continue
-        mesh = Mesh(box_of_triangles(2 * body.solid.half))
-        scene = Scene()
-        shapes = Shapes.of_meshes([mesh], body.position[None], body.turn[None])
-        assert scene.update('test', ['it'], shapes, stamp=1) == []
-        radius = 10.0 ** rng.uniform(-14, -6, 60) * body.size
-        starts, goals, touch = segments(rng, body, 60, radius)
-        begin, end = starts + body.position, goals + body.position
-        large = lengths(body, starts, goals, radius)
-        found = [scene.raycast(*row) for row in zip(begin, end, radius.tolist(), strict=True)]
-        hit = np.array([one is not None for one in found])
-        assert not (~hit & (touch > SURE * large)).any()
-        t = np.array([one.t for one in found if one])
-        check_hits(body, starts[hit], goals[hit], radius[hit], t, large[hit])
-        met += hit.sum()
-    assert met > effort(300, 300)
-
-
 def is_met(body, start, end):
     """Whether a thin ray must meet what one of its ends touches. Of an axis-aligned box that is
     decided exactly, for the direction as it is rounded: it may end just short of the face.
@@ -315,7 +291,7 @@ def test_what_overlaps_at_an_end_is_met(kind, planar):
     """Also where it is only by rounding that an end touches."""
     rng = np.random.default_rng([int(kind), planar, 3])
     touching = 0
-    for _ in range(effort(30, 300)):
+    for _ in range(effort(20, 300)):
         body = Body(rng, kind, planar)
         normals = units(rng, 20, planar)
         ends = body.farthest(normals) + body.position
@@ -329,14 +305,14 @@ def test_what_overlaps_at_an_end_is_met(kind, planar):
                 radius = 1e-3 * body.size
                 assert body.scene.raycast(start, end, radius) is not None
                 assert body.scene.raycast(end, start, radius).t == 0.0
-    assert touching > 100
+    assert touching > effort(100, 100)
 
 
 @pytest.mark.parametrize(('kind', 'planar'), KINDS)
 def test_the_normal_of_a_ball_at_the_start_is_none_or_outwards(kind, planar):
     """From within the surface's rounding: zero; a little above it: outwards."""
     rng = np.random.default_rng([int(kind), planar, 4])
-    for _ in range(effort(30, 300)):
+    for _ in range(effort(20, 300)):
         body = Body(rng, kind, planar)
         normals = units(rng, 20, planar)
         places = body.farthest(normals)

@@ -6,78 +6,9 @@ boxes.
 
 import numpy as np
 import pytest
-from scene.reference import geometry_arrays, hull_of, random_shapes
+from scene.reference import hull_of
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-
-
-def reach(solid, normal):
-    """How far a solid reaches along a unit normal, from the origin of the world."""
-    x, y, z = np.abs(solid.matrix.T @ normal)
-    a, _, c = solid.half
-    along = {
-        ShapeKind.BOX: solid.half @ (x, y, z),
-        ShapeKind.SPHERE: a,
-        ShapeKind.CYLINDER: a * np.hypot(x, y) + c * z,
-        ShapeKind.CAPSULE: a + (c - a) * z,
-    }[solid.kind]
-    return normal @ solid.position + along
-
-
-def assert_is_clearance(world, number, found):
-    """The points are of their obstacles, and a plane keeps the two that far apart."""
-    one, other = world[number], world[int(found.name)]
-    for solid, point in ((one, found.point), (other, found.other_point)):
-        assert solid.distances(point[None])[0] < 1e-12
-    way = found.other_point - found.point
-    assert np.linalg.norm(way) == pytest.approx(found.distance, abs=1e-12)
-    if found.distance > 1e-9:
-        normal = way / np.linalg.norm(way)
-        gap = -reach(other, -normal) - reach(one, normal)
-        assert gap == pytest.approx(found.distance, abs=1e-7)
-
-
-@pytest.mark.parametrize('spread', [3.0, 8.0])
-def test_every_shape_has_its_nearest(spread):
-    rng = np.random.default_rng(int(spread))
-    shapes = random_shapes(rng, 25, spread)
-    scene, world = Scene(margin=rng.choice([0.0, 0.3])), geometry_arrays(shapes)
-    names = [str(i) for i in range(25)]
-    scene.update('test', names, shapes, stamp=1)
-    touching = scene.overlap_pairs()
-    apart = 0
-    for i, name in enumerate(names):
-        found = scene.clearance(name)
-        assert_is_clearance(world, i, found)
-        mates = [other for pair in touching if name in pair for other in pair if other != name]
-        assert (found.distance == 0.0) == bool(mates)
-        assert not mates or found.name == min(mates, key=int)
-        # No other is nearer: in a scene of the two alone each is at least as far.
-        for j in rng.choice(25, 6):
-            if j != i:
-                two = Scene()
-                two.update('test', [name, 'x'], shapes.take(np.array([i, j])), stamp=1)
-                assert two.clearance(name).distance >= found.distance - 1e-12
-        apart += found.distance > 0
-    assert apart > 0
-
-
-def test_as_python_fcl_between_boxes():
-    fcl = pytest.importorskip('fcl')
-    rng = np.random.default_rng(5)
-    for _ in range(100):
-        shapes = random_shapes(rng, 2, 3.0)
-        shapes = shapes._replace(kind=np.zeros(2, np.uint8))
-        scene = Scene()
-        scene.update('test', ['a', 'b'], shapes, stamp=1)
-        pair = [
-            fcl.CollisionObject(
-                fcl.Box(*(2 * solid.half)), fcl.Transform(solid.matrix, solid.position)
-            )
-            for solid in geometry_arrays(shapes)
-        ]
-        expected = 0.0 if fcl.collide(*pair) else fcl.distance(*pair)
-        assert scene.clearance('a').distance == pytest.approx(expected, abs=1e-9)
+from bvh_ros.scene import Mesh, Scene, Shapes
 
 
 def test_axis_aligned_boxes_exactly():

@@ -11,7 +11,7 @@ import pytest
 from scene.distance.contacts import rotation
 from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Scene, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE = range(4)
 ASIDE = [0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)]
@@ -292,33 +292,6 @@ def test_the_same_from_either_side_and_at_any_scale():
             assert depth(larger.take([0]), larger.take([1]))[0] == distance * scale
         far = rows._replace(position=place + 4096.0)
         assert depth(far.take([0]), far.take([1]))[0] == pytest.approx(distance, abs=1e-12)
-
-
-def test_as_coal():
-    coal = pytest.importorskip('coal')
-    rng = np.random.default_rng(16)
-    forms = {
-        ShapeKind.BOX: lambda half: coal.Box(*(2 * half)),
-        ShapeKind.SPHERE: lambda half: coal.Sphere(half[0]),
-        ShapeKind.CYLINDER: lambda half: coal.Cylinder(half[0], 2 * half[2]),
-        ShapeKind.CAPSULE: lambda half: coal.Capsule(half[0], 2 * (half[2] - half[0])),
-    }
-    request, errors = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, 1), []
-    for _ in range(300):
-        rows = random_shapes(rng, 2, 0.8)
-        pair = [
-            (forms[solid.kind](solid.half), coal.Transform3s(solid.matrix, solid.position))
-            for solid in geometry_arrays(rows)
-        ]
-        result = coal.CollisionResult()
-        coal.collide(*pair[0], *pair[1], request, result)
-        if result.isCollision():
-            told = result.getContact(0).penetration_depth
-            errors.append(depth(rows.take([0]), rows.take([1]))[0] - told)
-    assert len(errors) > 100
-    # Where EPA gave up early, coal's way is longer than ours, never shorter.
-    assert np.median(np.abs(errors)) < 1e-7
-    assert min(errors) > -1e-5
 
 
 def test_nothing_changes_where_nothing_touches():

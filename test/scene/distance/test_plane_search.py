@@ -8,25 +8,21 @@ import itertools
 
 import numpy as np
 import pytest
-from scene import reference
 from scene.distance.contacts import (
     BOX,
     CAPSULE,
     CYLINDER,
     FEATURES,
-    MESH,
     SPHERE,
     Solid,
+    answers,
     contact,
-    outside,
-    pairs_of,
+    farthest_outside,
     scene_of,
+    touches_within,
 )
-from tree.reference import effort
 
-from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.distance.narrow_phase import gap as distance_of
-from bvh_ros.scene.distance.narrow_phase import near, near_pairs
+from bvh_ros.scene import Scene, Shapes
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]
 OTHERS = [
@@ -65,59 +61,27 @@ def test_every_feature_of_a_cylinder(sizes, sign):
     for gap in np.array(GAPS) * max(sizes):
         if gap > min(sizes) / 20:
             continue
-        made = [one for _ in range(effort(5, 5)) for one in every(sizes, sign * gap, rng)]
-        pairs, geometry, hulls = pairs_of(made, scene_of(made))
-        found = np.empty(len(made), np.bool_)
-        for order in (pairs, pairs[:, ::-1].copy()):
-            near_pairs(geometry, hulls, order, False, found)
-            wrong = [
-                one for one, touches in zip(made, found, strict=True) if touches != (sign < 0)
-            ]
-            assert not wrong
+        for one in every(sizes, sign * gap, rng):
+            assert bool(scene_of([one]).overlap_pairs()) == (sign < 0), one
+            assert touches_within(one, 0.0) == (sign < 0), one
 
 
 @pytest.mark.parametrize('tolerance', [1e-7, 0.3, 40.0])
 def test_every_feature_of_a_cylinder_with_a_tolerance(tolerance):
     rng = np.random.default_rng(8)
     for beyond in (-1e-13, 1e-13):
-        made = every((1.0, 1.0), tolerance + beyond * max(tolerance, 1.0), rng)
-        pairs, geometry, hulls = pairs_of(made, scene_of(made))
-        for pair, one in zip(pairs, made, strict=True):
-            shapes = geometry[pair]
-            found, _ = near(shapes[0], hulls, shapes[1], hulls, tolerance, False)
-            assert found == (beyond < 0), one
+        for one in every((1.0, 1.0), tolerance + beyond * max(tolerance, 1.0), rng):
+            assert touches_within(one, tolerance) == (beyond < 0), one
 
 
 @pytest.mark.parametrize('gap', [-1e-3, -1e-12, 1e-12, 1e-9, 1e-6, 1e-3, 1.0, 100.0])
 def test_distance_beside_a_cylinder(gap):
-    made, points = every((1.0, 1.0), gap, np.random.default_rng(9)), np.empty((2, 3))
-    pairs, geometry, hulls = pairs_of(made, scene_of(made))
-    for pair, one in zip(pairs, made, strict=True):
-        shapes = geometry[pair]
-        distance = distance_of(shapes[0], hulls, shapes[1], hulls, False, points)
-        assert distance == pytest.approx(max(one.gap, 0.0), rel=1e-14, abs=1e-14)
-        assert np.linalg.norm(points[1] - points[0]) == pytest.approx(distance, abs=1e-9)
-        places = zip(one.geometry_arrays, one.positions, one.turns, points, strict=True)
-        assert max(outside(*place) for place in places) < 1e-9
-
-
-@pytest.mark.parametrize('gap', [-1e-13, 1e-13, 1e-9])
-def test_meshes_beside_a_cylinder(gap):
-    rng = np.random.default_rng(10)
-    features = [(BOX, feature) for feature in FEATURES[MESH]]
-    for one, other, manner in itertools.product(ROUND_FEATURES, features, ('free', 'parallel')):
-        made = beside(one, other, (1.0, 1.0), gap, manner, rng)
-        if not made:
-            continue
-        (drum, box), (place, of_mesh), turns = made.geometry_arrays, made.positions, made.turns
-        mesh = Mesh(reference.box_of_triangles(2 * box.half))
-        scene = Scene()
-        scene.update('a', ['mesh'], Shapes.of_meshes([mesh], of_mesh[None], turns[1:]), stamp=1)
-        kind = np.array([CYLINDER], np.uint8)
-        drums = Shapes(kind, place[None], turns[:1], 2 * drum.half[None])
-        scene.update('a', ['cylinder'], drums, stamp=1)
-        assert len(scene.overlap_pairs()) == (gap < 0)
-        assert scene.clearance('mesh').distance == pytest.approx(max(made.gap, 0.0), abs=1e-14)
+    for one in every((1.0, 1.0), gap, np.random.default_rng(9)):
+        _, found, _ = answers(one)
+        assert found.distance == pytest.approx(max(one.gap, 0.0), rel=1e-14, abs=1e-14)
+        between = np.linalg.norm(found.other_point - found.point)
+        assert between == pytest.approx(found.distance, abs=1e-9)
+        assert farthest_outside(one, found) < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 
 from bvh_ros.scene import Mesh, Shapes
-from bvh_ros.scene.shapes.mesh import NOISE, goes_around, lying
+
+NOISE = 2.0**-22  # of the size: float32 rounds by up to 2**-24 of it
 
 DECADES = (-320, -300, -101, -99, -90, -60, -30, 0, 30, 60, 90, 99, 101, 150, 300)
 
@@ -118,26 +119,6 @@ def test_what_is_taken_is_near_its_hull_everywhere():
         kept = ConvexHull(mesh.vertices + mesh.centre)
         assert -depth_within(moved, kept).min() <= noise
     assert 15 < taken < 50
-
-
-def test_depths_are_those_of_brute_force():
-    rng = np.random.default_rng(3)
-    points = rng.normal(size=(300, 3))
-    hull = ConvexHull(points)
-    corners = rng.integers(0, 300, (500, 3))
-    heights = points @ hull.equations[:, :3].T + hull.equations[:, 3]
-    least = -heights[corners].min(axis=1).max(axis=1)
-    for k in range(500):
-        found = lying(points, corners[k : k + 1], 0.0).depths[0]
-        assert abs(found - least[k]) <= 1e-7
-
-
-def test_one_side_of_a_hull_there_and_back_goes_not_around():
-    ball = icosphere(2)
-    upper = ball[(ball[:, :, 2] >= -1e-9).all(axis=1)]
-    heights = np.ones(len(ball))
-    assert goes_around(ball, heights)
-    assert not goes_around(np.concatenate([upper, upper * 0.9999]), np.ones(2 * len(upper)))
 
 
 @pytest.mark.parametrize('power', DECADES)

@@ -9,14 +9,12 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from scene.distance import contacts
-from scene.reference import bulging, geometry_arrays, random_shapes
-from scipy.spatial import ConvexHull
+from scene.reference import bulging, random_shapes
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
-from bvh_ros.scene.shapes.footprint import footprints
-from bvh_ros.scene.shapes.shape import GEOMETRY, as_shapes, canonicalise, shapes_of
+from bvh_ros.scene.shapes.shape import GEOMETRY, as_shapes, canonicalise
 
 COMPONENTS = [q for q in itertools.product([-1, 0, 1], repeat=4) if sum(map(abs, q)) in (1, 2, 4)]
 
@@ -67,53 +65,6 @@ def test_a_row_does_not_depend_on_the_others():
                 assert np.array_equal(form.records[name][row], alone.records[name][0])
             assert form.lo[row].tolist() == alone.lo[0].tolist()
             assert form.hi[row].tolist() == alone.hi[0].tolist()
-
-
-def test_bounds_hold_the_shape_and_little_more():
-    rng = np.random.default_rng(1)
-    shapes = as_shapes(random_shapes(rng, 2000))
-    form = canonicalise(shapes)
-    lo, hi, aligned = form.lo, form.hi, ~form.records['shaped']
-    assert 100 < np.count_nonzero(aligned) < 1000
-    for i, solid in enumerate(geometry_arrays(shapes)):
-        # The farthest points along the axes: of a box corners, of a cylinder the rims.
-        if solid.kind == ShapeKind.BOX:
-            reach = np.abs(solid.matrix) @ solid.half
-        elif solid.kind == ShapeKind.SPHERE:
-            reach = solid.half
-        elif solid.kind == ShapeKind.CAPSULE:
-            reach = np.abs(solid.matrix[:, 2]) * (solid.half[2] - solid.half[0]) + solid.half[0]
-        else:
-            rim = np.hypot(solid.matrix[:, 0], solid.matrix[:, 1]) * solid.half[0]
-            reach = np.abs(solid.matrix[:, 2]) * solid.half[2] + rim
-        assert lo[i] == pytest.approx(solid.position - reach, abs=1e-12)
-        assert hi[i] == pytest.approx(solid.position + reach, abs=1e-12)
-        if not aligned[i]:
-            assert (lo[i] <= solid.position - reach + 1e-15).all()
-            assert (hi[i] >= solid.position + reach - 1e-15).all()
-
-
-def test_a_box_from_above_is_the_hull_of_its_corners():
-    rng = np.random.default_rng(2)
-    shapes = as_shapes(random_shapes(rng, 600))
-    form = shapes_of(canonicalise(shapes).records)
-    footprint_arrays = footprints(form, np.ones(600, np.bool_))
-    signs = np.array(list(itertools.product([-1, 1], repeat=3)))
-    boxes = 0
-    for i, solid in enumerate(geometry_arrays(shapes)):
-        if solid.kind != ShapeKind.BOX:
-            continue
-        boxes += 1
-        flat = ((signs * solid.half) @ solid.matrix.T)[:, :2]
-        hull = ConvexHull(flat)
-        area = ConvexHull(footprint_arrays[i]['corners']).volume
-        assert area == pytest.approx(hull.volume, rel=1e-9)
-        outside = footprint_arrays[i]['corners'] @ hull.equations[:, :2].T + hull.equations[:, 2]
-        assert outside.max() < 1e-9
-        edges = np.diff(footprint_arrays[i]['corners'], axis=0)
-        turns = edges[:-1, 0] * edges[1:, 1] - edges[:-1, 1] * edges[1:, 0]
-        assert turns.min() > -1e-12
-    assert boxes > 100
 
 
 @pytest.mark.parametrize('ndim', [2, 3])

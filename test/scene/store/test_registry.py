@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Families, Numbered, Part, Scene, Shapes
-from bvh_ros.scene.names import UNKNOWN, Registry, as_families
 
 
 def calls_of(work):
@@ -60,23 +59,21 @@ def test_names_come_and_go_as_in_a_dictionary(stride):
     """Numbers of every stride, several prefixes, and names without a number; as the table grows
     and clusters break up."""
     random = np.random.default_rng(stride)
-    registry, known = Registry(), {}
+    scene, known = Scene(), {}
     pool = [f'{prefix}{stride * k}' for prefix in ('a#', 'b/', 'b/-') for k in range(700)]
     pool += [f'wall {k:04}' for k in range(300)]
     for _ in range(30):
         chosen = random.choice(pool, 500, replace=False).tolist()
-        new = [name for name in chosen if name not in known]
-        free = np.setdiff1d(np.arange(3000), list(known.values()))[: len(new)]
-        registry.add(as_families(new), free)
-        known.update(zip(new, free.tolist(), strict=True))
+        places = random.integers(0, 99, (500, 3)) * 1.0
+        assert not scene.update('s', chosen, Shapes.boxes(places, [1, 1, 1]), stamp=1)
+        known.update(zip(chosen, places.tolist(), strict=True))
         gone = random.choice(sorted(known), len(known) // 3, replace=False).tolist()
-        registry.discard(np.array([known.pop(name) for name in gone]))
-        expected = [known.get(name, UNKNOWN) for name in pool]
-        assert registry.find(as_families(pool)).tolist() == expected
-        assert len(registry) == len(known)
-    assert all(registry.name(slot) == name for name, slot in known.items())
-    inside = sorted(slot for name, slot in known.items() if name.startswith('b/'))
-    assert registry.in_namespaces({'b'}).tolist() == inside
+        assert scene.remove('s', gone) == len(gone)
+        for name in gone:
+            del known[name]
+        assert [name in scene for name in pool] == [name in known for name in pool]
+    assert {name: scene.get(name).position.tolist() for _, name in scene.names()} == known
+    assert scene.remove_namespace('s', 'b') == sum(name.startswith('b/') for name in known)
 
 
 def test_a_number_and_a_string_are_one_name():
@@ -124,11 +121,6 @@ def test_names_of_several_prefixes_are_the_same_names_as_strings():
 def test_names_that_were_split_stay_the_same_names() -> None:
     """An update that is cut into parts splits its names before each part does."""
     names = ['a', 'b7', 'c-1', '-1', '', 'd01', 'e1', 'f123456789012345678901']
-    once = as_families(names)
-    assert [*once.texts()] == names
-    assert [*as_families(once).texts()] == names
-    assert [*as_families(Numbered('x', np.array([-1, 2]))).texts()] == ['x-1', 'x2']
-
     scene, kept = Scene(), [name for name in names if name]
     count = len(kept)
     kinds, ones = np.ones(count, np.uint8), np.ones((count, 3))

@@ -68,8 +68,8 @@ from bvh_ros.tree.insertion import refit_ancestors
 
 @kernel
 def refit_twice(nodes, heights, state, node):
-    refit_ancestors(nodes, heights, state, node)  # twice: too long to become part of this one
-    refit_ancestors(nodes, heights, state, node)
+    refit_ancestors(nodes, heights, state, node, 1)  # twice: too long to become part of this one
+    refit_ancestors(nodes, heights, state, node, 1)
 """
 REFIT = """
 import sys

@@ -12,8 +12,7 @@ from tree.motion.test_wide_casting import crowd, one_by_one
 from tree.motion.worlds import Random
 from tree.reference import effort, is_within_2_ulp, seen
 
-from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import ALL
+from bvh_ros import ALL, DynamicBVH
 
 pytestmark = pytest.mark.slow  # kernels of its own
 
@@ -80,7 +79,7 @@ def drifting(rng: Random, ndim: int, kind: str, count: int) -> tuple[World, Rays
 
 def drift_of(tree: DynamicBVH) -> tuple[float, ...] | None:
     """At which what is swept goes, None if nothing is."""
-    sweep = tree.motion._wanted.sweep
+    sweep = tree.motion._cache.sweep
     return None if sweep is None else tuple(sweep.leaves.records['lo'][-1].tolist())
 
 

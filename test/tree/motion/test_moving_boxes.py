@@ -17,7 +17,7 @@ from bvh_ros.tree.motion.queries import MotionQueries
 
 def tree_of(world: World, margin: float = 0.0, left: float = math.inf) -> DynamicBVH:
     tree = DynamicBVH.from_boxes(world.lo, world.hi, margin=margin)
-    tree._motion = MotionQueries(tree.ndim, left=left)
+    tree._motion = MotionQueries(tree.ndim, tree._tree_of_boxes, left=left)
     moving = world.velocities.any(axis=1)
     ids = tree.ids()[moving]
     tree.set_velocities(ids, world.velocities[moving], world.references[moving])

@@ -8,20 +8,10 @@ import numpy as np
 import pytest
 from tree.motion.exact import World, meetings_until
 from tree.motion.test_moving_boxes import normal_of, tree_of
-from tree.motion.test_wide_casting import is_swept
 from tree.motion.worlds import stopping
 from tree.reference import LARGEST, effort, is_within_2_ulp, seen
 
 pytestmark = pytest.mark.slow  # kernels of its own
-RAYS = 64  # as many are worth a snapshot of few boxes
-
-
-def check_row(hits, row: int, exact, ids, limit: float, skip: bool) -> None:
-    right = seen(exact, ids, limit, skip)
-    assert hits.ids[row] == (ids[right[0].row] if right else -1)
-    if right:
-        assert is_within_2_ulp(float(hits.t[row]), right[0].t)
-        assert hits.normals[row].tolist() == normal_of(right[0].axis, hits.normals.shape[1])
 
 
 def test_courses():
@@ -45,29 +35,6 @@ def test_courses():
                 assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
                 checked += len(world.lo)
     assert checked > 5000
-
-
-def test_batches():
-    swept = 0
-    for number, (world, course, left, rng) in enumerate(stopping(13, effort(60, 6000))):
-        tree, ndim = tree_of(world, 0.0, left), world.lo.shape[1]
-        ids = tree.ids()
-        origins = np.repeat(course.low[None], RAYS, axis=0)
-        ways = np.repeat(course.direction[None], RAYS, axis=0)
-        origins[1:32] *= rng.choice([1.0, 1.0 + 2.0**-52, 1.5, -1.0], (31, ndim))
-        ways[16:48] *= rng.choice([1.0, -1.0, 0.0, 0.5], (32, ndim))
-        paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
-        every = [
-            meetings_until(world, course._replace(low=o, high=o, direction=w, pace=float(p)), left)
-            for o, w, p in zip(origins, ways, paces, strict=True)
-        ]
-        for skip in (False, True):
-            when = {'at': course.at, 'pace': paces, 'threads': 1 + number % 2}
-            hits = tree.raycast_many(origins, ways, 1.0, skip_inside=skip, **when)
-            for row, exact in enumerate(every):
-                check_row(hits, row, exact, ids, 1.0, skip)
-        swept += is_swept(tree)
-    assert swept >= 20
 
 
 @pytest.mark.parametrize(('apart', 'drift'), [(0.0, 0.0), (0.3, 0.0), (0.3, 12.0)])

@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tree.motion.exact import meetings
-from tree.motion.test_moving_boxes import tree_of
-from tree.motion.worlds import worlds
 
 from bvh_ros import DynamicBVH
 
@@ -41,31 +38,6 @@ def moving_tree(count: int = 9) -> DynamicBVH:
 
 def test_a_tree_without_velocities_imports_nothing_of_it():
     subprocess.run([sys.executable, '-c', OFF], check=True)
-
-
-def test_boxes_that_come_and_go_and_move():
-    tree = moving_tree()
-    first, *others = tree.ids().tolist()
-    tree.remove(first)
-    new = tree.insert([0, 0], [1, 1])  # in its place
-    assert tree.velocities([new])[0].tolist() == [[0, 0]]
-    assert tree.raycast([-1, 0.5], [1, 0], at=100.0).id == new
-    tree.move(others[0], [0, 50], [1, 51])
-    velocities, references = tree.velocities(others)
-    assert velocities[:, 0].tolist() == list(range(1, 9))
-    assert references.tolist() == [2.0] * 8
-    assert tree.overlap([3, 50], [3, 51], at=5.0).tolist() == [others[0]]
-    many = tree.insert_many(np.full((99, 2), 1e3), np.full((99, 2), 1e3))  # the arrays grow
-    tree.set_velocities(many[-1:], [[1, 1]])
-    tree.rebuild()
-    assert tree.velocities(others)[0][:, 0].tolist() == list(range(1, 9))
-    tree.set_velocities(others, np.zeros((8, 2)))
-    assert not tree.velocities(others)[0].any()
-    assert tree.overlap([0, 50], [1, 51], at=1e6).tolist() == [others[0]]
-    tree.clear()
-    again = tree.insert([0, 0], [1, 1])
-    assert tree.velocities([again])[0].tolist() == [[0, 0]]
-    assert DynamicBVH().raycast([0, 0, 0], [1, 0, 0], at=1.0) is None
 
 
 def test_what_is_refused_changes_nothing():
@@ -176,26 +148,6 @@ def test_whole_nanoseconds_and_how_long_boxes_go_on_are_kept(tmp_path: Path):
         np.savez_compressed(tmp_path / 'damaged.npz', **(sound | {'left': left}))
         with pytest.raises(ValueError, match=r'no saved tree|not sound'):
             DynamicBVH.load(tmp_path / 'damaged.npz')
-
-
-def test_bounds_follow_the_tree_and_the_times():
-    """One tree that changes and is asked for all times, against one made for each question."""
-    for world, course, rng in worlds(5, 20):
-        tree, ids = tree_of(world), None
-        for _ in range(4):
-            ids = tree.ids()
-            for scale in (1.0, 1e3, -1e5, 0.0):
-                asked = course._replace(at=course.at * scale, high=course.low)
-                hits = meetings(world, asked)
-                times = {'at': asked.at, 'pace': asked.pace}
-                _, found, _ = tree.raycast_all_many([asked.low], [asked.direction], **times)
-                assert sorted(found) == sorted(ids[hit.row] for hit in hits)
-            row = rng.integers(len(ids))
-            world.lo[row], world.hi[row] = world.lo[0], world.hi[0]
-            tree.move(ids[row], world.lo[0], world.hi[0])
-            world.velocities[row] = world.velocities[1]
-            world.references[row] = world.references[1]
-            tree.set_velocities(ids[row : row + 1], world.velocities[1:2], world.references[1])
 
 
 def test_who_asks_while_velocities_change_is_right_or_refused():

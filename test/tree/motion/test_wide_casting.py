@@ -6,27 +6,31 @@ import math
 
 import numpy as np
 import pytest
-from tree.motion.exact import World, meetings
+from tree.motion.exact import World, meetings_until
 from tree.motion.test_moving_boxes import normal_of, tree_of
-from tree.motion.worlds import Random, worlds
+from tree.motion.worlds import Random, stopping
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.motion.sweep import FEW
 
 pytestmark = pytest.mark.slow  # kernels of its own
 RAYS = 64  # as many are worth a snapshot of few boxes
 
 
 def is_swept(tree: DynamicBVH) -> bool:
-    return tree.motion._wanted.sweep is not None
+    return tree.motion._cache.sweep is not None
 
 
-def test_rows_are_those_of_exact_arithmetic():
-    """Rays beside one that is hard to decide about, each with a limit and a mask of its own."""
+@pytest.mark.parametrize('stops', [False, True])
+def test_rows_are_those_of_exact_arithmetic(stops: bool):
+    """Rays beside one that is hard to decide about, each with a limit and a mask of its own; among
+    boxes that go on for ever, or stop.
+    """
     swept = 0
-    for number, (world, course, rng) in enumerate(worlds(6, effort(60, 6000))):
-        tree, ndim = tree_of(world, margin=0.1 if number % 7 == 0 else 0.0), world.lo.shape[1]
+    for number, (world, course, left, rng) in enumerate(stopping(6, effort(60, 6000))):
+        left = left if stops else math.inf
+        tree = tree_of(world, 0.1 if number % 7 == 0 else 0.0, left)
+        ndim = world.lo.shape[1]
         ids, masks = tree.ids(), rng.integers(1, 8, RAYS).astype(np.uint32)
         box_masks = rng.integers(1, 8, len(ids)).astype(np.uint32)
         tree.set_masks(ids, box_masks)
@@ -37,7 +41,7 @@ def test_rows_are_those_of_exact_arithmetic():
         limits = rng.choice([1.0, 0.0, 0.5, 2.0], RAYS)
         paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
         every = [
-            meetings(world, course._replace(low=o, high=o, direction=w, pace=float(p)))
+            meetings_until(world, course._replace(low=o, high=o, direction=w, pace=float(p)), left)
             for o, w, p in zip(origins, ways, paces, strict=True)
         ]
         for row, hits in enumerate(every):  # contact exactly at the end
@@ -137,10 +141,8 @@ def test_few_rays_are_those_one_by_one(ndim: int):
     many = rng.integers(-13, 13, (2, 500, ndim)).astype(np.float64)
     for _ in range(3):
         tree.raycast_many(*many, 1.0, pace=1.0)
-    assert tree.motion.few_sweep(FEW - 1) is not None
-    assert tree.motion.few_sweep(FEW) is None
     hit = 0
-    for number, size in enumerate((1, 7, 8, 9, 40, FEW - 1) * 2):
+    for number, size in enumerate((1, 7, 8, 9, 40, 71) * 2):
         origins, ways = rng.integers(-13, 13, (2, size, ndim)).astype(np.float64)
         if number % 2:
             origins[0], ways[-1], ways[size // 2] = 1e6, 0.0, 1e-250  # not all are suited

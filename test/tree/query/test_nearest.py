@@ -7,32 +7,8 @@ import math
 import numpy as np
 import pytest
 from tree.adversary import SCALES, coordinates, each_scale, some_boxes
-from tree.reference import LARGEST
 
 from bvh_ros import ALL, DynamicBVH
-
-DISTANCES = {
-    # of a point from the cube from (1, 1, 1) to (2, 2, 2)
-    'inside': ([1.5, 1.5, 1.5], 0.0),
-    'on a face': ([1, 1.5, 1.5], 0.0),
-    'on a corner': ([2, 2, 2], 0.0),
-    'beside a face': ([4, 1.5, 1.5], 2.0),
-    'off an edge': ([-2, 6, 1.5], 5.0),
-    'off a corner': ([0, 4, -1], 3.0),
-    'one ulp off': ([math.nextafter(2, 3), 2, 2], 2.0**-51),
-    'far': ([1e300, 1.5, 1.5], 1e300),
-    'as far as doubles go': ([-LARGEST, 1.5, 1.5], LARGEST),
-    'beyond': ([-LARGEST, -LARGEST, 1.5], math.inf),
-}
-
-
-@pytest.mark.parametrize(('point', 'distance'), DISTANCES.values(), ids=DISTANCES.keys())
-@pytest.mark.parametrize('margin', [0.0, 1.0])
-def test_one_box(point: list[float], distance: float, margin: float) -> None:
-    tree = DynamicBVH(margin=margin)
-    handle = tree.insert([1, 1, 1], [2, 2, 2])
-    for ids, distances in (tree.nearest(point), *[[a[0] for a in tree.nearest_many([point])]]):
-        assert (ids.tolist(), distances.tolist()) == ([handle], [distance])
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -93,21 +69,6 @@ def test_a_dense_batch_is_answered_as_point_by_point(ndim: int, scale: float, k:
             a.tolist() for a in alone
         ]
         assert (distances[row, found:] == math.inf).all()
-
-
-@pytest.mark.parametrize('options', [{'margin': 5.0}, {'sibling_search': 'branch_and_bound'}])
-def test_the_answer_does_not_depend_on_the_tree(options: dict[str, object]) -> None:
-    rng = np.random.default_rng(8)
-    lo = coordinates(rng, (150, 3), 1.0)
-    plain, other = DynamicBVH.from_boxes(lo, lo + 0.1), DynamicBVH(3, **options)
-    handles = np.empty(150, np.int64)
-    for row in range(150):
-        handles[row] = other.insert(lo[row], lo[row] + 0.1)
-    points = coordinates(rng, (100, 3), 1.5)
-    ids, distances = plain.nearest_many(points, 10)
-    other_ids, other_distances = other.nearest_many(points, 10)
-    assert np.array_equal(distances, other_distances)
-    assert np.array_equal(np.searchsorted(plain.ids(), ids), np.searchsorted(handles, other_ids))
 
 
 def test_max_distance_at_the_box_counts() -> None:

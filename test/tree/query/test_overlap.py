@@ -4,53 +4,12 @@
 of it is exact.
 """
 
-import math
-
 import numpy as np
 import pytest
-from tree.adversary import SCALES, coordinates, each_scale, some_boxes
-from tree.reference import LARGEST, SMALLEST, overlapping_pairs, overlapping_rows
+from tree.adversary import SCALES, each_scale, some_boxes
+from tree.reference import overlapping_pairs, overlapping_rows
 
 from bvh_ros import ALL, DynamicBVH
-
-UP = math.nextafter(1.0, 2.0)
-
-TOUCHING = {
-    # two boxes in 2D, and whether they touch
-    'inside': ([0, 0], [4, 4], [1, 1], [2, 2], True),
-    'the same': ([0, 0], [1, 1], [0, 0], [1, 1], True),
-    'a common face': ([0, 0], [1, 1], [1, 0], [2, 1], True),
-    'a common corner': ([0, 0], [1, 1], [1, 1], [2, 2], True),
-    'one ulp apart': ([0, 0], [1, 1], [UP, 0], [2, 1], False),
-    'apart in y': ([0, 0], [1, 1], [0, 1.5], [1, 2], False),
-    'a flat one on a face': ([0, 0], [1, 1], [1, 0], [1, 1], True),
-    'two crossing lines': ([0, 1], [2, 1], [1, 0], [1, 2], True),
-    'a point on a corner': ([0, 0], [1, 1], [1, 1], [1, 1], True),
-    'two equal points': ([3, 3], [3, 3], [3, 3], [3, 3], True),
-    'signed zeros': ([-1, -1], [-0.0, -0.0], [0.0, 0.0], [1, 1], True),
-    'subnormals apart': ([0, 0], [SMALLEST, 1], [2 * SMALLEST, 0], [1, 1], False),
-    'all doubles': ([-LARGEST, -LARGEST], [LARGEST, LARGEST], [LARGEST, 0], [LARGEST, 0], True),
-}
-
-
-@pytest.mark.parametrize(
-    ('lo', 'hi', 'low', 'high', 'touch'), TOUCHING.values(), ids=TOUCHING.keys()
-)
-@pytest.mark.parametrize('margin', [0.0, 1.0])
-def test_two_boxes(
-    lo: list[float],
-    hi: list[float],
-    low: list[float],
-    high: list[float],
-    touch: bool,
-    margin: float,
-) -> None:
-    for (a_lo, a_hi), (b_lo, b_hi) in (((lo, hi), (low, high)), ((low, high), (lo, hi))):
-        tree = DynamicBVH(2, margin=margin)
-        a = tree.insert(a_lo, a_hi)
-        assert tree.overlap(b_lo, b_hi).tolist() == ([a] if touch else [])
-        b = tree.insert(b_lo, b_hi)
-        assert tree.overlap_pairs().tolist() == ([[a, b]] if touch else [])
 
 
 @each_scale
@@ -76,21 +35,6 @@ def test_as_brute_force(ndim: int, scale: float, margin: float) -> None:
             [handles[rows[a]], handles[rows[b]]] for a, b in overlapping_pairs(lo[rows], hi[rows])
         ]
         assert tree.overlap_pairs(mask).tolist() == pairs
-
-
-def test_pairs_name_the_smaller_handle_first_and_ascend_after_slots_are_reused() -> None:
-    rng = np.random.default_rng(2)
-    lo = coordinates(rng, (60, 2), 1.0)
-    tree = DynamicBVH.from_boxes(lo, lo + 0.5)
-    handles = tree.ids()
-    gone = rng.choice(60, 30, replace=False)
-    tree.remove_many(handles[gone])
-    handles[gone] = tree.insert_many(lo[gone], lo[gone] + 0.5)
-    pairs = tree.overlap_pairs().tolist()
-    expected = [sorted([handles[a], handles[b]]) for a, b in overlapping_pairs(lo, lo + 0.5)]
-    assert pairs == sorted(expected)
-    low, high = np.full(2, -9.0), np.full(2, 9.0)
-    assert tree.overlap(low, high).tolist() == sorted(handles.tolist())
 
 
 @pytest.mark.parametrize('ndim', [2, 3])

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trees mapped from files: the same answers, no changes; a file that is not whole is refused."""
 
+import ast
 import copy
 import json
 import pickle
@@ -14,10 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tree.reference import snapshot
+from odd_files import WITH_TESTS
+from tree.reference import LONG, snapshot
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.store import mapped
+
+DAMAGES = 3000 if LONG else 300
 
 
 def lived_in(ndim: int, margin: float, count: int = 300) -> DynamicBVH:
@@ -186,3 +190,38 @@ def test_a_pickle_hands_its_arrays_over_out_of_band():
     small = pickle.dumps(tree, protocol=5, buffer_callback=buffers.append)
     assert len(small) < 4096 < sum(len(buffer.raw()) for buffer in buffers)
     assert snapshot(pickle.loads(small, buffers=buffers)) == snapshot(tree)
+
+
+DAMAGE = """
+import collections, sys
+import numpy as np
+from pathlib import Path
+from odd_files import damaged, outcome
+from bvh_ros import DynamicBVH
+from tree.store.test_mapped import answers
+
+rng, counts = np.random.default_rng(int(sys.argv[2])), collections.Counter()
+path = Path(sys.argv[1])
+wanted = answers(DynamicBVH.load(path, mmap=True))
+for content in damaged(rng, path.read_bytes(), int(sys.argv[3])):
+    bad = path.with_name('bad')
+    bad.unlink(missing_ok=True)
+    bad.write_bytes(content)
+    for verify in (False, True):
+        ask = lambda: answers(DynamicBVH.load(bad, mmap=True, verify=verify))
+        counts[f'{verify} {outcome(ask, wanted)}'] += 1
+print(dict(counts))
+"""
+
+
+@pytest.mark.parametrize(('ndim', 'margin'), [(2, 0.0), (3, 0.2)])
+def test_no_damaged_file_ends_the_process(tmp_path, ndim, margin):
+    """Refused, or some answer; refused, or the right answer, where all is verified."""
+    lived_in(ndim, margin, 40).save(tmp_path / 'tree', mapped=True)
+    how = [sys.executable, '-c', DAMAGE, str(tmp_path / 'tree'), str(ndim), str(DAMAGES)]
+    run = subprocess.run(how, capture_output=True, text=True, timeout=800, env=WITH_TESTS)
+    assert run.returncode == 0, run.stderr
+    counts = ast.literal_eval(run.stdout)
+    assert {*counts} - {'False other'} == {
+        f'{verify} {how}' for verify in (True, False) for how in ('refused', 'same')
+    }, counts

@@ -1,0 +1,326 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and arrays to messages of questions, and replies to hits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from nav_msgs.srv import GetPlan
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.conversions.query_clouds import Boxes, Points, Rays
+from bvh_ros.tree.access import checks
+
+ERROR = 'error: '  # begins the frame_id of a reply that is an error
+COMPILING = 'compiling: '  # begins the reason of a node that will answer soon
+LAST_STAMP = 2**31 * 10**9 - 1  # ns
+LARGEST = float(np.finfo(np.float32).max)
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+Vector = tuple[float, float, float]
+
+
+class BvhError(RuntimeError):
+    """The node could not answer; the text is the node's reason."""
+
+
+class BvhTimeoutError(BvhError):
+    """No answer came in time."""
+
+
+class Hit(NamedTuple):
+    """One obstacle in an answer."""
+
+    name: str
+    point: Vector  # on the obstacle, in the node's frame, m
+    normal: Vector  # outward, unit length; +x where the node has no direction to give
+    stamp: int  # last update of the obstacle, ns; with `until`, the time of contact
+
+
+def request(
+    start: Sequence[float],
+    goal: Sequence[float],
+    tolerance: float,
+    frame_id: str,
+    orientation: Sequence[float] = UPRIGHT,
+    *,
+    at: int | None = None,
+    until: int | None = None,
+) -> GetPlan.Request:
+    """Return a request of one question; `at` and `until` (ns) are the stamps of start and goal.
+    ValueError if an argument has the wrong form.
+    """
+    made = GetPlan.Request(tolerance=tolerance)
+    made.start = _pose(start, checks.vector('orientation', orientation, 4).tolist())
+    made.goal = _pose(goal, UPRIGHT)
+    for stamped, name, stamp in ((made.start, 'at', at), (made.goal, 'until', until)):
+        stamped.header.frame_id = frame(frame_id)
+        if stamp is not None:
+            stamped.header.stamp = _time(name, stamp)
+    return made
+
+
+def place(name: str, given: Sequence[float]) -> list[float]:
+    """Return 3 coordinates; z is 0 if left out."""
+    found = _floats(name, given, {(2,), (3,)}, '2 or 3 coordinates, not the shape')
+    return [*found.tolist(), 0.0][:3]
+
+
+def _floats(
+    name: str, given: ArrayLike, shapes: Collection[tuple[int, ...]], wanted: str
+) -> NDArray[np.float64]:
+    """Return own floats of one of these shapes. Others are refused before they are copied: a view
+    can claim far more rows than there is memory for.
+    """
+    found = given if isinstance(given, np.ndarray) and given.shape not in shapes else None
+    found = checks.floats(name, given) if found is None else found
+    if found.shape not in shapes:
+        raise ValueError(f'{name} must have {wanted} {found.shape}')
+    return found
+
+
+def length(name: str, given: float) -> float:
+    """Return a number that a request can hold, in float32."""
+    number = checks.one(name, given)
+    if LARGEST < abs(number) < np.inf:
+        raise ValueError(f'{name} must be at most {LARGEST:g} m, not {number:g}')
+    return number
+
+
+def frame(frame_id: str) -> str:
+    """Return the name of a frame; ValueError if it is none."""
+    if not isinstance(frame_id, str):
+        raise ValueError(f'frame_id must be a string, not {checks.shown_short(frame_id)}')
+    return frame_id
+
+
+def stamp(given: int | None) -> int | None:
+    """Return the stamp of a cloud, ns; ValueError if it is none."""
+    return None if given is None else checks.whole('stamp', given, 0, LAST_STAMP)
+
+
+def handles(obstacles: Iterable[int]) -> NDArray[np.int64]:
+    """Return the handles of obstacles; ValueError if they are no integers."""
+    try:
+        return np.fromiter(obstacles, np.int64)
+    except Exception as error:  # whatever an object of another library raises
+        raise ValueError(f'obstacles must be integers: {error}') from None
+
+
+def _time(name: str, stamp: int) -> Time:
+    if not checks.is_integer(stamp):
+        shown = checks.shown_short(stamp)
+        raise ValueError(f'{name} must be a whole number of ns, not {shown}')
+    if not 0 < stamp <= LAST_STAMP:
+        raise ValueError(f'{name} must be above 0 and below 2^31 s, not {stamp} ns')
+    seconds, nanoseconds = divmod(int(stamp), 10**9)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
+def _pose(position: Sequence[float], orientation: Sequence[float]) -> PoseStamped:
+    stamped = PoseStamped()
+    at, turn = stamped.pose.position, stamped.pose.orientation
+    at.x, at.y, at.z = position
+    turn.x, turn.y, turn.z, turn.w = orientation
+    return stamped
+
+
+def hits(reply: GetPlan.Response) -> list[Hit]:
+    """Return the hits of a reply, in its order; BvhError with the reason if it is an error."""
+    found = [_hit(stamped) for stamped in reply.plan.poses]
+    if found and found[0].name.startswith(ERROR):
+        raise BvhError(found[0].name[len(ERROR) :])
+    return found
+
+
+def first_hit(reply: GetPlan.Response) -> Hit | None:
+    """Return the first hit of a reply, or None; BvhError with the reason if it is an error."""
+    found = hits(reply)
+    return found[0] if found else None
+
+
+def _hit(stamped: PoseStamped) -> Hit:
+    at, turn, stamp = stamped.pose.position, stamped.pose.orientation, stamped.header.stamp
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    return Hit(
+        stamped.header.frame_id,
+        (at.x, at.y, at.z),
+        # The node sends the normal as the rotation of +x.
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)),
+        stamp.sec * 1_000_000_000 + stamp.nanosec,
+    )
+
+
+class Poses(NamedTuple):
+    """Poses of a footprint."""
+
+    places: NDArray[np.float64]
+    """(n, 3) m."""
+    turns: NDArray[np.float64]
+    """(n, 4) quaternions."""
+
+
+class Batch(NamedTuple):
+    """Questions of one kind, a row each."""
+
+    topic: str
+    asked: Rays | Points | Boxes | Poses
+    begin: int | None
+    """ns: the earliest time of the rows, where a stamp can be near it; None: now."""
+    message: Callable[[int, Any], Any]
+    """Return a message with a stamp (ns) of the rows of an index."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.asked[0])
+
+
+def rays(
+    origins: ArrayLike,
+    directions: ArrayLike,
+    t_max: ArrayLike,
+    mask: ArrayLike,
+    radius: ArrayLike | None,
+    at: ArrayLike | None,
+    until: ArrayLike | None,
+) -> Batch:
+    """Return n rays, or balls along them; ValueError where an argument does not fit."""
+    starts = checks.floats('origins', origins)
+    along = checks.unless_refused('directions', directions, starts.shape)
+    if starts.ndim != 2 or starts.shape[1] != 3 or along.shape != starts.shape:
+        raise ValueError(
+            f'origins and directions must both have the shape (n, 3), not {starts.shape} '
+            f'and {along.shape}'
+        )
+    count = len(starts)
+    narrow = all(getattr(each, 'dtype', None) == np.float32 for each in (origins, directions))
+    given = Rays(
+        starts,
+        along,
+        _column('t_max', t_max, count),
+        checks.masks(mask, count),
+        np.dtype(np.float32 if narrow else np.float64),
+        None if radius is None else _column('radius', radius, count),
+    )
+    times, ends = _times('at', at, count), _times('until', until, count)
+    if ends is not None:
+        if times is None:
+            raise ValueError('until needs at')
+        if (ends < times).any():
+            row = int(np.argmax(ends < times))
+            raise ValueError(f'until must not be before at: row {row} is')
+        moves = ends > times
+        if (moves & np.isinf(given.t_max)).any():
+            raise ValueError('t_max must end a ray that takes time')
+        t_max = np.where(moves, given.t_max, 0.0)
+        given = given._replace(durations=np.where(moves, (ends - times) / 1e9 * t_max, 0.0))
+    return _cloud_batch('rays', given, times, given.real)
+
+
+def points(
+    places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike, at: ArrayLike | None
+) -> Batch:
+    """Return n points; ValueError where an argument does not fit."""
+    where = _rows('points', places)
+    count = len(where)
+    reaches = _column('max_distance', max_distance, count)
+    return _cloud_batch(
+        'points', Points(where, reaches, checks.masks(mask, count)), _times('at', at, count)
+    )
+
+
+def boxes(
+    centers: ArrayLike,
+    sizes: ArrayLike,
+    orientations: ArrayLike | None,
+    tolerance: ArrayLike,
+    mask: ArrayLike,
+    at: ArrayLike | None,
+) -> Batch:
+    """Return n boxes; ValueError where an argument does not fit."""
+    where = _rows('centers', centers)
+    count = len(where)
+    given = Boxes(
+        where,
+        _rows('sizes', sizes, count),
+        _orientations(orientations, count),
+        _column('tolerance', tolerance, count),
+        checks.masks(mask, count),
+    )
+    return _cloud_batch('boxes', given, _times('at', at, count))
+
+
+def _cloud_batch(
+    topic: str, given: Any, times: NDArray[np.int64] | None, real: DTypeLike = np.float64
+) -> Batch:
+    def message(stamp: int, some: Any) -> Any:
+        timed = given
+        if times is not None:  # in s after the stamp of their cloud
+            timed = given._replace(since=(times - stamp) / 1e9)
+        return query_clouds.questions_cloud(query_clouds.take(timed, some), real)
+
+    begin = -1 if times is None or not len(times) else int(times.min())
+    return Batch(topic, given, begin if 0 <= begin <= LAST_STAMP else None, message)
+
+
+def poses(positions: ArrayLike, orientations: ArrayLike | None, at: ArrayLike | None) -> Batch:
+    """Return n poses; ValueError where an argument does not fit."""
+    places = _rows('positions', positions)
+    given = Poses(places, _orientations(orientations, len(places)))
+    times = _times('at', 0 if at is None else at, len(places))
+    if times is None or (len(times) and not 0 <= times.min() <= times.max() <= LAST_STAMP):
+        raise ValueError('at must be what a stamp can hold')
+
+    def message(_: int, some: Any) -> Path:
+        made = Path()
+        columns = (given.places[some], given.turns[some], times[some])
+        for place, turn, stamp in zip(*(column.tolist() for column in columns), strict=True):
+            stamped = _pose(place, turn)
+            stamped.header.stamp.sec, stamped.header.stamp.nanosec = divmod(stamp, 10**9)
+            made.poses.append(stamped)
+        return made
+
+    return Batch('paths', given, None, message)
+
+
+def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
+    if given is None:
+        return None
+    try:
+        values = np.asarray(given)
+    except Exception as error:  # whatever an object of another library raises
+        raise ValueError(f'{name} must be integers (ns): {error}') from None
+    if values.dtype.kind != 'i':
+        raise ValueError(f'{name} must be integers (ns), not {values.dtype}')
+    if values.shape not in ((), (count,)):
+        raise ValueError(f'{name} must be one number or have the shape ({count},)')
+    return np.broadcast_to(values, (count,)).astype(np.int64)
+
+
+def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    return _rows('orientations', UPRIGHT if given is None else given, count, 4)
+
+
+def _rows(
+    name: str, given: ArrayLike, count: int | None = None, width: int = 3
+) -> NDArray[np.float64]:
+    if count is not None:
+        shapes = (width,), (count, width)
+        rows = _floats(name, given, shapes, f'the shape ({count}, {width}), not')
+        return np.broadcast_to(rows, (count, width))
+    rows = checks.floats(name, given)
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise ValueError(f'{name} must have the shape (n, {width}), not {rows.shape}')
+    return rows
+
+
+def _column(name: str, given: ArrayLike, count: int) -> NDArray[np.float64]:
+    wanted = f'one number or the shape ({count},), not'
+    return np.broadcast_to(_floats(name, given, ((), (count,)), wanted), (count,))

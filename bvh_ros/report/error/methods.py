@@ -1,0 +1,244 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Methods of answering, measured by error and run time, in a table and a picture."""
+
+from collections.abc import Callable, Mapping, Sequence
+from string import ascii_uppercase
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ... import DynamicBVH, RayHits
+from ..page import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, RED, SKY, Page
+from ..scenes import Boxes, Rays
+from ..timing import Job, interleaved
+from . import plain
+from .truth import HEADER, NOTHING, Answer, Score, Truth, brute_force, cells, joined, score
+
+RATES = (1, 2, 5, 10, 20)  # Hz at which a moving world is refreshed
+# One colour and one letter a method in all pictures; methods of one kind share the colour.
+COLOURS = {
+    'bvh_ros, batch': BLUE,
+    'bvh_ros, one call a ray': BLUE,
+    'bvh_ros, binary tree': BLUE,
+    'batch, plain float64 leaves': RED,
+    'binary tree, plain float64 leaves': RED,
+    'binary tree, float32': PINK,
+    'brute force, float64': BLACK,
+    'bvh_ros, true shapes': BLUE,
+    'AABB of each shape': ORANGE,
+    'sphere as its box': ORANGE,
+    'cylinder as its box': ORANGE,
+    'true world at every query': BLUE,
+    **{f'{rate} Hz': GREEN for rate in RATES},
+    **{f'{rate} Hz, predicted': SKY for rate in RATES},
+}
+LETTERS = dict(zip(COLOURS, ascii_uppercase, strict=False))
+
+
+class Method(NamedTuple):
+    """One method of answering the rays of some worlds."""
+
+    run: Callable[[], Any]  # what is timed
+    # The answer in each world, from what `run` returned.
+    answers: Callable[[Any], Sequence[Answer]]
+
+
+# ---- Rays among axis-aligned boxes
+
+
+REPEATS = 9
+SLOW_RAYS = 200  # the first ones, for a method that takes milliseconds each
+
+
+def tree_rows(tree: DynamicBVH, hits: RayHits) -> Answer:
+    """Rows of a tree that was built at once: its handles are in their order."""
+    return Answer(np.where(hits.ids >= 0, np.searchsorted(tree.ids(), hits.ids), NOTHING), hits.t)
+
+
+def batch(tree: DynamicBVH, rays: Rays) -> Method:
+    """First hits in one batch."""
+    return Method(lambda: tree.raycast_many(*rays), lambda hits: [tree_rows(tree, hits)])
+
+
+def rounded_batch(tree: DynamicBVH, rays: Rays) -> Method:
+    """The same by the same kernels without the exact decision."""
+
+    def run() -> RayHits:
+        with plain.rounded_decisions():
+            return tree.raycast_many(*rays)
+
+    return Method(run, lambda hits: [tree_rows(tree, hits)])
+
+
+def one_by_one(tree: DynamicBVH, rays: Rays) -> Method:
+    """First hits by a call each."""
+
+    def answers(hits: list[Any]) -> list[Answer]:
+        rows = [tree.slot(hit.id) if hit else NOTHING for hit in hits]
+        return [Answer(np.array(rows), np.array([hit.t if hit else np.inf for hit in hits]))]
+
+    return Method(lambda: [tree.raycast(*ray) for ray in zip(*rays, strict=True)], answers)
+
+
+def box_methods(boxes: Boxes, rays: Rays) -> dict[str, Method]:
+    """Methods of casting rays at axis-aligned boxes."""
+    tree, binary = DynamicBVH.from_boxes(*boxes), plain.BinaryTree.from_boxes(*boxes)
+    few = Rays(rays.origins[:SLOW_RAYS], rays.directions[:SLOW_RAYS])
+    single = plain.single_precision(boxes, rays)
+    return {
+        'bvh_ros, batch': batch(tree, rays),
+        'bvh_ros, one call a ray': one_by_one(tree, rays),
+        'bvh_ros, binary tree': batch(binary, rays),
+        'batch, plain float64 leaves': rounded_batch(tree, rays),
+        'binary tree, plain float64 leaves': rounded_batch(binary, rays),
+        'binary tree, float32': Method(single, lambda hits: [tree_rows(tree, hits)]),
+        'brute force, float64': Method(lambda: brute_force(boxes, few), lambda answer: [answer]),
+    }
+
+
+# ---- The table of all methods
+
+
+class Panel(NamedTuple):
+    """One kind of error."""
+
+    label: str
+    error: Callable[[Score], float]
+    least: float  # below this the axis is linear down to zero; 0: below one ray
+    most: float  # upper end of the axis, if nothing is above
+
+
+WRONG = Panel('wrong answers, share of the rays', lambda s: s.wrong, 0.0, 1.0)
+RELATIVE = Panel(
+    'largest relative error of the distance\n(where the object is right)',
+    lambda s: s.relative,
+    1e-17,
+    1e-2,
+)
+MEAN = Panel('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
+
+
+def compare(
+    page: Page,
+    name: str,
+    title: str,
+    methods: Mapping[str, Method],
+    truths: Sequence[Truth],
+    brief: bool,
+    panels: Sequence[Panel] = (WRONG, RELATIVE),
+) -> None:
+    """Score every method against the truth of each world, let them take turns, show both."""
+    scores = {}
+    for method, (run, answers) in methods.items():
+        scores[method] = joined([*map(score, answers(run()), truths)])
+    jobs = {method: Job(methods[method].run, scores[method].rays) for method in methods}
+    times = interleaved(jobs, 2 if brief else REPEATS)
+    points = [Point(method, times[method].microseconds, scores[method]) for method in methods]
+    header = ['', 'method', 'us a ray', 'rays', *HEADER]
+    rows = [[LETTERS[p.name], p.name, p.time, p.score.rays, *cells(p.score)] for p in points]
+    page.table(f'error_{name}', header, rows)
+    figure = tradeoff(points, panels, title)
+    page.picture(f'error_{name}', f'Error against run time: {title}', figure)
+
+
+# ---- The picture: error against run time, and the front that no method beats in both
+
+
+class Point(NamedTuple):
+    """What a method reached."""
+
+    name: str
+    time: float  # microseconds a ray
+    score: Score
+
+
+def front(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Places of the points that no other beats or equals in both, by ascending time.
+
+    An error must be smaller by a tenth to be called smaller.
+    """
+    order = sorted(range(len(points)), key=lambda i: points[i])
+    best, chosen = float('inf'), []
+    for i in order:
+        if points[i][1] < 0.9 * best:
+            best = points[i][1]
+            chosen.append(i)
+    return chosen
+
+
+def tradeoff(points: Sequence[Point], panels: Sequence[Panel], title: str) -> Any:
+    """A figure with a panel for each kind of error, and a key; the front is filled."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    figure = Figure(figsize=(3.6 * len(panels) + 2.8, 3.8), layout='constrained')
+    every = figure.subplots(1, len(panels), squeeze=False)[0]
+    fronts = [_panel(*both, points) for both in zip(every, panels, strict=True)]
+    key = []
+    for point in points:
+        colour, best = COLOURS[point.name], any(point.name in names for names in fronts)
+        label, face = f'{LETTERS[point.name]}  {point.name}', colour if best else 'white'
+        key.append(Line2D([], [], marker='o', ls='', ms=8, color=colour, mfc=face, label=label))
+    key.append(Line2D([], [], color=GREY, lw=1.2, label='Pareto front (filled)'))
+    figure.legend(handles=key, loc='outside right center', frameon=False, fontsize=8)
+    figure.suptitle(title, x=0.01, ha='left', fontsize=10)
+    figure.draw_without_rendering()  # now it is known where points lie in the picture
+    for axes, panel, names in zip(every, panels, fronts, strict=True):
+        _draw_letters(axes, [(p.name, p.time, panel.error(p.score)) for p in points], names)
+    return figure
+
+
+def _panel(axes: Any, panel: Panel, points: Sequence[Point]) -> list[str]:
+    """Draw axes and the front; return the names of the methods on it.
+
+    A method that answered fewer rays than others is not on it.
+    """
+    most = max(point.score.rays for point in points)
+    judged = [point for point in points if point.score.rays == most]
+    pairs = [(point.time, panel.error(point.score)) for point in judged]
+    best = front(pairs)
+    times, errors = [p.time for p in points], [panel.error(p.score) for p in points]
+    least = panel.least or 1.0 / most
+    top = max(panel.most, 3 * max(e for e in errors if np.isfinite(e)))
+    axes.set(xscale='log', xlabel='run time a ray, µs', ylabel=panel.label)
+    axes.set_yscale('symlog', linthresh=least, linscale=0.5)
+    axes.set(xlim=(min(times) / 3, max(times) * 3), ylim=(-0.6 * least, top))
+    low, high = (int(np.floor(np.log10(x))) for x in (least, top))
+    step = -(-(high - low + 1) // 6)
+    axes.set_yticks([0.0, *(10.0**k for k in range(high, low, -step))])
+    corners = [(pairs[best[0]][0], top), *(pairs[i] for i in best)]
+    corners.append((axes.get_xlim()[1], corners[-1][1]))
+    axes.plot(*zip(*corners, strict=True), drawstyle='steps-post', color=GREY, lw=1.2, zorder=1)
+    axes.grid(alpha=0.25, linewidth=0.6)
+    axes.minorticks_off()
+    axes.xaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_major_formatter('{x:g}')
+    axes.spines[['top', 'right']].set_visible(False)
+    return [judged[i].name for i in best]
+
+
+APART = 15.0  # points, between the middles of two letters
+
+
+def _draw_letters(axes: Any, points: list[tuple[str, float, float]], filled: list[str]) -> None:
+    """A letter at each point; one that would cover another is shifted, with a line."""
+    pixel = 72.0 / axes.figure.dpi
+    bottom = pixel * axes.bbox.y0
+    drawn: list[tuple[float, float]] = []
+    for name, time, error in sorted(points, key=lambda point: point[1]):
+        colour, (x, y) = COLOURS[name], pixel * axes.transData.transform((time, error))
+        shift = next(
+            step
+            for step in sorted(range(-200, 201), key=abs)
+            if y + step > bottom and all(np.hypot(x - a, y + step - b) >= APART for a, b in drawn)
+        )
+        drawn.append((x, y + shift))
+        style = (colour, 'white') if name in filled else ('white', colour)
+        box = {'boxstyle': 'circle,pad=0.25', 'fc': style[0], 'ec': colour}
+        axes.plot(time, error, '.', ms=3, color=colour, zorder=2)
+        axes.annotate(
+            LETTERS[name], (time, error), (0.0, shift), textcoords='offset points', ha='center',
+            va='center', fontsize=7, weight='bold', color=style[1], bbox=box, zorder=3,
+            arrowprops={'arrowstyle': '-', 'color': colour, 'lw': 0.8},
+        )  # fmt: skip

@@ -1,0 +1,611 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The services of the package bvh_msgs: `~/query/raycast` and others, of one or many rows."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_msgs.srv import Clearance, Nearest, Overlap, Raycast
+from bvh_ros.ros.compile_jobs import (
+    BALLS,
+    BOXES_ASKED,
+    CLEARANCES,
+    NEAREST_THEN,
+    PATHS_THEN,
+    POINTS,
+)
+from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.query_clouds import (
+    EVERYTHING,
+    UNANSWERED,
+    Boxes,
+    Floats,
+    Masks,
+    Points,
+    Rays,
+    fault,
+    take,
+)
+from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.parts.batches import (
+    UNKNOWN_TIME,
+    Spans,
+    Times,
+    in_pieces,
+    near,
+    prepare,
+    spans_after,
+)
+from bvh_ros.ros.parts.part import NodePart, Timings
+from bvh_ros.ros.parts.services import in_turns
+from bvh_ros.ros.qos import repeated
+from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.world.world import CompilingError, IncompleteWorldError
+from bvh_ros.scene import NO_NODE, ShapeKind, Shapes, TooManyHitsError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from bvh_ros.ros.parts.readiness import OnDemand
+    from bvh_ros.ros.world.frames import Transform
+    from bvh_ros.ros.world.views import View
+    from bvh_ros.ros.world.world import World
+    from bvh_ros.scene import Scene
+
+STATUS = Raycast.Response
+MANY_NAMES = 8
+
+
+class ShapeRows(NamedTuple):
+    """Shapes whose clearance is asked for; nothing is known of their values yet."""
+
+    kinds: NDArray[np.uint8]  # (n,)
+    places: Floats  # (n, 3) m
+    sizes: Floats  # (n, 3) m
+    turns: Floats  # (n, 4) quaternions
+    reaches: Floats  # (n,) m, how far an obstacle may be
+    masks: Masks  # (n,)
+    since: Floats | None = None  # (n,) s after the request's stamp; None: now
+
+    @property
+    def durations(self) -> None:
+        """Their answers take no time."""
+
+    def faults(self) -> dict[str, NDArray[np.bool_]]:
+        """Return why rows (n,) cannot be answered."""
+        boxes = Boxes(self.places, self.sizes, self.turns, np.zeros(len(self.kinds)), self.masks)
+        width, depth, height = self.sizes.T
+        round_kind = self.kinds != ShapeKind.BOX
+        sphere, capsule = self.kinds == ShapeKind.SPHERE, self.kinds == ShapeKind.CAPSULE
+        uneven = (round_kind & (width != depth)) | (sphere & (width != height))
+        return {
+            'its kind is none of BOX, SPHERE, CYLINDER and CAPSULE': self.kinds >= ShapeKind.MESH,
+            **boxes.faults(),
+            'its diameters differ': uneven,
+            'its height is below its diameter': capsule & (height < width),
+            'its max_distance is NaN or negative': np.logical_not(self.reaches >= 0.0),
+        }
+
+    def moved(self, transform: Transform) -> ShapeRows:
+        """Return the same in the node's frame."""
+        turns = transform.orientations(rotations.normalised(self.turns))
+        return self._replace(places=transform.points(self.places), turns=turns)
+
+
+class Limit:
+    """How many obstacles of all rows together may still come.
+
+    Parameters
+    ----------
+    request : Any
+        Its `limit`, if it is one for all rows.
+    otherwise : int
+        The limit of a request without one.
+    """
+
+    def __init__(self, request: Any, otherwise: int) -> None:
+        given = request.limit if isinstance(request, Raycast.Request | Overlap.Request) else 0
+        self.most = self.left = given or otherwise
+
+    def check(self, count: int) -> None:
+        """Raise TooManyHitsError if so many are too many."""
+        if count > self.left:
+            raise TooManyHitsError(f'more than {self.most} obstacles')
+
+    def take(self, count: int) -> None:
+        """Count some; TooManyHitsError if they are too many."""
+        self.check(count)
+        self.left -= count
+
+
+class Answers(NamedTuple):
+    """Obstacles of n rows, m in all, those of the first row first."""
+
+    counts: NDArray[np.int64]  # (n,) obstacles of each row
+    obstacles: Masks  # (m,) handles
+    numbers: dict[str, Any]  # (m,) or (m, 3) of each obstacle, by fields of the response
+
+
+class Question(NamedTuple):
+    """One kind of question.
+
+    Attributes
+    ----------
+    kind : type
+        The service.
+    read : callable
+        From a request to its rows; ValueError if its arrays do not belong together.
+    needs : callable
+        From a request and whether it is about other times to the names of what is compiled.
+    ask : callable
+        From scene, request, rows, begin and end (ns, or None) and the limit to Answers.
+    points, vectors : sequence of str
+        Fields of the response that are in the frame of the request.
+    """
+
+    kind: type
+    read: Callable[[Any], Any]
+    needs: Callable[[Any, bool], Sequence[str]]
+    ask: Callable[..., Answers]
+    points: Sequence[str] = ()
+    vectors: Sequence[str] = ()
+
+
+class TypedServices(NodePart):
+    """Answers `query/raycast`, `overlap`, `nearest` and `clearance` of a view, row for row.
+
+    Parameters
+    ----------
+    world : World
+        Asked before each answer whether it is complete.
+    view : View
+        What these services show.
+    kernels : OnDemand
+        What is compiled when somebody asks.
+    """
+
+    def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
+        super().__init__(node)
+        self.view = view
+        self.what = f'typed query of {view.name}' if view.name else 'typed query'
+        self.refused = Refused(node.get_logger(), self.what)
+        self.timings = Timings()
+        self.answered = 0  # rows
+        self._world = world
+        self._kernels = kernels
+        settings = world.settings
+        self._limit, self._threads = settings.max_hits, settings.threads_for
+        self._work: list[Generator[None, None, str]] = []  # begun
+        ray, points = Question(Raycast, _rays, _ray_kernels, self._cast), ['points']
+        near_point = Question(Nearest, _points, _point_kernels, self._nearest)
+        shape = Question(Clearance, _shapes, _shape_kernels, self._clearance)
+        self._serve('raycast', ray._replace(points=points, vectors=['normals']))
+        self._serve('overlap', Question(Overlap, _boxes, _box_kernels, self._overlap))
+        self._serve('nearest', near_point._replace(points=['closest'], vectors=['normals']))
+        self._serve('clearance', shape._replace(points=['shape_points', 'obstacle_points']))
+
+    def _serve(self, name: str, question: Question) -> None:
+        async def callback(request: Any, response: Any) -> Any:
+            work = self._reply(request, response, question)
+            self._work.append(work)
+            try:
+                await in_turns(self.node, work)
+            finally:
+                self._work.remove(work)
+            return response
+
+        name = f'query/{name}'
+        self.service(question.kind, self.view.topic(name), callback)
+        self.repeated_service(question.kind, self.view.topic(repeated(name)), callback)
+
+    def finish(self) -> None:
+        """Answer until nothing reads the scene in the helper thread any more."""
+        while self._world.changes.owner is self:
+            for work in list(self._work):
+                next(work, None)
+
+    def _reply(
+        self, request: Any, response: Any, question: Question
+    ) -> Generator[None, None, str]:
+        began = time.perf_counter_ns()
+        status, count = STATUS.FAILED, 1
+        try:
+            count = max(1, rows_of(request))
+            rows = question.read(request)
+            yield from self._answer(request, response, question, rows)
+            self.timings.add(began)
+            return ''
+        except CompilingError as error:
+            status, reason = STATUS.COMPILING, str(error)
+        except IncompleteWorldError as error:
+            status, reason = STATUS.INCOMPLETE_WORLD, str(error)
+        except TooManyHitsError as error:
+            status = STATUS.TOO_MANY_HITS
+            reason = f'{error} (limit): ask for a smaller part of the world'
+        except ValueError as error:
+            status, reason = STATUS.BAD_REQUEST, str(error)
+        except Exception as error:  # whatever went wrong, no row may look free
+            reason = explain(error)
+        if status != STATUS.COMPILING:  # that is told as progress
+            self.refused.add(reason)
+        write(response, unanswered(response, count), np.full(count, status), reason)
+        self.timings.add(began)
+        return reason
+
+    def _answer(
+        self, request: Any, response: Any, question: Question, rows: Any
+    ) -> Generator[None, None, None]:
+        """Fill in the response, with pauses; ValueError if no row can be answered."""
+        world = self._world
+        header, stamp = request.header, nanoseconds(request.header.stamp)
+        transform = world.frames.into_node(header.frame_id, stamp)
+        count = len(rows.masks)
+        if rows.since is None and stamp and world.times is not None:
+            rows = rows._replace(since=np.zeros(count))
+        times = world.times
+        if rows.since is not None and times is None:
+            raise ValueError(
+                'departures and durations have no meaning: no source predicts, and there is no '
+                'history'
+            )
+        begin = stamp or self.node.get_clock().now().nanoseconds
+        for name in question.needs(request, rows.since is not None):
+            self._kernels.require(name)
+        statuses = np.full(count, STATUS.OK, np.uint8)
+        parts: list[tuple[NDArray[np.int64], Answers]] = []
+        reasons: list[str] = []
+        limit = Limit(request, self._limit)
+
+        def spans_of(some: Any) -> Spans | None:
+            if times is None or some.since is None:
+                return None
+            now = self.node.get_clock().now().nanoseconds
+            return spans_after(some.since, some.durations, begin, times, now)
+
+        def answer(piece: slice) -> None:
+            now = self.node.get_clock().now().nanoseconds
+            scene, some = world.at(now), take(rows, piece)
+            if transform is not None:
+                with np.errstate(over='ignore', invalid='ignore'):  # what leaves doubles is bad
+                    some = some.moved(transform)
+            bad, reason = fault(some, piece.start)
+            spans = spans_of(some)
+            if spans is not None:
+                bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
+            numbers = np.arange(piece.start, piece.start + len(bad))
+            if bad.any():
+                reasons.append(reason)
+                statuses[numbers[bad]] = STATUS.BAD_REQUEST
+                parts.append((numbers[bad], unanswered(response, int(np.count_nonzero(bad)))))
+            for state, these, at, until in _states(scene, spans, ~bad):
+                masks = some.masks[these] & np.uint32(self.view.mask)
+                these_rows = take(some, these)._replace(masks=masks)
+                found = question.ask(state, request, these_rows, at, until, limit)
+                if request.with_names:
+                    found.numbers['names'] = names_of(state, found.obstacles)
+                parts.append((numbers[these], found))
+
+        rays = count if isinstance(rows, Rays) else 0
+        yield from prepare(self, world, rays, partial(spans_of, rows))
+        yield from in_pieces(count, answer)
+        if not count:  # an incomplete world is no answer even to nothing
+            world.at(self.node.get_clock().now().nanoseconds)
+        answers = merged(count, parts)
+        if transform is not None:
+            answers = back(transform, answers, question)
+        newest = world.scene.newest
+        response.stamp.sec, response.stamp.nanosec = divmod(newest, 1_000_000_000)
+        self.answered += count - int(np.count_nonzero(statuses))
+        if reasons:
+            self.refused.add(reasons[0], int(np.count_nonzero(statuses)))
+        write(response, answers, statuses, reasons[0] if reasons else '')
+        if request.with_names and len(answers.obstacles):
+            response.names = answers.numbers['names'].tolist()
+
+    def _cast(
+        self, scene: Scene, request: Any, rows: Rays, at: Any, until: Any, limit: Limit
+    ) -> Answers:
+        view = self.view
+        if request.all_hits:
+            return self._cast_all(scene, rows, at, until, limit)
+        hits = scene.raycast_many(
+            *(rows.origins, rows.directions, rows.t_max, rows.masks, view.skip_inside),
+            *(self._threads(len(rows.masks)), rows.radii, at, until),
+        )
+        met = hits.handles != NO_NODE
+        numbers = {'t': hits.t[met], 'points': hits.points[met], 'normals': hits.normals[met]}
+        return Answers(met.astype(np.int64), hits.handles[met], numbers)
+
+    def _cast_all(self, scene: Scene, rows: Rays, at: Any, until: Any, limit: Limit) -> Answers:
+        counts, hits = [], []
+        goals = rows.origins + rows.directions
+        radii = np.zeros(len(goals)) if rows.radii is None else rows.radii
+        for row, (start, goal) in enumerate(zip(rows.origins, goals, strict=True)):
+            times = (None, None) if at is None else (int(at[row]), int(until[row]))
+            found = scene.raycast_all(
+                *(start, goal, radii[row], int(rows.masks[row]), self.view.skip_inside),
+                *(limit.left, *times),
+            )
+            limit.take(len(found))
+            counts.append(len(found))
+            hits += found
+        numbers = {
+            't': np.array([hit.t for hit in hits], np.float64),
+            'points': np.array([hit.point for hit in hits], np.float64).reshape(-1, 3),
+            'normals': np.array([hit.normal for hit in hits], np.float64).reshape(-1, 3),
+        }
+        handles = np.array([hit.handle for hit in hits], np.uint32)
+        return Answers(np.array(counts, np.int64), handles, numbers)
+
+    def _overlap(
+        self, scene: Scene, request: Any, rows: Boxes, at: Any, _until: Any, limit: Limit
+    ) -> Answers:
+        boxes = rows.places, rows.sizes, rows.turns, rows.tolerances, rows.masks
+        given: dict[str, Any] = {'threads': self._threads(len(rows.masks)), 'at': at}
+        if len(rows.masks) * len(scene) > limit.left:  # else there might be no room for them
+            limit.check(int(scene.overlap_many(*boxes, want='count', **given).sum()))
+        offsets, handles = scene.overlap_many(*boxes, want='all', **given)
+        limit.take(len(handles))
+        return Answers(np.diff(offsets), handles.astype(np.uint32), {})
+
+    def _nearest(
+        self, scene: Scene, request: Any, rows: Points, at: Any, _until: Any, limit: Limit
+    ) -> Answers:
+        k = max(1, min(request.limit, len(scene)))
+        limit.take(k * len(rows.masks))
+        handles, distances, points = scene.nearest_many(
+            *(rows.places, k, rows.reaches, rows.masks, request.signed_distances),
+            threads=self._threads(len(rows.masks)),
+            at=at,
+        )
+        found = handles != NO_NODE
+        places = np.repeat(rows.places, k, axis=0)
+        told = near(places, points.reshape(-1, 3), distances.ravel(), handles.ravel())
+        kept = found.ravel()
+        numbers = {
+            'distances': told.distances[kept],
+            'closest': told.points[kept],
+            'normals': told.normals[kept],
+        }
+        return Answers(found.sum(axis=1), told.obstacles[kept].astype(np.uint32), numbers)
+
+    def _clearance(
+        self, scene: Scene, request: Any, rows: ShapeRows, at: Any, _until: Any, _limit: Limit
+    ) -> Answers:
+        shapes = Shapes(rows.kinds, rows.places, rows.turns, rows.sizes)
+        handles, distances, points, others = scene.clearance_many(
+            *(shapes, rows.reaches, rows.masks, request.signed_distances),
+            *(self._threads(len(rows.masks)), at),
+        )
+        numbers = {'distances': distances, 'shape_points': points, 'obstacle_points': others}
+        return Answers(np.ones(len(handles), np.int64), handles.astype(np.uint32), numbers)
+
+
+# What a request asks, as columns.
+
+
+def rows_of(request: Any) -> int:
+    """How many rows a request has."""
+    places = next(getattr(request, name) for name in PLACES if hasattr(request, name))
+    return len(places) // 3
+
+
+PLACES = 'starts', 'centers', 'points', 'positions'
+
+
+def _column(request: Any, name: str, count: int, width: int = 1, kind: Any = np.float64) -> Any:
+    """Values of each row, (count,) or (count, width); None if the request has none."""
+    values = np.array(getattr(request, name), kind)
+    if not len(values):
+        return None
+    if len(values) not in (width, width * count):
+        raise ValueError(
+            f'{name} has {len(values)} values: {width} for all rows, or {width * count} for '
+            f'{count} rows are needed'
+        )
+    shape = (count, width) if width > 1 else (count,)
+    return np.ascontiguousarray(np.broadcast_to(values.reshape(-1, *shape[1:]), shape))
+
+
+def _needed(request: Any, name: str, count: int, width: int = 1, kind: Any = np.float64) -> Any:
+    values = _column(request, name, count, width, kind)
+    if values is None:
+        if count:
+            raise ValueError(f'{name} is empty')
+        values = np.zeros((0, width) if width > 1 else 0, kind)
+    return values
+
+
+def _places(request: Any, name: str) -> Floats:
+    values = np.array(getattr(request, name), np.float64)
+    if len(values) % 3:
+        raise ValueError(f'{name} has {len(values)} values, which is no multiple of 3')
+    return values.reshape(-1, 3)
+
+
+def _masks(request: Any, count: int) -> Masks:
+    masks = _column(request, 'masks', count, kind=np.uint32)
+    return np.full(count, EVERYTHING, np.uint32) if masks is None else masks
+
+
+def _otherwise(values: Floats | None, count: int, value: float) -> Floats:
+    return np.full(count, value) if values is None else values
+
+
+def _turns(request: Any, count: int) -> Floats:
+    turns = _column(request, 'orientations', count, 4)
+    return np.zeros((count, 4)) if turns is None else turns
+
+
+def _rays(request: Any) -> Rays:
+    starts, goals = _places(request, 'starts'), _places(request, 'goals')
+    count = len(starts)
+    if len(goals) != count:
+        raise ValueError(f'there are {count} starts and {len(goals)} goals')
+    radii, since, durations = (
+        _column(request, name, count) for name in ('radii', 'departures', 'durations')
+    )
+    if durations is not None and since is None:
+        since = np.zeros(count)
+    with np.errstate(over='ignore', invalid='ignore'):  # such rows are refused
+        directions = goals - starts
+    masks, real = _masks(request, count), np.dtype(np.float64)
+    return Rays(starts, directions, np.ones(count), masks, real, radii, since, durations)
+
+
+def _boxes(request: Any) -> Boxes:
+    places = _places(request, 'centers')
+    count = len(places)
+    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
+    tolerances = _otherwise(_column(request, 'tolerances', count), count, 0.0)
+    since = _column(request, 'departures', count)
+    return Boxes(places, sizes, turns, tolerances, _masks(request, count), since)
+
+
+def _points(request: Any) -> Points:
+    places = _places(request, 'points')
+    count = len(places)
+    if not request.limit:
+        raise ValueError('limit is 0: at least 1 obstacle of a row is needed')
+    reaches = _otherwise(_column(request, 'max_distances', count), count, np.inf)
+    since = _column(request, 'departures', count)
+    return Points(places, reaches, _masks(request, count), since)
+
+
+def _shapes(request: Any) -> ShapeRows:
+    places = _places(request, 'positions')
+    count = len(places)
+    kinds = _needed(request, 'kinds', count, kind=np.uint8)
+    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
+    reaches = _otherwise(_column(request, 'max_distances', count), count, np.inf)
+    masks, since = _masks(request, count), _column(request, 'departures', count)
+    return ShapeRows(kinds, places, sizes, turns, reaches, masks, since)
+
+
+def _ray_kernels(request: Any, timed: bool) -> Sequence[str]:
+    return [BALLS] if len(request.radii) and not timed and not request.all_hits else []
+
+
+def _box_kernels(_request: Any, _timed: bool) -> Sequence[str]:
+    return [BOXES_ASKED]
+
+
+def _point_kernels(_request: Any, timed: bool) -> Sequence[str]:
+    return [POINTS, *([NEAREST_THEN] if timed else [])]
+
+
+def _shape_kernels(_request: Any, timed: bool) -> Sequence[str]:
+    return [CLEARANCES, *([PATHS_THEN] if timed else [])]
+
+
+# Rows, and the answers to them.
+
+
+def back(transform: Transform, answers: Answers, question: Question) -> Answers:
+    """Return answers in the frame that the request came from."""
+    inverse, numbers = transform.inverse(), dict(answers.numbers)
+    with np.errstate(over='ignore', invalid='ignore'):
+        numbers |= {name: inverse.points(numbers[name]) for name in question.points}
+        numbers |= {name: inverse.vectors(numbers[name]) for name in question.vectors}
+    return answers._replace(numbers=numbers)
+
+
+def _states(
+    scene: Scene, spans: Spans | None, good: NDArray[np.bool_]
+) -> Generator[tuple[Scene, NDArray[np.int64], Times | None, Times | None], None, None]:
+    """The states that the good rows are about: scene, rows, begin and end of each."""
+    if spans is None:
+        if good.any():
+            yield scene, np.flatnonzero(good), None, None
+        return
+    rows = np.flatnonzero(good)
+    for group in spans.take(rows).groups():
+        these = rows[group]
+        yield spans.states[spans.which[these[0]]], these, spans.at[these], spans.until[these]
+
+
+WIDTHS = {
+    't': 1,
+    'distances': 1,
+    'points': 3,
+    'closest': 3,
+    'normals': 3,
+    'shape_points': 3,
+    'obstacle_points': 3,
+}
+"""Numbers of an obstacle, by fields of the responses."""
+
+
+def _fields(response: Any) -> dict[str, int]:
+    return {name: width for name, width in WIDTHS.items() if hasattr(response, name)}
+
+
+def unanswered(response: Any, count: int) -> Answers:
+    """Return rows that say that nobody knows."""
+    numbers: dict[str, Any] = {
+        name: np.full((count, width) if width > 1 else count, np.nan)
+        for name, width in _fields(response).items()
+    }
+    numbers['names'] = np.full(count, '', object)
+    return Answers(np.ones(count, np.int64), np.full(count, UNANSWERED, np.uint32), numbers)
+
+
+def merged(count: int, parts: Sequence[tuple[NDArray[np.int64], Answers]]) -> Answers:
+    """Put the answers to some rows each together."""
+    if len(parts) == 1 and len(parts[0][0]) == count:
+        return parts[0][1]
+    counts = np.zeros(count, np.int64)
+    for rows, answers in parts:
+        counts[rows] = answers.counts
+    first, total = np.cumsum(counts) - counts, int(counts.sum())
+    obstacles = np.empty(total, np.uint32)
+    numbers: dict[str, Any] = {}
+    for rows, answers in parts:
+        begin = np.cumsum(answers.counts) - answers.counts
+        places = np.repeat(first[rows] - begin, answers.counts) + np.arange(len(answers.obstacles))
+        obstacles[places] = answers.obstacles
+        for name, values in answers.numbers.items():
+            column = numbers.setdefault(name, np.empty((total, *values.shape[1:]), values.dtype))
+            column[places] = values
+    return Answers(counts, obstacles, numbers)
+
+
+def write(response: Any, answers: Answers, statuses: NDArray[np.uint8], reason: str) -> None:
+    """Write answers into the response; the stamp and names are left to the caller."""
+    failed = statuses[statuses != STATUS.OK]
+    response.status, response.message = int(failed[0]) if len(failed) else STATUS.OK, reason
+    response.statuses = _packed('B', statuses.astype(np.uint8))
+    if hasattr(response, 'offsets'):
+        ends = np.cumsum(answers.counts, dtype=np.uint32)
+        response.offsets = _packed('I', np.concatenate((np.zeros(1, np.uint32), ends)))
+    response.obstacles = _packed('I', answers.obstacles)
+    for name in _fields(response):
+        values = answers.numbers.get(name)
+        setattr(response, name, _packed('d', np.zeros(0) if values is None else values))
+
+
+def _packed(code: str, values: NDArray[Any]) -> array[Any]:
+    packed = array(code)
+    packed.frombytes(np.ascontiguousarray(values).tobytes())
+    return packed
+
+
+def names_of(scene: Scene, obstacles: Masks) -> NDArray[np.object_]:
+    """Names of handles (m,), empty where there is no obstacle."""
+    handles, where = np.unique(obstacles, return_inverse=True)
+    wanted = handles[handles < UNANSWERED].astype(np.int64)  # and NO_NODE is above it
+    names: dict[int, str] = {}
+    if len(wanted) >= MANY_NAMES:  # a single name takes one look at all handles
+        known, numbers = scene.newcomers(int(wanted[0]) - 1)
+        places = np.flatnonzero(np.isin(known, wanted))
+        names = dict(scene.names_of(known[places], numbers[places]))
+    found = [names.get(handle) or scene.name_of(handle) for handle in wanted.tolist()]
+    return np.array([*found, *[''] * (len(handles) - len(wanted))], object)[where]
