@@ -221,7 +221,7 @@ class TreeMachine(RuleBasedStateMachine):
             with pytest.raises(KeyError):
                 attempt()
 
-    # ---- questions
+    # ---- questions about boxes as they were given, also where some move
 
     @rule(
         data=st.data(),
@@ -240,12 +240,12 @@ class TreeMachine(RuleBasedStateMachine):
         expected = [
             handles[hit.row] for hit in seen(hits, handles, t_max, skip, masks & mask != 0)
         ]
-        got = self.tree.raycast_all(origin, direction, t_max, mask, skip)
+        got = self.tree.raycast_all(origin, direction, t_max, mask, skip, at=None)
         assert [hit.id for hit in got] == expected
-        first = self.tree.raycast(origin, direction, t_max, mask, skip)
+        first = self.tree.raycast(origin, direction, t_max, mask, skip, at=None)
         assert (first.id if first else None) == (expected[0] if expected else None)
-        assert self.tree.occluded(origin, direction, t_max, mask, skip) == bool(expected)
-        batch = self.tree.raycast_many([origin] * 64, [direction] * 64, t_max, mask, skip)
+        assert self.tree.occluded(origin, direction, t_max, mask, skip, at=None) == bool(expected)
+        batch = self.tree.raycast_many([origin] * 64, [direction] * 64, t_max, mask, skip, at=None)
         assert set(batch.ids.tolist()) == {expected[0] if expected else -1}
 
     @rule(data=st.data(), mask=MASKS)
@@ -255,7 +255,7 @@ class TreeMachine(RuleBasedStateMachine):
         handles, lo, hi, masks = self.arrays()
         met = exact_sweeps(lo, hi, np.array([low]), np.array([high]), way[None])[0]
         expected = [handles[hit.row] for hit in seen(met, handles, visible=masks & mask != 0)]
-        hit = self.tree.boxcast(low, high, way, mask)
+        hit = self.tree.boxcast(low, high, way, mask, at=None)
         assert (hit.id if hit else None) == (expected[0] if expected else None)
 
     @rule(data=st.data(), mask=MASKS)
@@ -264,7 +264,7 @@ class TreeMachine(RuleBasedStateMachine):
         handles, lo, hi, masks = self.arrays()
         rows = overlapping_rows(lo, hi, np.array(low), np.array(high))
         expected = [handles[row] for row in rows if masks[row] & mask]
-        assert self.tree.overlap(low, high, mask).tolist() == expected
+        assert self.tree.overlap(low, high, mask, at=None).tolist() == expected
 
     @rule(mask=MASKS)
     def ask_for_pairs(self, mask: int) -> None:
@@ -281,7 +281,7 @@ class TreeMachine(RuleBasedStateMachine):
         kept = np.flatnonzero(masks & mask)
         gaps = np.maximum(np.maximum(lo - point, point - hi), 0.0)[kept]
         distances = np.array([math.hypot(*gap) for gap in gaps.tolist()])
-        ids, got = self.tree.nearest(point, k, mask=mask)
+        ids, got = self.tree.nearest(point, k, mask=mask, at=None)
         assert len(ids) == min(k, len(kept))
         assert got.tolist() == pytest.approx(sorted(distances.tolist())[:k], rel=1e-15, abs=1e-322)
         own = {int(handles[row]): float(d) for row, d in zip(kept, distances, strict=True)}

@@ -454,6 +454,8 @@ def collapse(tree, version, shares, snapshot, queue):
                 queue[made] = member
                 made += 1
         at += 1
+    for lane in range(made * WIDTH, snapshot.size * WIDTH):  # planned for what no mask sees
+        write_lane(snapshot, nodes, np.int64(NONE), lane, -1)
     end_query(state)
     return depth
 

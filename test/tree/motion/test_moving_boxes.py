@@ -154,3 +154,22 @@ def test_a_relative_speed_beyond_the_doubles_prunes_nothing():
     hit = tree.raycast([0, 0], [-1.5e308, 20], 1.0, pace=1.0)
     assert hit is not None
     assert (hit.id, hit.t) == (ids[0], 0.08)
+
+
+def test_a_subtree_that_no_mask_sees_is_no_wide_node():
+    """Whole subtrees of mask 0 among boxes that move: their lanes hold nothing, not what was in
+    memory before.
+    """
+    rng = np.random.default_rng(5)
+    lo = rng.uniform(-50.0, 50.0, (4000, 3))
+    tree = DynamicBVH.from_boxes(lo, lo + 1.0, mask=(lo[:, 0] > 0.0).astype(np.uint32))
+    ids = tree.ids()
+    tree.set_velocities(ids[:1], [[0.5, 0.0, 0.0]])
+    origins, directions = rng.uniform(-60.0, 60.0, (3000, 3)), rng.normal(size=(3000, 3))
+    many = tree.raycast_many(origins, directions, 100.0, at=0.25)
+    moved = np.zeros_like(lo)
+    moved[0, 0] = 0.125
+    still = DynamicBVH.from_boxes(lo + moved, lo + moved + 1.0, mask=tree.masks(ids))
+    expected = still.raycast_many(origins, directions, 100.0)
+    assert len(set(many.ids.tolist())) > 100
+    assert many.ids.tolist() == expected.ids.tolist()
