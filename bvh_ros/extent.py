@@ -42,15 +42,15 @@ class Watch:
 
     Parameters
     ----------
-    beside : rclpy.node.Node
+    node : rclpy.node.Node
         Gives the context and the namespace.
     name : str
         Of the bvh node, in that namespace or with its own.
     """
 
-    def __init__(self, beside: Node, name: str) -> None:
+    def __init__(self, node: Node, name: str) -> None:
         self.extent: Extent | None = None  # as last told; None while there are no obstacles
-        self._node = rclpy.create_node('watch', namespace=beside.get_namespace())
+        self._node = rclpy.create_node('watch', namespace=node.get_namespace())
         self._status = f'{self._node.resolve_service_name(name).lstrip("/")}: world'
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -81,9 +81,9 @@ class Watch:
         for status in message.status:
             if status.name == self._status:
                 values = {pair.key: pair.value for pair in status.values}
-                told = _extent(values)
-                self._same = self._same + 1 if told is not None and told == self.extent else 0
-                self.extent = told
+                extent = _extent(values)
+                self._same = self._same + 1 if extent is not None and extent == self.extent else 0
+                self.extent = extent
 
 
 def _extent(values: dict[str, str]) -> Extent | None:

@@ -93,8 +93,8 @@ def tracks(path: Path) -> Iterator[Frame]:
         raise RuntimeError(f'{path} is no track file: {error!r}') from error
     if not rows:
         raise RuntimeError(f'{path} is no track file: it has no rows')
-    seen = [thing.number for _, _, thing in rows]
-    ego = max(set(seen), key=lambda number: (seen.count(number), -number))
+    numbers = [thing.number for _, _, thing in rows]
+    ego = max(set(numbers), key=lambda number: (numbers.count(number), -number))
     for _, group in groupby(rows, key=itemgetter(0)):
         vehicles = list(group)
         things = [thing for _, _, thing in vehicles]
@@ -162,7 +162,7 @@ def _shapes(things: list[Thing]) -> Shapes:
 
 
 def markers(
-    things: Iterable[Thing], gone: Iterable[tuple[str, int]], *, begin: bool = False
+    things: Iterable[Thing], removed: Iterable[tuple[str, int]], *, begin: bool = False
 ) -> MarkerArray:
     """Return the things as markers, and those that are gone as deletions; to begin with, all that
     was there before is deleted.
@@ -176,7 +176,7 @@ def markers(
         scale.x, scale.y, scale.z = thing.size
         marker.color.g = marker.color.a = 1.0  # to be seen in RViz too
         array.markers.append(marker)
-    array.markers += [Marker(ns=ns, id=number, action=Marker.DELETE) for ns, number in gone]
+    array.markers += [Marker(ns=ns, id=number, action=Marker.DELETE) for ns, number in removed]
     for marker in array.markers:
         marker.header.frame_id = 'map'
     return array

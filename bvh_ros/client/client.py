@@ -430,8 +430,8 @@ class BvhClient:
     def _seconds(self, timeout: float | None) -> float:
         return checks.limit('timeout', self.timeout if timeout is None else timeout)
 
-    def _hits(self, query: str, asked: GetPlan.Request, timeout: float | None) -> list[Hit]:
-        hits: list[Hit] = self._nodes.hits(query, asked, self._seconds(timeout))
+    def _hits(self, query: str, request: GetPlan.Request, timeout: float | None) -> list[Hit]:
+        hits: list[Hit] = self._nodes.hits(query, request, self._seconds(timeout))
         return hits
 
     def _answers(
@@ -441,8 +441,8 @@ class BvhClient:
             batch, self._seconds(timeout), messages.frame(frame_id), messages.stamp(stamp)
         )
 
-    def _future(self, query: str, asked: GetPlan.Request, read: Any = messages.hits) -> Future:
-        question = self._only().question(query, asked, read, self.node.executor)
+    def _future(self, query: str, request: GetPlan.Request, read: Any = messages.hits) -> Future:
+        question = self._only().question(query, request, read, self.node.executor)
         return self._waiting.keep_asking(question, self._seconds(None))
 
     def _only(self) -> OneNode:

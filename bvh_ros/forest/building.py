@@ -161,13 +161,13 @@ def _deal(pile: Pile, max_boxes: int) -> list[Pile]:
     number = -(-pile.rows // max_boxes) if by_id else int(pile_of[-1]) + 1
     files = [pile.file.with_name(f'{pile.file.name}.{i}') for i in range(number)]
     dealt = [_empty_pile(file, ndim) for file in files]
-    seen = 0
+    read_rows = 0
     for rows in _read(pile):
         if by_id:
-            goes = (np.arange(seen, seen + len(rows))) // max_boxes
+            goes = (np.arange(read_rows, read_rows + len(rows))) // max_boxes
         else:
             goes = pile_of[cells(_centers(rows), lo, hi)]
-        seen += len(rows)
+        read_rows += len(rows)
         for i in np.unique(goes):
             dealt[i] = _append(dealt[i], rows[goes == i])
     return [one for one in dealt if one.rows]

@@ -81,10 +81,10 @@ class Forest:
             tree = DynamicBVH.load(file, mmap=True, verify=True)
             if (len(tree), mapped.checksum(file)) != (count, checksum):
                 raise ValueError(f'{file} is of another forest or part')
-            beside = building.ids_file(self._folder, number)
-            ids = mapped.map_array(beside, count + 1)
+            ids_path = building.ids_file(self._folder, number)
+            ids = mapped.map_array(ids_path, count + 1)
             if ids[-1] != checksum or ids[:-1].min() < 0 or ids[:-1].max() >= self._count:
-                raise ValueError(f'{beside} is of another forest or part')
+                raise ValueError(f'{ids_path} is of another forest or part')
             given[ids[:-1]] = True
         if not given.all():
             raise ValueError(f'no box has the id {np.argmin(given)}')
@@ -247,8 +247,8 @@ class Forest:
             return both
         where = checks.points('points', points, self._ndim)
         reach = checks.limits('max_distance', max_distance, len(where))
-        asked = queries.Points(where, reach, checks.masks(mask, len(where)))
-        return queries.nearest(self._asked_by(executor), asked, k)
+        points = queries.Points(where, reach, checks.masks(mask, len(where)))
+        return queries.nearest(self._asked_by(executor), points, k)
 
 
 def _open_again(folder: Path, mark: int) -> Forest:

@@ -62,13 +62,13 @@ class PartHits(NamedTuple):
 @lru_cache(maxsize=OPEN_PARTS)
 def _open(folder: str, number: int, checksum: int) -> Part:
     """`checksum` tells a part from one that was in this folder before, or came there since."""
-    file, beside = part_file(Path(folder), number), ids_file(Path(folder), number)
+    file, ids_path = part_file(Path(folder), number), ids_file(Path(folder), number)
     tree = DynamicBVH.load(file, mmap=True)
     if mapped.checksum(file) != checksum:
         raise ValueError(f'{file} is of another forest or part')
-    ids = mapped.map_array(beside, len(tree) + 1)
+    ids = mapped.map_array(ids_path, len(tree) + 1)
     if ids[-1] != checksum or tree.slots(tree.ids()).max(initial=-1) >= len(tree):
-        raise ValueError(f'{beside} is of another part')
+        raise ValueError(f'{ids_path} is of another part')
     return Part(tree, ids)
 
 
@@ -261,8 +261,8 @@ def any_hits(parts: Parts, rays: Rays) -> NDArray[np.bool_]:
         at = ends[:-1].copy()
         while len(rows := np.flatnonzero((at < ends[1:]) & ~hit)):
             here = along[at[rows]]
-            for asked, _, answer in parts.ask('occluded', rows, here, some[:4], *some[4:]):
-                hit[asked] = answer
+            for row, _, answer in parts.ask('occluded', rows, here, some[:4], *some[4:]):
+                hit[row] = answer
             at[rows] += 1
     return blocked
 

@@ -22,7 +22,7 @@ def method_of(
 
     @wraps(method)
     def ask(whole: Any, /, *arguments: P.args, **named: P.kwargs) -> R:
-        whole._held.change.require_none()
+        whole._store.change.require_none()
         return method(getattr(whole, part), *arguments, **named)
 
     return ask

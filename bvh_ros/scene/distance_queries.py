@@ -20,7 +20,7 @@ from .timed_queries import TimedQueries
 class DistanceQueries:
     """How far things are. Any number of threads may ask while none changes the scene."""
 
-    _held: Obstacles
+    _store: Obstacles
     _timed: TimedQueries
     _nearness: batch.Nearness
     _clearances: batch.Clearances
@@ -67,8 +67,8 @@ class DistanceQueries:
             If an argument is NaN, negative (`max_distance`), less than 1 (`k`) or of the wrong
             shape.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         where = checks.point('point', point, 3)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
@@ -76,7 +76,7 @@ class DistanceQueries:
             asked = where, many, limits, sign_of(signed), self._timed.second(at)
             return self._timed.distances().find_near(*asked)
         room, rows = self._nearness.find(where, many, limits, sign_of(signed))
-        hits = self._held.hits(room.found, rows)
+        hits = self._store.hits(room.found, rows)
         self._nearness.spare.give(room)
         return hits
 
@@ -95,12 +95,12 @@ class DistanceQueries:
         rounded touch, see `narrow_phase`. `at` (ns): both where they are at that time. KeyError if
         there is no obstacle of this name.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
-        slot = self._held.slot(name)
+        if self._store.change.unfinished:
+            self._store.change.require_none()
+        slot = self._store.slot(name)
         timed = self._timed.time_matters(at, None, 1)
-        slots, handles = [slot], self._held.columns.node_handle
-        if self._held.columns.shadows:  # it may stand at two places, see slicing.py
+        slots, handles = [slot], self._store.columns.node_handle
+        if self._store.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
         sign: Signed = sign_of(signed)
         every = [
@@ -114,7 +114,7 @@ class DistanceQueries:
             return None
         return Clearance(
             found.distances.item(0),
-            self._held.registry.name(found.slots[0]),
+            self._store.registry.name(found.slots[0]),
             int(handles[found.slots[0]]),
             found.points[0],
             found.other_points[0],
@@ -123,7 +123,7 @@ class DistanceQueries:
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
         times, asked = self._timed.seconds(at, 1), (checks.FOREVER, slot, signed)
-        hulls, room = self._held.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
+        hulls, room = self._store.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
         rows = *room, np.zeros(1), checks.EVERYTHING, NO_GIVEN  # a kernel fills them in
         found = self._timed.distances().clearances(rows, hulls, asked, times, 1)
         assert found is not None
@@ -168,8 +168,8 @@ class DistanceQueries:
         ValueError
             As `nearest`; the message names the first bad row.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         where, many = checks.rows('points', points, 3), k
         if type(k) is not int or k != 1:
             many = checks.capacity('k', k)
@@ -188,7 +188,7 @@ class DistanceQueries:
         if times is None:
             near = self._nearness.find_rows(asked, many, sign, threads)
         else:
-            most = 1 if many == 1 else min(many, max(len(self._held.tree), 1))
+            most = 1 if many == 1 else min(many, max(len(self._store.tree), 1))
             near = self._timed.distances().nearest(asked, most, sign, times, threads)
         if near is None:
             checks.finite('points', where)
@@ -237,8 +237,8 @@ class DistanceQueries:
         ValueError
             If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         given = as_shapes(shapes)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
@@ -253,7 +253,7 @@ class DistanceQueries:
             else:
                 found = self._find_then(rows, None, asked, threads, at)
         if found is None:
-            legal, hulls = query_rows(given, 0.0, mask, self._held.planar)
+            legal, hulls = query_rows(given, 0.0, mask, self._store.planar)
             found = self._find_then(tuple(legal), hulls, asked, threads, at)
         assert found is not None
         _, distances, points, other_points, handles = found

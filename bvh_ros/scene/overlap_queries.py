@@ -30,7 +30,7 @@ from .timed_queries import TimedQueries
 class OverlapQueries:
     """What touches. Any number of threads may ask while none changes the scene."""
 
-    _held: Obstacles
+    _store: Obstacles
     _timed: TimedQueries
     _touching: batch.Overlaps
 
@@ -77,9 +77,9 @@ class OverlapQueries:
             If an argument is NaN, infinite, negative (`tolerance`) or of the wrong shape, or (as
             TooManyHitsError) there are more hits than `most`.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
-        query = box_query(start, goal, orientation, tolerance, self._held.planar)
+        if self._store.change.unfinished:
+            self._store.change.require_none()
+        query = box_query(start, goal, orientation, tolerance, self._store.planar)
         limit = checks.whole_or_none('most', most, 0)
         if self._timed.time_matters(at, None, 1):
             return self._then(query, None, mask, limit, at)
@@ -87,23 +87,23 @@ class OverlapQueries:
 
     def _now(self, query: QueryShape, hulls: Any, mask: int, most: int | None) -> list[SceneHit]:
         """What a query touches."""
-        held, touching = self._held, self._touching
+        store, touching = self._store, self._touching
         room, rows = touching.find(query, hulls, checks.mask(mask), most)
-        hits = held.hits(room.found, rows)
+        hits = store.hits(room.found, rows)
         touching.spare.give(room)
-        return held.each_once(hits)
+        return store.each_once(hits)
 
     def _then(
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
         """What a query touches at a time."""
-        held, seen, moments = self._held, checks.mask(mask), self._timed
-        second = held.second(at) if type(at) is int else moments.second(at)
-        hits = moments.distances().find(query, hulls, seen, second)
-        if held.planar:
+        store, bits, moments = self._store, checks.mask(mask), self._timed
+        second = store.second(at) if type(at) is int else moments.second(at)
+        hits = moments.distances().find(query, hulls, bits, second)
+        if store.planar:
             for hit in hits:
                 hit.point[2] = query.height
-        hits = held.each_once(hits)
+        hits = store.each_once(hits)
         if most is not None:
             require_few(len(hits), most)
         return hits
@@ -120,9 +120,9 @@ class OverlapQueries:
         tolerance, mask, at
             As in `overlap`.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
-        query, hulls = shape_query(shape, tolerance, self._held.planar)
+        if self._store.change.unfinished:
+            self._store.change.require_none()
+        query, hulls = shape_query(shape, tolerance, self._store.planar)
         if self._timed.time_matters(at, None, 1):
             return self._then(query, hulls, mask, None, at)
         return self._now(query, hulls, mask, None)
@@ -174,8 +174,8 @@ class OverlapQueries:
         ValueError
             As `overlap`; the message names the first bad row. If `want` is none of these.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         places = checks.rows('centers', centers, 3)
         turns, count = UNTURNED, len(places)
         if isinstance(sizes, np.ndarray) and (sizes.ndim == 2 or sizes.shape != (3,)):
@@ -213,8 +213,8 @@ class OverlapQueries:
         tolerance, mask, want, threads, at
             As in `overlap_many`, which see for what is returned and raised.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         kinds, _, turns, sizes, mesh = as_shapes(shape)
         if len(kinds) != 1:
             raise ValueError(f'shape must be one row of Shapes, not {len(kinds)}')
@@ -258,7 +258,7 @@ class OverlapQueries:
             if told is not None:
                 return told
         shapes = Shapes(given[0], given[1], given[2], given[3], mesh)
-        legal, hulls = query_rows(shapes, tolerance, mask, self._held.planar, *names)
+        legal, hulls = query_rows(shapes, tolerance, mask, self._store.planar, *names)
         return self._then_many(tuple(legal), hulls, wanted, threads, at)
 
     def _then_many(
@@ -277,12 +277,12 @@ class OverlapQueries:
         Each pair once, the older obstacle first; sorted by handle. `mask`: only obstacles with
         ``categories & mask != 0`` are seen.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
-        pairs = batch.find_pairs(self._held.tree, self._held.columns, mask)
-        if self._held.columns.shadows:
-            pairs = batch.each_once(self._held.columns, pairs)
+        if self._store.change.unfinished:
+            self._store.change.require_none()
+        pairs = batch.find_pairs(self._store.tree, self._store.columns, mask)
+        if self._store.columns.shadows:
+            pairs = batch.each_once(self._store.columns, pairs)
         return [
-            (self._held.registry.name(one), self._held.registry.name(two))
+            (self._store.registry.name(one), self._store.registry.name(two))
             for one, two in pairs.tolist()
         ]

@@ -20,7 +20,7 @@ from .timed_queries import TimedQueries
 class RayQueries:
     """What rays meet. Any number of threads may ask while none changes the scene."""
 
-    _held: Obstacles
+    _store: Obstacles
     _timed: TimedQueries
 
     def raycast(
@@ -67,20 +67,20 @@ class RayQueries:
         ValueError
             If an argument is NaN, infinite, negative (`radius`) or of the wrong shape.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
-        held, radius = self._held, checks.limit('radius', radius)
+        if self._store.change.unfinished:
+            self._store.change.require_none()
+        store, radius = self._store, checks.limit('radius', radius)
         if radius == math.inf:
             raise ValueError('radius must be finite')
         ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
         ball = radius, checks.mask(mask), checks.flag('skip_inside', skip_inside)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, 1):
             hit = self._timed.first_ray(ends, ball, at, until)
-        elif radius == 0.0 and not held.columns.shaped:
-            hit = boxes.first(held.tree, *ends, *ball[1:])
+        elif radius == 0.0 and not store.columns.shaped:
+            hit = boxes.first(store.tree, *ends, *ball[1:])
         else:
-            hit = batch.first_of_one(held.tree, held.columns, ends, ball)
-        return None if hit is None else held.hit(*hit)
+            hit = batch.first_of_one(store.tree, store.columns, ends, ball)
+        return None if hit is None else store.hit(*hit)
 
     def raycast_all(
         self,
@@ -99,21 +99,21 @@ class RayQueries:
         answer is never cut short. For a ball that counts what it may touch, before the last digit
         is looked at.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         origin, direction, radius = boxes.segment(start, goal, radius)
         most = checks.whole_or_none('most', most, 0)
-        held, seen, skip = self._held, checks.mask(mask), checks.flag('skip_inside', skip_inside)
-        sweep = Sweep(origin, direction, radius, seen, skip, True)
+        store, bits, skip = self._store, checks.mask(mask), checks.flag('skip_inside', skip_inside)
+        sweep = Sweep(origin, direction, radius, bits, skip, True)
         if self._timed.time_matters(at, until, 1):
             found = self._timed.every_ray(sweep, at, until, most)
         elif radius > 0.0:
-            found = exact_ball.cast_ball(held.tree, held.columns, sweep, most)
-        elif held.columns.shaped:
-            found = query.cast_every(held.tree, held.columns, sweep, most)
+            found = exact_ball.cast_ball(store.tree, store.columns, sweep, most)
+        elif store.columns.shaped:
+            found = query.cast_every(store.tree, store.columns, sweep, most)
         else:
-            found = boxes.every(held.tree, origin, direction, seen, skip, most)
-        return held.each_once([held.hit(*hit) for hit in found])
+            found = boxes.every(store.tree, origin, direction, bits, skip, most)
+        return store.each_once([store.hit(*hit) for hit in found])
 
     def raycast_many(
         self,
@@ -146,8 +146,8 @@ class RayQueries:
         CastHits
             `t` in units of the directions.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         origins, directions = checks.both(checks.WAYS, origins, directions, 3)
         limits = checks.limits_or_one('t_max', t_max, len(origins))
         rays = (
@@ -192,8 +192,8 @@ class RayQueries:
         ValueError
             As `raycast`; the message names the first bad row.
         """
-        if self._held.change.unfinished:
-            self._held.change.require_none()
+        if self._store.change.unfinished:
+            self._store.change.require_none()
         origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
         rays = (
             origins,
@@ -209,7 +209,7 @@ class RayQueries:
     def _first_hits(self, given: tuple[Any, ...], threads: int, at: Any, until: Any) -> CastHits:
         """First hits of `Rays` whose masks and radii are still to be checked."""
         origins, directions, limits, mask, radius, to_goals, skip = given
-        held, count, radii = self._held, len(origins), None
+        store, count, radii = self._store, len(origins), None
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
@@ -223,10 +223,10 @@ class RayQueries:
         rays: Rays = tuple.__new__(Rays, parts)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, count):
             return self._timed.first_rays(rays, at, until, threads)
-        if radii is None and not held.columns.shaped:
-            hits = boxes.first_hits(held.tree, held.columns.node_handle, rays, threads)
+        if radii is None and not store.columns.shaped:
+            hits = boxes.first_hits(store.tree, store.columns.node_handle, rays, threads)
         else:
-            hits = batch.first_hits(held.tree, held.columns, rays, threads)
+            hits = batch.first_hits(store.tree, store.columns, rays, threads)
         if hits is None:
             refuse_infinite(rays)
         assert hits is not None

@@ -180,8 +180,8 @@ def validate_rows(
     everyone = _FEW_NUMBERS[:count] if count <= len(_FEW_NUMBERS) else np.arange(count)
     records, lo, hi, faults = form
     # As Rows(...), which would take one more call of a function of Python's.
-    told = everyone, slots, records, mesh, lo, hi, masks, stamps, lives
-    rows, reasons = tuple.__new__(Rows, told), Reasons(count)
+    fields = everyone, slots, records, mesh, lo, hi, masks, stamps, lives
+    rows, reasons = tuple.__new__(Rows, fields), Reasons(count)
     good, known = _all_good()(faults, names[1:], slots, owner.of_slot, owner.number)
     if good and not _refuse_names(names, reasons):
         if known == count:

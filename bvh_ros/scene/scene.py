@@ -92,30 +92,30 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
             shown = checks.shown_short(given)
             raise ValueError(f'categorise must be callable or None, not {shown}')
         flat, meshes = checks.flag('planar', planar), checks.flag('meshes', meshes)
-        held = Obstacles(flat, margin, meshes, max_obstacles)
+        store = Obstacles(flat, margin, meshes, max_obstacles)
         going = checks.limit('max_prediction', max_prediction)
-        held.max_prediction = in_seconds(round(going * 1e9)) if going < FOR_EVER else math.inf
-        held.uncertainty = checks.limit('uncertainty', uncertainty)
-        if math.isinf(held.uncertainty):
+        store.max_prediction = in_seconds(round(going * 1e9)) if going < FOR_EVER else math.inf
+        store.uncertainty = checks.limit('uncertainty', uncertainty)
+        if math.isinf(store.uncertainty):
             raise ValueError('uncertainty must be finite')
-        self._begin(held, Updates(held, categorise, as_region(region, 2 if flat else 3)))
+        self._begin(store, Updates(store, categorise, as_region(region, 2 if flat else 3)))
 
-    def _begin(self, held: Obstacles, updates: Updates) -> None:
-        self._held, self._timed = held, TimedQueries(held)
-        self._touching = Overlaps(held.tree, held.columns)
-        self._nearness = Nearness(held.tree, held.columns)
-        self._clearances = Clearances(held.tree, held.columns)
+    def _begin(self, store: Obstacles, updates: Updates) -> None:
+        self._store, self._timed = store, TimedQueries(store)
+        self._touching = Overlaps(store.tree, store.columns)
+        self._nearness = Nearness(store.tree, store.columns)
+        self._clearances = Clearances(store.tree, store.columns)
         self._updates = updates
-        self._slices = SlicedUpdates(held, self._updates)
-        self._removals = Removals(held)
-        self._inspection = Inspection(held)
+        self._slices = SlicedUpdates(store, self._updates)
+        self._removals = Removals(store)
+        self._inspection = Inspection(store)
 
     def copy(self) -> 'Scene':
         """Return a scene that holds what this one does, and goes its own way from now on."""
-        self._held.change.require_none()
+        self._store.change.require_none()
         other = object.__new__(type(self))
-        held = copy.deepcopy(self._held)
-        other._begin(held, self._updates.of(held))
+        store = copy.deepcopy(self._store)
+        other._begin(store, self._updates.of(store))
         return other
 
     def __deepcopy__(self, memo: object) -> 'Scene':
@@ -146,12 +146,12 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
 
         Also what a change left that was interrupted: then the scene begins anew.
         """
-        return self._held.clear()
+        return self._store.clear()
 
     def rebuild(self) -> None:
         """Build the tree anew."""
-        self._held.change.require_none()
-        self._held.tree.rebuild()
+        self._store.change.require_none()
+        self._store.tree.rebuild()
 
     # Another thread may call these while nothing changes the scene.
 
@@ -159,7 +159,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         """Prepare what a batch of `count` rays needs, as the batch itself would do. It takes
         0.5 us an obstacle.
         """
-        tree = self._held.tree
+        tree = self._store.tree
         tree.snapshot_for(
             2 * checks.whole('count', count, 0), tree.view()
         )  # once more by the batch
@@ -187,35 +187,35 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
     validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._store)
 
     def __contains__(self, name: object) -> bool:
-        self._held.change.require_none()
-        return isinstance(name, str) and self._held.registry.slot(name) != UNKNOWN
+        self._store.change.require_none()
+        return isinstance(name, str) and self._store.registry.slot(name) != UNKNOWN
 
     @property
     def planar(self) -> bool:
         """Whether the world is seen from above."""
-        return self._held.planar
+        return self._store.planar
 
     @property
     def max_obstacles(self) -> int:
         """New obstacles beyond this number are refused."""
-        return self._held.most
+        return self._store.most
 
     @property
     def max_prediction(self) -> float:
         """How long obstacles with velocities move on, s."""
-        return self._held.max_prediction
+        return self._store.max_prediction
 
     @property
     def newest(self) -> int:
         """Stamp of the newest update included, ns; 0 if there is none."""
-        return self._held.newest
+        return self._store.newest
 
     @newest.setter
     def newest(self, stamp: int) -> None:
-        self._held.newest = stamp
+        self._store.newest = stamp
 
     @property
     def expired(self) -> int:
@@ -225,22 +225,22 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
     @property
     def any_shaped(self) -> bool:
         """Whether anything is more than an axis-aligned box, and needs a narrow phase."""
-        return self._held.columns.shaped > 0
+        return self._store.columns.shaped > 0
 
     @property
     def population(self) -> tuple[int, int]:
         """Another one after each time that obstacles came or went."""
         # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
-        return self._held.next_node_handle, len(self)
+        return self._store.next_node_handle, len(self)
 
     @property
     def interrupted(self) -> bool:
         """Whether a change was interrupted, by Ctrl-C or want of memory (or is under way, for who
         asks meanwhile): until `clear` every question and change raises a RuntimeError.
         """
-        return self._held.change.unfinished
+        return self._store.change.unfinished
 
     @property
     def bounds(self) -> tuple[Floats, Floats] | None:
         """Smallest box around all obstacles, as (lo, hi); None if there is none."""
-        return self._held.tree.bounds
+        return self._store.tree.bounds

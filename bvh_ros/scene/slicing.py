@@ -33,8 +33,8 @@ Parts = Callable[[int], Iterator[Part]]
 class SlicedUpdates:
     """Updates that pause."""
 
-    def __init__(self, held: Obstacles, updates: Updates) -> None:
-        self._held = held
+    def __init__(self, store: Obstacles, updates: Updates) -> None:
+        self._store = store
         self._updates = updates
 
     def in_slices(
@@ -79,11 +79,11 @@ class SlicedUpdates:
         length = COSTLY_SLICE if costly else SLICE
         self._updates.remove_orphans()
         replaced = self._members(source, group) if whole else None
-        running = Sliced(source, group, self._held.next_node_handle, total, replaced)
+        running = Sliced(source, group, self._store.next_node_handle, total, replaced)
         self._updates.under_way.add(running)
         refusals, row = Refusals(), 0
         try:
-            yield from self._held.make_room(total)
+            yield from self._store.make_room(total)
             if replaced is not None and total > self._updates.room_beside(running) + len(replaced):
                 yield from self._survey(running, parts(length))
             for part in parts(length):
@@ -94,16 +94,16 @@ class SlicedUpdates:
                 yield
             leaving = self._updates.leaving(running)
             yield from self._remove_in_slices(np.append(self._shadows(running), leaving))
-            self._held.newest = max(self._held.newest, running.newest)
+            self._store.newest = max(self._store.newest, running.newest)
         finally:
             self._updates.under_way.discard(running)
-            if not self._held.change.unfinished:
-                self._held.remove(self._shadows(running))
+            if not self._store.change.unfinished:
+                self._store.remove(self._shadows(running))
         return refusals
 
     def _members(self, source: str, group: str) -> Slots:
         """Handles in the tree of the members of a group, but for shadows."""
-        columns, slots = self._held.columns, self._held.members(source, group)
+        columns, slots = self._store.columns, self._store.members(source, group)
         return columns.tree_handle[slots[~columns.shadow[slots]]]
 
     def is_long(
@@ -111,17 +111,17 @@ class SlicedUpdates:
     ) -> bool:
         """Whether `in_slices` pauses."""
         text('source', source), text('group', group)
-        going = self._held.groups.members(source, group) if whole else 0
-        among = max(total + len(self._held), going)
+        going = self._store.groups.members(source, group) if whole else 0
+        among = max(total + len(self._store), going)
         long = 10 * max(total, going) >= AT_ONCE and among >= AT_ONCE
         return long or (costly and total >= COSTLY_AT_ONCE)
 
     def _survey(self, running: Sliced, parts: Iterator[Part]) -> Iterator[None]:
         """See who is going to stay, go and come, where not all may come."""
         handles, new = self._members(running.source, running.group), running.new
-        named = np.zeros(len(self._held.columns.tree_handle), np.bool_)
+        named = np.zeros(len(self._store.columns.tree_handle), np.bool_)
         for part in parts:
-            slots = self._held.registry.find(as_families(part.names))
+            slots = self._store.registry.find(as_families(part.names))
             known = slots != UNKNOWN
             named[slots[known & (slots < len(named))]] = True  # others may have come meanwhile
             new.append(len(slots) - int(np.count_nonzero(known)))
@@ -132,11 +132,11 @@ class SlicedUpdates:
         running.left, running.surveyed = sum(new), True
 
     def _remove_in_slices(self, slots: Slots) -> Iterator[None]:
-        handles = self._held.columns.tree_handle[slots]
+        handles = self._store.columns.tree_handle[slots]
         for begin in range(0, len(slots), SLICE):
             # Meanwhile some may have expired, and others may have their slots.
-            self._held.remove(self._held.still_there(handles[begin : begin + SLICE]))
+            self._store.remove(self._store.still_there(handles[begin : begin + SLICE]))
             yield
 
     def _shadows(self, running: Sliced) -> Slots:
-        return self._held.still_there(np.concatenate([NONE, *running.shadows]))
+        return self._store.still_there(np.concatenate([NONE, *running.shadows]))

@@ -139,7 +139,7 @@ class Bodies(NamedTuple):
 
 
 @lean_kernel
-def write_rows(kept, slots, records, stamp, expires, owner):
+def write_rows(arrays, slots, records, stamp, expires, owner):
     """Write rows of an update to their slots; owner = (source, group). Returns how many obstacles
     were in another group before, or in none; when the first of them expires, ns; how many more
     need a narrow phase, and whether one of them does, or did.
@@ -148,13 +148,13 @@ def write_rows(kept, slots, records, stamp, expires, owner):
     joined, shaped, concerned, soonest = 0, 0, False, np.int64(NEVER)
     for i in range(slots.shape[0]):
         slot = slots[i]
-        joined += kept.group[slot] != group
-        before, now = kept.geometry[slot].shaped, records[i].shaped
+        joined += arrays.group[slot] != group
+        before, now = arrays.geometry[slot].shaped, records[i].shaped
         shaped += now - before
         concerned = concerned or before or now
-        kept.geometry[slot] = records[i]
-        kept.stamp[slot], kept.expires[slot] = stamp[i], expires[i]
-        kept.source[slot], kept.group[slot] = source, group
+        arrays.geometry[slot] = records[i]
+        arrays.stamp[slot], arrays.expires[slot] = stamp[i], expires[i]
+        arrays.source[slot], arrays.group[slot] = source, group
         if expires[i] > 0:
             soonest = min(soonest, expires[i])
     return joined, soonest, shaped, concerned
@@ -164,8 +164,8 @@ def write_rows(kept, slots, records, stamp, expires, owner):
 def _write_rows() -> Callable[..., Any]:
     """The machine code of `write_rows`."""
     records, numbers = np.empty(0, GEOMETRY), np.empty(0, np.int64)
-    kept = Kept(records, *[numbers] * 4)
-    return entry_point(write_rows, kept, numbers, records, numbers, numbers, (0, 0))
+    arrays = Kept(records, *[numbers] * 4)
+    return entry_point(write_rows, arrays, numbers, records, numbers, numbers, (0, 0))
 
 
 class Columns:
@@ -201,7 +201,7 @@ class Columns:
         """Have at hand what kernels get, after an array or a mesh was replaced."""
         solid, flat = self.geometry, self.footprint
         hulls = self.hulls = (
-            self.meshes.hulls if self._expects_meshes or self.meshes.held else None
+            self.meshes.hulls if self._expects_meshes or self.meshes.by_number else None
         )
         self.shapes = ((solid, hulls), None) if flat is None else (None, (flat, hulls))
         self.bodies = Bodies(solid, flat, hulls, None if hulls is None else NO_HULLS)
@@ -276,8 +276,8 @@ class Columns:
             self._gather()
         # As Kept(...), which would take one more call of a function of Python's.
         columns = self.geometry, self.stamp, self.expires, self.source, self.group
-        kept, told = tuple.__new__(Kept, columns), (rows.records, rows.stamp, rows.expires)
-        joined, soonest, shaped, concerned = _write_rows()(kept, slots, *told, owner)
+        arrays, fields = tuple.__new__(Kept, columns), (rows.records, rows.stamp, rows.expires)
+        joined, soonest, shaped, concerned = _write_rows()(arrays, slots, *fields, owner)
         self.shaped += shaped
         if self.footprint is not None and concerned:
             self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])
@@ -390,8 +390,8 @@ class Obstacles:
         """What a query tells of an obstacle."""
         columns = self.columns
         handle, stamp = columns.node_handle.item(slot), columns.stamp.item(slot)
-        told = self.registry.name(slot), handle, t, point, normal, stamp
-        return tuple.__new__(SceneHit, told)  # half the time of SceneHit(...)
+        fields = self.registry.name(slot), handle, t, point, normal, stamp
+        return tuple.__new__(SceneHit, fields)  # half the time of SceneHit(...)
 
     def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:
         """What a query tells of rows of a `touching.Found`."""
@@ -499,8 +499,8 @@ class Obstacles:
         if latest - self.epoch < KNOWN:
             return
         self.epoch, handles = latest, self.tree.ids()
-        told = self.seconds(self.columns.stamp[handles & SLOT_MASK])
-        self.tree.set_velocities(handles, self.tree.velocities(handles)[0], told)
+        times = self.seconds(self.columns.stamp[handles & SLOT_MASK])
+        self.tree.set_velocities(handles, self.tree.velocities(handles)[0], times)
 
     def second(self, stamp: int) -> float:
         """One of `seconds`."""
@@ -578,17 +578,17 @@ class Obstacles:
         """Forget obstacles, within a change, and where else they stand, see slicing.py; return how
         many there were.
         """
-        gone = slots[~self.columns.shadow[slots]]
-        if self.columns.shadows and len(gone):
-            slots = np.union1d(slots, self.columns.shadows_of(gone))
+        removed = slots[~self.columns.shadow[slots]]
+        if self.columns.shadows and len(removed):
+            slots = np.union1d(slots, self.columns.shadows_of(removed))
         if len(slots) == len(self.tree) > 0:
             self._forget_all()
         elif len(slots):
             self.tree.remove_many(self.columns.tree_handle[slots])
             self.registry.discard(slots)
-            self.groups.leave(self.columns.group[gone])
+            self.groups.leave(self.columns.group[removed])
             self.columns.forget(slots)
-        return len(gone)
+        return len(removed)
 
     def clear(self) -> int:
         """Forget everybody, whatever became of a change before; return how many there were."""
@@ -629,39 +629,39 @@ class Movers(NamedTuple):
     latest: float
 
 
-def movers(held: Obstacles) -> Movers:
+def movers(store: Obstacles) -> Movers:
     """Who moves now."""
-    version, known = held.tree.state.item(CHANGES), held.movers
+    version, known = store.tree.state.item(CHANGES), store.movers
     if known is not None and known.version == version:
         return known
-    velocities, references = motions(held, np.flatnonzero(held.columns.tree_handle >= 0))
-    told = references[velocities.any(axis=1)]
-    first, last = (told.min(), told.max()) if len(told) else (np.inf, -np.inf)
-    known = held.movers = Movers(version, float(first), float(last))
+    velocities, references = motions(store, np.flatnonzero(store.columns.tree_handle >= 0))
+    times = references[velocities.any(axis=1)]
+    first, last = (times.min(), times.max()) if len(times) else (np.inf, -np.inf)
+    known = store.movers = Movers(version, float(first), float(last))
     return known
 
 
-def motions(held: Obstacles, slots: Slots) -> tuple[Floats, Floats]:
+def motions(store: Obstacles, slots: Slots) -> tuple[Floats, Floats]:
     """Velocities (m, ndim) of obstacles, and the times (m,) in s from which they hold."""
-    return held.tree.velocities(held.columns.tree_handle[slots])
+    return store.tree.velocities(store.columns.tree_handle[slots])
 
 
-def growths(held: Obstacles, slots: Slots, at: Floats, until: Floats) -> Floats:
+def growths(store: Obstacles, slots: Slots, at: Floats, until: Floats) -> Floats:
     """By how much obstacles have grown from some times (m,) to others at most, m."""
-    if not held.uncertainty:
+    if not store.uncertainty:
         return np.zeros(len(slots))
-    velocities, references = motions(held, slots)
+    velocities, references = motions(store, slots)
     longest = np.maximum(np.abs(at - references), np.abs(until - references))
-    grown = np.minimum(longest, LARGEST / max(held.uncertainty, 1.0)) * held.uncertainty
+    grown = np.minimum(longest, LARGEST / max(store.uncertainty, 1.0)) * store.uncertainty
     return np.where(velocities.any(axis=1), grown, 0.0)
 
 
-def most_growth(held: Obstacles, at: Floats, until: Floats) -> Floats | float:
+def most_growth(store: Obstacles, at: Floats, until: Floats) -> Floats | float:
     """What no growth exceeds in these spans of time (n,), m."""
-    if not held.uncertainty:
+    if not store.uncertainty:
         return 0.0
-    known = movers(held)
+    known = movers(store)
     longest = np.maximum(until - known.earliest, known.latest - at)
     with np.errstate(over='ignore'):
-        growth = held.uncertainty * np.maximum(longest, 0.0) * WIDER
+        growth = store.uncertainty * np.maximum(longest, 0.0) * WIDER
     return np.minimum(growth, LARGEST)

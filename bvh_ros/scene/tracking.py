@@ -30,7 +30,7 @@ class State(NamedTuple):
     """Node handles: whoever has the slot now may not be who had it before."""
     stamps: Ids
     places: Floats
-    ways: Floats
+    steps: Floats
     """Sums of ways, m, (n, 3); of times, s, (n,)."""
     times: Floats
 
@@ -68,11 +68,11 @@ class Tracks:
         new = known.owners != handles
         known.owners[:] = handles
         known.stamps[new], known.places[new] = before.stamps[new], before.places[new]
-        known.ways[new], known.times[new] = 0.0, 0.0
+        known.steps[new], known.times[new] = 0.0, 0.0
         with np.errstate(all='ignore'):  # what overflows is a jump
             velocities = self._note(known, now)
-        for kept, column in zip(self._state, known, strict=True):
-            kept[slots] = column
+        for state, column in zip(self._state, known, strict=True):
+            state[slots] = column
         return velocities
 
     def _note(self, known: State, now: Sighting) -> Floats:
@@ -84,14 +84,14 @@ class Tracks:
         late = (elapsed < 0.0) & (elapsed >= -LATE)
         faded = np.exp(-elapsed / self._smoothing) if self._smoothing else 0.0 * elapsed
         on = elapsed > 0.0
-        known.ways[on] = (known.ways * faded[:, None] + step)[on]
+        known.steps[on] = (known.steps * faded[:, None] + step)[on]
         known.times[on] = (known.times * faded + elapsed)[on]
-        velocities = known.ways / np.where(known.times > 0.0, known.times, 1.0)[:, None]
+        velocities = known.steps / np.where(known.times > 0.0, known.times, 1.0)[:, None]
         reach = self.max_speed * (elapsed + JITTER)
         jumps = ~(np.linalg.norm(step, axis=1) <= reach)
         jumps |= ~(np.linalg.norm(velocities, axis=1) <= self.max_speed)
         jumps &= ~late
-        known.ways[jumps], known.times[jumps], velocities[jumps] = 0.0, 0.0, 0.0
+        known.steps[jumps], known.times[jumps], velocities[jumps] = 0.0, 0.0, 0.0
         known.stamps[~late], known.places[~late] = now.stamps[~late], now.places[~late]
         return velocities
 

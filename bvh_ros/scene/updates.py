@@ -101,27 +101,27 @@ def velocity_rows(given: Any, count: int) -> Floats:
 
 
 def speeds_of(
-    held: Obstacles, given: ArrayLike | Follow, valid: Validated
+    store: Obstacles, given: ArrayLike | Follow, valid: Validated
 ) -> tuple[Floats, Validated]:
     """Velocities of the rows along the tree's axes; and the rows that have one."""
-    count, ndim = len(valid.reasons.good), held.tree.ndim
+    count, ndim = len(valid.reasons.good), store.tree.ndim
     if callable(given) and hasattr(given, 'max_speed'):
-        return _followed(held, given, valid.known, count), valid
+        return _followed(store, given, valid.known, count), valid
     rows = velocity_rows(given, count)
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
     valid = _without(valid, wrong, 'its velocity is not finite')
     return np.ascontiguousarray(rows[:, :ndim]), valid
 
 
-def reach_of(held: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
+def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
     """How far along each axis rows may be from where they are told to be, m, at times that may be
     asked for. Whoever is followed is seen before its velocity is known.
     """
     fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
     way = np.zeros(speeds.shape)
     with np.errstate(over='ignore'):  # infinite: anywhere
-        fastest = fastest + held.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
-        return np.multiply(fastest, held.max_prediction, out=way, where=fastest > 0.0)
+        fastest = fastest + store.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
+        return np.multiply(fastest, store.max_prediction, out=way, where=fastest > 0.0)
 
 
 def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validated:
@@ -133,13 +133,13 @@ def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validat
     return Validated(added, known, valid.reasons)
 
 
-def _followed(held: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
+def _followed(store: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
     """Velocities from where obstacles were told to be before."""
-    columns, rows = held.columns, np.zeros((count, held.tree.ndim))
+    columns, rows = store.columns, np.zeros((count, store.tree.ndim))
     before = Sighting(columns.geometry['position'][known.slot], columns.stamp[known.slot])
     now = Sighting(known.records['position'], known.stamp)
     found = follow(known.slot, columns.node_handle[known.slot], before, now)
-    rows[known.row] = found[:, : held.tree.ndim]
+    rows[known.row] = found[:, : store.tree.ndim]
     return rows
 
 
@@ -229,16 +229,16 @@ class Updates:
     """
 
     def __init__(
-        self, held: Obstacles, categorise: Categorise | None, region: Region | None
+        self, store: Obstacles, categorise: Categorise | None, region: Region | None
     ) -> None:
-        self._held = held
+        self._store = store
         self._categorise = categorise
         self._region = region
         self.under_way: WeakSet[Sliced] = WeakSet()  # who forgets one has ended it
 
-    def of(self, held: Obstacles) -> 'Updates':
+    def of(self, store: Obstacles) -> 'Updates':
         """The same for other obstacles."""
-        return Updates(held, self._categorise, self._region)
+        return Updates(store, self._categorise, self._region)
 
     def update(
         self,
@@ -317,16 +317,16 @@ class Updates:
         sliced: Sliced | None = None,
     ) -> Refusals:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
-        held = self._held
+        store = self._store
         text('source', source), text('group', group)
         names, slots, valid = self._validated(source, part)
         speeds = reach = None
         if part.velocities is not None:
-            speeds, valid = speeds_of(held, part.velocities, valid)
-            reach = reach_of(held, part.velocities, speeds)
+            speeds, valid = speeds_of(store, part.velocities, valid)
+            reach = reach_of(store, part.velocities, speeds)
         added, known, outside = within(self._region, valid, reach)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
-        stale = held.members(source, group, present) if whole else NONE
+        stale = store.members(source, group, present) if whole else NONE
         if len(outside) and not sliced:
             stale = np.append(stale, outside)
         if len(added.row):
@@ -334,37 +334,37 @@ class Updates:
             room = self._room(len(added.row), sliced) + len(stale)
             added = self._fitting(added, room, valid, names)
         whole = whole or (sliced is not None and sliced.replaced is not None)
-        newest = max(sliced.newest if sliced else held.newest, _latest(part, valid, whole))
-        with held.change:
+        newest = max(sliced.newest if sliced else store.newest, _latest(part, valid, whole))
+        with store.change:
             if len(stale):
-                held.drop(stale)
+                store.drop(stale)
             if sliced:
                 self._note_told(sliced, present, outside)
-                sliced.shadows.append(held.leave_shadows(known))
-            held.move(known, source, group)
-            held.set_velocities(known.slot, known, speeds)
+                sliced.shadows.append(store.leave_shadows(known))
+            store.move(known, source, group)
+            store.set_velocities(known.slot, known, speeds)
             if len(added.row):
-                new = held.insert(added, names.take(added.row), source, group)
-                held.set_velocities(new, added, speeds)
-            (sliced or held).newest = newest
+                new = store.insert(added, names.take(added.row), source, group)
+                store.set_velocities(new, added, speeds)
+            (sliced or store).newest = newest
         return valid.reasons.refusals(names.text)
 
     def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:
         """Names of the rows, their slots, and what can be applied."""
-        held = self._held
-        held.change.require_none()
+        store = self._store
+        store.change.require_none()
         self.remove_orphans()
         shapes = as_shapes(part.shapes)
         if len(shapes.kind) > FEW_ROWS:
             self.require_memory(len(shapes.kind))
         names = as_families(part.names)
         require_a_name_each(names, len(shapes.kind))
-        slots = held.registry.find(names)
-        groups = held.groups
+        slots = store.registry.find(names)
+        groups = store.groups
         # As Owner(...), which would take one more call of a function of Python's.
-        told = groups.source(source), held.columns.source, groups.source_name
+        told = groups.source(source), store.columns.source, groups.source_name
         owner = tuple.__new__(Owner, told)
-        valid = validate_rows(names, shapes, slots, owner, part[2:5], held.planar)
+        valid = validate_rows(names, shapes, slots, owner, part[2:5], store.planar)
         return names, slots, valid
 
     def _fitting(self, added: Rows, room: int, valid: Validated, names: Families) -> Rows:
@@ -372,47 +372,47 @@ class Updates:
         the scene gives. The others are refused.
         """
         if room < len(added.row):
-            full = f'the scene is full (max_obstacles is {self._held.most})'
+            full = f'the scene is full (max_obstacles is {self._store.most})'
             valid.reasons.add(added.row[room:], full)
             added = added.take(slice(room))
         if added.categories is None and self._categorise is not None:
             added = added._replace(categories=self._categorise(names.take(added.row)))
-        self._held.require_handles(len(added.row))
+        self._store.require_handles(len(added.row))
         return added
 
     def rest(self) -> None:
         """Let all obstacles stand where they were told to be: their stamps say nothing any more,
         as the clock was set.
         """
-        held = self._held
-        held.change.require_none()
-        handles = held.tree.ids() if held.moves else NONE
+        store = self._store
+        store.change.require_none()
+        handles = store.tree.ids() if store.moves else NONE
         if len(handles):
-            still = np.zeros((len(handles), held.tree.ndim))
-            held.tree.set_velocities(handles, still, held.tree.velocities(handles)[1])
-            held.moves = False  # so who moves next begins the tree's time anew
+            still = np.zeros((len(handles), store.tree.ndim))
+            store.tree.set_velocities(handles, still, store.tree.velocities(handles)[1])
+            store.moves = False  # so who moves next begins the tree's time anew
 
     def require_memory(self, rows: int) -> None:
         """Raise MemoryError now, and not when half of the rows are applied."""
-        columns = self._held.columns
-        capacity, used = len(columns.tree_handle), len(self._held.registry) + columns.shadows
+        columns = self._store.columns
+        capacity, used = len(columns.tree_handle), len(self._store.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
         np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""
-        goes = np.zeros(len(self._held.columns.tree_handle), np.bool_)
+        goes = np.zeros(len(self._store.columns.tree_handle), np.bool_)
         if running.replaced is not None:
-            goes[self._held.still_there(running.replaced)] = True
+            goes[self._store.still_there(running.replaced)] = True
         for handles, leave in running.told:
-            goes[self._held.still_there(handles)] = leave
+            goes[self._store.still_there(handles)] = leave
         return np.flatnonzero(goes)
 
     def _room(self, wanted: int, own: Sliced | None) -> int:
         """How many obstacles may come, once what is under way has ended; that `wanted` may is
         known without looking at all that is there.
         """
-        room = self._held.most - len(self._held)
+        room = self._store.most - len(self._store)
         if room >= wanted and not self.under_way:
             return wanted
         replacing = [one for one in self.under_way if one.replaced is not None]
@@ -424,13 +424,13 @@ class Updates:
     def room_beside(self, running: Sliced) -> int:
         """How many obstacles may come besides what others bring, if nobody goes."""
         others = [one for one in self.under_way if one.replaced is not None and one is not running]
-        room = self._held.most - len(self._held)
+        room = self._store.most - len(self._store)
         return max(room + sum(len(self.leaving(one)) - max(one.left, 0) for one in others), 0)
 
     def _note_told(self, sliced: Sliced, present: Slots, outside: Slots) -> None:
         if sliced.surveyed and self._region is None:
             return
-        handles = self._held.columns.tree_handle
+        handles = self._store.columns.tree_handle
         sliced.told += [(handles[present], False), (handles[outside], True)]
         sliced.stays += len(present)
 
@@ -438,14 +438,14 @@ class Updates:
         """At least so many go."""
         if running.group:  # members of other groups may have joined it
             return 0
-        held = self._held
-        come = held.next_node_handle - running.begun  # of whatever source
-        return max(held.groups.members(running.source, '') - come - running.stays, 0)
+        store = self._store
+        come = store.next_node_handle - running.begun  # of whatever source
+        return max(store.groups.members(running.source, '') - come - running.stays, 0)
 
     def remove_orphans(self) -> None:
         """Remove the shadows of updates in slices that were interrupted at their very end."""
-        if self._held.columns.shadows and not self.under_way:
-            self._held.remove(np.flatnonzero(self._held.columns.shadow))
+        if self._store.columns.shadows and not self.under_way:
+            self._store.remove(np.flatnonzero(self._store.columns.shadow))
 
 
 def _latest(part: Part, valid: Validated, whole: bool) -> int:
@@ -469,8 +469,8 @@ AT_A_TIME = 8192  # obstacles, about 10 ms
 class Removals:
     """How obstacles leave a scene."""
 
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
+    def __init__(self, store: Obstacles) -> None:
+        self._store = store
         self.expired = 0
         """How many obstacles `expire` has removed so far."""
 
@@ -487,7 +487,7 @@ class Removals:
         Return how many there were.
         """
         text('source', source), text('group', group)
-        return self._held.remove(self._held.members(source, group))
+        return self._store.remove(self._store.members(source, group))
 
     def remove_namespace(self, source: str, namespace: str | None = None) -> int:
         """Remove the source's obstacles named `namespace`/x, where x has no slash; None: all.
@@ -502,28 +502,28 @@ class Removals:
     def find(self, source: str, names: Names, namespaces: Collection[str] = ()) -> Slots:
         """Who of a source has one of these names, or one in these namespaces; for `discard`."""
         text('source', source)
-        slots = self._held.registry.find(as_families(names))
+        slots = self._store.registry.find(as_families(names))
         slots = slots[slots != UNKNOWN]
         if inside := checks.strings('namespaces', namespaces):
-            slots = np.concatenate((slots, self._held.registry.in_namespaces(inside)))
+            slots = np.concatenate((slots, self._store.registry.in_namespaces(inside)))
         if len(slots) > 1:
             slots = np.unique(slots)
-        return self._held.columns.tree_handle[
-            slots[self._held.columns.source[slots] == self._held.groups.source(source)]
+        return self._store.columns.tree_handle[
+            slots[self._store.columns.source[slots] == self._store.groups.source(source)]
         ]
 
     def discard(self, found: Slots) -> int:
         """Remove those that `find` found, as far as they are still there; return how many."""
         once = np.unique(found) if len(found) > 1 else found
-        return self._held.remove(self._held.still_there(once))
+        return self._store.remove(self._store.still_there(once))
 
     def discard_in_slices(self, found: Slots, besides: Names) -> Iterator[None]:
         """`discard`, with pauses, those who have none of the names `besides`."""
         if not len(found):
             return
-        slots = self._held.registry.find(as_families(besides))
-        kept = self._held.columns.tree_handle[slots[slots != UNKNOWN]]
-        found = found[~np.isin(found, kept)]
+        slots = self._store.registry.find(as_families(besides))
+        in_use = self._store.columns.tree_handle[slots[slots != UNKNOWN]]
+        found = found[~np.isin(found, in_use)]
         if len(found) <= AT_A_TIME:
             self.discard(found)
             return
@@ -538,26 +538,26 @@ class Removals:
         are due, the others are still there, see `has_expired`.
         """
         most = checks.whole_or_none('most', most, 0)
-        if whole_time('now', now) < self._held.next_expiry:
+        if whole_time('now', now) < self._store.next_expiry:
             return 0
-        expires = self._held.columns.expires
+        expires = self._store.columns.expires
         due = np.flatnonzero((expires > 0) & (expires <= now))
-        removed = self._held.remove(due if len(due) == len(self._held.tree) else due[:most])
+        removed = self._store.remove(due if len(due) == len(self._store.tree) else due[:most])
         self.expired += removed
-        self._held.note_next_expiry()
+        self._store.note_next_expiry()
         return removed
 
     def has_expired(self, now: int) -> bool:
         """Whether the time of some obstacle is over that is still there."""
-        return whole_time('now', now) >= self._held.next_expiry
+        return whole_time('now', now) >= self._store.next_expiry
 
     def shift_expiries(self, by: int) -> None:
         """The caller's clock jumped by so many ns: what an obstacle has left to live stays."""
         by = whole_time('by', by)
-        expires = self._held.columns.expires
+        expires = self._store.columns.expires
         mortal = expires > 0
         # Never 0, which is for ever, nor later than can be told.
         times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
-        with self._held.change:
+        with self._store.change:
             expires[mortal] = np.maximum(times, 1)
-            self._held.note_next_expiry()
+            self._store.note_next_expiry()

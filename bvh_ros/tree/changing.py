@@ -257,7 +257,7 @@ _NUMBERS = np.empty(0, np.uint32), np.empty(0, np.int32)
 _CHANGE = Change(_IDS, *(np.empty((0, 3)),) * 3, *_NUMBERS)
 _POLICY = Policy(0.0, False, 0.0, 0.0)
 insert_entry = entry_points(
-    insert_one, _POINT, _POINT, np.uint32(0), 0.0, False, beside=compile_ray
+    insert_one, _POINT, _POINT, np.uint32(0), 0.0, False, alongside=compile_ray
 )
 remove_entry = entry_points(remove_one, 0)
 move_entry = entry_points(move_one, 0, _POINT, _POINT, 0.0, _POINT, False)

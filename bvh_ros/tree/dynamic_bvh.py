@@ -199,8 +199,8 @@ class DynamicBVH(RayQueries, BoxQueries):
         if displacement is not None:
             there = checks.point('displacement', displacement, ndim)
             ahead = self._ahead(there[None], 1)[0]
-        asked = number, low, high, self._margin, ahead, self._thorough
-        changed = self._change(changing.move_entry(ndim), *asked)
+        arguments = number, low, high, self._margin, ahead, self._thorough
+        changed = self._change(changing.move_entry(ndim), *arguments)
         if changed == changing.UNKNOWN:
             raise handle_checks.unknown(handle)
         if changed == changing.NO_BOX:
@@ -238,8 +238,8 @@ class DynamicBVH(RayQueries, BoxQueries):
             self._change_many(changing.MOVE, slots, boxes, shares=SHARES)
             return
         handle = self._storage.tree.handles.item(slots.item())
-        asked = handle, lo[0], hi[0], self._margin, STILL, self._thorough
-        if accepted(self._change(changing.move_entry(self._ndim), *asked)) > 1:
+        arguments = handle, lo[0], hi[0], self._margin, STILL, self._thorough
+        if accepted(self._change(changing.move_entry(self._ndim), *arguments)) > 1:
             self._settle_soon()
 
     def _ahead(self, displacement: ArrayLike | None, count: int) -> Floats:

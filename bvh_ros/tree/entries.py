@@ -11,7 +11,7 @@ from .nodes import empty_tree
 
 
 def entry_points(
-    kernel: Any, *arguments: Any, beside: Callable[[int], object] | None = None
+    kernel: Any, *arguments: Any, alongside: Callable[[int], object] | None = None
 ) -> Callable[[int], Callable[..., Any]]:
     """Return what gives, for a number of dimensions, the `entry_point` of a kernel of a tree and
     arguments of these types; compiled or loaded at its first use. An argument whose type depends
@@ -21,7 +21,7 @@ def entry_points(
     @functools.cache
     def of_dimensions(ndim: int) -> Callable[..., Any]:
         others = (argument(ndim) if callable(argument) else argument for argument in arguments)
-        next_one = None if beside is None else functools.partial(beside, ndim)
-        return entry_point(kernel, empty_tree(ndim), *others, beside=next_one)
+        next_one = None if alongside is None else functools.partial(alongside, ndim)
+        return entry_point(kernel, empty_tree(ndim), *others, alongside=next_one)
 
     return of_dimensions

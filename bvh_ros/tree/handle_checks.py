@@ -17,7 +17,7 @@ LAST_INT64 = (1 << 63) - 1
 
 
 @lean_kernel
-def _fill_slots(handles, given, seen, slots):
+def _fill_slots(handles, given, taken, slots):
     """Fill in the slot of each handle, all int64 (n,): (row, why) of the first bad one. why 0 is
     none, 1 an unknown handle, 2 one given before; `seen` is empty where that is allowed.
     """
@@ -26,10 +26,10 @@ def _fill_slots(handles, given, seen, slots):
         slot = number & SLOT_MASK
         if number < 0 or slot >= handles.shape[0] or handles[slot] != number:
             return i, 1
-        if seen.shape[0] > 0:
-            if seen[slot]:
+        if taken.shape[0] > 0:
+            if taken[slot]:
                 return i, 2
-            seen[slot] = True
+            taken[slot] = True
         slots[i] = slot
     return -1, 0
 
@@ -59,10 +59,10 @@ def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) ->
     """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
     (with `once`).
     """
-    asked = numbers('handles', given)
-    slots = np.empty(len(asked), INT64)
-    seen = np.zeros(len(handles) if once else 0, np.bool_)
-    row, why = _slots_entry()(handles, asked, seen, slots)
+    given_handles = numbers('handles', given)
+    slots = np.empty(len(given_handles), INT64)
+    taken = np.zeros(len(handles) if once else 0, np.bool_)
+    row, why = _slots_entry()(handles, given_handles, taken, slots)
     if why == 0:
         return slots
     number = np.asarray(given)[row]

@@ -173,13 +173,13 @@ def _is_near(nodes, leaf, lo, hi):
     Of uniform boxes that move by up to an edge 40 % leave the grandparent's box. Refitted in
     place, such a one widens its ancestors by no more than its own size.
     """
-    before, beside = nodes[leaf], True
+    before, is_near = nodes[leaf], True
     for axis in range(before.lo.shape[0]):
         center = lo[axis] * 0.5 + hi[axis] * 0.5
         # The leaf's box is the fat one: halves do not overflow.
         moved = abs(center * 0.5 - (before.lo[axis] * 0.25 + before.hi[axis] * 0.25))
-        beside &= moved <= hi[axis] * 0.5 - lo[axis] * 0.5
-    if beside:
+        is_near &= moved <= hi[axis] * 0.5 - lo[axis] * 0.5
+    if is_near:
         return True  # others in memory are not looked at
     parent = np.int64(before.parent)
     if parent == NONE or nodes[parent].parent == NONE:

@@ -91,11 +91,11 @@ class Timed(Arrays):
         """
         view = self.view()
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
-        told = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
+        result = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
-            told = self._motion.velocities_of(view.tree.handles, slots)
+            result = self._motion.velocities_of(view.tree.handles, slots)
         self.check_unchanged(view)
-        return told
+        return result
 
     @staticmethod
     def _tree_of_boxes(lo: Floats, hi: Floats, masks: Any) -> View:

@@ -119,7 +119,7 @@ def check_structure(nodes, handles, state):
     """Return (complaint, node); SOUND if links, counts, depth and free lists are right: then no
     traversal leaves the arrays or its stack.
     """
-    seen, deepest = np.zeros(nodes.shape[0], np.bool_), height_limit(state[COUNT])
+    visited, deepest = np.zeros(nodes.shape[0], np.bool_), height_limit(state[COUNT])
     stack, top, leaves = np.empty(nodes.shape[0] + 1, np.int64), 0, 0
     depths = np.empty(nodes.shape[0] + 1, np.int16)
     if state[ROOT] != NONE:
@@ -131,11 +131,11 @@ def check_structure(nodes, handles, state):
     while top > 0:
         top -= 1
         node, depth = stack[top], depths[top]
-        if node < 0 or node >= nodes.shape[0] or seen[node]:
+        if node < 0 or node >= nodes.shape[0] or visited[node]:
             return 4, node
         if depth > deepest:
             return 11, node
-        seen[node] = True
+        visited[node] = True
         if is_leaf(node):
             leaves += 1
             if handles[node >> 1] < 0 or handles[node >> 1] & SLOT_MASK != node >> 1:
@@ -149,14 +149,14 @@ def check_structure(nodes, handles, state):
     if leaves != state[COUNT]:
         return 5, state[ROOT]
     for slot in range(handles.shape[0]):
-        if handles[slot] != NONE and not seen[2 * slot]:
+        if handles[slot] != NONE and not visited[2 * slot]:
             return 14, 2 * slot
     free = 0
     for inner_ones, node in enumerate((state[FREE_LEAF], state[FREE_INNER])):
         while node != NONE:
-            if node < 0 or node >= nodes.shape[0] or seen[node] or node & 1 != inner_ones:
+            if node < 0 or node >= nodes.shape[0] or visited[node] or node & 1 != inner_ones:
                 return 6, node
-            seen[node] = True
+            visited[node] = True
             free += 1
             node = np.int64(nodes[node].parent)
     inner = max(leaves - 1, 0)

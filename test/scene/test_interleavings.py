@@ -104,7 +104,7 @@ class Model:
 
     def stands(self, shadow):
         """Whether a shadow is still there; its obstacle may be back where it was."""
-        held = self.scene._held
+        held = self.scene._store
         slots = np.flatnonzero(held.columns.shadow).tolist()
         places = held.columns.geometry['position'][:, 0].tolist()
         return shadow[:2] in {(held.registry.name(slot), places[slot]) for slot in slots}
@@ -229,4 +229,4 @@ def test_whatever_happens_between_slices(planar, margin, there, moved, whole, st
         while one in model.running:
             model.step(one)
             model.check()
-    assert model.scene._held.columns.shadows == 0
+    assert model.scene._store.columns.shadows == 0

@@ -19,7 +19,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
     tilted = np.array([(0.3, 0.1, 0.2, 1.0)] * 3)
     meshes = [Mesh(ball), Mesh(ball), Mesh(ball * 2)]
     scene = scene_of(Shapes.of_meshes(meshes, np.eye(3) * 9, tilted), planar=True)
-    store = scene._held.columns.meshes
+    store = scene._store.columns.meshes
     assert len(store) == 2
     before, hulls = store[0], store.hulls
     moved = Shapes.of_meshes([Mesh(ball)], [(5, 2, 3)], tilted[:1])

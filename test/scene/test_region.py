@@ -22,7 +22,7 @@ def shapes_at(rng, count):
 
 def expected(everything, lo, hi):
     """Names and handles-free facts of the obstacles of a scene that touch a box."""
-    held = everything._held
+    held = everything._store
     names = [name for _, name in everything.names()]
     slots = np.array([held.registry.slot(name) for name in names], np.int64)
     low, high = held.tree.boxes(held.columns.tree_handle[slots])

@@ -25,7 +25,7 @@ def told(tracks, places, stamps):
 
 
 def velocity(scene, name):
-    held = scene._held
+    held = scene._store
     (rows, _) = held.tree.velocities([held.columns.tree_handle[held.slot(name)]])
     return rows[0].tolist()
 

@@ -320,9 +320,9 @@ class TypedServices(NodePart):
             *(rows.origins, rows.directions, rows.t_max, rows.masks, view.skip_inside),
             *(self._threads(len(rows.masks)), rows.radii, at, until),
         )
-        met = hits.handles != NO_NODE
-        numbers = {'t': hits.t[met], 'points': hits.points[met], 'normals': hits.normals[met]}
-        return Answers(met.astype(np.int64), hits.handles[met], numbers)
+        hit = hits.handles != NO_NODE
+        numbers = {'t': hits.t[hit], 'points': hits.points[hit], 'normals': hits.normals[hit]}
+        return Answers(hit.astype(np.int64), hits.handles[hit], numbers)
 
     def _cast_all(self, scene: Scene, rows: Rays, at: Any, until: Any, limit: Limit) -> Answers:
         counts, hits = [], []
@@ -368,14 +368,14 @@ class TypedServices(NodePart):
         )
         found = handles != NO_NODE
         places = np.repeat(rows.places, k, axis=0)
-        told = near(places, points.reshape(-1, 3), distances.ravel(), handles.ravel())
-        kept = found.ravel()
+        closest = near(places, points.reshape(-1, 3), distances.ravel(), handles.ravel())
+        filled = found.ravel()
         numbers = {
-            'distances': told.distances[kept],
-            'closest': told.points[kept],
-            'normals': told.normals[kept],
+            'distances': closest.distances[filled],
+            'closest': closest.points[filled],
+            'normals': closest.normals[filled],
         }
-        return Answers(found.sum(axis=1), told.obstacles[kept].astype(np.uint32), numbers)
+        return Answers(found.sum(axis=1), closest.obstacles[filled].astype(np.uint32), numbers)
 
     def _clearance(
         self, scene: Scene, request: Any, rows: ShapeRows, at: Any, _until: Any, _limit: Limit

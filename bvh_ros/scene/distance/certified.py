@@ -61,7 +61,7 @@ def cross2(one, other, out):
 # ---- The point of a simplex that is closest to the origin, with twice the digits of a double.
 #
 # Next to the origin the closest point is a difference of nearly equal numbers: of the last digit
-# of the corners, 2**-53, a way of 2**-40 has its direction to four digits only, and where two
+# of the corners, 2**-53, a vector of 2**-40 has its direction to four digits only, and where two
 # long edges or wide faces lie along each other, that is not enough to tell a gap from none. Here
 # the direction is right to 2**-53 wherever the corners themselves tell it. Every part of the
 # simplex is looked at, so that no wrong turn leads astray.
@@ -75,7 +75,7 @@ ROUNDING_OF_WEIGHTS = 2.0**-50
 
 @lean_kernel
 def between(simplex, i, j, out):
-    """Fill in the way from corner i to corner j."""
+    """Fill in the direction from corner i to corner j."""
     for axis in range(3):
         out[axis, 0], out[axis, 1] = two_sum(simplex[j, axis], -simplex[i, axis])
 
@@ -120,7 +120,14 @@ def over_triangle(simplex, i, j, k, trial, point):
     false if that is not over its inside.
     """
     room = stack_array((6, 3, 2), np.float64)
-    one, other, normal, corner, way, across = room[0], room[1], room[2], room[3], room[4], room[5]
+    one, other, normal, corner, direction, across = (
+        room[0],
+        room[1],
+        room[2],
+        room[3],
+        room[4],
+        room[5],
+    )
     between(simplex, i, j, one)
     between(simplex, i, k, other)
     cross2(one, other, normal)
@@ -132,10 +139,10 @@ def over_triangle(simplex, i, j, k, trial, point):
     for axis in range(3):
         place = times((normal[axis, 0], normal[axis, 1]), height)
         point[axis, 0], point[axis, 1] = place
-        way[axis, 0], way[axis, 1] = plus(place, (-simplex[i, axis], 0.0))
-    cross2(way, other, across)
+        direction[axis, 0], direction[axis, 1] = plus(place, (-simplex[i, axis], 0.0))
+    cross2(direction, other, across)
     second = over(dot2(normal, across), square)
-    cross2(one, way, across)
+    cross2(one, direction, across)
     third = over(dot2(normal, across), square)
     rest = plus(second, third)
     first = plus((1.0, 0.0), (-rest[0], -rest[1]))
@@ -177,8 +184,8 @@ def closest_in_simplex(simplex, count, weights, point):
     """Fill in the closest point of a simplex and the weights of the corners that make it; return
     its squared distance.
 
-    Of all candidates it is the one for which the plane across its way leaves the widest gap
-    before all corners. Their distances would not tell: a way that is turned by an angle gets
+    Of all candidates it is the one for which the plane across its direction leaves the widest gap
+    before all corners. Their distances would not tell: a direction that is turned by an angle gets
     shorter by the square of it only, while the far corners move by the angle itself.
     """
     trial = stack_array((4, 2), np.float64)
@@ -204,7 +211,7 @@ def closest_in_simplex(simplex, count, weights, point):
 
 @lean_kernel
 def gap_before(simplex, count, place):
-    """The gap that the plane across a way leaves before all corners; inf if there is no way."""
+    """The gap that the plane across a direction leaves before all corners; inf without one."""
     length, widest = math.sqrt(dot2(place, place)[0]), np.inf
     if length > 0.0:
         for i in range(count):
@@ -250,18 +257,18 @@ GAINED = 2.0**-52  # of lengths below 1
 
 
 @lean_kernel
-def fill_frame(one, other, way, frame):
+def fill_frame(one, other, direction, frame):
     """Fill in s, t and m; s and t after Duff et al., "Building an Orthonormal Basis, Revisited",
     2017.
 
-    m lies in the middle between `way`, which leads aside where that ends far from the gap, and
-    the way between the centres, which does so where the cores are thin.
+    m lies in the middle between two directions: `direction`, which leads aside where it ends far
+    from the gap, and that between the centres, which does so where the cores are thin.
     """
     for axis in range(3):
         frame[0, axis] = one.rows[CENTRE, axis] - other.rows[CENTRE, axis]
-    length, size = math.sqrt(dot(way, way)), math.sqrt(dot(frame[0], frame[0]))
+    length, size = math.sqrt(dot(direction, direction)), math.sqrt(dot(frame[0], frame[0]))
     for axis in range(3):
-        frame[2, axis] = way[axis] / length + (frame[0, axis] / size if size > 0.0 else 0.0)
+        frame[2, axis] = direction[axis] / length + (frame[0, axis] / size if size > 0.0 else 0.0)
     length = math.sqrt(dot(frame[2], frame[2]))
     x, y, z = frame[2, 0] / length, frame[2, 1] / length, frame[2, 2] / length
     sign = math.copysign(1.0, z)
@@ -306,20 +313,20 @@ def clip(polygon, count, a, b, c, clipped):
 
 
 @lean_kernel
-def widest_gap(one, other, way, least, enough, pool):
+def widest_gap(one, other, direction, least, enough, pool):
     """The widest gap between two cores (see `gjk`), or the first found above `enough`; `least`
     (not negative) if there is none above that. Then how many corners it wrote to `pool`, rows as
     those of a simplex in `gjk`: where no plane keeps the cores apart, these are why.
 
-    `way` leads from a point of the other core to one of this; it becomes the vector across the
-    gap.
+    `direction` leads from a point of the other core to one of this. It becomes the vector across
+    the gap.
     """
     frame = stack_array((3, 3), np.float64)
     normal, corner = stack_array(3, np.float64), stack_array(3, np.float64)
     pooled = 0
     polygon = stack_array((ROOM, 2), np.float64)
     clipped = stack_array((ROOM, 2), np.float64)
-    fill_frame(one, other, way, frame)
+    fill_frame(one, other, direction, frame)
     for i in range(4):
         polygon[i, 0] = WIDEST if i == 0 or i == 3 else -WIDEST
         polygon[i, 1] = WIDEST if i < 2 else -WIDEST
@@ -337,7 +344,7 @@ def widest_gap(one, other, way, least, enough, pool):
         if gap > least:
             least = gap
             for axis in range(3):
-                way[axis] = gap * normal[axis]
+                direction[axis] = gap * normal[axis]
         if least > enough:
             break
         for axis in range(3):
@@ -367,15 +374,15 @@ POOL = MOST_TRIALS + SURE_STEPS
 
 
 @lean_kernel
-def certified_bounds(one, other, limit, measured, way):
-    """(low, high) around the distance of two cores, and whether that took more digits; `way` as
-    in `gap_bounds`.
+def certified_bounds(one, other, limit, measured, direction):
+    """(low, high) around the distance of two cores, and whether that took more digits;
+    `direction` as in `gap_bounds`.
 
     Either the distance is proven to be above or not above `limit`, or the bounds agree; if it is
     to be `measured`, they agree wherever low is above the limit.
     """
     asked = np.nan if measured else limit
-    low, high = gap_bounds(one, other, asked, way)
+    low, high = gap_bounds(one, other, asked, direction)
     if decides(low, high, limit, measured):
         return low, high, False
     enough = np.inf if measured else limit
@@ -383,16 +390,16 @@ def certified_bounds(one, other, limit, measured, way):
     if one.is_round or other.is_round:
         start = stack_array(3, np.float64)
         for axis in range(3):
-            start[axis] = way[axis]
+            start[axis] = direction[axis]
         least = max(limit, 0.0)
         gap, pooled = widest_gap(one, other, start, least, enough, pool)
         if gap > least:
             low = max(low, gap)
             for axis in range(3):
-                way[axis] = start[axis]
+                direction[axis] = start[axis]
         if low > enough:
             return low, high, True
-    below, above = walk((one, other), limit, enough, low, high, way, pool, pooled)
+    below, above = walk((one, other), limit, enough, low, high, direction, pool, pooled)
     return below, min(high, above), True
 
 
@@ -403,17 +410,17 @@ def decides(low, high, limit, measured):
 
 
 @lean_kernel
-def walk(cores, limit, enough, low, best, way, pool, pooled):
-    """`gap_bounds` with more digits, starting along `way`, until one of the bounds is above
+def walk(cores, limit, enough, low, best, direction, pool, pooled):
+    """`gap_bounds` with more digits, starting along `direction`, until one of the bounds is above
     `enough` or not above `limit`, or they agree. `low` is known already; points closer than `best`
-    are written to `way`.
+    are written to `direction`.
 
     No corner is forgotten: the next is the best of those in `pool`, the newest among them. So it
     ends no farther off than the closest point of all that were ever seen.
     """
     simplex, normal = stack_array((4, 6), np.float64), stack_array(3, np.float64)
     weights, point = stack_array((4, 2), np.float64), stack_array((3, 2), np.float64)
-    set_normal(way, normal)
+    set_normal(direction, normal)
     high, count, idle = np.inf, 0, 0
     for _ in range(SURE_STEPS):
         corner = pool[pooled]
@@ -427,12 +434,12 @@ def walk(cores, limit, enough, low, best, way, pool, pooled):
             break
         count += 1
         distance = math.sqrt(closest_in_simplex(simplex, count, weights, point))
-        count = keep_corners(simplex, count, weights, point, way, distance < min(high, best))
+        count = keep_corners(simplex, count, weights, point, direction, distance < min(high, best))
         if distance < high:
             high, idle = distance, 0
         if high <= limit or high == 0.0:
             break
-        set_normal(way, normal)
+        set_normal(direction, normal)
     return min(low, high), high
 
 
@@ -449,12 +456,12 @@ def take_lowest(pool, pooled, normal, corner):
 
 
 @lean_kernel
-def set_normal(way, normal):
-    """Fill in the unit vector along `way`; any if it is zero."""
-    largest = max(abs(way[0]), abs(way[1]), abs(way[2]))
+def set_normal(direction, normal):
+    """Fill in the unit vector along `direction`; any if it is zero."""
+    largest = max(abs(direction[0]), abs(direction[1]), abs(direction[2]))
     exponent = math.frexp(largest)[1]
     for axis in range(3):
-        normal[axis] = math.ldexp(way[axis], -exponent)
+        normal[axis] = math.ldexp(direction[axis], -exponent)
     if largest == 0.0:
         normal[0] = 1.0
     length = math.sqrt(dot(normal, normal))
@@ -473,17 +480,17 @@ def is_repeated(simplex, count):
 
 
 @lean_kernel
-def keep_corners(simplex, count, weights, point, way, closer):
+def keep_corners(simplex, count, weights, point, direction, closer):
     """Write down the closest point, and if it is `closer` the cores' points in it; keep the
     corners that make it, and return how many.
     """
     for axis in range(3):
-        way[axis] = point[axis, 0]
+        direction[axis] = point[axis, 0]
         if closer:
-            way[FIRST + axis] = 0.0
+            direction[FIRST + axis] = 0.0
             for i in range(count):
-                way[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
-            way[SECOND + axis] = way[FIRST + axis] - point[axis, 0]
+                direction[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
+            direction[SECOND + axis] = direction[FIRST + axis] - point[axis, 0]
     kept = 0
     for i in range(count):
         if weights[i, 0] > 0.0:

@@ -16,7 +16,7 @@ from ..shapes.mesh import farthest_vertex
 # and the point of the one in it.
 
 SLACK = 2.0**-48  # of lengths about 1: all that rounds support points, quaternions included
-FIRST, SECOND, WAY_ROOM = 3, 6, 9  # of what `gap_bounds` fills in
+FIRST, SECOND, DIRECTION_ROOM = 3, 6, 9  # of what `gap_bounds` fills in
 
 
 @lean_kernel
@@ -235,19 +235,20 @@ class Core(NamedTuple):
 
 
 @lean_kernel
-def support(rows, is_round, hull, way, sign, out):
-    """Add to `out` sign times the point of a `Core` that is farthest along -sign * way. (numba
-    drops the branch of meshes where `hull` is an argument, and None.)
+def support(rows, is_round, hull, direction, sign, out):
+    """Add to `out` sign times the point of a `Core` that is farthest along -sign * direction.
+
+    numba drops the branch of meshes where `hull` is an argument, and None.
     """
     half = rows[HALF]
     if hull is not None and hull.places.shape[0] > 0:
-        support_hull(rows, hull, way, sign, out)
+        support_hull(rows, hull, direction, sign, out)
         return
     across = 0.0
     if is_round:
-        across = math.hypot(dot(rows[AXES], way), dot(rows[AXES + 1], way))
+        across = math.hypot(dot(rows[AXES], direction), dot(rows[AXES + 1], direction))
     for axis in range(3):
-        along = -sign * dot(rows[AXES + axis], way)
+        along = -sign * dot(rows[AXES + axis], direction)
         place = math.copysign(half[axis], along)
         if is_round and axis < 2:
             place = half[axis] * along / across if across > 0.0 else 0.0
@@ -258,9 +259,13 @@ def support(rows, is_round, hull, way, sign, out):
 
 
 @lean_kernel
-def support_hull(rows, hull, way, sign, out):
+def support_hull(rows, hull, direction, sign, out):
     """`support` of a mesh: the farthest of its vertices."""
-    x, y, z = dot(rows[AXES], way), dot(rows[AXES + 1], way), dot(rows[AXES + 2], way)
+    x, y, z = (
+        dot(rows[AXES], direction),
+        dot(rows[AXES + 1], direction),
+        dot(rows[AXES + 2], direction),
+    )
     best = farthest_vertex(hull, -sign * x, -sign * y, -sign * z)
     for row in range(3):
         place = 0.0
@@ -270,13 +275,15 @@ def support_hull(rows, hull, way, sign, out):
 
 
 @lean_kernel
-def corner_of(one, other, way, corner):
-    """Fill in a row of a simplex: the corner farthest against `way`, this core's point in it."""
+def corner_of(one, other, direction, corner):
+    """Fill in a row of a simplex: the corner farthest against `direction`, and this core's
+    point in it.
+    """
     corner[:] = 0.0
-    support(one.rows, one.is_round, one.hull, way, 1.0, corner[3:])
+    support(one.rows, one.is_round, one.hull, direction, 1.0, corner[3:])
     for axis in range(3):
         corner[axis] = corner[3 + axis]
-    support(other.rows, other.is_round, other.hull, way, -1.0, corner)
+    support(other.rows, other.is_round, other.hull, direction, -1.0, corner)
 
 
 @lean_kernel
@@ -309,15 +316,15 @@ def gap_bounds(one, other, limit, point):
         low = max(low, along / math.sqrt(square))
         if low > limit or (count > 0 and square - along <= CONVERGED * square):
             break
-        held = False
+        repeated = False
         for i in range(count):
             same = simplex[i, 0] == corner[0] and simplex[i, 1] == corner[1]
-            held = held or (same and simplex[i, 2] == corner[2])
-        if held:
+            repeated = repeated or (same and simplex[i, 2] == corner[2])
+        if repeated:
             break
         count += 1
-        held = count == 4 and low <= 0.0 and holds_origin(simplex, weights)
-        if held and missed(simplex, weights) <= SLACK:
+        inside = count == 4 and low <= 0.0 and holds_origin(simplex, weights)
+        if inside and missed(simplex, weights) <= SLACK:
             weigh(simplex, count, weights, point)
             return low, 0.0
         count, length = keep_closest(simplex, count, weights, trial, point, high)
@@ -400,18 +407,18 @@ def along_crosses(half, other_half, turn, offset, slack):
 
 
 @lean_kernel
-def fill_line(one, other, line, way):
+def fill_line(one, other, line, direction):
     """Fill in a unit vector along one of the 15 lines; false if there is none."""
     i, j = (line - 6) // 3, line % 3
     if line >= 6:
-        return fill_cross(one[AXES + i], other[AXES + j], way)
+        return fill_cross(one[AXES + i], other[AXES + j], direction)
     for row in range(3):
-        way[row] = one[AXES + j, row] if line < 3 else other[AXES + j, row]
-    return dot(way, way) > 0.0
+        direction[row] = one[AXES + j, row] if line < 3 else other[AXES + j, row]
+    return dot(direction, direction) > 0.0
 
 
 @lean_kernel
-def fill_cross(one, other, way):
+def fill_cross(one, other, direction):
     """Fill in the unit vector across two; false if they are parallel. Nearly parallel ones leave
     it few digits: those across `one` are put right, as a long edge needs them, and those across
     `other` follow.
@@ -420,14 +427,14 @@ def fill_cross(one, other, way):
         if turn == 0:
             for axis in range(3):
                 y, z = (axis + 1) % 3, (axis + 2) % 3
-                way[axis] = one[y] * other[z] - one[z] * other[y]
+                direction[axis] = one[y] * other[z] - one[z] * other[y]
         else:
-            along = dot(one, way)
+            along = dot(one, direction)
             for axis in range(3):
-                way[axis] -= along * one[axis]
-        size = math.sqrt(dot(way, way))
+                direction[axis] -= along * one[axis]
+        size = math.sqrt(dot(direction, direction))
         if size == 0.0:
             return False
         for axis in range(3):
-            way[axis] /= size
+            direction[axis] /= size
     return True

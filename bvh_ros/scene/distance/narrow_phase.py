@@ -15,11 +15,11 @@ from .gjk import (
     AXES,
     CENTRE,
     CORE_ROWS,
+    DIRECTION_ROOM,
     FIRST,
     HALF,
     SECOND,
     SLACK,
-    WAY_ROOM,
     Core,
     dot,
     separation,
@@ -31,12 +31,12 @@ from .gjk import (
 @lean_kernel
 def hull_gap(hull, point, apart, normal):
     """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there, and
-    the unit vector `normal` across the plane that proves it: next to the mesh the way between two
-    points is noise, that vector is not.
+    the unit vector `normal` across the plane that proves it: next to the mesh the direction
+    between two points is noise, that vector is not.
     """
     ball = stack_array((CORE_ROWS, 3), np.float64)
     mesh = stack_array((CORE_ROWS, 3), np.float64)
-    way = stack_array(WAY_ROOM, np.float64)
+    direction = stack_array(DIRECTION_ROOM, np.float64)
     largest = max(hull.radius, abs(point[0]), abs(point[1]), abs(point[2]))
     exponent = math.frexp(largest)[1]
     for row in range(CORE_ROWS):
@@ -46,10 +46,10 @@ def hull_gap(hull, point, apart, normal):
         ball[CENTRE, axis] = math.ldexp(point[axis], -exponent)
     mesh[HALF, 0] = math.ldexp(1.0, -exponent)
     point_core, mesh_core = Core(ball, False, hull_of_point(hull)), Core(mesh, False, hull)
-    high = certified_bounds(point_core, mesh_core, SLACK, True, way)[1]
+    high = certified_bounds(point_core, mesh_core, SLACK, True, direction)[1]
     for axis in range(3):
-        apart[axis] = math.ldexp(way[FIRST + axis] - way[SECOND + axis], exponent)
-    set_normal(way, normal)
+        apart[axis] = math.ldexp(direction[FIRST + axis] - direction[SECOND + axis], exponent)
+    set_normal(direction, normal)
     if high <= SLACK:
         return 0.0
     return math.ldexp(high, exponent)
@@ -170,7 +170,7 @@ def closest_in_shape(shape, hulls, centre, point):
             axis, 2
         ] * closest[2]
         point[axis] = centre[axis] if inside else place + shape.position[axis]
-        local[axis] -= closest[axis]  # from here on the way
+        local[axis] -= closest[axis]  # from here on the direction
     return length(local)
 
 
@@ -347,11 +347,11 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
             return False, False
         if gap == 0.0 and sure:
             return True, False
-    way = stack_array(WAY_ROOM, np.float64)
+    direction = stack_array(DIRECTION_ROOM, np.float64)
     hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
     cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
-    low, _, more_digits = certified_bounds(cores[0], cores[1], limit, False, way)
+    low, _, more_digits = certified_bounds(cores[0], cores[1], limit, False, direction)
     return low <= limit, more_digits
 
 
@@ -386,20 +386,22 @@ def gap(one, hulls, other, other_hulls, planar, points):
 def ordered_gap(one, hulls, other, other_hulls, planar, points):
     first = stack_array((CORE_ROWS, 3), np.float64)
     second = stack_array((CORE_ROWS, 3), np.float64)
-    way = stack_array(WAY_ROOM, np.float64)
+    direction = stack_array(DIRECTION_ROOM, np.float64)
     cores, (radius, other_radius), exponent = fill_cores(
         *(one, hulls, other, other_hulls), planar, (first, second)
     )
     limit = radius + other_radius + SLACK
-    low, high, _ = certified_bounds(cores[0], cores[1], limit, True, way)
+    low, high, _ = certified_bounds(cores[0], cores[1], limit, True, direction)
     apart = high if high - low <= SLACK else low
     touching = apart <= limit
     for axis in range(3):
-        way[axis] = way[FIRST + axis] - way[SECOND + axis]
-    share, other_share = surfaces(radius, other_radius, math.sqrt(dot(way, way)), touching)
+        direction[axis] = direction[FIRST + axis] - direction[SECOND + axis]
+    share, other_share = surfaces(
+        radius, other_radius, math.sqrt(dot(direction, direction)), touching
+    )
     for axis in range(3):
-        points[0, axis] = way[FIRST + axis] - share * way[axis]
-        points[1, axis] = way[FIRST + axis] - other_share * way[axis]
+        points[0, axis] = direction[FIRST + axis] - share * direction[axis]
+        points[1, axis] = direction[FIRST + axis] - other_share * direction[axis]
         for row in range(2):
             points[row, axis] = math.ldexp(points[row, axis], exponent) + one.position[axis]
     return 0.0 if touching else math.ldexp(apart - radius - other_radius, exponent)
@@ -407,7 +409,7 @@ def ordered_gap(one, hulls, other, other_hulls, planar, points):
 
 @lean_kernel
 def surfaces(radius, other_radius, length, touching):
-    """Where the surfaces are on the way from a point of one core to a point of the other, in
+    """Where the surfaces are on the direction from a point of one core to a point of the other, in
     shares of it; twice a point in both where they touch.
     """
     if touching:

@@ -15,11 +15,11 @@ from .gjk import (
     AXES,
     CENTRE,
     CORE_ROWS,
+    DIRECTION_ROOM,
     HALF,
     LINES,
     SECOND,
     SLACK,
-    WAY_ROOM,
     Core,
     corner_of,
     dot,
@@ -57,13 +57,13 @@ class Polytope(NamedTuple):
 
 
 @lean_kernel
-def reach_in(one, other, way, corner):
-    """Fill in the corner of D that is farthest along `way`; return how far that is."""
+def reach_in(one, other, direction, corner):
+    """Fill in the corner of D that is farthest along `direction`; return how far that is."""
     both = stack_array(6, np.float64)
-    corner_of(one, other, way, both)
+    corner_of(one, other, direction, both)
     for axis in range(3):
         corner[axis] = -both[axis]
-    return dot(way, corner)
+    return dot(direction, corner)
 
 
 @lean_kernel
@@ -92,12 +92,12 @@ def polytope_depth(one, other, normal):
         for face in range(count):
             if planes[face, 3] < planes[closest, 3]:
                 closest = face
-        low, way = planes[closest, 3], planes[closest, :3]
-        reach = reach_in(one, other, way, corners[number])
+        low, direction = planes[closest, 3], planes[closest, :3]
+        reach = reach_in(one, other, direction, corners[number])
         if reach < high:
             high = reach
             for axis in range(3):
-                normal[axis] = way[axis]
+                normal[axis] = direction[axis]
         if high - low <= SLACK:
             break
         count = expand(polytope, count, number)
@@ -111,71 +111,71 @@ def try_lines(one, other, normal):
     """The least way apart along the 15 lines, and straight through the side of a cylinder; fill in
     where to. Beside round rims these are the ways that many others are nearly as short as.
     """
-    way, corner, least = stack_array(3, np.float64), stack_array(3, np.float64), np.inf
+    direction, corner, least = stack_array(3, np.float64), stack_array(3, np.float64), np.inf
     for line in range(LINES + 2):
         if line < LINES:
-            some = fill_line(one.rows, other.rows, line, way)
+            some = fill_line(one.rows, other.rows, line, direction)
         else:
             axis = one.rows[AXES + 2] if line == LINES else other.rows[AXES + 2]
-            some = fill_aside(one.rows, other.rows, axis, way)
+            some = fill_aside(one.rows, other.rows, axis, direction)
         for _ in range(2 if some else 0):
-            reach = reach_in(one, other, way, corner)
+            reach = reach_in(one, other, direction, corner)
             if reach < least:
                 least = reach
                 for row in range(3):
-                    normal[row] = way[row]
+                    normal[row] = direction[row]
             for row in range(3):
-                way[row] = -way[row]
+                direction[row] = -direction[row]
     return least
 
 
 @lean_kernel
-def fill_aside(one, other, axis, way):
+def fill_aside(one, other, axis, direction):
     """Fill in the unit vector between the centres of two cores, across an axis; false if there is
     none.
     """
     for row in range(3):
-        way[row] = one[CENTRE, row] - other[CENTRE, row]
-    along = dot(way, axis)
+        direction[row] = one[CENTRE, row] - other[CENTRE, row]
+    along = dot(direction, axis)
     for row in range(3):
-        way[row] -= along * axis[row]
-    size = math.sqrt(dot(way, way))
+        direction[row] -= along * axis[row]
+    size = math.sqrt(dot(direction, direction))
     for row in range(3):
-        way[row] = way[row] / size if size > 0.0 else 0.0
+        direction[row] = direction[row] / size if size > 0.0 else 0.0
     return size > 0.0
 
 
 @lean_kernel
 def first_triangle(one, other, corners, normal):
     """Fill in three corners; false if D is a line, across which `normal` is then."""
-    trial, way = stack_array((2, 3), np.float64), stack_array(3, np.float64)
+    trial, direction = stack_array((2, 3), np.float64), stack_array(3, np.float64)
     edge, widest = stack_array(3, np.float64), -1.0
     for axis in range(3):
         for side in range(2):
             for row in range(3):
-                way[row] = (1.0 - 2.0 * side) * (row == axis)
-            reach_in(one, other, way, trial[side])
+                direction[row] = (1.0 - 2.0 * side) * (row == axis)
+            reach_in(one, other, direction, trial[side])
         for row in range(3):
-            way[row] = trial[1, row] - trial[0, row]
-        if dot(way, way) > widest:
-            widest = dot(way, way)
+            direction[row] = trial[1, row] - trial[0, row]
+        if dot(direction, direction) > widest:
+            widest = dot(direction, direction)
             for row in range(3):
                 corners[0, row], corners[1, row] = trial[0, row], trial[1, row]
-                edge[row] = way[row]
+                edge[row] = direction[row]
     widest = 0.0
     for turn in range(6):
         axis, sign = turn % 3, 1.0 - 2.0 * (turn // 3)
         y, z = (axis + 1) % 3, (axis + 2) % 3
-        way[axis], way[y], way[z] = 0.0, sign * edge[z], -sign * edge[y]
-        size = math.sqrt(dot(way, way))
+        direction[axis], direction[y], direction[z] = 0.0, sign * edge[z], -sign * edge[y]
+        size = math.sqrt(dot(direction, direction))
         if size == 0.0 and widest > 0.0:
             continue
         for row in range(3):
-            way[row] = way[row] / size if size > 0.0 else 1.0 * (row == axis)
-        reach_in(one, other, way, trial[0])
+            direction[row] = direction[row] / size if size > 0.0 else 1.0 * (row == axis)
+        reach_in(one, other, direction, trial[0])
         if widest == 0.0:
             for row in range(3):
-                normal[row] = way[row]
+                normal[row] = direction[row]
         area = size_across(edge, corners[0], trial[0])
         if area > widest:
             widest = area
@@ -309,17 +309,17 @@ def polygon_depth(one, other, normal):
         return low, high
     set_line(edges[0], lines[0])
     set_line(edges[1], lines[1])
-    way, high = stack_array(3, np.float64), np.inf
+    direction, high = stack_array(3, np.float64), np.inf
     while count < MOST_EDGES:
         closest = 0
         for edge in range(count):
             if lines[edge, 2] < lines[closest, 2]:
                 closest = edge
         low = lines[closest, 2]
-        way[0], way[1], way[2] = lines[closest, 0], lines[closest, 1], 0.0
-        reach = reach_in(one, other, way, corner)
+        direction[0], direction[1], direction[2] = lines[closest, 0], lines[closest, 1], 0.0
+        reach = reach_in(one, other, direction, corner)
         if reach < high:
-            high, normal[0], normal[1] = reach, way[0], way[1]
+            high, normal[0], normal[1] = reach, direction[0], direction[1]
         if high - low <= SLACK:
             break
         for row in range(2):
@@ -413,27 +413,27 @@ def scaled_back(depth, exponent, origin, points):
 @lean_kernel
 def core_depth(cores, radii, planar, points, normal):
     """`penetration` of two cores with their radii."""
-    way = stack_array(WAY_ROOM, np.float64)
-    low, high, _ = certified_bounds(cores[0], cores[1], SLACK, True, way)
-    set_normal(way, normal)
+    direction = stack_array(DIRECTION_ROOM, np.float64)
+    low, high, _ = certified_bounds(cores[0], cores[1], SLACK, True, direction)
+    set_normal(direction, normal)
     depth = -high if high - low <= SLACK else -low
     if high <= SLACK:
         depth = max(least_way(cores[0], cores[1], planar, normal), 0.0)
     if is_point(cores[0]):
         for axis in range(3):
-            way[SECOND + axis] = cores[0].rows[CENTRE, axis] + depth * normal[axis]
+            direction[SECOND + axis] = cores[0].rows[CENTRE, axis] + depth * normal[axis]
     elif high <= SLACK:
-        part(cores, depth + BEYOND, normal, way)
+        part(cores, depth + BEYOND, normal, direction)
     depth += radii[0] + radii[1]
     for axis in range(3):
-        points[1, axis] = way[SECOND + axis] + radii[1] * normal[axis]
+        points[1, axis] = direction[SECOND + axis] + radii[1] * normal[axis]
         points[0, axis] = points[1, axis] - depth * normal[axis]
     return depth
 
 
 @lean_kernel
-def part(cores, distance, normal, way):
-    """`gap_bounds` fills in `way` once the first core has moved so far along a normal."""
+def part(cores, distance, normal, direction):
+    """`gap_bounds` fills in `direction` once the first core has moved so far along a normal."""
     rows = stack_array((CORE_ROWS, 3), np.float64)
     for row in range(CORE_ROWS):
         for axis in range(3):
@@ -441,7 +441,7 @@ def part(cores, distance, normal, way):
     for axis in range(3):
         rows[CENTRE, axis] += distance * normal[axis]
     moved = Core(rows, cores[0].is_round, cores[0].hull)
-    certified_bounds(moved, cores[1], SLACK, True, way)
+    certified_bounds(moved, cores[1], SLACK, True, direction)
 
 
 @lean_kernel
@@ -499,19 +499,19 @@ def out_of_box(one, other, normal):
     """`least_way` of two boxes, either of which may be flat: along the axes of both, and across an
     edge of each.
     """
-    way, least = stack_array(3, np.float64), np.inf
+    direction, least = stack_array(3, np.float64), np.inf
     for line in range(LINES):
-        if not fill_line(one, other, line, way):
+        if not fill_line(one, other, line, direction):
             continue
         reach, offset = 0.0, 0.0
         for axis in range(3):
-            reach += one[HALF, axis] * abs(dot(one[AXES + axis], way))
-            reach += other[HALF, axis] * abs(dot(other[AXES + axis], way))
-            offset += way[axis] * (one[CENTRE, axis] - other[CENTRE, axis])
+            reach += one[HALF, axis] * abs(dot(one[AXES + axis], direction))
+            reach += other[HALF, axis] * abs(dot(other[AXES + axis], direction))
+            offset += direction[axis] * (one[CENTRE, axis] - other[CENTRE, axis])
         if reach - abs(offset) < least:
             least = reach - abs(offset)
             for row in range(3):
-                normal[row] = -way[row] if offset < 0.0 else way[row]
+                normal[row] = -direction[row] if offset < 0.0 else direction[row]
     return least
 
 

@@ -104,8 +104,8 @@ def no_rows(count: int, k: int) -> Near:
 class OneTimed:
     """One query at a time, and how kernels are called."""
 
-    def __init__(self, held: Obstacles) -> None:
-        self._held = held
+    def __init__(self, store: Obstacles) -> None:
+        self._store = store
         self._spare = ScratchPool(Scratch)
         self._entries: dict[tuple[Any, ...], Any] = {}
 
@@ -113,7 +113,7 @@ class OneTimed:
         self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: float
     ) -> list[SceneHit]:
         """What a query touches at a time, in the order of `batch.Overlaps.find`."""
-        scratch, tree, done = self._spare.take(), self._held.tree, 0
+        scratch, tree, done = self._spare.take(), self._store.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
         asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
@@ -124,9 +124,9 @@ class OneTimed:
             if not done:
                 scratch.have_room(wanted)
         if compared:
-            self._held.columns.pairs_compared += compared
+            self._store.columns.pairs_compared += compared
         count = scratch.answers[1].item(0)
-        hits = self._held.hits(found, found.order[:count].tolist()) if count else []
+        hits = self._store.hits(found, found.order[:count].tolist()) if count else []
         self._spare.give(scratch)
         return hits
 
@@ -134,16 +134,16 @@ class OneTimed:
         self, point: Floats, k: int, limits: tuple[float, np.uint32], signed: Signed, at: float
     ) -> list[SceneHit]:
         """What is nearest to a point at a time, in the order of `batch.Nearness.find`."""
-        scratch, held, done = self._spare.take(), self._held, 0
+        scratch, store, done = self._spare.take(), self._store, 0
         scratch.point[0] = point
         reach, scratch.masks[0] = limits
         scratch.limits[0] = reach
         if k > FEW:  # not more room than for all
-            k = min(k, max(len(held.tree), 1))
+            k = min(k, max(len(store.tree), 1))
         if scratch.told.handles.shape[1] != k:
             scratch.told = no_rows(1, k)
         while not done:
-            arrays, found = held.tree._settled().tree, scratch.found
+            arrays, found = store.tree._settled().tree, scratch.found
             then, memory = self._known(scratch, arrays, at, None)
             asked = 0, 1, k, *self._among(arrays, signed)
             given = scratch.points, None, asked, memory, scratch.told
@@ -152,11 +152,11 @@ class OneTimed:
                 scratch.have_room(wanted)
         distances = found.distances[:count].tolist()
         order = [row for row in found.order[:count].tolist() if distances[row] <= reach]
-        if held.columns.shadows:
-            handles = held.columns.node_handle[found.slots[order]]
+        if store.columns.shadows:
+            handles = store.columns.node_handle[found.slots[order]]
             first = np.sort(np.unique(handles, return_index=True)[1])
             order = [order[place] for place in first]
-        hits = held.hits(found, order[:k])
+        hits = store.hits(found, order[:k])
         self._spare.give(scratch)
         return hits
 
@@ -164,16 +164,16 @@ class OneTimed:
 
     def _among(self, arrays: Tree, signed: Signed) -> tuple[bool, int, bool, Signed]:
         """What `near_rows` is told of all rows."""
-        held, columns = self._held, self._held.columns
+        store, columns = self._store, self._store.columns
         shaped, twice = columns.shaped > 0, columns.shadows > 0
-        some_more = shaped or twice or held.uncertainty > 0.0 or signed is not None
+        some_more = shaped or twice or store.uncertainty > 0.0 or signed is not None
         return some_more, arrays[4].item(COUNTED), twice, signed
 
     def _known(
         self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None
     ) -> tuple[QueryTimes, tuple[Any, Any]]:
         """What a kernel is told of times, and what of `scratch` it writes to."""
-        known, bodies, version = scratch.known, self._held.columns.bodies, arrays[4].item(CHANGES)
+        known, bodies, version = scratch.known, self._store.columns.bodies, arrays[4].item(CHANGES)
         if known is not None and hulls is None and known[0] == version and known[1] is bodies:
             _, _, then, memory = known
         else:
@@ -188,16 +188,16 @@ class OneTimed:
         return tuple.__new__(QueryTimes, (*then[:2], at, *then[3:])), memory
 
     def _then(self, at: Floats, hulls: Hulls | None) -> QueryTimes:
-        held = self._held
-        ends = movers(held)[1:] if held.uncertainty else (0.0, 0.0)
-        places = bodies_of(held.columns, hulls), held.columns.node_handle
-        return QueryTimes(*places, at, held.uncertainty, *ends)
+        store = self._store
+        ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
+        places = bodies_of(store.columns, hulls), store.columns.node_handle
+        return QueryTimes(*places, at, store.uncertainty, *ends)
 
     def _call(
         self, arrays: Tree, kernel: Any, then: QueryTimes, given: tuple[Any, ...], kind: Any
     ) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
-        tree: Any = self._held.tree
+        tree: Any = self._store.tree
         variant, motion = (kernel, kind, then[0].hulls is not None), tree._motion
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
@@ -210,7 +210,7 @@ class OneTimed:
 
     def _call_again(self, entry: Any, then: QueryTimes, given: tuple[Any, ...]) -> Any:
         """Call it with bounds that hold for these times."""
-        tree: Any = self._held.tree
+        tree: Any = self._store.tree
         spans = partial(times_of, then.at, NOTHING, NOTHING)
         return tree._motion.ask(tree, spans, lambda *arrays: entry(*arrays, then, *given))
 
@@ -229,8 +229,8 @@ class TimedDistances(OneTimed):
         """What is `wanted` of what n queries touch at times, as `batch.Overlaps.answer` has
         it; `at` (s) is one for all or (n,).
         """
-        held, count = self._held, number_of(rows)
-        columns, arrays = held.columns, held.tree._settled().tree
+        store, count = self._store, number_of(rows)
+        columns, arrays = store.columns, store.tree._settled().tree
         told = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
             scratch = self._spare.take()
@@ -257,7 +257,7 @@ class TimedDistances(OneTimed):
         told: tuple[Any, ...],
     ) -> Any:
         """The same, in parts."""
-        columns, count = self._held.columns, number_of(rows)
+        columns, count = self._store.columns, number_of(rows)
         shadows, parts = columns.shadows > 0, []
 
         def work(start: int, stop: int) -> Any:
@@ -298,7 +298,7 @@ class TimedDistances(OneTimed):
         """The k obstacles nearest to n points at times, one in seconds for all or (n,); None if a
         point is not finite.
         """
-        count, arrays = len(points.points), self._held.tree._settled().tree
+        count, arrays = len(points.points), self._store.tree._settled().tree
         told, among = no_rows(count, k), self._among(arrays, signed)
         if threads == 1 and count < MANY:  # without what others take
             scratch = self._spare.take()
@@ -321,7 +321,7 @@ class TimedDistances(OneTimed):
         told: Near,
     ) -> bool:
         """The same, in parts; whether all points are finite."""
-        signed, count, tree = asked[-1], len(points.points), self._held.tree
+        signed, count, tree = asked[-1], len(points.points), self._store.tree
         view = tree.view()
         near, known = self._in_packets(points, asked)
         variant: Any = signed if known is None else (signed, Bounded)
@@ -355,13 +355,13 @@ class TimedDistances(OneTimed):
         asks for the rest itself, as where obstacles grow.
         """
         (k, some_more, everybody, *_), count = asked, len(points.points)
-        wanted, ndim = min(k + some_more, everybody + 1), self._held.tree.ndim
+        wanted, ndim = min(k + some_more, everybody + 1), self._store.tree.ndim
         dense = count >= MANY and are_dense(count, everybody)
-        if not dense or wanted > MOST or self._held.uncertainty:
+        if not dense or wanted > MOST or self._store.uncertainty:
             return None, None
         where, order = along_axes(points.points, ndim), points.order
         if not len(order):
-            order = order_of(self._held.tree.view().tree, where)
+            order = order_of(self._store.tree.view().tree, where)
         limits = np.maximum(points.reaches * ROUNDED, points.reaches)
         near = PointQueries(where, wanted, limits, points.masks, order)
         slots, counts = np.empty((count, wanted), np.int64), np.empty(count, np.int64)
@@ -380,12 +380,12 @@ class TimedDistances(OneTimed):
         sign). None if a row that is `given` is not legal.
         """
         reaches, itself, signed = asked
-        count, arrays = number_of(rows), self._held.tree._settled().tree
+        count, arrays = number_of(rows), self._store.tree._settled().tree
         everybody = arrays[4].item(COUNTED)
         told = room_for_neighbours(
             count, NOT_ASKED if itself == NONE else np.empty(count, np.int64)
         )
-        alike = itself == NONE and not self._held.columns.shaped
+        alike = itself == NONE and not self._store.columns.shaped
         if threads == 1:  # without what others take
             scratch = self._spare.take()
             then, memory = self._known(scratch, arrays, at, hulls)

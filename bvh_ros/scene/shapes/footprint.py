@@ -52,14 +52,14 @@ def outlined(meshes: NDArray[np.object_] | None, form: Canonical) -> NDArray[np.
     """
     if meshes is None:
         return None
-    seen = np.empty(len(meshes), object)
+    polygons = np.empty(len(meshes), object)
     is_mesh = (form.records['kind'] == MESH) & (form.faults == FINE)
     for row in np.flatnonzero(is_mesh).tolist():
         mesh, orientation = meshes[row], form.records['orientation'][row]
         key = mesh.key, orientation.tobytes()
-        seen[row] = _in_use.get(key) or Polygon(mesh, orientation)
-        _in_use[key] = seen[row]
-    return seen
+        polygons[row] = _in_use.get(key) or Polygon(mesh, orientation)
+        _in_use[key] = polygons[row]
+    return polygons
 
 
 # ---- Footprints: shapes seen from above, for planar scenes.

@@ -118,25 +118,25 @@ class MeshStore:
 
     def __init__(self) -> None:
         self._numbers: dict[bytes, int] = {}
-        self.held: dict[int, Mesh | Polygon] = {}
+        self.by_number: dict[int, Mesh | Polygon] = {}
         self._uses: dict[int, int] = {}
         self._free: list[int] = []  # numbers
         self._used = 0  # vertices
         self._joined = _Joined()
 
     def __len__(self) -> int:
-        return len(self.held)
+        return len(self.by_number)
 
     def __getitem__(self, number: int) -> Mesh | Polygon:
-        return self.held[number]
+        return self.by_number[number]
 
     def take(self, mesh: Mesh | Polygon) -> int:
         """Number of a mesh, used once more."""
         number = self._numbers.get(mesh.key)
         if number is None:
-            number = self._free.pop() if self._free else len(self.held)
+            number = self._free.pop() if self._free else len(self.by_number)
             self._joined.add(number, mesh)
-            self._numbers[mesh.key], self.held[number], self._uses[number] = number, mesh, 0
+            self._numbers[mesh.key], self.by_number[number], self._uses[number] = number, mesh, 0
             self._used += len(mesh.vertices)
         self._uses[number] += 1
         return number
@@ -146,14 +146,14 @@ class MeshStore:
         self._uses[number] -= 1
         if self._uses[number]:
             return
-        mesh = self.held.pop(number)
+        mesh = self.by_number.pop(number)
         del self._numbers[mesh.key], self._uses[number]
         self._free.append(number)
         self._used -= len(mesh.vertices)
         if self._joined.size > MOST_FORGOTTEN * self._used + FEW_FORGOTTEN:
             self._joined = _Joined()
-            for other, kept in self.held.items():
-                self._joined.add(other, kept)
+            for other, other_mesh in self.by_number.items():
+                self._joined.add(other, other_mesh)
 
     @property
     def hulls(self) -> Hulls:

@@ -37,8 +37,8 @@ def _candidates(points: Floats) -> NDArray[np.bool_]:
     directions.
     """
     angle = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
-    ways = np.column_stack((np.cos(angle), np.sin(angle)))
-    rim = points[np.argmax(ways @ points.T, axis=1)]
+    directions = np.column_stack((np.cos(angle), np.sin(angle)))
+    rim = points[np.argmax(directions @ points.T, axis=1)]
     step = np.roll(rim, -1, axis=0) - rim
     outside = np.zeros(len(points), np.bool_)
     for (x, y), (along_x, along_y) in zip(rim.tolist(), step.tolist(), strict=True):
@@ -390,9 +390,11 @@ def goes_around(triangles: Floats, heights: Floats) -> bool:
     """Whether a closed surface near its hull goes around the origin: a line from there crosses it
     an odd number of times. (One side of a hull, there and back, is closed as well.)
     """
-    way = (0.43, 0.31, 0.26) @ triangles[np.argmax(heights)]
+    direction = (0.43, 0.31, 0.26) @ triangles[np.argmax(heights)]
     one, two, three = (triangles[:, k] for k in range(3))
-    sides = np.array([np.cross(a, b) @ way for a, b in ((one, two), (two, three), (three, one))])
+    sides = np.array(
+        [np.cross(a, b) @ direction for a, b in ((one, two), (two, three), (three, one))]
+    )
     volumes = np.einsum('ni,ni->n', one, np.cross(two, three))
     crossed = ((sides > 0.0) & (volumes > 0.0)) | ((sides < 0.0) & (volumes < 0.0))
     return bool(np.count_nonzero(crossed.all(axis=0)) % 2)
@@ -423,32 +425,32 @@ TIED = 2.0**-50  # of a mesh's radius: what rounds its vertices' heights
 @lean_kernel
 def farthest_vertex(hull, x, y, z):
     """Row of the vertex of a `hull.Hull` that is farthest along (x, y, z), up to rounding."""
-    best, height, way = np.int64(0), -np.inf, (x, y, z)
+    best, height, direction = np.int64(0), -np.inf, (x, y, z)
     blocks, count = hull.discs.shape[0], hull.places.shape[0]
     if blocks == 0:
-        return highest(hull.places, 0, count, way, best, height)[0]
+        return highest(hull.places, 0, count, direction, best, height)[0]
     nodes, tops = stack_array(ROOM, np.int64), stack_array(ROOM, np.float64)
     leaves = (LANES - 1) * blocks + 1
     tied = TIED * hull.radius * max(abs(x), abs(y), abs(z))
-    waiting = push_lanes(hull.discs, 0, way, -np.inf, nodes, tops, 0)
+    waiting = push_lanes(hull.discs, 0, direction, -np.inf, nodes, tops, 0)
     while waiting > 0:
         waiting -= 1
         if tops[waiting] <= height + tied:
             continue
         block = nodes[waiting]
         if block < blocks:
-            waiting = push_lanes(hull.discs, block, way, height + tied, nodes, tops, waiting)
+            waiting = push_lanes(hull.discs, block, direction, height + tied, nodes, tops, waiting)
             continue
         leaf = block - blocks
         first, stop = count * leaf // leaves, count * (leaf + 1) // leaves
-        best, height = highest(hull.places, first, stop, way, best, height)
+        best, height = highest(hull.places, first, stop, direction, best, height)
     return best
 
 
 @lean_kernel
-def highest(places, first, stop, way, best, height):
+def highest(places, first, stop, direction, best, height):
     """The same among some rows, if that is higher than `height`; and its height."""
-    x, y, z = way
+    x, y, z = direction
     for vertex in range(first, stop):
         here = x * places[vertex, 0] + y * places[vertex, 1] + z * places[vertex, 2]
         if here > height:
@@ -457,11 +459,11 @@ def highest(places, first, stop, way, best, height):
 
 
 @lean_kernel
-def push_lanes(discs, block, way, least, nodes, tops, waiting):
-    """Put the groups of a block that reach above `least` along a way on the stack, the farthest
-    last.
+def push_lanes(discs, block, direction, least, nodes, tops, waiting):
+    """Put the groups of a block that reach above `least` along a direction on the stack, the
+    farthest last.
     """
-    x, y, z = way
+    x, y, z = direction
     disc, reach = discs[block], stack_array(LANES, np.float64)
     for k in range(LANES):
         a, b, c = disc[AXIS, k], disc[AXIS + 1, k], disc[AXIS + 2, k]

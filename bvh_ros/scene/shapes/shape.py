@@ -189,9 +189,11 @@ class Shapes(NamedTuple):
         if len(_rows('position', position, 3)) != len(meshes):
             raise ValueError(f'position must have a row for each of {len(meshes)} meshes')
         rows = cls.boxes(position, sizes, orientation)
-        held = np.empty(len(meshes), object)
-        held[:] = meshes
-        return rows._replace(kind=np.full(len(meshes), ShapeKind.MESH, np.uint8), mesh=held)
+        meshes_of_rows = np.empty(len(meshes), object)
+        meshes_of_rows[:] = meshes
+        return rows._replace(
+            kind=np.full(len(meshes), ShapeKind.MESH, np.uint8), mesh=meshes_of_rows
+        )
 
 
 def as_shapes(shapes: Shapes) -> Shapes:
@@ -522,9 +524,9 @@ def canonicalise(shapes: Shapes, ndim: int = 3) -> Canonical:
 def _place_meshes(shapes: Shapes, form: Canonical) -> None:
     """What rows of kind MESH have that others have not."""
     is_mesh = (shapes.kind == MESH) & ((form.faults == FINE) | (form.faults == TOO_LARGE))
-    held: Any = np.full(len(shapes.kind), None) if shapes.mesh is None else shapes.mesh
+    meshes_of_rows: Any = np.full(len(shapes.kind), None) if shapes.mesh is None else shapes.mesh
     rows = np.flatnonzero(is_mesh)
-    once, which = different(held[rows])
+    once, which = different(meshes_of_rows[rows])
     sizes = [mesh.size if isinstance(mesh, Mesh) else np.full(3, np.nan) for mesh in once]
     known = (np.array(sizes).reshape(-1, 3)[which] == shapes.size[rows]).all(axis=1)
     form.faults[rows[~known]] = NO_MESH
@@ -533,7 +535,7 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
         return
     records = form.records[rows]
     turns, ndim = rotations(records['orientation']), form.lo.shape[1]
-    meshes, which = different(held[rows])
+    meshes, which = different(meshes_of_rows[rows])
     centres = np.array([mesh.centre for mesh in meshes]).reshape(-1, 3)[which]
     with np.errstate(over='ignore', invalid='ignore'):
         low, high = _reaches(meshes, which, turns)

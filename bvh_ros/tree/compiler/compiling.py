@@ -81,7 +81,7 @@ def rewired(original: Any, **calls: Any) -> Any:
 
 
 def entry_point(
-    compiled: Any, *arguments: Any, beside: Callable[[], object] | None = None
+    compiled: Any, *arguments: Any, alongside: Callable[[], object] | None = None
 ) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of exactly these types. It does not check
     the types of what it is given: other types are undefined behaviour. Where it has to be
@@ -93,8 +93,8 @@ def entry_point(
     code: Callable[..., Any] = compiled
     signature = tuple(map(numba.typeof, arguments))
     if inside.parts() is not None:
-        if beside is not None and not compiled.is_kept(signature):
-            run_beside(beside)
+        if alongside is not None and not compiled.is_kept(signature):
+            run_beside(alongside)
         code = compiled.compile(signature)
         if isinstance(compiled.overloads[signature].signature.return_type, types.BaseNamedTuple):
             # numba makes it with Python code; where a signal handler raises in that, it crashes.

@@ -31,7 +31,7 @@ class EntryLock:
     """
 
     def __init__(self) -> None:
-        self._held: tuple[int, int] | None = None
+        self._locked: tuple[int, int] | None = None
 
     def acquire(self, folder: Path, what: str) -> bool:
         """Wait until nobody else compiles this; return whether there was somebody.
@@ -49,7 +49,7 @@ class EntryLock:
             while True:
                 try:
                     fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
-                    self._held = file, place
+                    self._locked = file, place
                     return waited
                 except BlockingIOError:
                     waited = True
@@ -61,7 +61,7 @@ class EntryLock:
 
     def release(self) -> None:
         """Let the others go on."""
-        if self._held is not None:
-            file, place = self._held
-            self._held = None
+        if self._locked is not None:
+            file, place = self._locked
+            self._locked = None
             fcntl.lockf(file, fcntl.LOCK_UN, 1, place)

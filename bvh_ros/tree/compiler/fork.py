@@ -26,18 +26,18 @@ class Fork:
     """
 
     def __init__(self, others: Sequence['Fork']) -> None:
-        told, tell = os.pipe()
+        commands, tell = os.pipe()
         heard, answer = os.pipe()
         self.stdin, self.stdout = os.fdopen(tell, 'wb'), os.fdopen(heard, 'rb')
         try:
             self.pid = os.fork()
         except OSError:
-            for end in told, answer:
+            for end in commands, answer:
                 os.close(end)
             raise
         if self.pid == 0:
-            _run([*others, self], told, answer)
-        os.close(told)
+            _run([*others, self], commands, answer)
+        os.close(commands)
         os.close(answer)
 
     def kill(self) -> None:
@@ -49,12 +49,12 @@ class Fork:
         os.waitpid(self.pid, 0)
 
 
-def _run(forks: Sequence[Fork], told: int, answer: int) -> NoReturn:
+def _run(forks: Sequence[Fork], commands: int, answer: int) -> NoReturn:
     """Be a worker. What this process was about to do, its parent does."""
     try:
         for fork in forks:
             fork.stdin.close()
             fork.stdout.close()
-        worker.main(os.fdopen(told), os.fdopen(answer, 'w'))
+        worker.main(os.fdopen(commands), os.fdopen(answer, 'w'))
     finally:
         os._exit(1)

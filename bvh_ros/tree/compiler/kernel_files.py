@@ -61,8 +61,8 @@ class _Place(caching._CacheLocator):
         if self._function.__closure__ is None and source.is_relative_to(kernel_sources.PACKAGE):
             return kernel_sources.digest(source)
         # What a closure holds, or a file elsewhere imports, may be anything.
-        beside = hashlib.sha256(source.read_bytes()).hexdigest()
-        return f'{beside} {kernel_sources.digest_of_all()}'
+        own_digest = hashlib.sha256(source.read_bytes()).hexdigest()
+        return f'{own_digest} {kernel_sources.digest_of_all()}'
 
     def get_disambiguator(self) -> str:
         room = Path(self._py_file).resolve().parent.relative_to(kernel_sources.PACKAGE)

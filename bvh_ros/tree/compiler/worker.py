@@ -16,7 +16,7 @@ Calls = queue.SimpleQueue[str]
 _here = False
 
 
-def main(told: TextIO, answers: TextIO) -> NoReturn:
+def main(commands: TextIO, answers: TextIO) -> NoReturn:
     """Run what comes, a call a line; answer each with a line: why it failed, or nothing."""
     global _here
     _here = True
@@ -24,14 +24,14 @@ def main(told: TextIO, answers: TextIO) -> NoReturn:
     if hasattr(os, 'nice'):
         os.nice(5)  # who sent them may answer meanwhile
     calls: Calls = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(told, calls), daemon=True).start()
+    threading.Thread(target=_listen, args=(commands, calls), daemon=True).start()
     while True:
         print(_run(calls.get()), file=answers, flush=True)
 
 
-def _listen(told: TextIO, calls: Calls) -> None:
+def _listen(commands: TextIO, calls: Calls) -> None:
     """Take calls, and end the process at once when nobody is there any more who sends some."""
-    for line in told:
+    for line in commands:
         calls.put(line)
     os._exit(0)
 

@@ -65,7 +65,7 @@ class _Clusters:
             keys = builder.or_(self.areas_with(rows[i])[1], names)
             there = builder.icmp_signed('<', ir.Constant(_INT, i), count)
             builder.store(builder.select(there, keys, _NO_PAIR), self.row_at(index(i)))
-        self.gone = variable(builder, self._ones('>=', count))
+        self.done = variable(builder, self._ones('>=', count))
         self.stale = variable(builder, ints([0] * LANES))
 
     def box_at(self, number: Any) -> Any:
@@ -117,11 +117,11 @@ class _Clusters:
         chosen = builder.icmp_signed('!=', here, ints([0] * LANES))
         for side, column in zip(sides, self.columns, strict=True):
             builder.store(builder.select(chosen, side, builder.load(column)), column)
-        builder.store(builder.or_(builder.load(self.gone), there), self.gone)
+        builder.store(builder.or_(builder.load(self.done), there), self.done)
         builder.store(builder.or_(here, there), self.stale)
         name = builder.shl(older, ir.Constant(_INT, 3))
         name = builder.or_(name, builder.shl(age, ir.Constant(_INT, 6)))
-        for more in (splat(builder, name, LANES), _LANE, builder.load(self.gone), here):
+        for more in (splat(builder, name, LANES), _LANE, builder.load(self.done), here):
             keys = builder.or_(keys, more)
         builder.store(_NO_PAIR, self.row_at(second))
         builder.store(keys, self.row_at(first))

@@ -95,14 +95,14 @@ def stream16(typingctx, planes, node, octant, rays, places, hits, nearest):
                     number = builder.load(builder.bitcast(at, _FLOAT.as_pointer()))
                     return splat(builder, number, WIDTH)
 
-                entry, met = _slabs(builder, boxes_for(ray), field)
+                entry, hit = _slabs(builder, boxes_for(ray), field)
                 if each_own:
                     write(entry, builder.mul(number, index(WIDTH)))
                 else:
                     far = ir.Constant(_WIDE, [float('inf')] * WIDTH)
-                    nearer = builder.select(met, entry, far)
+                    nearer = builder.select(hit, entry, far)
                     builder.store(pick(builder, '<', nearer, builder.load(least)), least)
-                bits = builder.zext(builder.bitcast(met, ir.IntType(WIDTH)), _INT)
+                bits = builder.zext(builder.bitcast(hit, ir.IntType(WIDTH)), _INT)
                 builder.store(bits, builder.gep(hits, [number]))
                 builder.store(builder.or_(builder.load(any_hits), bits), any_hits)
 
@@ -140,7 +140,7 @@ def seen16(typingctx, masks, at, mask):
         first = elements_at(context, builder, signature.args[0], args[0], args[1], index(WIDTH))
         place = builder.bitcast(first, words.as_pointer())
         common = builder.and_(builder.load(place, align=4), splat(builder, args[2], WIDTH))
-        seen = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
-        return builder.zext(builder.bitcast(seen, ir.IntType(WIDTH)), _INT)
+        visible = builder.icmp_unsigned('!=', common, ir.Constant(words, [0] * WIDTH))
+        return builder.zext(builder.bitcast(visible, ir.IntType(WIDTH)), _INT)
 
     return sig, codegen

@@ -33,7 +33,7 @@ def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
     return numbers
 
 
-def _seen_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> Any:
+def _moved_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> Any:
     """The numbers of an array, or of (an array, another, so many times which it loses)."""
     if isinstance(kind, types.Array):
         return _row(context, builder, kind, given, ndim)
@@ -84,7 +84,7 @@ def set_slopes(typingctx, ray, origin, direction, center, per_length, bounds):
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         def row(argument: int) -> Any:
             kind = signature.args[argument]
-            return _seen_row(context, builder, kind, args[argument], ndim)
+            return _moved_row(context, builder, kind, args[argument], ndim)
 
         def store(name: str, numbers: Any) -> None:
             place = builder.gep(record, [index(ray.offset(name))])

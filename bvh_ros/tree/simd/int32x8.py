@@ -34,20 +34,20 @@ def _rearranged(builder: Any, numbers: Any, lanes: Any) -> Any:
 def _constant(builder: Any, value: Any) -> Any:
     """Pointer to a constant of the module."""
     name = builder.module.get_unique_name('lanes_chosen')
-    kept = ir.GlobalVariable(builder.module, value.type, name)
-    kept.initializer, kept.global_constant, kept.linkage = value, True, 'internal'
-    return kept
+    constant = ir.GlobalVariable(builder.module, value.type, name)
+    constant.initializer, constant.global_constant, constant.linkage = value, True, 'internal'
+    return constant
 
 
 @intrinsic
-def list_met8(typingctx, lists, start, count, met, bit, into):
+def list_met8(typingctx, lists, start, count, hits, bit, into):
     """Copy those of lists[start:start + count] whose `met` has a bit to lists[into:], in their
     order; return where they end. `met` is 0 for AT_ONCE - 1 more; so many numbers behind the end
     are written, too.
 
     Without a branch or a store for each: what a ray among others meets can't be guessed.
     """
-    sig = types.int64(lists, types.int64, types.int64, met, types.int64, types.int64)
+    sig = types.int64(lists, types.int64, types.int64, hits, types.int64, types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         _, start, count, _, bit, into = args

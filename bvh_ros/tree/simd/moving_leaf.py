@@ -90,11 +90,11 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
         )
         loose = splat(builder, builder.extract_element(loose, ir.Constant(_INT, 0)), width)
         start = _row(context, builder, signature, args, 2, shape)
-        way = builder.fmul(velocity, since)
+        travel = builder.fmul(velocity, since)
         rate = _row(context, builder, signature, args, 3, shape)
         rate = builder.fsub(rate, builder.fmul(velocity, pace))
-        below = builder.fsub(builder.fadd(builder.fsub(lo, start), way), more)
-        above = builder.fadd(builder.fadd(builder.fsub(hi, start), way), more)
+        below = builder.fsub(builder.fadd(builder.fsub(lo, start), travel), more)
+        above = builder.fadd(builder.fadd(builder.fsub(hi, start), travel), more)
         size = operation(builder, f'llvm.fabs.v{width}f64', vector, [vector])
         slow = builder.fcmp_ordered('<', builder.call(size, [rate]), slowest)
         slow, quick = builder.and_(slow, axes), builder.and_(builder.not_(slow), axes)
@@ -123,7 +123,7 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
         entered_by = _folded(builder, builder.select(latest, entered, zero), '>')
         others_by = _folded(builder, builder.select(latest, zero, entered), '>')
         others_by = pick(builder, '>', others_by, ir.Constant(_DOUBLE, 0.0))
-        told = (
+        answer = (
             builder.icmp_unsigned('!=', missed, index(0)),
             builder.icmp_unsigned('!=', _bits(builder, doubt), index(0)),
             *(entry, _folded(builder, far, '<'), entered_by, others_by),
@@ -131,7 +131,7 @@ def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, 
             _bits(builder, builder.and_(quick, builder.fcmp_ordered('<', inverse, zero))),
             builder.icmp_unsigned('==', _bits(builder, builder.and_(axes, inside)), all_axes),
         )
-        return context.make_tuple(builder, signature.return_type, told)
+        return context.make_tuple(builder, signature.return_type, answer)
 
     given = leaves, types.int64, origin, direction, *(number,) * 4
     return result(*given), codegen

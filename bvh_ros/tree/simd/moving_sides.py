@@ -126,8 +126,8 @@ def enter_sides(typingctx, nodes, node, fronts, ahead, pace):
         entry = _folded(builder, entry, lambda a, b: pick(builder, '>', a, b))
         leave = pick(builder, '<', leave, later)
         leave = _folded(builder, leave, lambda a, b: pick(builder, '<', a, b))
-        told = _any(builder, builder.or_(missed, also)), entry, leave
-        return context.make_tuple(builder, signature.return_type, told)
+        answer = _any(builder, builder.or_(missed, also)), entry, leave
+        return context.make_tuple(builder, signature.return_type, answer)
 
     given = nodes, types.int64, fronts, types.float64, types.float64
     return result(*given), codegen

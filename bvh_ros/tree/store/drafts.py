@@ -20,10 +20,10 @@ def put_in_place(path: Path) -> Iterator[BinaryIO]:
         with open(path, 'wb') as file:
             yield file
         return
-    beside = path.with_name(f'.{secrets.token_hex(8)}.part')  # two may write at once
+    draft = path.with_name(f'.{secrets.token_hex(8)}.part')  # two may write at once
     try:
-        with open(beside, 'xb') as file:
+        with open(draft, 'xb') as file:
             yield file
-        os.replace(beside, path)
+        os.replace(draft, path)
     finally:
-        beside.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)

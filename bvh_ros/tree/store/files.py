@@ -183,12 +183,14 @@ def _sound(packed: Any, counters: Iterable[str]) -> dict[str, Any]:
     if not isinstance(packed, dict):
         raise ValueError(f'a saved tree is a dict, not {type(packed).__name__}')
     _refuse_missing(packed)
-    kept = {name: _value(packed, name) for name in VALUES}
-    if kept['version'] not in VERSIONS:
-        raise ValueError(f'it has format version {kept["version"]}; this is for {VERSIONS}')
-    kept |= {name: np.asarray(packed[name]) for name in ARRAYS}
-    _check_forms(kept['ndim'], {name: (kept[name].dtype, kept[name].shape) for name in ARRAYS})
-    return kept | {'counters': _counters(packed['counters'], counters)}
+    stored = {name: _value(packed, name) for name in VALUES}
+    if stored['version'] not in VERSIONS:
+        raise ValueError(f'it has format version {stored["version"]}; this is for {VERSIONS}')
+    stored |= {name: np.asarray(packed[name]) for name in ARRAYS}
+    _check_forms(
+        stored['ndim'], {name: (stored[name].dtype, stored[name].shape) for name in ARRAYS}
+    )
+    return stored | {'counters': _counters(packed['counters'], counters)}
 
 
 def attach(tree: Any, path: Path, verify: bool) -> None:
@@ -208,26 +210,28 @@ def attach(tree: Any, path: Path, verify: bool) -> None:
             raise ValueError(f'{path} is damaged: {error}') from None
 
 
-def _fill_state(state: NDArray[np.int64], kept: dict[str, Any], counters: dict[str, int]) -> None:
-    state[:STATE_PLACES], state[SERIAL] = kept['state'], kept['serial']
+def _fill_state(
+    state: NDArray[np.int64], stored: dict[str, Any], counters: dict[str, int]
+) -> None:
+    state[:STATE_PLACES], state[SERIAL] = stored['state'], stored['serial']
     for name, count in counters.items():
         state[COUNTERS[name]] = count
 
 
 def unpack(tree: Any, packed: Any) -> None:
     """Fill a new tree; ValueError if what was kept is not a sound one."""
-    kept = _sound(packed, tree.COUNTERS)
-    tree._be(kept['ndim'], kept['margin'], kept['sibling_search'])
-    storage = allocate(kept['ndim'], len(kept['handles']), bool(len(kept['tight'])))
+    stored = _sound(packed, tree.COUNTERS)
+    tree._be(stored['ndim'], stored['margin'], stored['sibling_search'])
+    storage = allocate(stored['ndim'], len(stored['handles']), bool(len(stored['tight'])))
     for name in ARRAYS[:-1]:
-        getattr(storage.tree, name)[:] = kept[name]
-    _fill_state(storage.tree.state, kept, kept['counters'])
+        getattr(storage.tree, name)[:] = stored[name]
+    _fill_state(storage.tree.state, stored, stored['counters'])
     storage.tree.state[TURN] = 0
     tree._storage = storage
     try:
         if not isinstance(packed, Copied):
             tree.validate()
-        if kept['version'] == WITH_MOTION:
+        if stored['version'] == WITH_MOTION:
             if LEFT in packed:
                 tree.count_nanoseconds(checks.limit(LEFT, packed[LEFT]))
             tree.set_velocities(*(packed[name] for name in MOTION))

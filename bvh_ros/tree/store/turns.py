@@ -50,8 +50,8 @@ def replace_atomically(typingctx, array, place, expected, value):
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         word = elements_at(context, builder, signature.args[0], args[0], args[1], index(1))
-        seen = builder.cmpxchg(word, args[2], args[3], 'acq_rel', 'acquire')
-        return builder.extract_value(seen, 0)
+        previous = builder.cmpxchg(word, args[2], args[3], 'acq_rel', 'acquire')
+        return builder.extract_value(previous, 0)
 
     return types.int64(array, types.int64, types.int64, types.int64), codegen
 
@@ -89,9 +89,9 @@ def count_rays(state, rays, exact):
 @inlined
 def begin_change(state, version):
     """0 if there is a turn, and the tree is of this version; else QUERIED or CHANGED."""
-    seen = replace_atomically(state, TURN, 0, CHANGING)
-    if seen != 0:
-        return QUERIED if seen > 0 else CHANGED
+    previous = replace_atomically(state, TURN, 0, CHANGING)
+    if previous != 0:
+        return QUERIED if previous > 0 else CHANGED
     if version != ANY_VERSION and state[CHANGES] != version:
         add_atomically(state, TURN, -CHANGING)
         return CHANGED

@@ -78,7 +78,7 @@ def test_an_inside_counts():
 def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     mesh, other = CUBE, CUBE * 2
     scene = scene_of(Shapes.of_meshes([Mesh(mesh), Mesh(mesh), Mesh(other)], np.eye(3) * 9))
-    store = scene._held.columns.meshes
+    store = scene._store.columns.meshes
     assert len(store) == 2
     first = store.hulls
     moved = Shapes.of_meshes([Mesh(mesh)], [(5, 5, 5)])
@@ -89,6 +89,6 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert len(store) == 1
     assert scene.update('test', ['0', '1'], Shapes.boxes(np.eye(3)[:2], (1, 1, 1)), stamp=3) == []
     assert len(store) == 0
-    assert scene._held.columns.hulls is None
+    assert scene._store.columns.hulls is None
     assert scene.get('0').kind == ShapeKind.BOX
     assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
