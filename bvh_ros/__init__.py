@@ -2,27 +2,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """A dynamic bounding volume hierarchy of moving obstacle boxes, alone and as a ROS 2 node.
 
-Importing this imports no ROS, and the compiler only with the first name that is taken from here:
-clients of a node need none.
+Importing this imports no ROS, and the compiler and the scene only with the first name that needs
+them: clients of a node need none.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
     from .tree import ALL, DynamicBVH, RayHit, RayHits
 
 __version__ = '0.1.0'
-__all__ = ['ALL', 'DynamicBVH', 'RayHit', 'RayHits', '__version__']
+OF_SCENE = 'NO_NODE', 'Mesh', 'Scene', 'ShapeKind', 'Shapes'
+__all__ = [
+    'ALL',
+    'NO_NODE',
+    'DynamicBVH',
+    'Mesh',
+    'RayHit',
+    'RayHits',
+    'Scene',
+    'ShapeKind',
+    'Shapes',
+    '__version__',
+]
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    from . import tree
-
-    return getattr(tree, name)
+    room = 'scene' if name in OF_SCENE else 'tree'
+    return getattr(import_module(f'.{room}', __name__), name)
 
 
 def __dir__() -> list[str]:

@@ -18,6 +18,16 @@ def test_importing_does_not_import_optional_parts(module):
     assert result.stdout.split() == []
 
 
+def test_the_scene_is_imported_with_its_first_name():
+    program = (
+        'import sys, bvh_ros; print("numba" in sys.modules, "bvh_ros.scene" in sys.modules)\n'
+        'from bvh_ros import DynamicBVH; print("bvh_ros.scene" in sys.modules)\n'
+        'from bvh_ros import NO_NODE, Mesh, Scene, ShapeKind, Shapes; print(Scene().planar)'
+    )
+    result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
+    assert result.stdout.split() == ['False'] * 4, result.stderr
+
+
 @pytest.mark.parametrize('module', ['bvh_ros.demo', 'bvh_ros.ros.node', 'bvh_ros.view.main'])
 def test_a_view_that_is_off_is_not_imported(module):
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)

@@ -83,10 +83,15 @@ FOREST: dict[str, dict[str, Any]] = {
     'build': {'folder': 'other', 'chunks': [(ROWS, ENDS)], 'max_boxes': 3},
 }  # fmt: skip
 SHAPES: dict[str, dict[str, Any]] = {
+    '__new__': {'kind': 0, 'position': ROWS, 'orientation': [0, 0, 0, 1], 'size': ENDS,
+                'mesh': None},
     'boxes': {'position': ROWS, 'size': ENDS, 'orientation': None},
+    'spheres': {'position': ROWS, 'radius': 1.0},
+    'cylinders': {'position': ROWS, 'radius': 1.0, 'height': 2.0, 'orientation': None},
+    'capsules': {'position': ROWS, 'radius': 1.0, 'length': 2.0, 'orientation': None},
     'take': {'rows': [0, 1]},
     'of_meshes': {'meshes': [CUBE] * 5, 'position': ROWS, 'orientation': None},
-}
+}  # fmt: skip
 
 
 MESH: dict[str, dict[str, Any]] = {'__init__': {'triangles': box_of_triangles((1, 1, 1))}}
@@ -101,6 +106,7 @@ INSIDE = {
     Forest: {'__init__'},  # of `open` and `build`
 }  # fmt: skip
 DRAWN = {'plot'}  # `test_plotting` of the tree and of the scene
+MAKERS = '__init__', '__new__'
 ABSENT = {'handle', 'handles', 'ids', 'name'}  # of what there is none: KeyError
 FILES = {'path', 'folder'}  # where there is nothing to read, or to write: OSError
 # As many rows as memory can take: views of one number are left out.
@@ -115,11 +121,11 @@ def parameters(cls: type) -> dict[str, set[str]]:
     named = {}
     for name, function in inspect.getmembers(cls, callable):
         inherited = hasattr(tuple if issubclass(cls, tuple) else object, name)
-        if name.startswith('_') and name not in ('__init__', '__contains__'):
+        if name.startswith('_') and name not in (*MAKERS, '__contains__'):
             continue
-        if inherited and function is not cls.__dict__.get(name):
+        if inherited and name not in cls.__dict__:
             continue
-        if taken := {*inspect.signature(function).parameters} - {'self'}:
+        if taken := {*inspect.signature(function).parameters} - {'self', 'cls'}:
             named[name] = taken
     return named
 
@@ -156,7 +162,7 @@ def complaints(
         subject = make()
         before = state(subject)
         for shown, value in odd_values(name):
-            call = subject if method == '__init__' else getattr(subject, method)
+            call = subject if method in MAKERS else getattr(subject, method)
             try:
                 call(**{**good, name: value})
                 subject = make()
@@ -230,7 +236,10 @@ def test_a_forest(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.filterwarnings('ignore')
 def test_shapes_and_meshes() -> None:
-    wrong = [complaints(method, good, lambda: FIVE) for method, good in SHAPES.items()]
+    wrong = [
+        complaints(method, good, lambda method=method: Shapes if method in MAKERS else FIVE)
+        for method, good in SHAPES.items()
+    ]
     wrong.append(complaints('__init__', MESH['__init__'], lambda: Mesh))
     assert not any(wrong), '\n'.join(map(str, wrong))
 

@@ -16,7 +16,7 @@ from .results import (
 )
 from .scene import Scene
 from .shapes.mesh import Mesh, mesh_of
-from .shapes.shape import ShapeKind, Shapes
+from .shapes.shape import ShapeKind, Shapes, unchecked_shapes
 from .updates import Part
 
 __all__ = [
@@ -37,4 +37,5 @@ __all__ = [
     'Shapes',
     'TooManyHitsError',
     'mesh_of',
+    'unchecked_shapes',
 ]

@@ -22,7 +22,7 @@ from .distance.query import (
     shape_query,
 )
 from .results import SceneHit, require_few
-from .shapes.shape import Shapes, as_shapes
+from .shapes.shape import Shapes, as_shapes, unchecked_shapes
 from .store import Obstacles
 from .timed_queries import TimedQueries
 
@@ -257,7 +257,7 @@ class OverlapQueries:
             )
             if told is not None:
                 return told
-        shapes = Shapes(given[0], given[1], given[2], given[3], mesh)
+        shapes = unchecked_shapes(given[0], given[1], given[2], given[3], mesh)
         legal, hulls = query_rows(shapes, tolerance, mask, self._store.planar, *names)
         return self._then_many(tuple(legal), hulls, wanted, threads, at)
 

@@ -183,6 +183,15 @@ class Part(NamedTuple):
             yield Part(names.take(rows), shapes, *rest)
 
 
+def stamp_of(given: ArrayLike | None, velocities: ArrayLike | Follow | None) -> ArrayLike:
+    """The stamp of an update, which may be left out where nothing moves by itself."""
+    if given is not None:
+        return given
+    if velocities is not None:
+        raise ValueError('stamp must be given where obstacles have velocities')
+    return 0
+
+
 def require_a_name_each(names: Families, count: int) -> None:
     """ValueError if there are more or fewer names than shapes."""
     if len(names) != count:
@@ -246,7 +255,7 @@ class Updates:
         names: Names,
         shapes: Shapes,
         *,
-        stamp: ArrayLike,
+        stamp: ArrayLike | None = None,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
         velocities: ArrayLike | Follow | None = None,
@@ -261,8 +270,8 @@ class Updates:
             Of several good rows with one name the last holds.
         shapes : Shapes
             n rows.
-        stamp : int or (n,) array
-            Time of the data, ns.
+        stamp : int or (n,) array, optional
+            Time of the data, ns. A scene without velocities needs none: None is 0.
         expires : int or (n,) array
             When they vanish on the caller's clock, ns, see `expire`; 0 is never.
         categories : int or (n,) array, optional
@@ -285,7 +294,8 @@ class Updates:
         OverflowError
             If the node handles of this run are used up; nothing is changed then.
         """
-        return self.apply(source, '', Part(names, shapes, stamp, expires, categories, velocities))
+        time = stamp_of(stamp, velocities)
+        return self.apply(source, '', Part(names, shapes, time, expires, categories, velocities))
 
     def replace(
         self,
@@ -294,7 +304,7 @@ class Updates:
         names: Names,
         shapes: Shapes,
         *,
-        stamp: ArrayLike,
+        stamp: ArrayLike | None = None,
         expires: ArrayLike = 0,
         categories: ArrayLike | None = None,
         velocities: ArrayLike | Follow | None = None,
@@ -304,7 +314,8 @@ class Updates:
 
         A refused row counts as named: its obstacle stays.
         """
-        part = Part(names, shapes, stamp, expires, categories, velocities)
+        time = stamp_of(stamp, velocities)
+        part = Part(names, shapes, time, expires, categories, velocities)
         return self.apply(source, group, part, whole=True)
 
     def apply(

@@ -33,7 +33,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.world.frames import FrameError, Frames, Transform
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, Shapes, unchecked_shapes
 from bvh_ros.view.worlds import (
     NO_POINTS,
     Answer,
@@ -138,11 +138,13 @@ def _quaternions(axes: Floats) -> Floats:
 
 
 def _shapes(kind: ShapeKind, position: Floats, orientation: Floats, size: Floats) -> Shapes:
-    return Shapes(np.full(len(position), kind, np.uint8), position, orientation, size)
+    return unchecked_shapes(np.full(len(position), kind, np.uint8), position, orientation, size)
 
 
 def _joined(several: list[Shapes]) -> Shapes:
-    return Shapes(*(np.concatenate([one[column] for one in several]) for column in range(4)))
+    return unchecked_shapes(
+        *(np.concatenate([one[column] for one in several]) for column in range(4))
+    )
 
 
 # ---- The topics of a node: diagnostics and pictures

@@ -104,7 +104,8 @@ def test_changes(scene):
         for shapes in NOT_SHAPES:
             refused(scene, change, 's', ['a'], shapes, stamp=8)
         for bad in NOT_ONE:
-            refused(scene, change, 's', ['a'], BOX, stamp=bad)
+            if bad is not None:
+                refused(scene, change, 's', ['a'], BOX, stamp=bad)
             refused(scene, change, 's', ['a'], BOX, stamp=8, expires=bad)
             if bad is not None:
                 refused(scene, change, 's', ['a'], BOX, stamp=8, categories=bad)
@@ -146,7 +147,7 @@ def test_constructors(scene):
             refused(scene, Shapes.of_meshes, [CUBE], bad)
     for bad in ('x', [1, 2], MASKED[:, :2], [1j, 1, 1], {}):
         refused(scene, Shapes.boxes, [[0, 0, 0]], bad)
-    for bad in (5, 'x', [1, 2], [[1, 2, 3]], [[0, 0, 0, 1]] * 2):
+    for bad in (5, 'x', [1, 2], [[1, 2, 3]], [[0, 0, 0, 1]] * 3):
         refused(scene, Shapes.boxes, [[0, 0, 0]], [1, 1, 1], bad)
     for bad in ([None], ['x'], [5], [], [CUBE, CUBE]):
         refused(scene, Shapes.of_meshes, bad, [[0, 0, 0]])

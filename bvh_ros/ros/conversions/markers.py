@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import FrameError, Transform
-from bvh_ros.scene import Block, Families, Mesh, Refusals, ShapeKind, Shapes, mesh_of
+from bvh_ros.scene import (
+    Block,
+    Families,
+    Mesh,
+    Refusals,
+    ShapeKind,
+    Shapes,
+    mesh_of,
+    unchecked_shapes,
+)
 from bvh_ros.scene.shapes.shape import FINE, as_shapes, canonicalise
 from bvh_ros.scene.store import run_in_thread
 
@@ -453,7 +462,8 @@ class _Reader:
         given = table.position[rows], table.orientation[rows], table.scale[rows]
         bad = np.zeros(len(which), np.bool_)
         bad[rows] = (
-            canonicalise(as_shapes(Shapes(_KINDS[table.type[rows]], *given))).faults != FINE
+            canonicalise(as_shapes(unchecked_shapes(_KINDS[table.type[rows]], *given))).faults
+            != FINE
         )
         return bad
 
@@ -502,7 +512,7 @@ class _Reader:
             turn[place] = rotations.normalised(turn[place])
             position[place] += rotations.rotate(turn[place], local[done : done + len(place)])
             done += len(place)
-        return Shapes(_KINDS[table.type[of]], position, turn, size)
+        return unchecked_shapes(_KINDS[table.type[of]], position, turn, size)
 
     def _move(self, shapes: Shapes, of: Integers) -> Generator[None, None, None]:
         """Bring what stands in other frames into the node's."""

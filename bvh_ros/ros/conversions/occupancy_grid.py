@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, Shapes, unchecked_shapes
 
 # An origin may be off the vertical by what rounding does to a quaternion, not by more.
 MAX_TILT = 1e-6
@@ -66,7 +66,7 @@ def boxes(
     low, high = extent[:, :2], extent[:, 2:]
     n = len(extent)
     middle = np.column_stack((0.5 * (low + high), np.full(n, 0.5 * (z_min + z_max))))
-    return Shapes(
+    return unchecked_shapes(
         np.full(n, ShapeKind.BOX, dtype=np.uint8),
         rotations.rotate(turn, middle) + at,
         np.tile(turn, (n, 1)),

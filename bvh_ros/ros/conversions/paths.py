@@ -14,7 +14,7 @@ from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import Faults, Floats, take
 from bvh_ros.ros.world.frames import Transform
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, Shapes, unchecked_shapes
 
 
 class Poses(NamedTuple):
@@ -72,8 +72,9 @@ class PathPoses:
 
 def shapes(poses: Poses, footprint: Sequence[float]) -> Shapes:
     """Return the footprint, a box or a ball, at each pose."""
-    size = footprint if len(footprint) == 3 else (2.0 * footprint[0],) * 3
-    boxes = Shapes.boxes(poses.places, size, poses.turns)
-    if len(footprint) == 3:
-        return boxes
-    return boxes._replace(kind=np.full(len(poses.places), ShapeKind.SPHERE, np.uint8))
+    kind, size = ShapeKind.BOX, footprint
+    if len(footprint) == 1:
+        kind, size = ShapeKind.SPHERE, (2.0 * footprint[0],) * 3
+    count = len(poses.places)
+    kinds, sizes = np.full(count, kind, np.uint8), np.full((count, 3), size, np.float64)
+    return unchecked_shapes(kinds, poses.places, poses.turns, sizes)

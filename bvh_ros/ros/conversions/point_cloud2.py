@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured
-from bvh_ros.scene import Block, Refusals, ShapeKind, Shapes
+from bvh_ros.scene import Block, Refusals, ShapeKind, Shapes, unchecked_shapes
 
 CENTRE = ('x', 'y', 'z')
 SIZE = ('sx', 'sy', 'sz')
@@ -99,7 +99,7 @@ class BoxCloud:
         known = ~np.isnan(centre).any(axis=1)
         skipped = int((usable & ~known).sum())
         usable = usable & known
-        shapes = Shapes(np.full(n, ShapeKind.BOX, dtype=np.uint8), centre, turn, size)
+        shapes = unchecked_shapes(np.full(n, ShapeKind.BOX, dtype=np.uint8), centre, turn, size)
         velocities = columns(points, VELOCITY) if self._moving else None
         if not usable.all():
             numbers, shapes = numbers[usable], shapes.take(usable)

@@ -49,7 +49,7 @@ from bvh_ros.ros.parts.services import in_turns
 from bvh_ros.ros.qos import repeated
 from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.world import CompilingError, IncompleteWorldError
-from bvh_ros.scene import NO_NODE, ShapeKind, Shapes, TooManyHitsError
+from bvh_ros.scene import NO_NODE, ShapeKind, TooManyHitsError, unchecked_shapes
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -380,7 +380,7 @@ class TypedServices(NodePart):
     def _clearance(
         self, scene: Scene, request: Any, rows: ShapeRows, at: Any, _until: Any, _limit: Limit
     ) -> Answers:
-        shapes = Shapes(rows.kinds, rows.places, rows.turns, rows.sizes)
+        shapes = unchecked_shapes(rows.kinds, rows.places, rows.turns, rows.sizes)
         handles, distances, points, others = scene.clearance_many(
             *(shapes, rows.reaches, rows.masks, request.signed_distances),
             *(self._threads(len(rows.masks)), at),

@@ -46,6 +46,7 @@ from ..shapes.shape import (
     is_finite,
     maps_axes_to_axes,
     rows_entry,
+    unchecked_shapes,
 )
 from ..shapes.shape import UNTURNED as NO_ROTATION
 from .narrow_phase import (
@@ -268,7 +269,7 @@ def with_records(rows: QueryRows) -> QueryRows:
     """Legal rows with records, as Python reads them."""
     if len(rows.records):
         return rows
-    form = canonicalise(_row_by_row(Shapes(*rows.given), number_of(rows)))
+    form = canonicalise(_row_by_row(unchecked_shapes(*rows.given), number_of(rows)))
     bounds = np.stack((form.lo, form.hi), axis=1)
     return rows._replace(records=form.records, bounds=bounds, given=NO_GIVEN)
 
@@ -307,7 +308,7 @@ def _row_by_row(given: Shapes, count: int) -> Shapes:
     """With all columns of so many rows."""
     every: Any = (np.broadcast_to(rows, (count, *rows.shape[1:])) for rows in given[:4])
     kind, position, orientation, size = map(np.ascontiguousarray, every)
-    return Shapes(kind, position, orientation, size, given.mesh)
+    return unchecked_shapes(kind, position, orientation, size, given.mesh)
 
 
 def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QueryShape, Hulls | None]:

@@ -116,25 +116,83 @@ class ShapeKind(IntEnum):
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = range(5)  # the same, as a kernel can read it
 
 
-class Shapes(NamedTuple):
-    """Poses and sizes of n obstacles, one a row.
-
-    Every shape is given by the box around it in its own frame: a sphere by its diameter three
-    times, a cylinder (axis: local z) by diameter, diameter, height, a capsule (axis: local z) by
-    diameter, diameter, length over all. A mesh has the size of its `Mesh`, and the position is
-    that of its triangles' frame.
-    """
+class ShapeColumns(NamedTuple):
+    """The fields of `Shapes`."""
 
     kind: NDArray[np.uint8]
-    """(n,) values of `ShapeKind`."""
     position: Floats
-    """(n, 3) centres, m."""
     orientation: Floats
-    """(n, 4) quaternions x, y, z, w. Zero is the identity; others need not be of unit length."""
     size: Floats
-    """(n, 3) full edge lengths along the shape's own axes, m."""
     mesh: NDArray[np.object_] | None = None
-    """(n,) a `Mesh` in the rows of kind MESH; None if there are no such rows."""
+
+
+class Shapes(ShapeColumns):
+    """Poses and sizes of n obstacles, one a row.
+
+    `boxes`, `spheres`, `cylinders`, `capsules` and `of_meshes` make shapes of one kind. The class
+    itself takes rows of several kinds, each given by the box around it in its own frame:
+
+    - a sphere by its diameter three times,
+    - a cylinder (axis: local z) by diameter, diameter, height,
+    - a capsule (axis: local z) by diameter, diameter, length from tip to tip,
+    - a mesh by the size of its `Mesh`; its position is that of its triangles' frame.
+
+    Parameters
+    ----------
+    kind : array_like, shape (n,)
+        Values of `ShapeKind`, or one for all.
+    position : array_like, shape (n, 3)
+        Centres, m.
+    orientation : array_like, shape (n, 4), or (4,) for all
+        Quaternions x, y, z, w.
+    size : array_like, shape (n, 3), or (3,) for all
+        Full edge lengths along the shape's own axes, m.
+    mesh : sequence of n, optional
+        A `Mesh` in the rows of kind MESH.
+
+    Raises
+    ------
+    ValueError
+        If a row is no legal shape; the message names the argument and the row.
+
+    Examples
+    --------
+    >>> from bvh_ros import Shapes
+    >>> Shapes.boxes([[2, 0, 0], [5, 0, 0]], size=[1, 1, 1])
+    Shapes(2 boxes)
+    >>> Shapes([0, 1], [[2, 0, 0], [5, 0, 0]], [0, 0, 0, 1], [1, 1, 1])
+    Shapes(1 box, 1 sphere)
+    """
+
+    __slots__ = ()
+
+    def __new__(
+        cls,
+        kind: ArrayLike,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        size: ArrayLike,
+        mesh: Sequence[Any] | NDArray[np.object_] | None = None,
+    ) -> 'Shapes':
+        """Check each argument, and each row."""
+        centres = _rows('position', position, 3)
+        count = len(centres)
+        kinds = _kinds_of_rows(kind, count)
+        turns = _one_or_rows('orientation', orientation, count, 4)
+        made = unchecked_shapes(kinds, centres, turns, _sizes(size, count), _meshes(mesh, kinds))
+        _require_legal(made)
+        return made
+
+    def __repr__(self) -> str:
+        counts = np.bincount(np.asarray(self.kind), minlength=len(ShapeKind)).tolist()
+        parts = [
+            f'{count:,} {PLURALS[kind] if count != 1 else ShapeKind(kind).name.lower()}'
+            for kind, count in enumerate(counts[: len(ShapeKind)])
+            if count
+        ]
+        if others := sum(counts[len(ShapeKind) :]):
+            parts.append(f'{others:,} of no kind')
+        return f'Shapes({", ".join(parts) or "none"})'
 
     def take(self, rows: Any) -> 'Shapes':
         """Some of the rows: a slice, integers or booleans, as numpy takes them."""
@@ -144,7 +202,7 @@ class Shapes(NamedTuple):
             raise ValueError(f'rows must name rows of {len(self.kind)}: {error}') from None
         if kind.ndim != 1:
             raise ValueError(f'rows must have one dimension, not those of {kind.shape}')
-        return Shapes(
+        return unchecked_shapes(
             *(kind, self.position[rows], self.orientation[rows], self.size[rows]),
             None if self.mesh is None else self.mesh[rows],
         )
@@ -153,47 +211,211 @@ class Shapes(NamedTuple):
     def boxes(
         cls, position: ArrayLike, size: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
-        """Boxes; without `orientation` (n, 4) axis-aligned.
+        """Boxes with centres (n, 3) and full edge lengths (n, 3), or (3,) for all, m.
 
-        A `size` of shape (3,) holds for all.
+        `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: axis-aligned.
+        """
+        return cls(ShapeKind.BOX, position, _unturned(orientation), size)
+
+    @classmethod
+    def spheres(cls, position: ArrayLike, radius: ArrayLike) -> 'Shapes':
+        """Balls with centres (n, 3) and a radius, one for all or (n,), m."""
+        centres = _rows('position', position, 3)
+        diameter = _diameters(radius, len(centres))
+        size = np.repeat(diameter[:, None], 3, axis=1)
+        return cls(ShapeKind.SPHERE, centres, IDENTITY, size)
+
+    @classmethod
+    def cylinders(
+        cls,
+        position: ArrayLike,
+        radius: ArrayLike,
+        height: ArrayLike,
+        orientation: ArrayLike | None = None,
+    ) -> 'Shapes':
+        """Cylinders about their own z axis: centres (n, 3), and radius and height, each one for
+        all or (n,), m.
+
+        `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: upright.
         """
         centres = _rows('position', position, 3)
-        turns = np.zeros((len(centres), 4))
-        if orientation is not None:
-            turns = _rows('orientation', orientation, 4)
-        if len(turns) != len(centres):
+        across, along = _diameters(radius, len(centres)), _positive('height', height, len(centres))
+        size = np.column_stack((across, across, along))
+        return cls(ShapeKind.CYLINDER, centres, _unturned(orientation), size)
+
+    @classmethod
+    def capsules(
+        cls,
+        position: ArrayLike,
+        radius: ArrayLike,
+        length: ArrayLike,
+        orientation: ArrayLike | None = None,
+    ) -> 'Shapes':
+        """Cylinders with round ends about their own z axis: centres (n, 3), and radius and length
+        from tip to tip, each one for all or (n,), m.
+
+        `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: upright.
+        """
+        centres = _rows('position', position, 3)
+        across, along = _diameters(radius, len(centres)), _positive('length', length, len(centres))
+        short = np.flatnonzero(along < across)
+        if len(short):
             raise ValueError(
-                f'orientation has {len(turns)} rows for {len(centres)} rows of position'
+                'length must be at least twice the radius, as it goes from tip to tip: row '
+                f'{short[0]} has length {along[short[0]]} and radius {across[short[0]] / 2}'
             )
-        kind, sizes = np.full(len(centres), ShapeKind.BOX, np.uint8), checks.floats('size', size)
-        if sizes.shape != centres.shape:
-            if sizes.shape not in ((), (1,), (3,), (1, 3)):
-                raise ValueError(
-                    f'size must have shape (3,) or {centres.shape}, not {sizes.shape}: '
-                    f'there are {len(centres)} rows of position'
-                )
-            sizes = np.broadcast_to(sizes, centres.shape).copy()  # or every question would
-        return cls(kind, centres, turns, sizes)
+        size = np.column_stack((across, across, along))
+        return cls(ShapeKind.CAPSULE, centres, _unturned(orientation), size)
 
     @classmethod
     def of_meshes(
-        cls, meshes: Sequence[Mesh], position: ArrayLike, orientation: ArrayLike | None = None
+        cls,
+        meshes: 'Mesh | Sequence[Mesh]',
+        position: ArrayLike,
+        orientation: ArrayLike | None = None,
     ) -> 'Shapes':
-        """Convex meshes; without `orientation` (n, 4) unturned."""
+        """Convex meshes, one for all or one a row, whose frames are at `position` (n, 3), m.
+
+        `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: unturned.
+        """
+        places = _rows('position', position, 3)
+        if isinstance(meshes, Mesh):
+            meshes = [meshes] * len(places)
         given, meshes = checks.iterator('meshes', meshes), []
         for mesh in given:
             if not isinstance(mesh, Mesh):
                 raise ValueError('meshes must be a sequence of Mesh')
             meshes.append(mesh)
-        sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
-        if len(_rows('position', position, 3)) != len(meshes):
+        if len(places) != len(meshes):
             raise ValueError(f'position must have a row for each of {len(meshes)} meshes')
-        rows = cls.boxes(position, sizes, orientation)
-        meshes_of_rows = np.empty(len(meshes), object)
-        meshes_of_rows[:] = meshes
-        return rows._replace(
-            kind=np.full(len(meshes), ShapeKind.MESH, np.uint8), mesh=meshes_of_rows
+        sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
+        return cls(ShapeKind.MESH, places, _unturned(orientation), sizes, meshes)
+
+
+PLURALS = 'boxes', 'spheres', 'cylinders', 'capsules', 'meshes'
+IDENTITY = np.array((0.0, 0.0, 0.0, 1.0))  # the quaternion of no rotation
+IDENTITY.flags.writeable = False
+
+
+def unchecked_shapes(
+    kind: NDArray[Any],
+    position: Floats,
+    orientation: Floats,
+    size: Floats,
+    mesh: NDArray[np.object_] | None = None,
+) -> Shapes:
+    """Rows of a message, which may be no legal shapes: an update refuses these one by one."""
+    return tuple.__new__(Shapes, (kind, position, orientation, size, mesh))
+
+
+def _unturned(orientation: ArrayLike | None) -> ArrayLike:
+    return IDENTITY if orientation is None else orientation
+
+
+def _kinds_of_rows(value: Any, count: int) -> NDArray[np.uint8]:
+    """A kind a row, of those that there are."""
+    try:
+        array = np.asarray(value)
+        checks.refuse_masked(value, array)
+    except checks.FOREIGN as error:
+        raise ValueError(f'kind must be values of ShapeKind: {error}') from None
+    if array.shape not in ((), (count,)):
+        raise ValueError(f'kind must be one for all or have shape ({count},), not {array.shape}')
+    if array.dtype.kind not in 'iu' and count:
+        raise ValueError(f'kind must be values of ShapeKind, not {array.dtype}')
+    wrong = np.flatnonzero((array < 0) | (array >= len(ShapeKind)))
+    if count and len(wrong):
+        row = wrong[0]
+        raise ValueError(
+            f'kind must be from 0 to {MESH}, see ShapeKind: row {row} is {array.reshape(-1)[row]}'
         )
+    kinds = np.empty(count, np.uint8)
+    kinds[:] = array
+    return kinds
+
+
+def _one_or_rows(name: str, value: ArrayLike, count: int, width: int) -> Floats:
+    """A row for all, (width,) or (1, width), or (count, width), as rows of their own."""
+    shapes = (width,), (1, width), (count, width)
+    array = value if isinstance(value, np.ndarray) else checks.floats(name, value)
+    if count == 0 and array.shape == (0,):
+        array = array.reshape(0, width)
+    if array.shape not in shapes:
+        raise ValueError(
+            f'{name} must have shape ({count}, {width}), or ({width},) for all, not {array.shape}: '
+            f'there are {count} rows of position'
+        )
+    if array is value:
+        array = checks.floats(name, array)
+    if array.shape == (count, width):
+        return array
+    rows = np.empty((count, width))
+    rows[:] = array
+    return rows
+
+
+def _sizes(value: ArrayLike, count: int) -> Floats:
+    """Edge lengths, of which one number is that of a cube."""
+    if isinstance(value, checks.NUMBER):
+        value = np.full(3, checks.one('size', value))
+    return _one_or_rows('size', value, count, 3)
+
+
+def _positive(name: str, value: ArrayLike, count: int) -> Floats:
+    """Lengths above zero, (count,), from one for all or one a row."""
+    array = checks.unless_refused(name, value, (count,))
+    if array.shape not in ((), (1,), (count,)):
+        raise ValueError(f'{name} must be a number or have shape ({count},), not {array.shape}')
+    array = checks.floats(name, array)
+    rows = np.empty(count)
+    rows[:] = array
+    with np.errstate(over='ignore'):
+        bad = np.flatnonzero(~((rows > 0.0) & (2.0 * rows < np.inf)))
+    if len(bad):
+        raise ValueError(f'{name} must be above zero and finite: row {bad[0]} is {rows[bad[0]]}')
+    return rows
+
+
+def _diameters(radius: ArrayLike, count: int) -> Floats:
+    return 2.0 * _positive('radius', radius, count)
+
+
+def _meshes(value: Any, kinds: NDArray[np.uint8]) -> NDArray[np.object_] | None:
+    """A mesh in the rows of kind MESH, if there are any."""
+    rows = np.flatnonzero(kinds == MESH)
+    if value is None and not len(rows):
+        return None
+    given: list[Any] = []
+    if value is not None:
+        try:
+            count = len(value)
+        except checks.FOREIGN:
+            raise ValueError(f'mesh must be a sequence, not {checks.shown_short(value)}') from None
+        if count != len(kinds):
+            raise ValueError(f'mesh must have {len(kinds)} rows, one a shape, not {count}')
+        given = list(checks.iterator('mesh', value))
+    for row in rows.tolist():
+        if not given or not isinstance(given[row], Mesh):
+            raise ValueError(f'mesh must be a Mesh where kind is MESH: row {row} has none')
+    meshes = np.empty(len(kinds), object)
+    meshes[:] = given
+    return meshes
+
+
+def _require_legal(shapes: Shapes) -> None:
+    """ValueError that names the first row that is no legal shape."""
+    kind, position, orientation, size, mesh = shapes
+    row, fault = first_fault_entry()(kind, position, orientation, size)
+    if fault != FINE:
+        shown = {BAD_POSITION: position, BAD_ORIENTATION: orientation}.get(fault, size)[row]
+        raise ValueError(f'row {row} is no legal shape: {REASONS[fault]}: {shown.tolist()}')
+    if mesh is not None:
+        for row in np.flatnonzero(kind == MESH).tolist():
+            if not np.array_equal(mesh[row].size, size[row]):
+                raise ValueError(
+                    f'size must be that of the mesh: row {row} is {size[row].tolist()}, its mesh '
+                    f'{mesh[row].size.tolist()} (see Shapes.of_meshes)'
+                )
 
 
 def as_shapes(shapes: Shapes) -> Shapes:
@@ -225,8 +447,7 @@ def as_shapes(shapes: Shapes) -> Shapes:
     size = checks.rows('shapes.size', size, 3, count)
     if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
         raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
-    # As Shapes(...), which would take one more call of a function of Python's.
-    return tuple.__new__(Shapes, (kind, position, orientation, size, mesh))
+    return unchecked_shapes(kind, position, orientation, size, mesh)
 
 
 def _kinds(value: Any) -> NDArray[np.uint8]:
@@ -285,7 +506,7 @@ def turned(matrices: Floats, vectors: Floats) -> Floats:
 
 def shapes_of(records: NDArray[np.void]) -> Shapes:
     """Shapes of canonical records, see `records`; without their meshes."""
-    return Shapes(
+    return unchecked_shapes(
         *(records['kind'], records['position'], records['orientation'], records['half'] * 2.0)
     )
 
@@ -390,6 +611,23 @@ def fault_of(kind, position, orientation, size):
     if size[0] == 0.0 or size[1] == 0.0 or size[2] == 0.0:
         return NO_SIZE
     return TOO_SHORT if kind == CAPSULE and size[2] < size[0] else FINE
+
+
+@lean_kernel
+def first_fault(kinds, positions, orientations, sizes):
+    """(row, fault) of the first row with one; FINE if there is none."""
+    for i in range(positions.shape[0]):
+        fault = fault_of(kinds[i], positions[i], orientations[i], sizes[i])
+        if fault != FINE:
+            return i, fault
+    return 0, FINE
+
+
+@functools.cache
+def first_fault_entry() -> Callable[..., Any]:
+    """The machine code of `first_fault`."""
+    rows = np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3))
+    return entry_point(first_fault, np.empty(0, np.uint8), *rows)
 
 
 @lean_kernel
