@@ -25,13 +25,14 @@ from .shapes.shape import GEOMETRY, MESH, UNTURNED, Floats, shapes_of
 P = ParamSpec('P')
 R = TypeVar('R')
 PATIENCE = 0.002  # seconds between two looks whether the other thread is done
+WAITS = True  # is yielded where a further step would wait for the other thread only
 
 
 def run_in_thread(
     call: Callable[P, R], *arguments: P.args, **named: P.kwargs
-) -> Generator[None, None, R]:
-    """Return what a call returns that changes nothing others see; pause until it does, at least
-    once.
+) -> Generator[Any, None, R]:
+    """Return what a call returns that changes nothing others see; yield WAITS until it does, at
+    least once.
     """
     work = _helper().submit(call, *arguments, **named)
     try:
@@ -39,7 +40,7 @@ def run_in_thread(
         while not done:
             wait((work,), PATIENCE)
             done = work.done()
-            yield
+            yield WAITS
     finally:
         if not work.cancel():
             wait((work,))

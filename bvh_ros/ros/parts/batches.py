@@ -43,6 +43,7 @@ from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.scene import NO_NODE
+from bvh_ros.scene.store import WAITS
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -242,8 +243,11 @@ class Batch(NodePart):
         began = time.perf_counter()
         try:
             while self._work and time.perf_counter() - began < TURN:
-                if next(self._work[0][1], DONE) is DONE:
+                step = next(self._work[0][1], DONE)
+                if step is DONE:
                     self._work.popleft()
+                elif step is WAITS:
+                    break
         finally:
             if self._work:
                 self._turn.trigger()

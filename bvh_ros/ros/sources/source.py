@@ -20,6 +20,7 @@ from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription,
 from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Refusal, Refusals
+from bvh_ros.scene.store import WAITS
 
 if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
@@ -166,8 +167,12 @@ class Source(ABC):
                 act, size = self._waiting.popleft()
                 self._waits -= size
                 act()
-            elif next(self._work, DONE) is DONE:
-                self._work = None
+            else:
+                step = next(self._work, DONE)
+                if step is DONE:
+                    self._work = None
+                elif step is WAITS and limit < math.inf:
+                    break
             if time.perf_counter() - began >= limit:
                 break
         self.longest_slice = max(self.longest_slice, time.perf_counter() - began)
