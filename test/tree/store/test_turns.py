@@ -59,7 +59,12 @@ RUN = """
         tree.insert_many(lo, lo + 1)
     handles = trees[0].ids()
     right = {name: [questions[name](tree) for tree in trees] for name in which}
-    tree = trees[0]
+    tree, other = trees
+    other.move_many(handles, places[0], places[0] + 1)  # all changes are compiled, or loaded
+    other.remove_many(other.insert_many(o, o + 1, 4))
+    other.insert([0, 0, 0], [1, 1, 1], 4)
+    other.optimize()
+    other.rebuild()
     stop = time.monotonic() + float(sys.argv[3])
     counts = collections.Counter()
 
