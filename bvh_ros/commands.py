@@ -1,18 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The commands. Each imports its module when it is called: Ctrl-C meanwhile ends it quietly."""
+"""The commands. Each imports its module when it is called: Ctrl-C meanwhile ends it quietly, and
+`--version` needs nothing of it.
+"""
 
 from __future__ import annotations
 
 import importlib
 import os
 import sys
+from pathlib import Path
+
+from bvh_ros import __version__
 
 INTERRUPTED = 130  # exit code
 
 
 def run(module: str) -> int:
     """Import a module and call its `main`; return the exit code."""
+    if sys.argv[1:] == ['--version']:
+        print(f'{Path(sys.argv[0]).name} {__version__}')
+        return 0
     try:
         code: int = importlib.import_module(module).main()
     except KeyboardInterrupt:

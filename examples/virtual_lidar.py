@@ -7,7 +7,8 @@ python examples/virtual_lidar.py
 
 import numpy as np
 
-from bvh_ros.scene import NO_NODE, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros import Scene, Shapes
+from bvh_ros.scene import NO_NODE, Numbered
 
 rng = np.random.default_rng(0)
 PEOPLE, RANGE = 200, 50.0  # m
@@ -21,18 +22,12 @@ beams = np.stack(
 
 place = np.column_stack([rng.uniform(-40.0, 40.0, (PEOPLE, 2)), np.full(PEOPLE, 0.9)])
 speed = np.column_stack([rng.normal(0.0, 1.0, (PEOPLE, 2)), np.zeros(PEOPLE)])  # m/s
-people = Shapes(
-    kind=np.full(PEOPLE, ShapeKind.CYLINDER, np.uint8),
-    position=place,
-    orientation=np.tile([0.0, 0.0, 0.0, 1.0], (PEOPLE, 1)),
-    size=np.tile([0.5, 0.5, 1.8], (PEOPLE, 1)),
-)
 scene, names = Scene(), Numbered('person/', np.arange(PEOPLE))
-origins = np.tile([0.0, 0.0, 1.5], (len(beams), 1))
+lidar = [0.0, 0.0, 1.5]
 for frame in range(5):  # at 10 Hz
-    people = people._replace(position=place + 0.1 * frame * speed)
+    people = Shapes.cylinders(place + 0.1 * frame * speed, radius=0.25, height=1.8)
     scene.update('walking', names, people, stamp=frame * 100_000_000)
-    handles, ranges, points, normals = scene.raycast_many(origins, beams, RANGE)
+    handles, ranges, points, normals = scene.raycast_many(lidar, beams, RANGE)
     returned = handles != NO_NODE
     print(
         f't = {0.1 * frame:.1f} s: {np.count_nonzero(returned)} of {len(beams)} beams return, '

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+import bvh_ros
 from bvh_ros import commands
 
 # The first import of numpy, rclpy or numba interrupts, as a signal would.
@@ -17,6 +18,7 @@ class Interrupting:
         if name.partition('.')[0] in ('numpy', 'rclpy', 'numba', 'matplotlib'):
             signal.raise_signal(signal.SIGINT)
 sys.meta_path.insert(0, Interrupting())
+import bvh_ros
 from bvh_ros import commands
 sys.exit(commands.{command}())
 """
@@ -35,3 +37,13 @@ def test_an_interrupted_import_prints_no_traceback(command):
 
 def test_every_command_is_there():
     assert len(COMMANDS) == 6
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_every_command_tells_its_version(command):
+    program = f"import sys; sys.argv[0] = '/usr/bin/{command}'\n"
+    program += f'from bvh_ros import commands; sys.exit(commands.{command}())'
+    ended = subprocess.run(
+        [sys.executable, '-c', program, '--version'], capture_output=True, text=True, check=True
+    )
+    assert ended.stdout == f'{command} {bvh_ros.__version__}\n'

@@ -132,6 +132,7 @@ class RayQueries:
         Parameters
         ----------
         origins, directions : array_like, shape (n, 3)
+            One of them may be (3,): the same for all rays.
         t_max, mask : one for all rays, or array_like of shape (n,)
 
         threads : int
@@ -177,7 +178,7 @@ class RayQueries:
         Parameters
         ----------
         starts, goals : array_like, shape (n, 3)
-            Ends of the segments, m.
+            Ends of the segments, m. One of them may be (3,): the same for all.
         radius, mask : one for all balls, or array_like of shape (n,)
             As in `raycast`.
         skip_inside : bool

@@ -139,7 +139,9 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
 def both(
     names: tuple[str, str], one: ArrayLike, other: ArrayLike, ndim: int
 ) -> tuple[Floats, Floats]:
-    """`rows` of two arrays of as many rows, in half the time."""
+    """`rows` of two arrays of as many rows, in half the time. One of them may be one row for
+    all.
+    """
     if (
         type(one) is type(other) is np.ndarray
         and one.dtype is other.dtype is FLOAT64
@@ -150,8 +152,24 @@ def both(
         and other.flags.carray
     ):
         return one, other
+    if _is_row(one, ndim):
+        second = rows(names[1], other, ndim)
+        return np.tile(floats(names[0], one), (len(second), 1)), second
     first = rows(names[0], one, ndim)
+    if _is_row(other, ndim):
+        return first, np.tile(floats(names[1], other), (len(first), 1))
     return first, rows(names[1], other, ndim, len(first))
+
+
+def _is_row(value: ArrayLike, ndim: int) -> bool:
+    """Whether this is one row of numbers."""
+    if isinstance(value, np.ndarray):
+        return value.shape == (ndim,)
+    return (
+        isinstance(value, (list, tuple))
+        and len(value) == ndim
+        and all(isinstance(number, (float, int, np.number)) for number in value)
+    )
 
 
 def _rows(name: str, array: Floats, ndim: int, count: int | None) -> Floats:

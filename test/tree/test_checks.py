@@ -83,6 +83,8 @@ def bad_values() -> dict[str, list[tuple[Any, str]]]:
             values = ROWS if rows else [(point, '') for point in POINTS]
             if name == 'displacement':  # None is no displacement
                 values = values[:-1]
+            if name in ('origins', 'directions'):  # one row is the same for all rays
+                values = [(value, why) for value, why in values if value is not ONE]
             found[what] = found.get(what, []) + values
     return found
 

@@ -342,8 +342,8 @@ def _one_or_rows(name: str, value: ArrayLike, count: int, width: int) -> Floats:
         array = array.reshape(0, width)
     if array.shape not in shapes:
         raise ValueError(
-            f'{name} must have shape ({count}, {width}), or ({width},) for all, not {array.shape}: '
-            f'there are {count} rows of position'
+            f'{name} must have shape ({count}, {width}) as position has {count} rows, or '
+            f'({width},) for all, not {array.shape}'
         )
     if array is value:
         array = checks.floats(name, array)

@@ -153,10 +153,15 @@ class PartCode(JITCodeLibrary):
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()
         if self._dynamic_globals:
-            # numba asks for the address of a function that is handed over, too, and nobody uses
-            # it: a part that only names it can be kept.
-            code = str(self._final_module)
-            self._dynamic_globals = [n for n in self._dynamic_globals if code.count(n) > 1]
+            # numba asks for the address of a function that is handed over, too, and nothing uses
+            # it: a part that only defines the address can be kept. One that hands the function
+            # over twice defines it twice.
+            lines = str(self._final_module).splitlines()
+            self._dynamic_globals = [
+                name
+                for name in self._dynamic_globals
+                if any(name in line and not line.startswith(f'@{name}') for line in lines)
+            ]
         self._finalized = True
 
 

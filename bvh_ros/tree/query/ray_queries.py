@@ -357,6 +357,7 @@ class RayQueries(RayAsking):
         Parameters
         ----------
         origins, directions : array_like, shape (n, ndim)
+            One of them may be (ndim,): the same for all rays.
         t_max, mask, at, pace : one for all rays, or array_like of shape (n,)
         threads : int
             The rays are shared among so many threads; the answer does not depend on it.

@@ -239,3 +239,24 @@ def test_one_limit_for_all_is_the_same_for_each(boxes: int) -> None:
             for a, b in zip(one, each, strict=True):
                 assert (a == b).all()
             assert (tree.occluded_many(origins, ways, t_max, mask) == (one.ids >= 0)).all()
+
+
+@pytest.mark.parametrize('ndim', [2, 3])
+def test_one_origin_or_direction_serves_for_all_rays(ndim: int) -> None:
+    rng = np.random.default_rng(8)
+    lo = rng.uniform(-5, 5, (80, ndim))
+    tree = DynamicBVH.from_boxes(lo, lo + 0.5)
+    one, many = rng.uniform(-1, 1, ndim), rng.normal(size=(300, ndim))
+    every = np.tile(one, (300, 1))
+    for row in (one, one.tolist(), tuple(one)):
+        for got, right in (
+            (tree.raycast_many(row, many), tree.raycast_many(every, many)),
+            (tree.raycast_many(many, row), tree.raycast_many(many, every)),
+            (tree.raycast_all_many(row, many), tree.raycast_all_many(every, many)),
+            ([tree.occluded_many(row, many)], [tree.occluded_many(every, many)]),
+        ):
+            assert len(right[0])
+            for column, other in zip(got, right, strict=True):
+                assert np.array_equal(column, other)
+    with pytest.raises(ValueError, match='directions must have shape'):
+        tree.raycast_many(one, one)

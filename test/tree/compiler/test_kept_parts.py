@@ -111,13 +111,19 @@ def test_a_damaged_part_or_one_of_other_sources_is_compiled_again(call, tmp_path
 
 
 def test_a_part_is_kept_that_only_names_an_address():
-    """As numba does of a function that is handed over; one that reads there is of one process."""
+    """As numba does of a function that is handed over, twice if it is handed over twice; one that
+    reads there is of one process.
+    """
     word = '@numba.dynamic.globals.7f = global i64 5\n'
-    for body, reads in (
-        ('ret i64 1', False),
-        (f'%x = load i64, ptr {word.split()[0]}\nret i64 %x', True),
+    again = '@numba.dynamic.globals.7f.1 = global i64 5\n'
+    read = '%x = load i64, ptr @numba.dynamic.globals.7f{}\nret i64 %x'
+    for words, body, reads in (
+        (word, 'ret i64 1', False),
+        (word, read.format(''), True),
+        (word + again, 'ret i64 1', False),
+        (word + again, read.format('.1'), True),
     ):
-        code = llvm.parse_assembly(f'{word}define i64 @part() {{ {body} }}').as_bitcode()
+        code = llvm.parse_assembly(f'{words}define i64 @part() {{ {body} }}').as_bitcode()
         generator = cpu_target.target_context.codegen()
         assert (
             kernel_files.PartCode.of_bitcode(generator, 'part', code).has_dynamic_globals is reads
