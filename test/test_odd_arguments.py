@@ -17,7 +17,7 @@ from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
 from bvh_ros.forest import Forest
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, TooManyHitsError
+from bvh_ros.scene import Mesh, NodeScene, Scene, ShapeKind, Shapes, TooManyHitsError
 
 ORIGIN, ROWS, ENDS = [0.0] * 3, np.zeros((5, 3)), np.ones((5, 3))
 BALL = Shapes(np.array([ShapeKind.SPHERE]), np.zeros((1, 3)), np.zeros((1, 4)), np.ones((1, 3)))
@@ -98,11 +98,8 @@ MESH: dict[str, dict[str, Any]] = {'__init__': {'triangles': box_of_triangles((1
 
 # What other rooms call, with what the tree or the scene gave them.
 INSIDE = {
-    DynamicBVH: {'arrays', 'check_unchanged', 'copied', 'count_nanoseconds', 'few_rays', 'latest',
-                 'first_hits', 'move_sound', 'packed_velocities', 'ready_snapshot', 'reserve',
-                 'room_for', 'room_for_copy', 'snapshot_for', 'validate_copy', 'view'},
-    Scene: {'is_prepared', 'prepare_times', 'discard', 'discard_in_slices',
-            'names_of', 'in_slices', 'is_long'},
+    NodeScene: {'is_prepared', 'prepare_times', 'discard', 'discard_in_slices', 'names_of',
+                'in_slices', 'is_long'},
     Forest: {'__init__'},  # of `open` and `build`
 }  # fmt: skip
 DRAWN = {'plot'}  # `test_plotting` of the tree and of the scene
@@ -120,10 +117,9 @@ def parameters(cls: type) -> dict[str, set[str]]:
     """The names of the arguments of each public method that takes any."""
     named = {}
     for name, function in inspect.getmembers(cls, callable):
-        inherited = hasattr(tuple if issubclass(cls, tuple) else object, name)
         if name.startswith('_') and name not in (*MAKERS, '__contains__'):
             continue
-        if inherited and name not in cls.__dict__:
+        if function is getattr(tuple if issubclass(cls, tuple) else object, name, None):
             continue
         if taken := {*inspect.signature(function).parameters} - {'self', 'cls'}:
             named[name] = taken
@@ -203,8 +199,8 @@ def test_a_tree(
     assert not wrong, '\n'.join(wrong)
 
 
-def some_scene(moving: bool) -> Scene:
-    scene = Scene()
+def some_scene(moving: bool) -> NodeScene:
+    scene = NodeScene()
     shapes = Shapes.boxes([[0, 0, 0], [3, 0, 0]], [1, 1, 1], [[0, 0, 0.6, 0.8]] * 2)
     speeds = [[1.0, 0, 0], [0, 0, 0]] if moving else None
     scene.update('s', ['a', 'b'], shapes, stamp=0, expires=100, velocities=speeds)
@@ -244,7 +240,7 @@ def test_shapes_and_meshes() -> None:
     assert not any(wrong), '\n'.join(map(str, wrong))
 
 
-TABLES = {DynamicBVH: TREE, Scene: SCENE, Forest: FOREST, Shapes: SHAPES, Mesh: MESH}
+TABLES = {DynamicBVH: TREE, NodeScene: SCENE, Forest: FOREST, Shapes: SHAPES, Mesh: MESH}
 
 
 @pytest.mark.parametrize('cls', TABLES, ids=lambda cls: cls.__name__)
@@ -252,6 +248,25 @@ def test_no_argument_is_left_out(cls: type) -> None:
     left = INSIDE.get(cls, set()) | DRAWN
     named = {method: taken for method, taken in parameters(cls).items() if method not in left}
     assert {method: {*good} for method, good in TABLES[cls].items()} == named
+
+
+# What `help` shows besides these methods: no argument, or none that could be odd.
+PLAIN = {
+    DynamicBVH: {'bounds', 'clear', 'cost', 'height', 'ids', 'margin', 'ndim', 'optimize', 'plot',
+                 'rebuild', 'sibling_search', 'stats', 'validate'},
+    Scene: {'bounds', 'clear', 'copy', 'expired', 'handles', 'interrupted', 'max_obstacles',
+            'max_prediction', 'newest', 'planar', 'plot', 'rebuild', 'sources', 'stats',
+            'validate'},
+}  # fmt: skip
+ASKED_BY_NODES = {'find', 'handles_of', 'has_expired', 'newcomers', 'prepare_rays', 'shapes_of',
+                  'tree_levels'}  # fmt: skip
+
+
+@pytest.mark.parametrize(('cls', 'table'), [(DynamicBVH, TREE), (Scene, SCENE)])
+def test_help_shows_what_callers_use(cls: type, table: dict[str, dict[str, Any]]) -> None:
+    shown = {name for name in dir(cls) if not name.startswith('_')}
+    called = {name for name in table if not name.startswith('_')} - ASKED_BY_NODES
+    assert shown == called | PLAIN[cls]
 
 
 # ---- the client: without a node, what is not refused times out

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree import DynamicBVH
-from ..tree.access import box_checks, checks, mapped
+from ..tree.access import OpenTree, box_checks, checks, mapped
 
 VERSION = 2
 HEADER, TOP = 'forest.json', 'top.tree'
@@ -125,7 +124,7 @@ def _plant(work: Path, whole: Pile, max_boxes: int) -> list[tuple[int, int]]:
             parts.append((pile.rows, checksum))
         pile.file.unlink()
     ndim = len(whole.lo)
-    top = DynamicBVH(ndim, capacity=max(len(bounds), 1))
+    top = OpenTree(ndim, capacity=max(len(bounds), 1))
     if bounds:
         lo, hi, masks = (np.array(column) for column in zip(*bounds, strict=True))
         top.insert_many(lo, hi, masks)
@@ -138,7 +137,7 @@ def _plant_part(work: Path, number: int, pile: Pile) -> tuple[np.uint32, int]:
     too: files of two parts or forests do not go together.
     """
     rows = np.fromfile(pile.file, row_dtype(len(pile.lo)))
-    tree = DynamicBVH.from_boxes(rows['lo'], rows['hi'], mask=rows['mask'])
+    tree = OpenTree.from_boxes(rows['lo'], rows['hi'], mask=rows['mask'])
     tree.save(part_file(work, number), mapped=True)
     ids = np.empty(len(rows) + 1, np.int64)
     ids[tree.slots(tree.ids())] = rows['id']

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import ALL, DynamicBVH, RayHits
-from ..tree.access import Floats, Ids, box_checks, checks, mapped
+from ..tree import ALL, RayHits
+from ..tree.access import Floats, Ids, OpenTree, box_checks, checks, mapped
 from . import building, dask_rows, queries
 
 
@@ -64,7 +64,7 @@ class Forest:
             counts = [checks.whole('boxes of a part', count, 1) for count, _ in header['parts']]
             self._checksums = [checks.whole('checksum', crc, 0) for _, crc in header['parts']]
             self._count, self._ndim = sum(counts), header['ndim']
-            self._top = DynamicBVH.load(top, mmap=True, verify=True)
+            self._top = OpenTree.load(top, mmap=True, verify=True)
             known = self._ndim, len(counts), header['top']
             if (self._top.ndim, len(self._top), mapped.checksum(top)) != known:
                 raise ValueError('its top tree is of another forest')
@@ -78,7 +78,7 @@ class Forest:
         given = np.zeros(self._count, np.bool_)
         for number, (count, checksum) in enumerate(zip(counts, self._checksums, strict=True)):
             file = building.part_file(self._folder, number)
-            tree = DynamicBVH.load(file, mmap=True, verify=True)
+            tree = OpenTree.load(file, mmap=True, verify=True)
             if (len(tree), mapped.checksum(file)) != (count, checksum):
                 raise ValueError(f'{file} is of another forest or part')
             ids_path = building.ids_file(self._folder, number)
@@ -130,6 +130,12 @@ class Forest:
 
     def __reduce__(self) -> Any:
         return _open_again, (self._folder, self._mark)
+
+    def __repr__(self) -> str:
+        return (
+            f'Forest({str(self._folder)!r}, {self.ndim}D, {len(self):,} boxes in '
+            f'{self.parts:,} part{"s" * (self.parts != 1)})'
+        )
 
     def __len__(self) -> int:
         """How many boxes there are."""

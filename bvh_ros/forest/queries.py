@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree import DynamicBVH, RayHits
-from ..tree.access import NONE, Floats, Ids, checks, mapped
+from ..tree import RayHits
+from ..tree.access import NONE, Floats, Ids, OpenTree, checks, mapped
 from .building import ids_file, part_file
 
 # Parts that a process has open: each has a snapshot of its own once enough rays have come.
@@ -39,7 +39,7 @@ LEAST_DOUBT = 64 * 5e-324
 class Part(NamedTuple):
     """A mapped tree, and the ids of its boxes by slot."""
 
-    tree: DynamicBVH
+    tree: OpenTree
     ids: Ids
 
     def ids_of(self, handles: Ids) -> Ids:
@@ -63,7 +63,7 @@ class PartHits(NamedTuple):
 def _open(folder: str, number: int, checksum: int) -> Part:
     """`checksum` tells a part from one that was in this folder before, or came there since."""
     file, ids_path = part_file(Path(folder), number), ids_file(Path(folder), number)
-    tree = DynamicBVH.load(file, mmap=True)
+    tree = OpenTree.load(file, mmap=True)
     if mapped.checksum(file) != checksum:
         raise ValueError(f'{file} is of another forest or part')
     ids = mapped.map_array(ids_path, len(tree) + 1)
@@ -116,7 +116,7 @@ def ask_part(folder: str, checksum: int, number: int, query: str, *arguments: An
 class Parts(NamedTuple):
     """The parts of a forest, and where they are asked."""
 
-    top: DynamicBVH
+    top: OpenTree
     """The tree over the bounds of the parts, in their order."""
     folder: str
     checksums: list[int]
@@ -320,7 +320,7 @@ def _is_nearer(
     first = np.empty(count, np.bool_)
     for i, row in enumerate(rows):
         order = (0, 1) if best.ids[row] < found.ids[hit[i]] else (1, 0)
-        pair = DynamicBVH(ndim, capacity=2)
+        pair = OpenTree(ndim, capacity=2)
         inserted = [pair.insert(*boxes[side, :, i]) for side in order]
         ray = rays.origins[row], rays.directions[row]
         nearest = pair.raycast_all(*ray, skip_inside=rays.skip_inside)[0]

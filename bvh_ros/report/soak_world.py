@@ -41,7 +41,7 @@ HALF = _RNG.uniform(0.2, 1.2, (BOXES, 3))
 """Half edge lengths, m."""
 
 
-class Scene(NamedTuple):
+class NodeScene(NamedTuple):
     """The boxes of one frame; those that are away have a place, too."""
 
     present: np.ndarray  # (n,) bool
@@ -99,10 +99,10 @@ class Scene(NamedTuple):
         return np.where(self.present, gaps, np.inf)
 
 
-def scene_at(frame: int) -> Scene:
+def scene_at(frame: int) -> NodeScene:
     """The world of one frame; there is nothing before frame 0."""
     phase = (frame + 13 * np.arange(BOXES)) % CYCLE
-    return Scene(
+    return NodeScene(
         (phase >= ABSENT) & (frame >= 0), _BASE + _REACH * np.sin(_PACE * frame), _TURN * frame
     )
 
@@ -120,7 +120,7 @@ class Found(NamedTuple):
     points: Floats
 
 
-def ray_fault(scene: Scene, found: Found, start: Floats, goal: Floats, first: bool) -> str:
+def ray_fault(scene: NodeScene, found: Found, start: Floats, goal: Floats, first: bool) -> str:
     """Say what is wrong with the answer of a raycast, first hit or all."""
     length = float(np.linalg.norm(goal - start))
     along = (goal - start) / length
@@ -138,7 +138,7 @@ def ray_fault(scene: Scene, found: Found, start: Floats, goal: Floats, first: bo
     return 'something else comes first' if must.min() < reached[0] - REPORTED else ''
 
 
-def overlap_fault(scene: Scene, found: Found, centre: Floats, half: Floats | float) -> str:
+def overlap_fault(scene: NodeScene, found: Found, centre: Floats, half: Floats | float) -> str:
     """Say what is wrong with the answer of an overlap with a ball or an aligned box.
 
     Each point is its box's closest to the query's centre, and the nearest comes first.
@@ -213,7 +213,7 @@ class Asker:
         start: Floats,
         goal: Floats,
         tolerance: float,
-        check: Callable[[Scene, Found], str],
+        check: Callable[[NodeScene, Found], str],
     ) -> Answer:
         request = GetPlan.Request(tolerance=tolerance)
         for pose, point in ((request.start.pose, start), (request.goal.pose, goal)):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bvh_ros import DynamicBVH
 from bvh_ros.ros.cdr import path
-from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, NodeScene, Numbered, ShapeKind, Shapes
 from bvh_ros.scene.cast.arguments import Rays
 from bvh_ros.scene.cast.batch import first_hits, first_of_one
 from bvh_ros.scene.distance.narrow_phase import hull_gap
@@ -88,24 +88,24 @@ NUMBERS = np.arange(BOXES)
 MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
 
-def empty(needs: Needs) -> Scene:
+def empty(needs: Needs) -> NodeScene:
     """A scene in which moving obstacles come to rest."""
     meshes = ShapeKind.MESH in needs.kinds
-    return Scene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
+    return NodeScene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
 
 
-def replace(scene: Scene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
+def replace(scene: NodeScene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
     shapes = Shapes.boxes(MIDDLE[numbers] + shift, EDGE)
     scene.replace('cloud', '', Numbered('box#', numbers), shapes, stamp=1)
 
 
-def with_boxes(needs: Needs) -> Scene:
+def with_boxes(needs: Needs) -> NodeScene:
     scene = empty(needs)
     replace(scene, 0.0)
     return scene
 
 
-def with_shapes(needs: Needs) -> Scene:
+def with_shapes(needs: Needs) -> NodeScene:
     """Return turned and round shapes among boxes."""
     scene = with_boxes(needs)
     for kind in needs.kinds:
@@ -119,7 +119,7 @@ def with_shapes(needs: Needs) -> Scene:
     return scene
 
 
-def scenes(needs: Needs) -> Iterator[Scene]:
+def scenes(needs: Needs) -> Iterator[NodeScene]:
     """The empty one first: while another process compiles how boxes get there, what is asked of it
     can be compiled here.
     """
@@ -210,7 +210,7 @@ def _no_shapes(needs: Needs) -> Obstacles:
 LATER = 10**10  # ns: by then all obstacles are at rest
 
 
-def _moving_scenes(needs: Needs) -> Iterator[Scene]:
+def _moving_scenes(needs: Needs) -> Iterator[NodeScene]:
     """Some that hold obstacles, one of which has a velocity."""
     for scene in scenes(needs):
         shape = Shapes.boxes(GOAL, EDGE)
@@ -407,7 +407,7 @@ def _batches(needs: Needs) -> None:
 
     for entry in blurred_entry, planning_entry, collapse_entry, cast_entry, few_entry:
         entry(2 if needs.planar else 3)
-    scene = Scene(planar=needs.planar, margin=needs.margin)
+    scene = NodeScene(planar=needs.planar, margin=needs.margin)
     line = np.arange(MANY * 3.0).reshape(MANY, 3)
     scene.raycast_many(line[:1], line[:1])
     scene.replace(

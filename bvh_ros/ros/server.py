@@ -34,7 +34,7 @@ from bvh_ros.ros.world.known_times import known_times
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
 from bvh_ros.ros.world.world import ClockJumps, World
-from bvh_ros.scene import Scene, ShapeKind
+from bvh_ros.scene import NodeScene, ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -98,7 +98,7 @@ class BvhServer:
 
     def _create_world(self) -> World:
         settings, kinds = self.settings, self._kinds()
-        scene = Scene(
+        scene = NodeScene(
             planar=settings.planar,
             margin=settings.margin,
             max_obstacles=settings.max_obstacles,
@@ -300,7 +300,7 @@ class BvhServer:
             else 'narrow phase until a turned or round shape comes': shaped,
         }
 
-    def _create_source(self, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:
+    def _create_source(self, settings: SourceSettings, scene: NodeScene, frames: Frames) -> Source:
         try:
             self.node.resolve_topic_name(settings.topic)  # better known before compiling
         except (RuntimeError, InvalidTopicNameException) as error:

@@ -3,6 +3,7 @@
 """The scene: named obstacles on top of one tree. Imports neither ROS nor python-fcl."""
 
 from .names import Families, Numbered
+from .node_scene import NodeScene
 from .results import (
     NO_NODE,
     Block,
@@ -26,6 +27,7 @@ __all__ = [
     'CastHits',
     'Families',
     'Mesh',
+    'NodeScene',
     'Numbered',
     'Obstacle',
     'Part',

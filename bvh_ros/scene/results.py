@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tree.access import shown_point
 from .shapes.shape import ShapeKind
 
 # ---- What the scene returns.
@@ -44,12 +45,17 @@ class SceneHit(NamedTuple):
     For overlaps its point closest to the centre.
     """
     normal: NDArray[np.float64]
-    """Shape (3,), outward; zero where the query starts (for overlaps.
-
-    Has its centre) in the obstacle.
+    """Shape (3,), outward; zero where the query starts (for overlaps: has its centre) in the
+    obstacle.
     """
     stamp: int
     """Last update of the obstacle, ns."""
+
+    def __repr__(self) -> str:
+        return (
+            f'SceneHit({self.name!r}, t={self.t:.6g}, point={shown_point(self.point)}, '
+            f'normal={shown_point(self.normal)}, handle={self.handle}, stamp={self.stamp})'
+        )
 
 
 class CastHits(NamedTuple):

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named obstacles with shape, pose, lifetime and category, on top of one tree."""
 
+from __future__ import annotations
+
 import copy
 import math
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from numpy.typing import ArrayLike
 
@@ -17,10 +19,12 @@ from .names import UNKNOWN
 from .overlap_queries import OverlapQueries
 from .ray_queries import RayQueries
 from .shapes.shape import Floats
-from .slicing import SlicedUpdates
 from .store import Obstacles, in_seconds
 from .timed_queries import TimedQueries
 from .updates import Categorise, Removals, Updates, as_region
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 
@@ -106,11 +110,10 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         self._nearness = Nearness(store.tree, store.columns)
         self._clearances = Clearances(store.tree, store.columns)
         self._updates = updates
-        self._slices = SlicedUpdates(store, self._updates)
         self._removals = Removals(store)
         self._inspection = Inspection(store)
 
-    def copy(self) -> 'Scene':
+    def copy(self) -> Self:
         """Return a scene that holds what this one does, and goes its own way from now on."""
         self._store.change.require_none()
         other = object.__new__(type(self))
@@ -118,7 +121,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         other._begin(store, self._updates.of(store))
         return other
 
-    def __deepcopy__(self, memo: object) -> 'Scene':
+    def __deepcopy__(self, memo: object) -> Self:
         return self.copy()
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
@@ -128,17 +131,10 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
 
     update = method_of('_updates', Updates.update)
     replace = method_of('_updates', Updates.replace)
-    rest = method_of('_updates', Updates.rest)
-    in_slices = method_of('_slices', SlicedUpdates.in_slices)
-    is_long = method_of('_slices', SlicedUpdates.is_long)
     remove = method_of('_removals', Removals.remove)
     remove_group = method_of('_removals', Removals.remove_group)
     remove_namespace = method_of('_removals', Removals.remove_namespace)
-    find = method_of('_removals', Removals.find)
-    discard = method_of('_removals', Removals.discard)
-    discard_in_slices = method_of('_removals', Removals.discard_in_slices)
     expire = method_of('_removals', Removals.expire)
-    has_expired = method_of('_removals', Removals.has_expired)
     shift_expiries = method_of('_removals', Removals.shift_expiries)
 
     def clear(self) -> int:
@@ -153,38 +149,25 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
         self._store.change.require_none()
         self._store.tree.rebuild()
 
-    # Another thread may call these while nothing changes the scene.
-
-    def prepare_rays(self, count: int) -> None:
-        """Prepare what a batch of `count` rays needs, as the batch itself would do. It takes
-        0.5 us an obstacle.
-        """
-        tree = self._store.tree
-        tree.snapshot_for(
-            2 * checks.whole('count', count, 0), tree.view()
-        )  # once more by the batch
-
-    prepare_times = method_of('_timed', TimedQueries.prepare)
-    is_prepared = method_of('_timed', TimedQueries.is_prepared)
-    refit = method_of('_timed', TimedQueries.refit)
-
     # ---- what there is
 
     get = method_of('_inspection', Inspection.get)
     handles = method_of('_inspection', Inspection.handles)
     names = method_of('_inspection', Inspection.names)
-    newcomers = method_of('_inspection', Inspection.newcomers)
-    names_of = method_of('_inspection', Inspection.names_of)
     name_of = method_of('_inspection', Inspection.name_of)
     sources = method_of('_inspection', Inspection.sources)
-    shapes_of = method_of('_inspection', Inspection.shapes_of)
-    handles_of = method_of('_inspection', Inspection.handles_of)
     plot = method_of('_inspection', Inspection.plot)
-    tree_levels = method_of('_inspection', Inspection.tree_levels)
     stats = method_of('_inspection', Inspection.stats)
     count = method_of('_inspection', Inspection.count)
     validate = method_of('_inspection', Inspection.validate)
-    validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)
+
+    def __repr__(self) -> str:
+        kind = 'planar' if self.planar else '3D'
+        count, sources = len(self), len(self._store.groups.by_source())
+        return (
+            f'{type(self).__name__}({kind}, {count:,} obstacle{"s" * (count != 1)} of {sources:,} '
+            f'source{"s" * (sources != 1)})'
+        )
 
     def __len__(self) -> int:
         return len(self._store)
@@ -221,17 +204,6 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries):
     def expired(self) -> int:
         """How many obstacles `expire` has removed so far."""
         return self._removals.expired
-
-    @property
-    def any_shaped(self) -> bool:
-        """Whether anything is more than an axis-aligned box, and needs a narrow phase."""
-        return self._store.columns.shaped > 0
-
-    @property
-    def population(self) -> tuple[int, int]:
-        """Another one after each time that obstacles came or went."""
-        # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
-        return self._store.next_node_handle, len(self)
 
     @property
     def interrupted(self) -> bool:

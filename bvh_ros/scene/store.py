@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree.access import CHANGES, LARGEST, SLOT_MASK, DynamicBVH, checks, copy_bytes, touch
+from ..tree.access import LARGEST, SLOT_MASK, OpenTree, checks, copy_bytes, touch
 from ..tree.compiler import entry_point, lean_kernel
 from .names import NOBODY, UNKNOWN, Families, Groups, Registry, Slots
 from .results import LAST_NODE_HANDLE, SceneHit
@@ -363,7 +363,7 @@ class Obstacles:
     def __init__(self, planar: bool, margin: float, meshes: bool, most: int) -> None:
         self.planar = planar
         self.most = checks.whole('max_obstacles', most, 1)
-        self.tree = DynamicBVH(ndim=2 if planar else 3, margin=margin)
+        self.tree = OpenTree(ndim=2 if planar else 3, margin=margin)
         self.columns = Columns(planar, meshes)
         self.change = Change()
         self.registry = Registry()
@@ -445,7 +445,7 @@ class Obstacles:
         if more < MANY:
             return
         count = min(len(self.tree) + more, 2 * self.most)
-        self.tree.reserve((yield from run_in_thread(self.tree.room_for, count)))
+        self.tree.move_into((yield from run_in_thread(self.tree.room_for, count)))
         yield
         columns = yield from run_in_thread(self.columns.room_for, count)
         with self.change:
@@ -632,7 +632,7 @@ class Movers(NamedTuple):
 
 def movers(store: Obstacles) -> Movers:
     """Who moves now."""
-    version, known = store.tree.state.item(CHANGES), store.movers
+    version, known = store.tree.view().version, store.movers
     if known is not None and known.version == version:
         return known
     velocities, references = motions(store, np.flatnonzero(store.columns.tree_handle >= 0))

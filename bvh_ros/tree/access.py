@@ -18,7 +18,6 @@ from .batch.snapshot import (
 )
 from .batch.streams import FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
 from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
-from .dynamic_bvh import DynamicBVH
 from .entries import entry_points
 from .moving import LARGEST
 from .nodes import (
@@ -36,6 +35,7 @@ from .nodes import (
     node_dtype,
     slot_of,
 )
+from .open_tree import OpenTree
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
 from .query.nearest import PointQueries, are_dense, nearest, order_of
 from .query.overlap import overlap
@@ -72,7 +72,7 @@ from .query.slab import (
 )
 from .query.traversal import Stack, next_leaf, push_root
 from .query.within import boxes_within
-from .results import RayHits
+from .results import RayHits, shown_point
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The class: checks input, owns the arrays, and hands the work to the kernels."""
 
+from __future__ import annotations
+
 import copy
 import inspect
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +21,9 @@ from .store import files
 from .store.arrays import Floats, Ids
 from .store.storage import clear_entry, new_storage
 from .store.turns import accepted
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 STILL = np.zeros(3)  # a displacement
 SEARCHES = ('greedy', 'branch_and_bound')
@@ -71,7 +76,7 @@ class DynamicBVH(RayQueries, BoxQueries):
     [5.0, 0.5, 0.5]
     """
 
-    COUNTERS = ('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds')
+    _COUNTERS = ('inserted', 'removed', 'kept', 'reinserted', 'refitted', 'rebuilds')
 
     def __init__(
         self,
@@ -106,7 +111,7 @@ class DynamicBVH(RayQueries, BoxQueries):
     @classmethod
     def from_boxes(
         cls, lo: ArrayLike, hi: ArrayLike, *, mask: ArrayLike | None = None, margin: float = 0.0
-    ) -> 'DynamicBVH':
+    ) -> Self:
         """Bulk build by binned SAH from boxes of shape (n, ndim); `ids()` are the handles in row
         order. A subclass whose `__init__` takes other arguments than this class' is made without
         it.
@@ -119,7 +124,8 @@ class DynamicBVH(RayQueries, BoxQueries):
         ndim = low.shape[1]
         capacity = checks.capacity('the number of rows of lo', max(len(low), 1))
         try:
-            if cls is not DynamicBVH:  # of which it is known, and 25 us are a box in ten of 1,000
+            # Of this one it is known, and 25 us are a box in ten of 1,000.
+            if cls.__init__ is not DynamicBVH.__init__:
                 inspect.signature(cls).bind(ndim, margin=margin, capacity=capacity)
         except TypeError:
             tree = cls.__new__(cls)
@@ -131,7 +137,15 @@ class DynamicBVH(RayQueries, BoxQueries):
 
     @staticmethod
     def _tree_of_boxes(lo: Floats, hi: Floats, masks: Any) -> View:
-        return DynamicBVH.from_boxes(lo, hi, mask=masks).view()
+        return DynamicBVH.from_boxes(lo, hi, mask=masks)._view()
+
+    def __repr__(self) -> str:
+        shown = f'{type(self).__name__}({self._ndim}D, '
+        try:
+            count = len(self)
+            return f'{shown}{count:,} {"box" if count == 1 else "boxes"}, height {self.height})'
+        except RuntimeError:
+            return f'{shown}being changed)'
 
     # ---- changes: each is one kernel of `changing`
 
@@ -177,7 +191,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         """Remove boxes; all or, if a handle is unknown (KeyError) or given twice (ValueError),
         none.
         """
-        tree, version = self.view()
+        tree, version = self._view()
         slots = handle_checks.slots_of(tree.handles, handles)
         self._change_many(changing.REMOVE, slots, version=version)
 
@@ -223,13 +237,13 @@ class DynamicBVH(RayQueries, BoxQueries):
         have made the tree costlier, it is built anew. All or, if a handle is unknown (KeyError) or
         given twice (ValueError), none.
         """
-        tree, version = self.view()
+        tree, version = self._view()
         slots = handle_checks.slots_of(tree.handles, handles)
         low, high = box_checks.boxes(lo, hi, self.ndim, len(slots))
         boxes = low, high, self._ahead(displacement, len(slots))
         return self._change_many(changing.MOVE, slots, boxes, version=version, shares=SHARES)
 
-    def move_sound(self, slots: Ids, lo: Floats, hi: Floats) -> None:
+    def _move_sound(self, slots: Ids, lo: Floats, hi: Floats) -> None:
         """`move_many` of boxes that the caller made, at slots in use, each once: C-ordered
         float64, finite, lo <= hi. Nothing is looked at or copied.
         """
@@ -252,7 +266,7 @@ class DynamicBVH(RayQueries, BoxQueries):
 
     def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
-        tree, version = self.view()
+        tree, version = self._view()
         slots = handle_checks.slots_of(tree.handles, handles)
         masks = checks.masks(mask, len(slots))
         self._change(changing.masks_entry(self._ndim), version, slots, masks)
@@ -277,9 +291,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         files.save(checks.path('path', path), files.pack(self), checks.flag('mapped', mapped))
 
     @classmethod
-    def load(
-        cls, path: str | PathLike[str], mmap: bool = False, verify: bool = False
-    ) -> 'DynamicBVH':
+    def load(cls, path: str | PathLike[str], mmap: bool = False, verify: bool = False) -> Self:
         """Read what `save` wrote. ValueError if the file is of another format version, not such a
         file, or of a tree that is not sound. A subclass' `__init__` is not called.
 
@@ -304,12 +316,12 @@ class DynamicBVH(RayQueries, BoxQueries):
         added = {name: value for name, value in vars(self).items() if name not in own}
         return files.pack(self) | {'added': added}
 
-    def __copy__(self) -> 'DynamicBVH':
+    def __copy__(self) -> Self:
         twin = type(self).__new__(type(self))
         twin.__setstate__(files.Copied(self.__getstate__()))
         return twin
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> 'DynamicBVH':
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         twin = memo[id(self)] = type(self).__new__(type(self))
         state = self.__getstate__()
         new = {name: copy.deepcopy(state[name], memo) for name in {*state} - files.COPIED}

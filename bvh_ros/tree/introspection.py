@@ -38,7 +38,7 @@ class Introspection(Timed):
 
     def __contains__(self, handle: object) -> bool:
         try:
-            self.slot(handle)  # type: ignore[arg-type]
+            self._slot(handle)  # type: ignore[arg-type]
         except KeyError:
             return False
         return True
@@ -48,41 +48,41 @@ class Introspection(Timed):
 
     def ids(self) -> Ids:
         """All handles, ascending."""
-        view = self.view()
+        view = self._view()
         handles = view.tree.handles
         live = np.sort(handles[handles >= 0])
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return live
 
     def boxes(self, handles: ArrayLike) -> tuple[Floats, Floats]:
         """Exact boxes (without margin) of the handles, shape (n, ndim) each. KeyError if one names
         no box.
         """
-        view = self.view()
+        view = self._view()
         nodes, tight = view.tree.nodes, view.tree.tight
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         records = tight[slots] if len(tight) else nodes[2 * slots]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
             -1, self.ndim
         ).copy()
 
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
-        view = self.view()
+        view = self._view()
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         masks = np.array(view.tree.nodes['mask'][2 * slots], np.uint32)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return masks
 
     @property
     def bounds(self) -> tuple[Floats, Floats] | None:
         """Smallest box around all exact boxes, as (lo, hi); None if the tree is empty."""
-        view = self.view()
+        view = self._view()
         nodes, tight = view.tree.nodes, view.tree.tight
         live = np.flatnonzero(view.tree.handles >= 0)
         records = tight[live] if len(tight) else nodes[2 * live]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         if not len(live):
             return None
         return records['lo'].min(axis=0), records['hi'].max(axis=0)
@@ -91,10 +91,10 @@ class Introspection(Timed):
     def height(self) -> int:
         """Levels of inner nodes; at most 4 log2(n) + 4."""
         self._settle()
-        view = self.view()
+        view = self._view()
         root = view.tree.state.item(ROOT)
         height: int = 0 if root == NONE else view.tree.heights.item(root)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return height
 
     def levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
@@ -116,7 +116,7 @@ class Introspection(Timed):
             checks.whole(name, value, 0)
             for name, value in (('first', first), ('last', last), ('most', most))
         )
-        view = self.view()
+        view = self._view()
         all_nodes, root = view.tree.nodes, view.tree.state.item(ROOT)
         here = np.array([] if root == NONE else [root], np.int64)
         nodes, depths, depth = [here[:0]], [here[:0]], 0
@@ -125,11 +125,11 @@ class Introspection(Timed):
                 nodes.append(here)
                 depths.append(np.full(len(here), depth))
             inner = all_nodes[here[here & 1 == 1]]
-            self.check_unchanged(view)
+            self._check_unchanged(view)
             here = np.concatenate((inner['left'], inner['right'])).astype(np.int64)
             depth += 1
         records = all_nodes[np.concatenate(nodes)[:most]]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return records['lo'], records['hi'], np.concatenate(depths)[:most]
 
     def plot(
@@ -169,17 +169,17 @@ class Introspection(Timed):
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of
         inner nodes if that is zero.
         """
-        cost = float(cost_entry(self._ndim)(*self.view()))
+        cost = float(cost_entry(self._ndim)(*self._view()))
         if cost == -1.0:
             raise RuntimeError(IS_CHANGED)
         return cost
 
     def validate(self) -> None:
         """Raise RuntimeError, saying what is broken, unless the tree is sound."""
-        self.validate_copy(self.copied())
+        self._validate_copy(self._copied())
 
-    def validate_copy(self, tree: Tree) -> None:
-        """`validate` what `copied` returned, while others change the tree."""
+    def _validate_copy(self, tree: Tree) -> None:
+        """`validate` what `_copied` returned, while others change the tree."""
         serial, state = tree.state.item(SERIAL), tree.state[:STATE_PLACES]
         complaint = validation.complaint_about(
             self.ndim, self.margin, serial, tree._replace(state=state)
@@ -189,7 +189,7 @@ class Introspection(Timed):
 
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""
-        view = self.view()
+        view = self._view()
         tree, (written, _, snapshot, _) = view.tree, self._wide
         state = tree.state
         built_cost = state.view(np.float64).item(BUILT_COST)
@@ -212,23 +212,23 @@ class Introspection(Timed):
             'rays_decided_exactly': state.item(EXACT_RAYS),
             **{name: state.item(place) for name, place in COUNTERS.items()},
         }
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return stats
 
-    def copied(self, room: Storage | None = None) -> Tree:
-        """The tree's arrays, all as they were at one time; in `room_for_copy`, if that fits."""
+    def _copied(self, room: Storage | None = None) -> Tree:
+        """The tree's arrays, all as they were at one time; in `_room_for_copy`, if that fits."""
         self._settle()
-        view = self.view()
+        view = self._view()
         copies = Tree._make(np.empty_like(array) for array in view.tree)
         if room is not None and [a.nbytes for a in room.tree] == [a.nbytes for a in view.tree]:
             copies = room.tree
         both: list[tuple[Any, Any]] = [*zip(copies, view.tree, strict=True)]
         for copy, array in both:
             copy_bytes(array, copy)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return copies
 
-    def room_for_copy(self) -> Storage:
-        """Memory for `copied`; another thread may ask for it."""
+    def _room_for_copy(self) -> Storage:
+        """Memory for `_copied`; another thread may ask for it."""
         tree = self._storage.tree
         return touched(self.ndim, len(tree.handles), len(tree.tight) > 0)

@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+def shown_point(point: NDArray[np.float64]) -> str:
+    """Coordinates in six digits, for people."""
+    return f'[{", ".join(f"{coordinate:.6g}" for coordinate in point)}]'
+
+
 class RayHit(NamedTuple):
     """Where a ray enters a box."""
 
@@ -23,6 +28,12 @@ class RayHit(NamedTuple):
     """
     normal: NDArray[np.float64]
     """The outward normal of the face entered, shape (ndim,); zero where the ray starts inside."""
+
+    def __repr__(self) -> str:
+        return (
+            f'RayHit(id={self.id}, t={self.t:.6g}, point={shown_point(self.point)}, '
+            f'normal={shown_point(self.normal)})'
+        )
 
 
 class RayHits(NamedTuple):

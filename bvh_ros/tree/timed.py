@@ -62,7 +62,7 @@ class Timed(Arrays):
         >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # who drives 3 m/s meets it after 1.25 s
         1.25
         """
-        view = self.view()
+        view = self._view()
         slots = handle_checks.slots_of(view.tree.handles, handles)
         rows = checks.points('velocities', velocities, self.ndim, len(slots))
         times = time_checks.moments('reference', reference, len(slots))
@@ -71,10 +71,10 @@ class Timed(Arrays):
 
             self._motion = MotionQueries(self.ndim, self._tree_of_boxes)
         motion, named = self._motion, view.tree.handles[slots]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         self._change(motion.write, view.version, named, rows, times)
 
-    def count_nanoseconds(self, left: float = math.inf) -> None:
+    def _count_nanoseconds(self, left: float = math.inf) -> None:
         """Let times, and paces, mean the whole nanoseconds nearest to them: of these all is
         decided, exactly, up to 2**51 ns (26 days) from time 0. Few of them are doubles of seconds.
         Boxes go on for `left` (s) after they were told, and then stand. For a tree that knows no
@@ -89,12 +89,12 @@ class Timed(Arrays):
         """(velocities, references) of boxes, shape (n, ndim) and (n,); zero where a box has none.
         KeyError if a handle names no box.
         """
-        view = self.view()
+        view = self._view()
         slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
         result = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
             result = self._motion.velocities_of(view.tree.handles, slots)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return result
 
     @staticmethod
@@ -102,14 +102,7 @@ class Timed(Arrays):
         """Build a tree of other boxes, shape (n, ndim); `motion` builds one for a time."""
         raise NotImplementedError
 
-    @property
-    def motion(self) -> Optional['MotionQueries']:
-        """What is asked of moving boxes, for who knows their arrays; None where no box ever had a
-        velocity.
-        """
-        return self._motion
-
-    def packed_velocities(self, handles: Ids) -> dict[str, Any]:
+    def _packed_velocities(self, handles: Ids) -> dict[str, Any]:
         """What a file holds of them, by name, of a tree with these handles by slot; nothing where
         no box ever had one.
         """

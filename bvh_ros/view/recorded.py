@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 
 from bvh_ros import bags, replay, scenarios
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.scene import Scene
+from bvh_ros.scene import NodeScene
 from bvh_ros.view.worlds import Moment, Recording
 
 
@@ -29,7 +29,7 @@ class Tracks(Recording):
     """
 
     def __init__(self, title: str, frames: Sequence[scenarios.Frame]) -> None:
-        super().__init__(title, Scene(), frames[-1].t - frames[0].t)
+        super().__init__(title, NodeScene(), frames[-1].t - frames[0].t)
         self._frames = frames
         self.restart()
 

@@ -13,7 +13,7 @@ import numpy as np
 from bvh_ros import replay, scenarios
 from bvh_ros.extent import Extent
 from bvh_ros.questions import Question
-from bvh_ros.scene import Scene
+from bvh_ros.scene import NodeScene
 from bvh_ros.view.recorded import Tracks, open_recording
 from bvh_ros.view.worlds import Recording
 
@@ -21,7 +21,7 @@ from bvh_ros.view.worlds import Recording
 class Answering:
     """Answers a demo's questions from a scene, as a client would, and keeps rays and hits."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: NodeScene) -> None:
         self._scene = scene
         self.rays: list[tuple[Sequence[float], Sequence[float]]] = []
         self.hits: list[Sequence[float]] = []

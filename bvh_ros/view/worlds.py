@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.scene import Numbered, Scene, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.tree import DynamicBVH
 
 Floats = NDArray[np.float64]
@@ -89,7 +89,7 @@ class ShownWorld:
     has_queries = False  # whether others ask, and their questions can be shown
     has_scan = False
 
-    def __init__(self, title: str, scene: Scene) -> None:
+    def __init__(self, title: str, scene: NodeScene) -> None:
         self.title = title
         self.scene = scene
 
@@ -187,7 +187,7 @@ class SavedTree(ShownWorld):
         lo, hi = (_upright(corner) for corner in tree.boxes(ids))
         if tree.ndim == 2 and len(ids):
             hi[:, 2] = THIN * float((hi - lo).max(axis=0).max())
-        scene = Scene(planar=tree.ndim == 2, max_obstacles=max(1, len(ids)))
+        scene = NodeScene(planar=tree.ndim == 2, max_obstacles=max(1, len(ids)))
         shapes = Shapes.boxes(0.5 * lo + 0.5 * hi, hi - lo)
         for refusal in scene.update(path.name, Numbered('box/', ids), shapes, stamp=0):
             raise ValueError(f'{path}: {refusal}')
@@ -247,7 +247,7 @@ class Namespaces:
         self._handles = np.empty(0, np.int64)  # ascending
         self._of = np.empty(0, np.int64)  # their namespaces' numbers
 
-    def split(self, scene: Scene, groups: Sequence[Group]) -> list[tuple[str, Shapes]]:
+    def split(self, scene: NodeScene, groups: Sequence[Group]) -> list[tuple[str, Shapes]]:
         """Return namespaces and shapes; those of a group without handles go by their source."""
         self._learn(scene)
         found = []
@@ -261,7 +261,7 @@ class Namespaces:
                 found.append((names[number], shapes.take(numbers == number)))
         return found
 
-    def _learn(self, scene: Scene) -> None:
+    def _learn(self, scene: NodeScene) -> None:
         present = np.isin(self._handles, scene.handles())
         self._handles, self._of = self._handles[present], self._of[present]
         new = scene.names(int(self._handles[-1]) if len(self._handles) else 0)
@@ -303,7 +303,7 @@ class Recording(ShownWorld):
         Times real time.
     """
 
-    def __init__(self, title: str, scene: Scene, seconds: float) -> None:
+    def __init__(self, title: str, scene: NodeScene, seconds: float) -> None:
         super().__init__(title, scene)
         self.t, self.seconds = 0.0, seconds
         self.playing, self.speed = True, 1.0

@@ -117,7 +117,7 @@ def test_parts_hold_each_box_once_and_no_more_than_asked(tmp_path):
     for number in range(forest.parts):
         tree = DynamicBVH.load(building.part_file(tmp_path / 'forest', number))
         tree.validate()
-        its = np.load(building.ids_file(tmp_path / 'forest', number))[tree.slots(tree.ids())]
+        its = np.load(building.ids_file(tmp_path / 'forest', number))[tree._slots(tree.ids())]
         assert len(tree) == len(its) <= 170
         assert (np.diff(its) > 0).all()
         np.testing.assert_array_equal(tree.boxes(tree.ids())[0], lo[its])

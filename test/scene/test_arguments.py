@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scene.reference import box_of_triangles
 
-from bvh_ros.scene import Families, Mesh, Numbered, Part, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Families, Mesh, NodeScene, Numbered, Part, ShapeKind, Shapes
 
 CUBE = Mesh(box_of_triangles((1, 1, 1)))
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
@@ -65,7 +65,7 @@ BAD_ROWS += [Shapes.of_meshes([CUBE], [[0, 0, 0]])._replace(size=np.full((1, 3),
 
 @pytest.fixture
 def scene():
-    scene = Scene()
+    scene = NodeScene()
     scene.update('s', ['a', 'ball'], Shapes(
         np.array([0, 1]), np.array([[0.0, 0, 0], [3, 0, 0]]), np.zeros((2, 4)), np.ones((2, 3))
     ), stamp=7, expires=100, categories=3)  # fmt: skip
@@ -154,9 +154,9 @@ def test_constructors(scene):
     for bad in (*NOT_POINTS, [[[np.nan] * 3] * 3], []):
         refused(scene, Mesh, bad)
     for bad in (0, -1, 1.5, None, 'x', float('nan'), True):
-        refused(scene, Scene, max_obstacles=bad)
+        refused(scene, NodeScene, max_obstacles=bad)
     for bad in (-1.0, float('nan'), float('inf'), None, 'x', [1], 10**400):
-        refused(scene, Scene, margin=bad)
+        refused(scene, NodeScene, margin=bad)
 
 
 def test_queries(scene):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
 
-from bvh_ros.scene import NO_NODE, Mesh, Numbered, Part, Scene, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, Shapes
 
 NOBODY = np.full(3, np.nan)
 
@@ -21,7 +21,7 @@ def same(one, other):
 
 def scene_with(shapes, planar, masks, meshes=0):
     rng = np.random.default_rng(2)
-    scene = Scene(planar=planar, margin=0.1)
+    scene = NodeScene(planar=planar, margin=0.1)
     names = [str(i) for i in range(len(shapes.kind))]
     scene.update('test', names, shapes, stamp=1, categories=masks)
     if meshes:
@@ -178,7 +178,7 @@ def test_an_obstacle_at_two_places_is_one(set_slices):
     """Halfway through an update in slices, see slicing.py."""
     set_slices(20, 30)
     rng = np.random.default_rng(5)
-    scene, before = Scene(), random_shapes(rng, 60)
+    scene, before = NodeScene(), random_shapes(rng, 60)
     scene.update('test', Numbered('c#', np.arange(60)), before, stamp=1)
     after = before._replace(position=before.position + 0.4)
     parts = (
@@ -212,7 +212,7 @@ def test_nothing_is_asked(world):
     assert [len(column) for column in scene.clearance_many(Shapes.boxes(none, [1, 1, 1]))] == [
         0
     ] * 4
-    empty = Scene(planar=scene.planar)
+    empty = NodeScene(planar=scene.planar)
     assert empty.overlap_many([[0, 0, 0]], [1, 1, 1], want='first').tolist() == [NO_NODE]
     assert empty.nearest_many([[0, 0, 0]])[1].tolist() == [[math.inf]]
     assert empty.clearance_many(SHAPE)[0].tolist() == [NO_NODE]
@@ -260,13 +260,13 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
 )
 def test_bad_input_is_refused(query, arguments, said):
     with pytest.raises(ValueError, match=said):
-        getattr(Scene(), query)(*arguments)
+        getattr(NodeScene(), query)(*arguments)
 
 
 def test_balls_that_may_touch_more_than_there_is_room_for():
     """The room is kept by each thread, and made larger where a ball wants it."""
     for planar in (False, True, False):
-        scene = Scene(planar=planar)
+        scene = NodeScene(planar=planar)
         scene.update('s', Numbered('o', np.arange(70)), Shapes.boxes(np.ones((70, 3)), 1), stamp=0)
         starts = np.array([[-5.0, 1, 1], [-5, 9, 1], [-5, 1.2, 1]])
         goals = np.add(starts, [9, 0, 0])
@@ -280,7 +280,7 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
 @pytest.mark.parametrize('planar', [False, True])
 @pytest.mark.parametrize('turned', [False, True])
 def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
-    scene, turn = Scene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
+    scene, turn = NodeScene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
     scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
     good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
     for axis in range(3):

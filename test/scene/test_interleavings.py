@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tree.reference import effort
 
-from bvh_ros.scene import Numbered, Part, Scene, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Part, Shapes
 
 NAMES, PLACES, SLICE = 10, 14, 3
 HALF = 0.45
@@ -43,7 +43,7 @@ class Model:
     """A scene beside what must be in it."""
 
     def __init__(self, planar, margin):
-        self.scene = Scene(planar=planar, margin=margin)
+        self.scene = NodeScene(planar=planar, margin=margin)
         self.places, self.source, self.expires = {}, {}, {}
         self.shadows = []  # (name, place, expires, Running)
         self.running = []

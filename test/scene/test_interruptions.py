@@ -12,7 +12,7 @@ import pytest
 from tree.interrupting import InterruptError, interrupted
 from tree.reference import effort
 
-from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes
 
 COUNT = 12
 RNG = np.random.default_rng(3)
@@ -29,7 +29,7 @@ def rows(positions, numbers):
 
 
 def some_scene(planar=False):
-    scene = Scene(planar=planar)
+    scene = NodeScene(planar=planar)
     scene.update('s', *rows(PLACES, range(COUNT)), stamp=1, expires=np.arange(COUNT) * 10)
     scene.update('t', ['a', 'b'], Shapes.boxes(PLACES[:2], [2, 2, 2]), stamp=2)
     return scene
@@ -184,7 +184,7 @@ def test_signals():
         slices,
         lambda scene: scene.clear(),
     ]
-    scene, asked, refused = Scene(), 0, 0
+    scene, asked, refused = NodeScene(), 0, 0
     for change in changes:  # kernels are loaded: numba does not bear being interrupted in that
         scene.clear()
         scene.update('s', numbers, boxes, stamp=1)

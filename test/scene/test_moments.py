@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene.test_then import some_shapes
 
-from bvh_ros.scene import NO_NODE, Numbered, Part, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, NodeScene, Numbered, Part, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
@@ -15,8 +15,8 @@ NOW = 1_790_000_000 * SECOND
 Random = np.random.Generator
 
 
-def alone(shapes: Shapes, row: int, planar: bool) -> Scene:
-    scene = Scene(planar=planar)
+def alone(shapes: Shapes, row: int, planar: bool) -> NodeScene:
+    scene = NodeScene(planar=planar)
     scene.update('s', ['one'], shapes.take(np.array([row])), stamp=0)
     return scene
 
@@ -26,7 +26,7 @@ def alone(shapes: Shapes, row: int, planar: bool) -> Scene:
 def test_each_obstacle_is_met_as_it_sees_the_ray(planar: bool):
     rng, count = np.random.default_rng(7), 16
     shapes = some_shapes(rng, count)
-    scene, names = Scene(planar=planar), [f'o{i}' for i in range(count)]
+    scene, names = NodeScene(planar=planar), [f'o{i}' for i in range(count)]
     velocities = rng.normal(size=(count, 3)) * (rng.random((count, 1)) < 0.8) * [3, 3, 0.5]
     stamps = NOW + rng.integers(0, SECOND, count)
     assert not scene.update('s', names, shapes, stamp=stamps, velocities=velocities)
@@ -67,7 +67,7 @@ def test_each_obstacle_is_met_as_it_sees_the_ray(planar: bool):
 
 
 def test_the_world_as_last_told_and_at_rest():
-    scene = Scene()
+    scene = NodeScene()
     boxes = Shapes.boxes([[10, 0, 0], [0, 10, 0]], [1, 1, 1])
     still = scene.raycast([0, 0, 0], [20, 0, 0], at=NOW)
     assert still is None
@@ -89,7 +89,7 @@ def test_the_world_as_last_told_and_at_rest():
 
 def test_updates_in_slices_keep_velocities(set_slices):
     set_slices(20, 7)
-    scene, count = Scene(), 50
+    scene, count = NodeScene(), 50
     boxes = Shapes.boxes(10.0 * np.arange(3.0 * count).reshape(count, 3), [1, 1, 1])
     names, speeds = Numbered('b#', np.arange(count)), np.full((count, 3), 2.0)
     scene.update('s', names, boxes, stamp=NOW, velocities=speeds)
@@ -108,7 +108,7 @@ def test_updates_in_slices_keep_velocities(set_slices):
 
 
 def test_what_is_refused():
-    scene = Scene()
+    scene = NodeScene()
     boxes = Shapes.boxes([[10, 0, 0]], [1, 1, 1])
     for wrong in ([[1, 2]], [1, 2, 3], [[0, 0, 0]] * 2, 'x'):
         with pytest.raises(ValueError, match='velocities'):
@@ -132,7 +132,7 @@ def test_what_is_refused():
 
 @pytest.mark.parametrize('radius', [0.0, 0.3])
 def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
-    scene = Scene()
+    scene = NodeScene()
     box = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     scene.update('s', ['car'], box, stamp=NOW, velocities=[[1, 0, 0]])
     assert scene.remove('s', ['car']) == 1
@@ -147,7 +147,7 @@ def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
         assert scene.raycast_all([0, 0, 0], [9, 0, 0], radius, at=NOW, until=until) == []
 
 
-def near_zero_and_now(scene: Scene) -> list[float]:
+def near_zero_and_now(scene: NodeScene) -> list[float]:
     """How far a car has come that is told now, where somebody was told when the clock said 0."""
     old, car = Shapes.boxes([[0, 500, 0]], [1, 1, 1]), Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     scene.update('s', ['old'], old, stamp=1, velocities=[[0, 0, 1]])
@@ -162,7 +162,7 @@ def near_zero_and_now(scene: Scene) -> list[float]:
 
 
 def test_nanoseconds_count_wherever_the_clock_began():
-    scene = Scene()
+    scene = NodeScene()
     errors = near_zero_and_now(scene)
     assert len(errors) == 429
     assert max(errors) < 1e-13  # 1.2 mm with times of 1e9 s in doubles
@@ -173,7 +173,7 @@ def test_nanoseconds_count_wherever_the_clock_began():
 
 
 def test_time_begins_anew_when_all_are_forgotten_or_at_rest():
-    scene, box = Scene(), Shapes.boxes([[5, 0, 0]], [1, 1, 1])
+    scene, box = NodeScene(), Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     for forget in (scene.clear, scene.rest, lambda: scene.remove('s', ['car'])):
         scene.update('s', ['car'], box, stamp=NOW, velocities=[[1, 0, 0]])
         forget()
@@ -190,7 +190,7 @@ def test_a_scene_tells_exactly_who_is_met_first():
     sizes = np.full((3, 3), 2.0)
     places = np.array([[2.0, 0, 0], [2.0, 0, 0], [0, 9.0, 0]])
     shapes = Shapes(np.array([BOX, BOX, SPHERE], np.uint8), places, np.zeros((3, 4)), sizes)
-    scene = Scene()
+    scene = NodeScene()
     slow = np.array([[0, 0, 0], [-1e-20, 0, 0], [0, 0, 0]])
     scene.update('s', ['rests', 'comes', 'a ball'], shapes, stamp=0, velocities=slow)
     hits = scene.raycast_all([0, 0, 0], [4, 0, 0], at=0, until=10**9)

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, inspection
+from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes, inspection
 
 TURN = (0.1, -0.5, 0.3, 0.8)
 SIZES = {
@@ -26,7 +26,7 @@ def shapes_of(kind):
 
 
 def scene_of(kind, **given):
-    scene = Scene(**given)
+    scene = NodeScene(**given)
     assert scene.update('us', ['it'], shapes_of(kind), stamp=0) == []
     return scene
 
@@ -85,7 +85,7 @@ def test_every_shape_is_drawn(kind, planar):
 def test_a_picture_is_as_large_as_the_world(unit):
     pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
     pyplot.switch_backend('agg')
-    scene = Scene()
+    scene = NodeScene()
     scene.update('us', ['it'], Shapes.boxes([(0.0, 0.0, 0.0)], 2.0 * unit), stamp=0)
     lo, hi = scene.plot().get_xlim()
     assert 1.0 < hi / unit < 1.1
@@ -94,7 +94,7 @@ def test_a_picture_is_as_large_as_the_world(unit):
 
 
 def test_handles_and_shapes_of_a_source_are_row_for_row():
-    scene = Scene()
+    scene = NodeScene()
     for name, x in (('a', 1.0), ('b', 2.0), ('c', 3.0)):
         scene.update('odd' if name == 'b' else 'us', [name], Shapes.boxes([(x, 0, 0)], 1), stamp=0)
     handles = scene.handles_of('us', 9)

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Part, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NodeScene, Part, ShapeKind, Shapes
 from bvh_ros.scene.tracking import Tracks
 
 NAMES = [f'thing/{i}' for i in range(40)]
@@ -43,7 +43,7 @@ def test_what_leaves_goes_and_what_enters_comes(planar):
     rng, ndim = np.random.default_rng(3), 2 if planar else 3
     lo, hi = np.full(3, -3.0), np.array([4.0, 3.0, np.inf])
     region = lo[:ndim], hi[:ndim]
-    part, whole = Scene(planar=planar, region=region), Scene(planar=planar)
+    part, whole = NodeScene(planar=planar, region=region), NodeScene(planar=planar)
     seen = set()
     for step in range(300):
         count = int(rng.integers(1, 8))
@@ -69,7 +69,7 @@ def test_what_leaves_goes_and_what_enters_comes(planar):
 def test_between_slices_nothing_that_was_or_will_be_is_missing(set_slices):
     set_slices(1, 7)
     rng = np.random.default_rng(4)
-    scene = Scene(region=([-3] * 3, [3] * 3))
+    scene = NodeScene(region=([-3] * 3, [3] * 3))
     old = Shapes.boxes(rng.uniform(-5, 5, (60, 3)), [1, 1, 1])
     new = Shapes.boxes(rng.uniform(-5, 5, (60, 3)), [1, 1, 1])
     names = [f'thing/{i}' for i in range(60)]
@@ -81,7 +81,7 @@ def test_between_slices_nothing_that_was_or_will_be_is_missing(set_slices):
             for name, place in before.items():
                 assert name in [hit.name for hit in scene.overlap(place, place)], pause
         scene.validate()
-    after = Scene(region=([-3] * 3, [3] * 3))
+    after = NodeScene(region=([-3] * 3, [3] * 3))
     after.replace('one', '', names, new, stamp=1)
     assert held_by(scene) == held_by(after) != before
     scene.validate()
@@ -95,7 +95,7 @@ def test_who_will_be_in_the_region_is_kept(planar):
     speeds[::4] = 0.0
     for follow, uncertainty in ((False, 0.0), (True, 0.0), (False, 3.0)):
         scenes = [
-            Scene(planar=planar, region=one, max_prediction=1.0, uncertainty=uncertainty)
+            NodeScene(planar=planar, region=one, max_prediction=1.0, uncertainty=uncertainty)
             for one in (region, None)
         ]
         tracks = {scene: Tracks(0.0, 15.0) for scene in scenes}
@@ -118,7 +118,7 @@ def test_who_will_be_in_the_region_is_kept(planar):
 
 
 def test_room_is_for_what_is_kept():
-    scene = Scene(region=([0] * 3, [1] * 3), max_obstacles=2)
+    scene = NodeScene(region=([0] * 3, [1] * 3), max_obstacles=2)
     places = [[0.5] * 3, [9.0] * 3, [9.0] * 3, [0.2] * 3, [0.1] * 3]
     refused = scene.update('one', list('abcde'), Shapes.boxes(places, [1, 1, 1]), stamp=0)
     assert [row.name for row in refused] == ['e']
@@ -129,4 +129,4 @@ def test_room_is_for_what_is_kept():
 )
 def test_what_is_no_region_is_refused(region):
     with pytest.raises(ValueError, match='region'):
-        Scene(region=region)
+        NodeScene(region=region)

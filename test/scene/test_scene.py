@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Numbered, Scene, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Shapes
 
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
 
@@ -39,7 +39,7 @@ def shape(kind=0, position=(0, 0, 0), orientation=(0, 0, 0, 0), size=(1, 1, 1)):
     ],
 )
 def test_a_bad_row_is_refused_and_keeps_the_old_obstacle(bad, words):
-    scene = Scene()
+    scene = NodeScene()
     assert scene.update('test', ['x'], BOX, stamp=1) == []
     (refusal,) = scene.update('test', ['x'], bad, stamp=2)
     assert (refusal.row, refusal.name) == (0, 'x')
@@ -52,7 +52,7 @@ def test_a_bad_row_is_refused_and_keeps_the_old_obstacle(bad, words):
 
 
 def test_a_refusal_names_the_owner_and_good_rows_are_applied():
-    scene = Scene()
+    scene = NodeScene()
     scene.update('lidar', ['x'], BOX, stamp=1)
     two = Shapes.boxes([[5, 0, 0], [6, 0, 0]], [1, 1, 1])
     (refusal,) = scene.update('camera', ['x', 'y'], two, stamp=2)
@@ -66,7 +66,7 @@ def test_a_refusal_names_the_owner_and_good_rows_are_applied():
 
 
 def test_flat_boxes_are_obstacles():
-    scene = Scene()
+    scene = NodeScene()
     flat = Shapes.boxes([[1, 0, 0], [2, 0, 0]], [0, 1, 1], [[0, 0, 0, 1], [0, 0, 0.1, 1]])
     assert scene.update('test', ['wall', 'turned'], flat, stamp=1) == []
     assert [hit.name for hit in scene.raycast_all([0, 0, 0], [3, 0, 0])] == ['wall', 'turned']
@@ -74,7 +74,7 @@ def test_flat_boxes_are_obstacles():
 
 
 def test_a_scene_is_copied_but_neither_pickled_nor_shared():
-    scene = Scene()
+    scene = NodeScene()
     scene.update('test', ['x'], BOX, stamp=1)
     other = copy.deepcopy(scene)
     scene.clear()
@@ -88,7 +88,7 @@ def test_a_scene_is_copied_but_neither_pickled_nor_shared():
 
 
 def test_node_handles_end_with_a_clear_error():
-    scene = Scene()
+    scene = NodeScene()
     scene._store.next_node_handle = 2**31 - 1
     assert scene.update('test', ['last'], BOX, stamp=1) == []
     assert scene.get('last').handle == 2**31 - 1
@@ -101,10 +101,10 @@ def test_node_handles_end_with_a_clear_error():
 def test_a_scene_of_aligned_boxes_compiles_and_imports_nothing_narrow():
     program = """
 import sys, numpy as np
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 half = np.pi / 4
 turns = [[0] * 4, [0, 0, 1, 1], [0.5, -0.5, 0.5, 0.5], [0, 0, np.sin(half), np.cos(half)]]
-scene = Scene()
+scene = NodeScene()
 crates = Shapes.boxes(np.eye(4, 3) * 9, [1, 2, 3], turns)
 assert scene.update('a', list('abcd'), crates, stamp=1) == []
 assert scene.raycast([-5, 0, 0], [9, 0, 0]) and scene.raycast_all([-5, 0, 0], [9, 0, 0])
@@ -124,7 +124,7 @@ assert 'fcl' not in sys.modules
 
 
 def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
-    scene = Scene()
+    scene = NodeScene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
     scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
     for turn, _ in enumerate(scene.validate_in_turns()):
@@ -136,7 +136,7 @@ def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
 
 
 def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypatch):
-    scene, box = Scene(), Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+    scene, box = NodeScene(), Shapes.boxes([[0, 0, 0]], [1, 1, 1])
     scene.update('s', ['a'], box, stamp=1)
 
     def refuse(updates, rows):
@@ -151,7 +151,7 @@ def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypat
 
 
 def test_an_aligned_box_in_the_place_of_a_turned_one():
-    scene = Scene(planar=True)
+    scene = NodeScene(planar=True)
     turned = Shapes.boxes([[0, 0, 0], [9, 0, 0]], [4, 1, 1], [[0.0, 0.0, 0.3, 0.9]] * 2)
     scene.update('a', ['gone', 'stays'], turned, stamp=1)
     scene.remove('a', ['gone'])

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Numbered, Part, Scene, ShapeKind, Shapes, slicing
+from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, slicing
 
 PLACES = 120  # where boxes may stand, on a line
 
@@ -80,7 +80,7 @@ def pausing(work):
 @pytest.mark.parametrize('whole', [False, True])
 def test_slices_end_as_at_once_and_never_look_freer(whole, shaped, planar):
     random = np.random.default_rng([whole, shaped, planar])
-    sliced, at_once = Scene(planar=planar), Scene(planar=planar)
+    sliced, at_once = NodeScene(planar=planar), NodeScene(planar=planar)
     pauses = 0
     for stamp in range(1, 5):
         part = random_part(random, stamp, shaped)
@@ -112,7 +112,7 @@ def test_too_many_are_refused_as_at_once():
     random = np.random.default_rng(7)
     pauses = 0
     for old, new, most in ((50, 70, 60), (60, 60, 60), (60, 5, 60), (30, 0, 40), (5, 90, 7)) * 3:
-        sliced, at_once = Scene(max_obstacles=most), Scene(max_obstacles=most)
+        sliced, at_once = NodeScene(max_obstacles=most), NodeScene(max_obstacles=most)
         shapes = Shapes.boxes(random.uniform(0, 9, (100, 3)), [1, 1, 1])
         shapes = shapes._replace(size=shapes.size.copy())
         shapes.size[random.random(100) < 0.1] = np.nan
@@ -138,7 +138,7 @@ def test_too_many_are_refused_as_at_once():
 
 
 def test_few_rows_in_place_of_very_many_take_many_turns():
-    scene = Scene()
+    scene = NodeScene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
     scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
     part = Part(Numbered('d#', np.arange(2)), shapes.take(slice(2)), 2)
@@ -149,7 +149,7 @@ def test_few_rows_in_place_of_very_many_take_many_turns():
 
 def test_rows_with_meshes_take_turns_earlier(set_slices):
     set_slices(6, 2, 'COSTLY_')
-    scene = Scene()
+    scene = NodeScene()
     shapes = Shapes.boxes(np.zeros((7, 3)), [1, 1, 1])
     part = Part(Numbered('c#', np.arange(7)), shapes, 1)
     sizes = [
@@ -158,11 +158,11 @@ def test_rows_with_meshes_take_turns_earlier(set_slices):
         if len(scene)
     ]
     assert sizes == [2, 4, 6, 7]
-    assert list(Scene().in_slices('s', '', 7, part.cut, whole=False)) == []
+    assert list(NodeScene().in_slices('s', '', 7, part.cut, whole=False)) == []
 
 
 def test_whoever_is_late_does_not_pause():
-    scene = Scene()
+    scene = NodeScene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
     part = Part(Numbered('c#', np.arange(60)), shapes, 2)
     scene.update('s', *part[:2], stamp=1)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bvh_ros.scene import Numbered, Part, Scene, Shapes, slicing
+from bvh_ros.scene import NodeScene, Numbered, Part, Shapes, slicing
 from bvh_ros.scene.tracking import Tracks
 
 SECOND = 1_000_000_000
@@ -16,7 +16,7 @@ NOW = 1_790_000_000 * SECOND
 
 def told(tracks, places, stamps):
     """Tell one obstacle again and again; its velocity after each time but the first."""
-    scene, found = Scene(), []
+    scene, found = NodeScene(), []
     for place, stamp in zip(places, stamps, strict=True):
         box = Shapes.boxes([place], [1, 1, 1])
         assert not scene.update('s', ['one'], box, stamp=stamp, velocities=tracks)
@@ -106,7 +106,7 @@ def test_whatever_is_told_velocities_are_finite_and_at_most_the_largest(smoothin
 
 
 def test_who_vanishes_begins_anew_and_many_are_followed_at_once(set_slices):
-    scene, tracks, rng = Scene(), Tracks(), np.random.default_rng(4)
+    scene, tracks, rng = NodeScene(), Tracks(), np.random.default_rng(4)
     places, speeds = rng.uniform(-50, 50, (500, 3)), rng.uniform(-9, 9, (500, 3))
     for tick in range(5):
         if tick == 3:
@@ -125,7 +125,7 @@ def test_who_vanishes_begins_anew_and_many_are_followed_at_once(set_slices):
 
 
 def test_a_slot_that_another_one_has_now():
-    scene, tracks = Scene(), Tracks()
+    scene, tracks = NodeScene(), Tracks()
     for name, speed in (('first', 5.0), ('second', -2.0)):
         for tick in range(4):
             box = Shapes.boxes([[speed * 0.1 * tick, 0, 0]], [1, 1, 1])
@@ -136,7 +136,7 @@ def test_a_slot_that_another_one_has_now():
 
 
 def test_rows_whose_velocity_is_not_finite_are_refused():
-    scene, boxes = Scene(), Shapes.boxes([[10, 0, 0], [20, 0, 0]], [1, 1, 1])
+    scene, boxes = NodeScene(), Shapes.boxes([[10, 0, 0], [20, 0, 0]], [1, 1, 1])
     scene.replace('s', '', ['a', 'b'], boxes, stamp=NOW, velocities=[[1, 0, 0]] * 2)
     moved, speeds = boxes._replace(position=boxes.position + 1), [[np.nan, 0, 0], [2, 0, 0]]
     refused = scene.replace('s', '', ['a', 'b'], moved, stamp=NOW + 1, velocities=speeds)

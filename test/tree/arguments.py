@@ -63,8 +63,6 @@ TREE: dict[str, dict[str, Any]] = {
     'save': {'path': 'saved too', 'mapped': False},
     'set_masks': {'handles': IDS, 'mask': 1},
     'set_velocities': {'handles': IDS, 'velocities': LO, 'reference': 0.0},
-    'slot': {'handle': IDS[0]},
-    'slots': {'handles': IDS},
     'velocities': {'handles': IDS},
 }
 ARGUMENTS = [f'{method} {name}' for method, good in TREE.items() for name in good]

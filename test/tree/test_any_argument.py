@@ -119,7 +119,7 @@ def test_no_handle_is_looked_for_under_a_mask() -> None:
     tree = some_tree()
     ids = np.ma.masked_array(tree.ids(), [True] + [False] * 7)
     rays = np.zeros((8, 3)), np.ones((8, 3))
-    for call in (tree.slots, tree.boxes, tree.remove_many, lambda x: tree.exits(*rays, x)):
+    for call in (tree._slots, tree.boxes, tree.remove_many, lambda x: tree.exits(*rays, x)):
         with pytest.raises(ValueError, match=r'masked'):
             call(ids)
     assert len(tree) == 8

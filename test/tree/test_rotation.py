@@ -28,7 +28,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
     """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return
     its root.
     """
-    nodes, heights, state = tree.view().tree.nodes, tree.view().tree.heights, tree.state
+    nodes, heights, state = tree._view().tree.nodes, tree._view().tree.heights, tree._state
     if isinstance(shape, int):
         leaf = int(take_leaf(nodes, state))
         nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (
@@ -37,8 +37,8 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
             1,
         )
         heights[leaf] = 0
-        tree.view().tree.handles[leaf >> 1] = tree.state[SERIAL] << SLOT_BITS | leaf >> 1
-        tree.state[SERIAL] += 1
+        tree._view().tree.handles[leaf >> 1] = tree._state[SERIAL] << SLOT_BITS | leaf >> 1
+        tree._state[SERIAL] += 1
         return leaf
     node = int(take_inner(nodes, state))
     for side, below in zip(('left', 'right'), shape, strict=True):
@@ -51,7 +51,7 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
 
 
 def shape_of(tree: DynamicBVH, node: int, at: list[float]) -> Shape:
-    record = tree.view().tree.nodes[node]
+    record = tree._view().tree.nodes[node]
     if is_leaf(node):
         return at.index(record['lo'][0])
     return shape_of(tree, int(record['left']), at), shape_of(tree, int(record['right']), at)
@@ -84,10 +84,10 @@ ROTATIONS = {
 def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, less: float) -> None:
     at = [float(x) for x in at]
     tree = DynamicBVH(2, capacity=len(at))
-    tree.state[ROOT] = root = hang(tree, before, at)
+    tree._state[ROOT] = root = hang(tree, before, at)
     tree.validate()
     assert tree.cost() == pytest.approx(cost)
-    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST) == (
+    assert rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST) == (
         before != after
     )
     tree.validate()
@@ -103,12 +103,12 @@ def test_at_equal_cost_the_lower_tree() -> None:
     """A list of four coincident boxes becomes a balanced tree; a balanced one stays."""
     at = [0.0, 0.0, 0.0, 0.0]
     tree = DynamicBVH(2, capacity=4)
-    tree.state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
+    tree._state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
     assert tree.height == 3
-    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
+    assert rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST)
     assert tree.height == 2
     tree.validate()
-    assert not rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
+    assert not rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -121,7 +121,7 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
         shuffle_leaves(tree, rng)
         for node in np.repeat(inner_nodes(tree), 2).tolist():
             cost, height = tree.cost(), tree.height
-            rotated = rotate(tree.view().tree.nodes, tree.view().tree.heights, node, HIGHEST)
+            rotated = rotate(tree._view().tree.nodes, tree._view().tree.heights, node, HIGHEST)
             repair_heights(tree)
             tree.validate()
             assert tree.cost() <= cost * (1 + 1e-12)
@@ -132,7 +132,7 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
 
 def inner_nodes(tree: DynamicBVH) -> list[int]:
     """Children before parents."""
-    nodes, found, stack = tree.view().tree.nodes, [], [int(tree.state[ROOT])]
+    nodes, found, stack = tree._view().tree.nodes, [], [int(tree._state[ROOT])]
     while stack:
         node = stack.pop()
         if not is_leaf(node):
@@ -143,7 +143,7 @@ def inner_nodes(tree: DynamicBVH) -> list[int]:
 
 def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
     """Deal the boxes out anew over the leaves, so that the tree is bad."""
-    nodes, leaves = tree.view().tree.nodes, 2 * (tree.ids() & 0xFFFF)
+    nodes, leaves = tree._view().tree.nodes, 2 * (tree.ids() & 0xFFFF)
     order = rng.permutation(leaves)
     for side in ('lo', 'hi'):
         nodes[side][leaves] = nodes[side][order].copy()
@@ -152,4 +152,4 @@ def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
 
 def repair_heights(tree: DynamicBVH) -> None:
     for node in inner_nodes(tree):
-        refit_node(tree.view().tree.nodes, tree.view().tree.heights, node)
+        refit_node(tree._view().tree.nodes, tree._view().tree.heights, node)

@@ -20,24 +20,24 @@ def some_tree(ndim: int) -> DynamicBVH:
 
 
 def root_of(tree: DynamicBVH) -> int:
-    return int(tree.state[ROOT])
+    return int(tree._state[ROOT])
 
 
 def inner(tree: DynamicBVH) -> int:
     """An inner node that is not the root."""
-    root = tree.view().tree.nodes[root_of(tree)]
+    root = tree._view().tree.nodes[root_of(tree)]
     return next(int(root[side]) for side in ('left', 'right') if not is_leaf(int(root[side])))
 
 
 def leaf(tree: DynamicBVH) -> int:
-    return 2 * int(np.flatnonzero(tree.view().tree.handles >= 0)[7])
+    return 2 * int(np.flatnonzero(tree._view().tree.handles >= 0)[7])
 
 
 def write(
     field: str, value: Callable[[np.ndarray], object], node: Callable[[DynamicBVH], int]
 ) -> Callable[[DynamicBVH], None]:
     def act(tree: DynamicBVH) -> None:
-        column = tree.view().tree.nodes[field]
+        column = tree._view().tree.nodes[field]
         column[node(tree)] = value(column[node(tree)])
 
     return act
@@ -45,7 +45,7 @@ def write(
 
 def set_state(place: int, value: Callable[[int], int]) -> Callable[[DynamicBVH], None]:
     def act(tree: DynamicBVH) -> None:
-        tree.state[place] = value(int(tree.state[place]))
+        tree._state[place] = value(int(tree._state[place]))
 
     return act
 
@@ -53,52 +53,52 @@ def set_state(place: int, value: Callable[[int], int]) -> Callable[[DynamicBVH],
 def swap_children_of_two(tree: DynamicBVH) -> None:
     """Two parents each take the other's left child, and the children still name the old ones."""
     a, b = root_of(tree), inner(tree)
-    nodes = tree.view().tree.nodes
+    nodes = tree._view().tree.nodes
     nodes['left'][b], nodes['right'][b] = nodes['right'][b], nodes['left'][a]
 
 
 def share_a_child(tree: DynamicBVH) -> None:
     node = inner(tree)
-    tree.view().tree.nodes['left'][node] = tree.view().tree.nodes['right'][node]
+    tree._view().tree.nodes['left'][node] = tree._view().tree.nodes['right'][node]
 
 
 def drop_handle(tree: DynamicBVH) -> None:
-    tree.view().tree.handles[leaf(tree) >> 1] = NONE
+    tree._view().tree.handles[leaf(tree) >> 1] = NONE
 
 
 def take_another_handle(tree: DynamicBVH) -> None:
     """Two slots with one handle: the second box cannot be named."""
-    live = np.flatnonzero(tree.view().tree.handles >= 0)
-    tree.view().tree.handles[live[3]] = tree.view().tree.handles[live[4]]
+    live = np.flatnonzero(tree._view().tree.handles >= 0)
+    tree._view().tree.handles[live[3]] = tree._view().tree.handles[live[4]]
 
 
 def handle_of_the_future(tree: DynamicBVH) -> None:
-    tree.view().tree.handles[leaf(tree) >> 1] += 10**6 << SLOT_BITS
+    tree._view().tree.handles[leaf(tree) >> 1] += 10**6 << SLOT_BITS
 
 
 def lower_a_height(tree: DynamicBVH) -> None:
-    tree.view().tree.heights[inner(tree)] -= 1
+    tree._view().tree.heights[inner(tree)] -= 1
 
 
 def leaf_with_a_height(tree: DynamicBVH) -> None:
-    tree.view().tree.heights[leaf(tree)] = 1
+    tree._view().tree.heights[leaf(tree)] = 1
 
 
 def exact_box_outside(tree: DynamicBVH) -> None:
-    tree.view().tree.tight['hi'][leaf(tree) >> 1] += 0.2
+    tree._view().tree.tight['hi'][leaf(tree) >> 1] += 0.2
 
 
 def exact_box_upside_down(tree: DynamicBVH) -> None:
-    box = tree.view().tree.tight[leaf(tree) >> 1]
+    box = tree._view().tree.tight[leaf(tree) >> 1]
     box['lo'], box['hi'] = box['hi'].copy(), box['lo'].copy()
 
 
 def exact_box_of_nothing(tree: DynamicBVH) -> None:
-    tree.view().tree.tight['lo'][leaf(tree) >> 1, 0] = np.nan
+    tree._view().tree.tight['lo'][leaf(tree) >> 1, 0] = np.nan
 
 
 def free_what_is_used(tree: DynamicBVH) -> None:
-    tree.view().tree.nodes['parent'][int(tree.state[FREE_LEAF])] = leaf(tree)
+    tree._view().tree.nodes['parent'][int(tree._state[FREE_LEAF])] = leaf(tree)
 
 
 BREAKS: dict[str, tuple[Callable[[DynamicBVH], None], str]] = {
@@ -148,7 +148,7 @@ def test_a_box_of_no_sense_in_a_tree_without_margin() -> None:
     for low, high in (([2.0, 2.0], [1.0, 1.0]), ([np.nan, 0.0], [1.0, 1.0])):
         tree = DynamicBVH(2)
         tree.insert([0, 0], [1, 1])
-        tree.view().tree.nodes['lo'][0], tree.view().tree.nodes['hi'][0] = low, high
+        tree._view().tree.nodes['lo'][0], tree._view().tree.nodes['hi'][0] = low, high
         with pytest.raises(RuntimeError):
             tree.validate()
 
@@ -158,19 +158,19 @@ def test_a_list_is_too_high() -> None:
     tree = DynamicBVH(2, capacity=40)
     for k in range(40):
         tree.insert([k, 0], [k, 1])
-    nodes = tree.view().tree.nodes
+    nodes = tree._view().tree.nodes
     below = 0
     for k in range(1, 40):
         node = 2 * k + 1
         nodes['left'][node], nodes['right'][node], nodes['mask'][node] = below, 2 * k, 1
         nodes['parent'][[below, 2 * k]] = node
         nodes['lo'][node], nodes['hi'][node] = nodes['lo'][0], nodes['hi'][2 * k]
-        tree.view().tree.heights[node] = k
+        tree._view().tree.heights[node] = k
         below = node
     nodes['parent'][below] = NONE
-    tree.state[ROOT] = below
+    tree._state[ROOT] = below
     nodes['parent'][1] = NONE
-    tree.state[FREE_INNER] = 1
+    tree._state[FREE_INNER] = 1
     assert tree.height == 39
     with pytest.raises(RuntimeError, match='4 log2'):
         tree.validate()

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 from bvh_ros.view.worlds import ShownWorld
 
 SECONDS = 10.0
@@ -41,7 +41,7 @@ class Boxes(ShownWorld):
     def __init__(self, count: int, moving: bool) -> None:
         self._places, self._moving, self._changes = places(count), moving, 0
         self._names = [f'box/{number}' for number in range(count)]
-        super().__init__('boxes', Scene())
+        super().__init__('boxes', NodeScene())
         self._put()
 
     def _put(self) -> None:

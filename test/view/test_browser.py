@@ -13,7 +13,7 @@ pytest.importorskip('viser', reason='viser is not installed')
 from view import pages
 from view.pages import text_of, until
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes
 from bvh_ros.view.worlds import ShownWorld
 
 pytestmark = pytest.mark.slow
@@ -36,7 +36,7 @@ FARAWAY = [  # metres, and where
 
 def five(unit=1.0, at=(0.0, 0.0, 0.0)):
     """One of each shape, each of a source of its own."""
-    scene = Scene()
+    scene = NodeScene()
     for name, (kind, place, size, turn) in KINDS.items():
         shape = Shapes.boxes([at + unit * np.array(place)], unit * np.array([size]), [turn])
         shape = shape._replace(kind=np.array([kind], np.uint8))
@@ -137,7 +137,7 @@ def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
 
 
 def test_a_world_that_is_empty_and_grows(browser):
-    scene = Scene()
+    scene = NodeScene()
     with pages.shown(ShownWorld('grows', scene)) as page:
         pages.visit(browser, page, 0)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 from bvh_ros.view.drawing import Placing
 from bvh_ros.view.main import _is_local, _open, main
 from bvh_ros.view.worlds import Namespaces, SavedTree, ShownWorld, namespace_of
@@ -72,7 +72,7 @@ def test_a_page_tells_apart_what_a_thousandth_of_the_world_is_apart(unit, away):
 
 
 def test_a_click_on_a_planar_world_asks_for_what_stands_there():
-    scene = Scene(planar=True)
+    scene = NodeScene(planar=True)
     scene.update('us', ['post'], Shapes.boxes([(2, 3, 0)], 1.0), stamp=0)
     world = ShownWorld('flat', scene)
     eye = np.array((0.0, 0.0, 10.0))
@@ -95,7 +95,7 @@ def test_the_namespace_of_a_name(name, namespace):
 
 
 def test_namespaces_of_those_who_come_and_go():
-    scene, split = Scene(), Namespaces()
+    scene, split = NodeScene(), Namespaces()
     for names in (['a/1', 'b/1', 'a/2'], ['b/2', 'a/2', 'c/1'], ['c/1']):
         places = [(k, 0, 0) for k in range(len(names))]
         scene.replace('us', '', names, Shapes.boxes(places, 0.5), stamp=0)

@@ -75,7 +75,8 @@ def one_by_one(tree: DynamicBVH, rays: Rays) -> Method:
     """First hits by a call each."""
 
     def answers(hits: list[Any]) -> list[Answer]:
-        rows = [tree.slot(hit.id) if hit else NOTHING for hit in hits]
+        ids = tree.ids()  # in the order of the rows
+        rows = [np.searchsorted(ids, hit.id) if hit else NOTHING for hit in hits]
         return [Answer(np.array(rows), np.array([hit.t if hit else np.inf for hit in hits]))]
 
     return Method(lambda: [tree.raycast(*ray) for ray in zip(*rays, strict=True)], answers)

@@ -13,7 +13,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from ... import DynamicBVH, RayHits
+from ... import RayHits
+from ...tree.access import OpenTree
 from ...tree.batch import streams
 from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
@@ -78,10 +79,10 @@ def rounded_decisions() -> Any:
     return replaced(rows_entry=binary_kernel(), cast_entry=wide_kernel())
 
 
-class BinaryTree(DynamicBVH):
+class BinaryTree(OpenTree):
     """A tree whose batches go through the binary tree, too: no wide snapshot."""
 
-    def snapshot_for(self, count: int, view: View) -> None:
+    def _snapshot_for(self, count: int, view: View) -> None:
         return None
 
 

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 Times = NDArray[np.int64]
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
@@ -67,7 +67,7 @@ class Spans(NamedTuple):
     at: Times  # (n,) ns
     until: Times  # (n,) ns
     which: Times  # (n,) which of the states; NOW
-    states: list[Scene]
+    states: list[NodeScene]
     unknown: NDArray[np.bool_]  # (n,) rows that cannot be answered
 
     def take(self, rows: Any) -> Spans:
@@ -134,7 +134,7 @@ def prepare(
         return
     timed = spans_of() is not None
 
-    def states() -> Iterator[tuple[Scene, Times, Times]]:
+    def states() -> Iterator[tuple[NodeScene, Times, Times]]:
         spans = spans_of() if timed else None
         if spans is not None:
             spans = spans.take(~spans.unknown & (spans.which != NOW))
@@ -339,7 +339,7 @@ class Batch(NodePart):
         if questions.has_times:
             self._kernels.require(self.needed_then)
 
-    def _now(self) -> Scene:
+    def _now(self) -> NodeScene:
         return self._world.at(self.node.get_clock().now().nanoseconds)
 
     def _answer(self, questions: Any, number: int, transform: Transform | None, stamp: int) -> Any:
@@ -364,7 +364,7 @@ class Batch(NodePart):
         self._draw(questions, answers)
         return answers if transform is None else moved_back(transform, answers)
 
-    def _ask_all(self, scene: Scene, questions: Any, spans: Spans | None) -> Any:
+    def _ask_all(self, scene: NodeScene, questions: Any, spans: Spans | None) -> Any:
         """Ask about now, or about each row's time what was known then."""
         if spans is None:
             return self._ask(scene, questions)
@@ -379,7 +379,7 @@ class Batch(NodePart):
         return answers
 
     def _ask(
-        self, scene: Scene, questions: Any, at: Times | None = None, until: Times | None = None
+        self, scene: NodeScene, questions: Any, at: Times | None = None, until: Times | None = None
     ) -> Any:
         """Ask the scene, about now or (n,) times in ns."""
         raise NotImplementedError
@@ -429,7 +429,11 @@ class RayBatch(Batch):
             self._drawing.add_rays(questions, answers)
 
     def _ask(
-        self, scene: Scene, questions: Rays, at: Times | None = None, until: Times | None = None
+        self,
+        scene: NodeScene,
+        questions: Rays,
+        at: Times | None = None,
+        until: Times | None = None,
     ) -> Hits:
         """First hits; a ray that takes time reaches its t_max at the end of that time."""
         directions, limits, whole = questions.directions, questions.t_max, np.ones(1)
@@ -460,7 +464,11 @@ class PointBatch(Batch):
     question, answer, needed, needed_then = Points, Near, POINTS, NEAREST_THEN
 
     def _ask(
-        self, scene: Scene, questions: Points, at: Times | None = None, until: Times | None = None
+        self,
+        scene: NodeScene,
+        questions: Points,
+        at: Times | None = None,
+        until: Times | None = None,
     ) -> Near:
         masks = self._masks(questions.masks)
         handles, distances, points = scene.nearest_many(
@@ -478,7 +486,11 @@ class BoxBatch(Batch):
     question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
 
     def _ask(
-        self, scene: Scene, questions: Boxes, at: Times | None = None, until: Times | None = None
+        self,
+        scene: NodeScene,
+        questions: Boxes,
+        at: Times | None = None,
+        until: Times | None = None,
     ) -> Touched:
         masks = self._masks(questions.masks)
         hits = scene.overlap_many(
@@ -529,7 +541,11 @@ class PathBatch(Batch):
         return spans._replace(which=which, unknown=spans.unknown & timed)
 
     def _ask(
-        self, scene: Scene, questions: Poses, at: Times | None = None, until: Times | None = None
+        self,
+        scene: NodeScene,
+        questions: Poses,
+        at: Times | None = None,
+        until: Times | None = None,
     ) -> Near:
         shapes = paths.shapes(questions, self._footprint)
         handles, distances, places, points = scene.clearance_many(

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from bvh_ros.ros.parts.readiness import OnDemand
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import Scene, SceneHit
+    from bvh_ros.scene import NodeScene, SceneHit
 
 FEW = 10_000  # obstacles, of which the tree is built anew in some 5 ms
 Acting = Generator[None, None, str]  # pauses, and returns the reply
-Answer = Callable[['Scene', plans.Query, Span], 'Sequence[SceneHit]']
+Answer = Callable[['NodeScene', plans.Query, Span], 'Sequence[SceneHit]']
 
 
 class QueryServices(NodePart):
@@ -84,22 +84,22 @@ class QueryServices(NodePart):
         self.service(GetPlan, self.view.topic(name), callback)
         self.repeated_service(GetPlan, self.view.topic(repeated(name)), callback)
 
-    def _raycast(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+    def _raycast(self, scene: NodeScene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
         ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
         hit = scene.raycast(*ray, *span)
         return () if hit is None else (hit,)
 
-    def _raycast_all(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+    def _raycast_all(self, scene: NodeScene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         view = self.view
         ray = query.start, query.goal, query.tolerance, view.mask, view.skip_inside
         return scene.raycast_all(*ray, self._most, *span)
 
-    def _overlap(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+    def _overlap(self, scene: NodeScene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         box = query.start, query.goal, query.orientation, query.tolerance, self.view.mask
         return scene.overlap(*box, self._most, span.at)
 
-    def _nearest(self, scene: Scene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
+    def _nearest(self, scene: NodeScene, query: plans.Query, span: Span) -> Sequence[SceneHit]:
         self._kernels.require(NEAREST if span.at is None else NEAREST_THEN)
         reach = query.tolerance or math.inf
         return scene.nearest(
@@ -114,7 +114,7 @@ class QueryServices(NodePart):
         moves = answer in (self._raycast, self._raycast_all)
         return times.require(span_of(request, moves=moves), now)
 
-    def _scene_of(self, scene: Scene, span: Span, now: int) -> Scene:
+    def _scene_of(self, scene: NodeScene, span: Span, now: int) -> NodeScene:
         """The scene, or what was known at an earlier time."""
         times = self._world.times
         return scene if times is None or span.at is None else times.state(span.at, now)

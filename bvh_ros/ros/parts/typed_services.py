@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.frames import Transform
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 STATUS = Raycast.Response
 MANY_NAMES = 8
@@ -311,7 +311,7 @@ class TypedServices(NodePart):
             response.names = answers.numbers['names'].tolist()
 
     def _cast(
-        self, scene: Scene, request: Any, rows: Rays, at: Any, until: Any, limit: Limit
+        self, scene: NodeScene, request: Any, rows: Rays, at: Any, until: Any, limit: Limit
     ) -> Answers:
         view = self.view
         if request.all_hits:
@@ -324,7 +324,9 @@ class TypedServices(NodePart):
         numbers = {'t': hits.t[hit], 'points': hits.points[hit], 'normals': hits.normals[hit]}
         return Answers(hit.astype(np.int64), hits.handles[hit], numbers)
 
-    def _cast_all(self, scene: Scene, rows: Rays, at: Any, until: Any, limit: Limit) -> Answers:
+    def _cast_all(
+        self, scene: NodeScene, rows: Rays, at: Any, until: Any, limit: Limit
+    ) -> Answers:
         counts, hits = [], []
         goals = rows.origins + rows.directions
         radii = np.zeros(len(goals)) if rows.radii is None else rows.radii
@@ -346,7 +348,7 @@ class TypedServices(NodePart):
         return Answers(np.array(counts, np.int64), handles, numbers)
 
     def _overlap(
-        self, scene: Scene, request: Any, rows: Boxes, at: Any, _until: Any, limit: Limit
+        self, scene: NodeScene, request: Any, rows: Boxes, at: Any, _until: Any, limit: Limit
     ) -> Answers:
         boxes = rows.places, rows.sizes, rows.turns, rows.tolerances, rows.masks
         given: dict[str, Any] = {'threads': self._threads(len(rows.masks)), 'at': at}
@@ -357,7 +359,7 @@ class TypedServices(NodePart):
         return Answers(np.diff(offsets), handles.astype(np.uint32), {})
 
     def _nearest(
-        self, scene: Scene, request: Any, rows: Points, at: Any, _until: Any, limit: Limit
+        self, scene: NodeScene, request: Any, rows: Points, at: Any, _until: Any, limit: Limit
     ) -> Answers:
         k = max(1, min(request.limit, len(scene)))
         limit.take(k * len(rows.masks))
@@ -378,7 +380,7 @@ class TypedServices(NodePart):
         return Answers(found.sum(axis=1), closest.obstacles[filled].astype(np.uint32), numbers)
 
     def _clearance(
-        self, scene: Scene, request: Any, rows: ShapeRows, at: Any, _until: Any, _limit: Limit
+        self, scene: NodeScene, request: Any, rows: ShapeRows, at: Any, _until: Any, _limit: Limit
     ) -> Answers:
         shapes = unchecked_shapes(rows.kinds, rows.places, rows.turns, rows.sizes)
         handles, distances, points, others = scene.clearance_many(
@@ -519,8 +521,8 @@ def back(transform: Transform, answers: Answers, question: Question) -> Answers:
 
 
 def _states(
-    scene: Scene, spans: Spans | None, good: NDArray[np.bool_]
-) -> Generator[tuple[Scene, NDArray[np.int64], Times | None, Times | None], None, None]:
+    scene: NodeScene, spans: Spans | None, good: NDArray[np.bool_]
+) -> Generator[tuple[NodeScene, NDArray[np.int64], Times | None, Times | None], None, None]:
     """The states that the good rows are about: scene, rows, begin and end of each."""
     if spans is None:
         if good.any():
@@ -598,7 +600,7 @@ def _packed(code: str, values: NDArray[Any]) -> array[Any]:
     return packed
 
 
-def names_of(scene: Scene, obstacles: Masks) -> NDArray[np.object_]:
+def names_of(scene: NodeScene, obstacles: Masks) -> NDArray[np.object_]:
     """Names of handles (m,), empty where there is no obstacle."""
     handles, where = np.unique(obstacles, return_inverse=True)
     wanted = handles[handles < UNANSWERED].astype(np.int64)  # and NO_NODE is above it

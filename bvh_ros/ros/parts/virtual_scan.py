@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.config.parameters import ScanSettings
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 DEPTH = 5
 QOS_PERIOD = 1.0  # seconds
@@ -117,7 +117,7 @@ class VirtualScan(NodePart):
             raise ValueError('the pose is not finite')
         return Transform(position, orientation)
 
-    def _measure(self, scene: Scene, place: Transform) -> Hits:
+    def _measure(self, scene: NodeScene, place: Transform) -> Hits:
         directions = place.vectors(self._pattern.directions)
         origins = np.tile(place.translation, (len(directions), 1))
         view, settings = self._view, self._settings

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 
 REACH = (-FARTHEST, FARTHEST)
@@ -94,7 +94,9 @@ SOURCE_TYPES = {
 }
 
 
-def create_source(node: Node, settings: SourceSettings, scene: Scene, frames: Frames) -> Source:
+def create_source(
+    node: Node, settings: SourceSettings, scene: NodeScene, frames: Frames
+) -> Source:
     """Return the source that these settings describe, not yet subscribed."""
     kind = SOURCE_TYPES[settings.type]
     source_class = getattr(importlib.import_module(kind.module), kind.class_name)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.world.frames import Frames
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
     from bvh_ros.scene.slicing import Parts
     from bvh_ros.scene.updates import Follow
 
@@ -47,7 +47,9 @@ class Source(ABC):
     depth: ClassVar[int] = DEPTH
     follows_publisher: ClassVar[bool] = True
 
-    def __init__(self, node: Node, settings: SourceSettings, scene: Scene, frames: Frames) -> None:
+    def __init__(
+        self, node: Node, settings: SourceSettings, scene: NodeScene, frames: Frames
+    ) -> None:
         self.settings = settings
         self.name = settings.name
         self.scene = scene

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.config.parameters import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.large_changes import LargeChanges
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 COPIED_AT_ONCE = 10_000  # obstacles, some 5 ms
 
@@ -35,7 +35,9 @@ class Past:
 
     def __init__(self, changes: LargeChanges, history: float) -> None:
         self._changes = changes
-        self._states: list[tuple[int, Scene]] = []  # newest stamp included, ns, and what was known
+        self._states: list[
+            tuple[int, NodeScene]
+        ] = []  # newest stamp included, ns, and what was known
         self.length = round(history * 1e9)
 
     def note(self, source: Source, now: int) -> Iterator[None]:
@@ -61,7 +63,7 @@ class Past:
         """Forget all."""
         self._states.clear()
 
-    def states(self) -> tuple[NDArray[np.int64], list[Scene]]:
+    def states(self) -> tuple[NDArray[np.int64], list[NodeScene]]:
         """What was known, and since when (n,), ns; ascending."""
         stamps = np.array([stamp for stamp, _ in self._states], np.int64)
         return stamps, [scene for _, scene in self._states]
@@ -130,14 +132,14 @@ class KnownTimes:
             )
         return span
 
-    def states(self, at: NDArray[np.int64], now: int) -> tuple[list[Scene], NDArray[np.int64]]:
+    def states(self, at: NDArray[np.int64], now: int) -> tuple[list[NodeScene], NDArray[np.int64]]:
         """What was known at some time, and which of these at the times (n,); -1: not any more."""
         stamps, states = self.past.states()
         which = np.searchsorted(stamps, at, 'right') - 1
         which[at >= self._newest(now)] = len(states)
         return [*states, self._changes.visible], which
 
-    def state(self, at: int, now: int) -> Scene:
+    def state(self, at: int, now: int) -> NodeScene:
         """What was known at a time; ValueError if it is not any more."""
         states, (which,) = self.states(np.array([at]), now)
         if which < 0:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Generator
 from typing import Any, TypeVar
 
-from bvh_ros.scene import Scene
+from bvh_ros.scene import NodeScene
 from bvh_ros.scene.store import run_in_thread
 
 T = TypeVar('T')
@@ -27,15 +27,15 @@ class LargeChanges:
         Set by a caller that reads the scene for a while: large changes wait, small ones do not.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: NodeScene) -> None:
         self.owner: Any = None
         self.reading = False
         self._scene = scene
-        self._copy: Scene | None = None
+        self._copy: NodeScene | None = None
         self._waiting: list[Callable[[], object]] = []
 
     @property
-    def visible(self) -> Scene:
+    def visible(self) -> NodeScene:
         """The scene that answers queries: a copy as long as a helper changes the scene itself."""
         return self._scene if self._copy is None else self._copy
 

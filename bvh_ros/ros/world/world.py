@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.ros.world.large_changes import LargeChanges
     from bvh_ros.ros.world.views import View
-    from bvh_ros.scene import Scene
+    from bvh_ros.scene import NodeScene
 
 EXPIRED_AT_ONCE = 8192  # obstacles, about 10 ms
 
@@ -57,11 +57,11 @@ class World:
     compiling: str = ''
 
     @property
-    def scene(self) -> Scene:
+    def scene(self) -> NodeScene:
         """The scene as queries see it; only sources change it."""
         return self.changes.visible
 
-    def at(self, now: int, *, thin_ray: bool = False) -> Scene:
+    def at(self, now: int, *, thin_ray: bool = False) -> NodeScene:
         """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
         very many that are due the last go a little later, so that nobody has to wait for them.
 

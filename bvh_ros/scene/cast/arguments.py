@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import RAY_FLOATS, RAY_ROWS, ROOT, DynamicBVH, checks
+from ...tree.access import RAY_FLOATS, RAY_ROWS, ROOT, OpenTree, checks
 from ...tree.compiler import entry_point, inlined, lean_kernel
 from ..shapes.shape import Floats
 from ..store import Columns
@@ -125,7 +125,7 @@ def directions_entry() -> Callable[..., Any]:
     return entry_point(fill_directions, *(np.empty((0, 3)),) * 3)
 
 
-def world_of(tree: DynamicBVH, columns: Columns) -> CastWorld:
+def world_of(tree: OpenTree, columns: Columns) -> CastWorld:
     """The arrays of a scene."""
     nodes, _, tight, handles, state = tree.view().tree
     # As CastWorld(...), which would take one more call of a function of Python's.

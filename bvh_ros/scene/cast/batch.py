@@ -19,7 +19,7 @@ from ...tree.access import (
     REFUSED,
     ROOT,
     UINT32,
-    DynamicBVH,
+    OpenTree,
     Snapshot,
     View,
     accepted,
@@ -207,14 +207,14 @@ def only_with(memory, radii):
     return radii
 
 
-def tree_and_snapshot(tree: DynamicBVH, count: int) -> tuple[View, Snapshot]:
+def tree_and_snapshot(tree: OpenTree, count: int) -> tuple[View, Snapshot]:
     """For batches that cannot do with `ready_snapshot`."""
     view = tree.view()
     return view, tree.snapshot_for(count, view) or no_snapshot(tree.ndim)
 
 
 def first_of_one(
-    tree: DynamicBVH,
+    tree: OpenTree,
     columns: Columns,
     ends: tuple[Floats, Floats],
     ball: tuple[float, np.uint32, bool],
@@ -242,9 +242,7 @@ def first_of_one(
     return None if slot == NONE else (slot, t, place[0], place[1])
 
 
-def first_hits(
-    tree: DynamicBVH, columns: Columns, rays: Rays, threads: int = 1
-) -> CastHits | None:
+def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -> CastHits | None:
     """First hits of n rays, or balls; None if a ray is not finite."""
     count, shapes, begun = len(rays.origins), columns.shapes, 0
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
@@ -269,12 +267,7 @@ def first_hits(
 
 
 def _work(
-    tree: DynamicBVH,
-    columns: Columns,
-    given: tuple[Any, ...],
-    hits: RowHits,
-    start: int,
-    stop: int,
+    tree: OpenTree, columns: Columns, given: tuple[Any, ...], hits: RowHits, start: int, stop: int
 ) -> bool:
     """Fill in the rows [start, stop); whether all rays are finite."""
     rays: Rays = given[4]
@@ -293,9 +286,7 @@ def _work(
     return True
 
 
-def _answer_exactly(
-    tree: DynamicBVH, columns: Columns, rays: Rays, hits: RowHits, row: int
-) -> None:
+def _answer_exactly(tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int) -> None:
     """Fill in what exact arithmetic tells of a row, which says that nothing is met."""
     origin, direction = rays.origins[row], rays.directions[row]
     t_max, mask, radius = (

@@ -27,7 +27,7 @@ from ...tree.access import (
     NOT_FINITE,
     REFUSED,
     UINT32,
-    DynamicBVH,
+    OpenTree,
     RayHits,
     accepted,
     answer_rays,
@@ -53,7 +53,7 @@ _NO_IDS = np.empty(0, np.int64)
 
 
 def first(
-    tree: DynamicBVH, start: Floats, goal: Floats, mask: np.uint32, skip_inside: bool
+    tree: OpenTree, start: Floats, goal: Floats, mask: np.uint32, skip_inside: bool
 ) -> BoxHit | None:
     """The first box from `start` to `goal`, shape (3,) each."""
     place = np.empty((2, 3))
@@ -107,7 +107,7 @@ def first_between(tree, start, goal, mask, skip_inside, place):
 
 
 def every(
-    tree: DynamicBVH,
+    tree: OpenTree,
     origin: Floats,
     direction: Floats,
     mask: np.uint32,
@@ -133,7 +133,7 @@ def every(
 
 
 def first_hits(
-    tree: DynamicBVH, node_handles: NDArray[np.int64], rays: Rays, threads: int
+    tree: OpenTree, node_handles: NDArray[np.int64], rays: Rays, threads: int
 ) -> CastHits | None:
     """First hits of n thin rays; None if a ray is not finite. Few go through the snapshot in one
     kernel, with as little Python as can be.

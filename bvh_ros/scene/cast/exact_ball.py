@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import INSIDE, DynamicBVH, set_ray
+from ...tree.access import INSIDE, OpenTree, set_ray
 from ...tree.compiler import lean_kernel, stack_array
 from ..distance import batch
 from ..names import Slots
@@ -199,7 +199,7 @@ def find_candidates(world, segment, query, room, place):
 
 
 def cast_ball(
-    tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
+    tree: OpenTree, columns: Columns, sweep: Sweep, most: int | None = None
 ) -> Iterable[BoxHit]:
     """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
     ties by handle: slot, t, point and normal of each. TooManyHitsError if it may touch more than
@@ -306,14 +306,14 @@ def _near(lows: Floats, highs: Floats, sweep: Sweep) -> Slots:
     with np.errstate(over='ignore'):
         low, high = np.nextafter(lows - sweep.radius, -np.inf), highs + sweep.radius
     most = np.finfo(np.float64).max
-    grown = DynamicBVH.from_boxes(
+    grown = OpenTree.from_boxes(
         np.maximum(low, -most), np.minimum(np.nextafter(high, np.inf), most)
     )
     ray = sweep.origin[None], sweep.direction[None], 1.0
     _, ids, ts = grown.raycast_all_many(*ray)
     latest = np.inf
     if not sweep.every and not sweep.skip_inside:
-        latest = DynamicBVH.from_boxes(lows, highs).raycast_many(*ray).t[0]
+        latest = OpenTree.from_boxes(lows, highs).raycast_many(*ray).t[0]
     return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + MINUTE])
 
 

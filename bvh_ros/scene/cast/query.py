@@ -27,7 +27,7 @@ from ...tree.access import (
     NONE,
     ORIGIN,
     STACK,
-    DynamicBVH,
+    OpenTree,
     Stack,
     compare_hits,
     intersect_node,
@@ -558,7 +558,7 @@ def touch_rows(world, segment, radius, hits, points, normals):
 
 
 def cast_every(
-    tree: DynamicBVH, columns: Columns, sweep: Sweep, most: int | None = None
+    tree: OpenTree, columns: Columns, sweep: Sweep, most: int | None = None
 ) -> Iterable[BoxHit]:
     """All hits of a thin ray, nearest first, ties by handle; TooManyHitsError if there are more
     than `most`.

@@ -17,7 +17,7 @@ from ...tree.access import (
     NONE,
     NOT_FINITE,
     UINT32,
-    DynamicBVH,
+    OpenTree,
     View,
     begin_query,
     boxes_within,
@@ -323,7 +323,7 @@ class Part(NamedTuple):
 class Overlaps:
     """Overlap queries of one scene."""
 
-    def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
+    def __init__(self, tree: OpenTree, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
         self.spare = ScratchPool(Scratch)
@@ -533,7 +533,7 @@ def _once(offsets: Slots, handles: NDArray[np.uint32]) -> Any:
     return offsets, handles[first]
 
 
-def find_pairs(tree: DynamicBVH, columns: Columns, mask: int) -> Slots:
+def find_pairs(tree: OpenTree, columns: Columns, mask: int) -> Slots:
     """Slots (m, 2) of all obstacles that touch each other, the older of a pair first, sorted."""
     pairs = tree.slots(tree.overlap_pairs(mask))
     narrow = columns.geometry['shaped'][pairs].any(axis=1)
@@ -577,7 +577,7 @@ MANY, NO_ORDER = 1000, np.empty(0, np.int64)
 class Nearness:
     """Queries of one scene for what is nearest."""
 
-    def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
+    def __init__(self, tree: OpenTree, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
         self.spare = ScratchPool(Scratch)
@@ -837,7 +837,7 @@ class Kept(threading.local):
 class Clearances:
     """Distances in one scene."""
 
-    def __init__(self, tree: DynamicBVH, columns: Columns) -> None:
+    def __init__(self, tree: OpenTree, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
         self._kept = Kept()

@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree.access import DynamicBVH, checks
+from ...tree.access import OpenTree, checks
 from ...tree.compiler import lean_kernel, stack_array
 
 Floats = NDArray[np.float64]
@@ -598,12 +598,16 @@ class Mesh:
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
         """A power of two beyond the farthest vertex: steps of it round nothing away."""
 
+    def __repr__(self) -> str:
+        edges = ' x '.join(f'{edge:g}' for edge in self.size)
+        return f'Mesh({len(self.corners):,} triangles, {edges} m)'
+
     @cached_property
     def tree(self) -> tuple[NDArray[Any], int]:
         """Nodes and root of a tree of the boxes around the triangles; slot k is triangle k."""
         places = self.vertices[self.corners]
         pad = PAD * float(self.size.max())
-        tree = DynamicBVH.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
+        tree = OpenTree.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
         nodes, _, _, root = tree.arrays()
         return nodes, int(root)
 

@@ -329,7 +329,7 @@ class MotionRays(Motion):
 
     def every(self, tree: Any, casts: Casts) -> EveryHit:
         """All hits of rays or boxes, nearest first, or the first of each."""
-        count, ndim, begun = len(casts.lo), tree.ndim, tree.view()
+        count, ndim, begun = len(casts.lo), tree.ndim, tree._view()
         offsets, done = np.zeros(count + 1, np.int64), 0
         found = room_for_hits(count if casts.mode != EVERY else 64)
         kernel = rows_entry(ndim)
@@ -353,7 +353,7 @@ class MotionRays(Motion):
             kernel = describe_entry(ndim)
             kernel(begun.tree, self.moving, casts, offsets, found, places)
         handles = begun.tree.handles[found.slots]
-        tree.check_unchanged(begun)
+        tree._check_unchanged(begun)
         return EveryHit(offsets, handles, found, places)
 
     def first_many(
@@ -383,7 +383,7 @@ class MotionRays(Motion):
             hits = self._ready(tree, query, *span)
             if hits is not None:
                 return hits
-        view, hits = tree.view(), room_for_rays(count, ndim, mode)
+        view, hits = tree._view(), room_for_rays(count, ndim, mode)
         sweep = self.swept_for(tree, view, count, span) if every and count else None
         if sweep is None:
             _check_finite(query)

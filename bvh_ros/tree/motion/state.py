@@ -251,7 +251,7 @@ class Motion:
     build : callable
         Builds a tree over the places of boxes at a time.
     nanoseconds, left
-        As of `DynamicBVH.count_nanoseconds`.
+        As of `DynamicBVH._count_nanoseconds`.
     """
 
     def __init__(
@@ -303,7 +303,7 @@ class Motion:
         """
         moving = self.bounds if moments else self.moving
         while True:
-            done = call(tree.view().tree, moving)
+            done = call(tree._view().tree, moving)
             why = done[0] if isinstance(done, tuple) else done
             if why >= 0:
                 return done
@@ -325,7 +325,7 @@ class Motion:
         hold already, there were many queries at one time: for these, nodes may be rebuilt. Returns
         bounds that hold; RuntimeError if the tree is being changed.
         """
-        view, before = tree.view(), self.moving
+        view, before = tree._view(), self.moving
         if before.version != view.version:
             stop = last
             if first == last:
@@ -388,7 +388,7 @@ class Motion:
 
     def prepare(self, tree: Any, count: int, first: float, last: float) -> None:
         """Fit bounds for a span of time; sweep a snapshot if so many rays in it would do so."""
-        view = tree.view()
+        view = tree._view()
         if not self.holds(view.version, first, last):
             self.fit(tree, first, last, moments=False)
         cache, enough = self._cache, RAYS_PER_BOX * view.tree.state.item(COUNT)
@@ -402,7 +402,9 @@ class Motion:
 
     def refit(self, tree: Any, first: float) -> None:
         """Fit bounds to the time from `first` on, if any were fitted before."""
-        if self.moving.version != NOT_FITTED and not self.holds(tree.view().version, first, first):
+        if self.moving.version != NOT_FITTED and not self.holds(
+            tree._view().version, first, first
+        ):
             self.fit(tree, first, first, moments=False)
 
     def swept_for(self, tree: Any, view: View, count: int, span: Any) -> Sweep | None:
@@ -417,7 +419,7 @@ class Motion:
             sweep = self.ready_sweep(view.tree, count, first, last)
         if sweep is not None:
             return sweep
-        rest = tree.snapshot_for(count, view)
+        rest = tree._snapshot_for(count, view)
         if rest is None:
             return None
         enough = RAYS_PER_BOX * view.tree.state.item(COUNT)

@@ -80,7 +80,7 @@ class BoxQueries(Introspection):
         queries = tuple.__new__(overlap.Queries, (low, high, masks))
         ask = functools.partial(overlap.overlap_many, kernel, queries, threads)
         if motion is None:
-            found = ask(*self.view())
+            found = ask(*self._view())
         else:
             found = motion.ask_rows(self, ask, at, count)
         if isinstance(found, tuple):
@@ -95,7 +95,7 @@ class BoxQueries(Introspection):
         sorted.
         """
         ndim, bits = self._ndim, checks.mask(mask)
-        view = self.view()
+        view = self._view()
         boxes = view.tree.state.item(COUNT)
         packed = aligned_empty(pairs.blocks_needed(boxes), pairs.block_dtype(ndim))
         top = pairs.pack_entry(ndim)(*view, bits, packed)
@@ -110,7 +110,7 @@ class BoxQueries(Introspection):
             slots = np.empty(count, np.int64)
             find(packed, top, slots)
         one, other = view.tree.handles[slots[:count].reshape(-1, 2).T]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         smaller, larger = np.minimum(one, other), np.maximum(one, other)
         order = np.lexsort((larger, smaller))
         return np.column_stack((smaller[order], larger[order]))
@@ -255,7 +255,7 @@ class BoxQueries(Introspection):
         queries = tuple.__new__(nearest.PointQueries, (where, k, reaches, masks, order))
         ids, distances = np.empty((count, k), INT64), np.empty((count, k))
         if motion is None:
-            done = kernel(*self.view(), queries, ids, distances)
+            done = kernel(*self._view(), queries, ids, distances)
         else:
             done = motion.ask_rows(self, kernel, at, count, queries, ids, distances)
         if done == NOT_FINITE:
@@ -270,10 +270,10 @@ class BoxQueries(Introspection):
         with all of their corners; ascending.
         """
         low, high = box_checks.box(lo, hi, self.ndim)
-        view = self.view()
+        view = self._view()
         handles = self.overlap(low, high, mask)
         lower, upper = self.boxes(handles)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return handles[((low <= lower) & (upper <= high)).all(axis=1)]
 
     def query_ball(
@@ -302,10 +302,10 @@ class BoxQueries(Introspection):
             grown = np.nextafter(radii, np.inf)[:, None]
             low = np.maximum(np.nextafter(centres - grown, -np.inf), -LARGEST)
             high = np.minimum(np.nextafter(centres + grown, np.inf), LARGEST)
-        view = self.view()
+        view = self._view()
         offsets, handles = self.overlap_many(low, high, mask, threads)
         lo, hi = self.boxes(handles)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         of = np.repeat(np.arange(len(centres)), np.diff(offsets))
         with np.errstate(over='ignore', invalid='ignore'):
             near = boxes_within(lo, hi, centres[of], centres[of], radii[of])

@@ -162,13 +162,13 @@ class RayAsking(Timed):
             some = origins, directions, t_max, masks
             return motion.first_many(self, some, skip_inside, mode, (at, pace), threads)
         rays_given = origins, directions, t_max, masks, skip_inside, mode, threads == 1
-        return self.first_hits(rays_given, threads)
+        return self._first_hits(rays_given, threads)
 
-    def few_rays(self, rays: Rays) -> bool:
+    def _few_rays(self, rays: Rays) -> bool:
         """Whether rays are so few that they go through the snapshot one by one."""
         return are_few(rays.origins, rays.t_max, self._storage.tree)
 
-    def ready_snapshot(self) -> tuple[View, Snapshot] | None:
+    def _ready_snapshot(self) -> tuple[View, Snapshot] | None:
         """The tree and its snapshot, if there is one and nothing was added to it. Whether the tree
         was written to since, kernels see.
         """
@@ -177,7 +177,7 @@ class RayAsking(Timed):
             return None
         return storage.latest, snapshot
 
-    def first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
+    def _first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
         """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
         where they are asked for by one thread.
         """
@@ -189,7 +189,7 @@ class RayAsking(Timed):
             parts = np.empty(count, INT64), np.empty(count), np.empty((count, ndim))
             hits = tuple.__new__(RayHits, parts)
         storage, (_, _, snapshot, tree) = self._storage, self._wide
-        # As `ready_snapshot`, which would take one more call of a function of Python's.
+        # As `_ready_snapshot`, which would take one more call of a function of Python's.
         if threads == 1 and tree is storage.tree and not (storage.heirs or snapshot is None):
             done = REFUSED
             if snapshot.loose:
@@ -202,8 +202,8 @@ class RayAsking(Timed):
             if done >= 0:
                 return hits
         # As Rays(...), which would take one more call of a function of Python's.
-        view, rays = self.view(), tuple.__new__(Rays, rays_given)
-        snapshot = self.snapshot_for(count, view)
+        view, rays = self._view(), tuple.__new__(Rays, rays_given)
+        snapshot = self._snapshot_for(count, view)
         if threads == 1:
             exact = answer_rays(*view, snapshot, rays, hits)
         else:
@@ -316,7 +316,7 @@ class RayQueries(RayAsking):
             every = motion.every_ray(self, some, (at, pace))
             rows = zip(every.ids.tolist(), every.found.ts.tolist(), *every.places, strict=True)
             return [RayHit(*row) for row in rows]
-        view, skip = self.view(), checks.flag('skip_inside', skip_inside)
+        view, skip = self._view(), checks.flag('skip_inside', skip_inside)
         options = np.array([limit]), np.array([bits]), skip, EVERY, True
         rays = origin[None], direction[None], *options
         _, end, columns = every_hit(view, rays, False)
@@ -324,7 +324,7 @@ class RayQueries(RayAsking):
             self._hit(view, origin, direction, *row)
             for row in zip(*(column[:end].tolist() for column in columns), strict=True)
         ]
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return hits
 
     def occluded(
@@ -421,5 +421,5 @@ class RayQueries(RayAsking):
         if skip is not False:
             skip = checks.flag('skip_inside', skip)
         rays = origins, directions, limits, masks, skip, EVERY, True
-        offsets, end, (ids, ts, _) = every_hit(self.latest(), rays, True)
+        offsets, end, (ids, ts, _) = every_hit(self._latest(), rays, True)
         return offsets, ids[:end], ts[:end]

@@ -89,30 +89,30 @@ class Arrays:
 
     def __len__(self) -> int:
         """How many boxes there are."""
-        view = self.view()
+        view = self._view()
         count = view.tree.state.item(COUNT)
-        self.check_unchanged(view)
+        self._check_unchanged(view)
         return count
 
-    def arrays(self) -> tuple[Any, ...]:
+    def _arrays(self) -> tuple[Any, ...]:
         """What kernels read: nodes, exact boxes (where nodes are fat), handles by slot, the root.
 
         To be read only, and only until the tree changes: these are the tree's own arrays.
         """
-        tree = self.view().tree
+        tree = self._view().tree
         return tree.nodes, tree.tight, tree.handles, tree.state.item(ROOT)
 
-    def slots(self, handles: ArrayLike) -> Ids:
+    def _slots(self, handles: ArrayLike) -> Ids:
         """Slots of live handles, in an array of the same shape: small numbers, each of one box, by
         which a caller may keep in arrays what he knows of the boxes. A slot is given again once
         its box is removed. KeyError if a handle names no box.
         """
         given = handle_checks.array_of('handles', handles)
-        flat = handle_checks.slots_of(self.view().tree.handles, given.reshape(-1), once=False)
+        flat = handle_checks.slots_of(self._view().tree.handles, given.reshape(-1), once=False)
         return flat.reshape(given.shape)
 
-    def slot(self, handle: int) -> int:
-        """`slots` of one handle."""
+    def _slot(self, handle: int) -> int:
+        """`_slots` of one handle."""
         number, handles = handle_checks.handle(handle), self._settled().tree.handles
         slot = number & SLOT_MASK
         if slot < len(handles) and handles.item(slot) == number:
@@ -120,24 +120,24 @@ class Arrays:
         raise handle_checks.unknown(handle)
 
     @property
-    def state(self) -> NDArray[np.int64]:
+    def _state(self) -> NDArray[np.int64]:
         """Its root and what it counts, see `nodes`: kernels that count rays write there."""
         return self._settled().tree.state
 
     # ---- turns
 
-    def view(self) -> View:
+    def _view(self) -> View:
         """The tree as it is now, for a query of several steps."""
         storage = self._storage
         tree = self._settled().tree if storage.heirs else storage.tree
         return tuple.__new__(View, (tree, tree.state.item(CHANGES)))
 
-    def latest(self) -> View:
+    def _latest(self) -> View:
         """The tree for the first kernel of a query, whichever version that meets."""
         storage = self._storage
         return self._settled().latest if storage.heirs else storage.latest
 
-    def check_unchanged(self, view: View) -> None:
+    def _check_unchanged(self, view: View) -> None:
         """RuntimeError if what was read since the view was taken may not fit together."""
         state = view.tree.state
         if state.item(TURN) < 0 or state.item(CHANGES) != view.version:
@@ -165,8 +165,8 @@ class Arrays:
         if self._settled() is storage:
             raise RuntimeError(IS_CHANGED)
 
-    def room_for(self, count: int) -> Storage | None:
-        """Memory for so many boxes in all, for `reserve`; None if there is enough. Fresh memory
+    def _room_for(self, count: int) -> Storage | None:
+        """Memory for so many boxes in all, for `_move_into`; None if there is enough. Fresh memory
         takes longer to get than to fill, so another thread may ask for it.
         """
         tree = self._storage.tree
@@ -175,8 +175,8 @@ class Arrays:
         capacity = min(max(count, 2 * len(tree.handles)), SLOT_MASK + 1)
         return touched(self.ndim, capacity, len(tree.tight) > 0)
 
-    def reserve(self, room: Storage | None) -> None:
-        """Move into what `room_for` returned, unless there is as much room by now."""
+    def _move_into(self, room: Storage | None) -> None:
+        """Move into what `_room_for` returned, unless there is as much room by now."""
         storage = self._settled()
         if room is not None and len(room.tree.handles) > len(storage.tree.handles):
             self._succeed(storage, room)
@@ -269,7 +269,7 @@ class Arrays:
 
     # ---- the snapshot
 
-    def snapshot_for(self, count: int, view: View) -> Snapshot | None:
+    def _snapshot_for(self, count: int, view: View) -> Snapshot | None:
         """The wide snapshot of the tree as it is, if the rays since it was last outdated, `count`
         more now, are worth building it. Few changes are patched, as long as what that costs the
         rays is not worth building it again.

@@ -45,9 +45,9 @@ class Copied(dict[str, Any]):
 
 def pack(tree: Any) -> dict[str, Any]:
     """The arrays and values that make up a tree, by name."""
-    arrays = tree.copied()
+    arrays = tree._copied()
     state = arrays.state
-    motion = tree.packed_velocities(arrays.handles)
+    motion = tree._packed_velocities(arrays.handles)
     return {
         'version': WITH_MOTION if motion else VERSION,
         **motion,
@@ -200,7 +200,7 @@ def attach(tree: Any, path: Path, verify: bool) -> None:
     header, arrays = mapped.attach(path, verify)
     tree._be(header['ndim'], header['margin'], header['sibling_search'])
     state = np.zeros(ALL_PLACES, np.int64)
-    _fill_state(state, header, _counters(header['counters'], tree.COUNTERS))
+    _fill_state(state, header, _counters(header['counters'], tree._COUNTERS))
     state[TURN] = 1  # of a query that never ends
     tree._storage = storage_of(arrays._replace(state=state), READ_ONLY)
     if verify:
@@ -220,7 +220,7 @@ def _fill_state(
 
 def unpack(tree: Any, packed: Any) -> None:
     """Fill a new tree; ValueError if what was kept is not a sound one."""
-    stored = _sound(packed, tree.COUNTERS)
+    stored = _sound(packed, tree._COUNTERS)
     tree._be(stored['ndim'], stored['margin'], stored['sibling_search'])
     storage = allocate(stored['ndim'], len(stored['handles']), bool(len(stored['tight'])))
     for name in ARRAYS[:-1]:
@@ -233,7 +233,7 @@ def unpack(tree: Any, packed: Any) -> None:
             tree.validate()
         if stored['version'] == WITH_MOTION:
             if LEFT in packed:
-                tree.count_nanoseconds(checks.limit(LEFT, packed[LEFT]))
+                tree._count_nanoseconds(checks.limit(LEFT, packed[LEFT]))
             tree.set_velocities(*(packed[name] for name in MOTION))
     except (RuntimeError, KeyError, ValueError) as error:
         raise ValueError(f'the saved tree is not sound: {error}') from None

@@ -16,7 +16,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.server import BvhServer
-from bvh_ros.scene import Numbered, Scene, Shapes, slicing
+from bvh_ros.scene import NodeScene, Numbered, Scene, Shapes, slicing
 
 PARAMETERS = {
     'sources': ['given', 'followed', 'markers'],
@@ -194,7 +194,7 @@ def boxes_and_ends(count=3000):
     """A scene of boxes with velocities, and ends of rays."""
     random = np.random.default_rng(3)
     places, ends = random.uniform(0, 20, (2, count, 3))
-    scene, names = Scene(), Numbered('b', np.arange(count))
+    scene, names = NodeScene(), Numbered('b', np.arange(count))
     speeds = random.uniform(-1, 1, (count, 3))
     scene.update('s', names, Shapes.boxes(places, (0.5,) * 3), stamp=1, velocities=speeds)
     return scene, places, ends

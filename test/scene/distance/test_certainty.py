@@ -16,7 +16,7 @@ import pytest
 from scene.reference import bulging, geometry_arrays, hull_distances, hull_of
 from tree.reference import effort, exact_hits
 
-from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, NodeScene, ShapeKind, Shapes
 
 SURE = 1e-12  # of L
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
@@ -59,7 +59,7 @@ class Body:
             self.middle = self.solid.matrix @ middle
             faces = mesh.vertices[mesh.corners[:, 0]] - middle
             self.inner = float(np.einsum('ni,ni->n', mesh.normals, faces).min())
-        self.scene = Scene(planar=planar)
+        self.scene = NodeScene(planar=planar)
         assert self.scene.update('test', ['it'], shapes, stamp=1) == []
 
     def farthest(self, normals):

@@ -79,7 +79,7 @@ def drifting(rng: Random, ndim: int, kind: str, count: int) -> tuple[World, Rays
 
 def drift_of(tree: DynamicBVH) -> tuple[float, ...] | None:
     """At which what is swept goes, None if nothing is."""
-    sweep = tree.motion._cache.sweep
+    sweep = tree._motion._cache.sweep
     return None if sweep is None else tuple(sweep.leaves.records['lo'][-1].tolist())
 
 

@@ -31,6 +31,6 @@ def test_many_rays_at_a_time_among_fast_boxes(ndim):
         exact = there.raycast_many(origins, directions, 30.0, mask=0xFFFFFFFF)
         assert (hits.ids == exact.ids).all()
         assert (hits.t == exact.t).all()
-    sweep = tree.motion.swept_for(tree, tree.view(), len(origins), (1.0, 1.0))
-    own = tree.snapshot_for(len(origins), tree.view())
+    sweep = tree._motion.swept_for(tree, tree._view(), len(origins), (1.0, 1.0))
+    own = tree._snapshot_for(len(origins), tree._view())
     assert not np.array_equal(sweep.snapshot.children, own.children)

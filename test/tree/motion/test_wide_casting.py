@@ -18,7 +18,7 @@ RAYS = 64  # as many are worth a snapshot of few boxes
 
 
 def is_swept(tree: DynamicBVH) -> bool:
-    return tree.motion._cache.sweep is not None
+    return tree._motion._cache.sweep is not None
 
 
 @pytest.mark.parametrize('stops', [False, True])

@@ -103,7 +103,7 @@ def copied(tree: DynamicBVH) -> DynamicBVH:
     """With its snapshot, and what that knows of the tree's changes."""
     other = copy.copy(tree)
     other._wide = (*tree._wide[:-1], other._storage.tree)
-    other.state[WRITTEN] = tree.state[WRITTEN]
+    other._state[WRITTEN] = tree._state[WRITTEN]
     return other
 
 

@@ -145,12 +145,12 @@ def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
     lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
     tree = DynamicBVH(capacity=301)
     tree.insert_many(lo, lo + 1)
-    view = tree.view()
+    view = tree._view()
     tree.insert([0, 0, 0], [1, 1, 1])
     with pytest.raises(RuntimeError, match='changed'):
-        tree.check_unchanged(view)
+        tree._check_unchanged(view)
     with pytest.raises(RuntimeError, match='changed'):
-        tree.snapshot_for(10**6, view)
+        tree._snapshot_for(10**6, view)
     tree.validate()
 
 
@@ -160,10 +160,10 @@ def test_a_growth_within_a_query() -> None:
     """
     lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
     tree = DynamicBVH.from_boxes(lo, lo + 1)
-    view = tree.view()
+    view = tree._view()
     new = tree.insert([-9, 0, 0], [-8, 1, 1])
-    tree.check_unchanged(view)
-    before = tree.snapshot_for(10**6, view)
+    tree._check_unchanged(view)
+    before = tree._snapshot_for(10**6, view)
     starts, ways = np.tile([-10.0, 0.5, 0.5], (70, 1)), np.tile([1.0, 0, 0], (70, 1))
     assert before is not None
     assert new not in view.tree.handles

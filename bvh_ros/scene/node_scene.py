@@ -1,0 +1,63 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The scene of a node: other callers need none of this."""
+
+from ..tree.access import checks
+from .delegation import method_of
+from .inspection import Inspection
+from .scene import Scene
+from .slicing import SlicedUpdates
+from .store import Obstacles
+from .timed_queries import TimedQueries
+from .updates import Removals, Updates
+
+
+class NodeScene(Scene):
+    """A scene that is changed in slices, prepared before queries, and drawn."""
+
+    def _begin(self, store: Obstacles, updates: Updates) -> None:
+        super()._begin(store, updates)
+        self._slices = SlicedUpdates(store, self._updates)
+
+    in_slices = method_of('_slices', SlicedUpdates.in_slices)
+    is_long = method_of('_slices', SlicedUpdates.is_long)
+    rest = method_of('_updates', Updates.rest)
+    find = method_of('_removals', Removals.find)
+    discard = method_of('_removals', Removals.discard)
+    discard_in_slices = method_of('_removals', Removals.discard_in_slices)
+    has_expired = method_of('_removals', Removals.has_expired)
+
+    # Another thread may call these while nothing changes the scene.
+
+    def prepare_rays(self, count: int) -> None:
+        """Prepare what a batch of `count` rays needs, as the batch itself would do. It takes
+        0.5 us an obstacle.
+        """
+        tree = self._store.tree
+        tree.snapshot_for(
+            2 * checks.whole('count', count, 0), tree.view()
+        )  # once more by the batch
+
+    prepare_times = method_of('_timed', TimedQueries.prepare)
+    is_prepared = method_of('_timed', TimedQueries.is_prepared)
+    refit = method_of('_timed', TimedQueries.refit)
+
+    # ---- what there is
+
+    newcomers = method_of('_inspection', Inspection.newcomers)
+    names_of = method_of('_inspection', Inspection.names_of)
+    shapes_of = method_of('_inspection', Inspection.shapes_of)
+    handles_of = method_of('_inspection', Inspection.handles_of)
+    tree_levels = method_of('_inspection', Inspection.tree_levels)
+    validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)
+
+    @property
+    def any_shaped(self) -> bool:
+        """Whether anything is more than an axis-aligned box, and needs a narrow phase."""
+        return self._store.columns.shaped > 0
+
+    @property
+    def population(self) -> tuple[int, int]:
+        """Another one after each time that obstacles came or went."""
+        # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
+        return self._store.next_node_handle, len(self)
