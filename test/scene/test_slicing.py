@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, slicing
+from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, slicing, unchecked_shapes
 
 PLACES = 120  # where boxes may stand, on a line
 
@@ -25,7 +25,7 @@ def random_part(random, stamp, shaped):
     size = np.full((count, 3), 0.9)
     size[random.random(count) < 0.05] = np.nan
     kind = random.choice([ShapeKind.BOX, ShapeKind.SPHERE], count) if shaped else [0] * count
-    shapes = Shapes(np.array(kind, np.uint8), position, np.zeros((count, 4)), size)
+    shapes = unchecked_shapes(np.array(kind, np.uint8), position, np.zeros((count, 4)), size)
     return Part(Numbered('c#', np.sort(random.permutation(100)[:count])), shapes, stamp)
 
 
