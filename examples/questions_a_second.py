@@ -11,16 +11,43 @@ processes of their own. Two messages are on the way at any time.
 
 import argparse
 import time
+from array import array
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2, PointField
 
 from bvh_ros.client import UNANSWERED, BvhError
-from bvh_ros.report.soak import publishing
 from bvh_ros.ros import large_messages, running
 
 SIDE, RADIUS, LONG, SIZE = 40.0, 0.2, 5.0, [0.9, 0.6, 0.5]  # m, of the world and the questions
 ON_THE_WAY, PATIENCE = 2, 300.0  # messages; s
+
+
+def publish(namespace):
+    """Publish a thousand boxes that swing at 30 Hz, until this process is ended."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # ends without a word
+    node = rclpy.create_node('swing', namespace=namespace)
+    publisher = node.create_publisher(PointCloud2, 'bvh/points_in', 10)
+    names = 'x', 'y', 'z', 'sx', 'sy', 'sz'
+    cloud = PointCloud2(height=1, width=1000, point_step=24, row_step=24_000)
+    cloud.header.frame_id = 'map'
+    cloud.fields = [
+        PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
+        for k, name in enumerate(names)
+    ]
+    rng = np.random.default_rng(5)
+    centre, reach = rng.uniform(0.0, SIDE, (1000, 3)), rng.uniform(-4.0, 4.0, (1000, 3))
+    size = rng.uniform(0.4, 2.4, (1000, 3))
+    while True:
+        place = centre + reach * np.sin(time.time())
+        cloud.data = array('B', np.hstack((place, size)).astype(np.float32).tobytes())
+        cloud.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(cloud)
+        time.sleep(1.0 / 30.0)
 
 
 def questions(client, rows):
@@ -71,10 +98,11 @@ def main():
     parser.add_argument('--threads', type=int, default=1)
     given = parser.parse_args()
     large_messages.enable()
-    with (
-        running.served('questions', {'threads': given.threads}) as (client, _),
-        publishing(client.node.get_namespace()),
-    ):
+    source = {'type': 'PointCloud2', 'topic': 'bvh/points_in'}
+    parameters = {'sources': ['swing'], 'swing': source, 'threads': given.threads}
+    with running.served('questions', parameters) as (client, _):
+        arguments = (client.node.get_namespace(),)
+        get_context('spawn').Process(target=publish, args=arguments, daemon=True).start()
         few = questions(client, 10)
         for name, ask in questions(client, given.rows).items():
             until_answered(few[name])

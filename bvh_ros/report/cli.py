@@ -4,7 +4,6 @@
 
 import argparse
 import inspect
-import math
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -12,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
-from . import error, features, peers, planner, soak, speed, stability
+from . import error, features, peers, planner, speed, stability
 from .page import Page, bar
 
 DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
@@ -48,12 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _steps(page: Page, options: argparse.Namespace) -> dict[str, Callable[[], int | None]]:
     steps: dict[str, Callable[[], int | None]] = {}
     for name in PARTS if 'all' in options.part else options.part:
-        module = PARTS.get(name, soak)
+        module = PARTS[name]
         text = (inspect.getdoc(module) or '') + QUICK * options.quick
         steps[name] = partial(page.begin, name.title(), text)
-        if module is soak:
-            steps['soaking'] = partial(soak.run, page, options.minutes)
-            continue
         for heading, run in module.SECTIONS.items():
             steps[f'{name}: {heading}'] = partial(_run, page, heading, run, options.quick)
     return steps
@@ -70,13 +66,12 @@ def _run(
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='bvh_report', description=__doc__)
-    modules = {**PARTS, 'soak': soak}
-    lines = [f'{name}: {(part.__doc__ or "").splitlines()[0]}' for name, part in modules.items()]
+    lines = [f'{name}: {(part.__doc__ or "").splitlines()[0]}' for name, part in PARTS.items()]
     parser.add_argument(
         'part',
         nargs='+',
-        choices=[*PARTS, 'all', 'soak'],
-        help=' '.join(lines) + ' Ends with 1 if a case of stability or soak fails.',
+        choices=[*PARTS, 'all'],
+        help=' '.join(lines) + ' Ends with 1 if a case of stability fails.',
     )
     parser.add_argument(
         '--out',
@@ -92,12 +87,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         action='store_true',
         help='small scenes and few repeats: shows that it runs, no more',
     )
-    parser.add_argument(
-        '--minutes', type=float, default=30.0, help='length of the soak (%(default)s)'
-    )
     options = parser.parse_args(arguments)
-    if not 0.0 < options.minutes < math.inf:
-        parser.error('--minutes must be more than 0')
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

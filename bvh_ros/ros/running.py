@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start a bvh node for a program that brings its own: the demo, the soak."""
+"""Start a bvh node for a program that brings its own: the demo, an example."""
 
 from __future__ import annotations
 

@@ -3,23 +3,20 @@
 """The soak finds every kind of wrong answer, and finds none in a short run over ROS 2."""
 
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-pytest.importorskip('matplotlib')
 
 from rclpy.serialization import deserialize_message
+from ros import soak
+from ros.soak import BOXES, HALF, Found, scene_at
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.report import soak_world
-from bvh_ros.report.soak_world import BOXES, HALF, Found, scene_at
 from bvh_ros.scene import Scene, ShapeKind, Shapes
 
-MINUTES = 1.0 if os.environ.get('BVH_ROS_LONG_TESTS') else 0.25  # `bvh_report soak` lasts 30
+MINUTES = 1.0 if os.environ.get('BVH_ROS_LONG_TESTS') else 0.25  # by hand: half an hour
 FRAME = 777
 
 
@@ -29,7 +26,7 @@ def turns(scene):
 
 
 def test_a_published_frame_is_that_of_the_scene():
-    message = deserialize_message(soak_world.Frames().message(FRAME), MarkerArray)
+    message = deserialize_message(soak.Frames().message(FRAME), MarkerArray)
     scene, turn = scene_at(FRAME), turns(scene_at(FRAME))
     assert sorted(marker.id for marker in message.markers) == list(range(BOXES))
     for marker in message.markers:
@@ -103,7 +100,7 @@ def test_right_answers_pass_and_wrong_ones_do_not(told, kind):
         else:
             answer = found(told.overlap(start, start, tolerance=4.0))
             given = {'centre': start, 'half': 4.0}
-        fault = soak_world.ray_fault if kind == 'ray' else soak_world.overlap_fault
+        fault = soak.ray_fault if kind == 'ray' else soak.overlap_fault
         assert fault(scene, answer, **given) == ''
         if len(answer.boxes) > 1:
             several += 1
@@ -120,28 +117,19 @@ def test_the_first_hit(told):
         start, goal = rng.uniform(0, 40, (2, 3))
         given = {'start': start, 'goal': goal, 'first': True}
         hits = told.raycast_all(start, goal)
-        assert soak_world.ray_fault(scene, found(hits[:1]), **given) == ''
+        assert soak.ray_fault(scene, found(hits[:1]), **given) == ''
         if len(hits) > 1:
             several += 1
-            assert (
-                soak_world.ray_fault(scene, found(hits[1:2]), **given)
-                == 'something else comes first'
-            )
-            assert soak_world.ray_fault(scene, found([]), **given).startswith('free')
+            assert soak.ray_fault(scene, found(hits[1:2]), **given) == 'something else comes first'
+            assert soak.ray_fault(scene, found([]), **given).startswith('free')
     assert several > 20
 
 
 @pytest.mark.slow
-def test_a_short_soak(tmp_path):
-    command = [sys.executable, '-c', 'from bvh_ros.report.cli import main; main()', 'soak']
-    command += ['--minutes', str(MINUTES), '--out', str(tmp_path)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    page = (tmp_path / 'report.md').read_text(encoding='utf-8')
-    assert '**0 wrong answers; memory is flat.**' in page
-    figures = dict(
-        line.rsplit(',', 1) for line in (tmp_path / 'soak.csv').read_text().splitlines()
-    )
-    assert int(figures['answers']) > 10
-    assert int(figures['different frames asked about']) > 3
-    assert figures['refused'] == '0'
+def test_a_short_soak():
+    soaked = soak.soak(MINUTES)
+    assert soaked.faults() == []
+    assert not soaked.leaks()
+    assert len(soaked.answers) > 10
+    assert len({answer.frame for answer in soaked.answers}) > 3
+    assert soaked.figures['refused'] == '0'

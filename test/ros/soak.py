@@ -1,20 +1,30 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The world of the soak: its boxes, the process that publishes them, and checked questions.
+"""A node under load; every answer is checked, memory is watched.
 
-Run: python -m bvh_ros.report.soak_world NAMESPACE publishes until it is ended.
+python test/ros/soak.py MINUTES ends with 1 if an answer is wrong, or memory grows.
+python test/ros/soak.py --publish NAMESPACE publishes the boxes until it is ended.
+
+A thousand boxes, half of them turning, come and go at 30 Hz, published by a process of its own.
+The answers to random rays, balls and boxes are compared with brute force on the frame that the
+reply says it knows of.
 """
 
 import re
 import struct
+import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
@@ -22,7 +32,9 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
-from .scenes import Floats
+from bvh_ros.ros import running
+
+Floats = NDArray[np.float64]
 
 # ---- A thousand boxes that move, turn, come and go; brute force answers about them
 
@@ -297,7 +309,7 @@ def _serialised() -> bytes:
     return bytes(serialize_message(array))
 
 
-def main(namespace: str) -> None:
+def publish(namespace: str) -> None:
     """Publish frame after frame; a late one is followed by the next at once."""
     rclpy.init(args=[])
     node = rclpy.create_node('soak_publisher', namespace=namespace)
@@ -312,5 +324,110 @@ def main(namespace: str) -> None:
         frame += 1
 
 
+@contextmanager
+def publishing(namespace: str) -> Iterator[None]:
+    """Publish the world in a process of its own."""
+    process = subprocess.Popen([sys.executable, __file__, '--publish', namespace])
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+# ---- The soak
+
+
+ASKED = 100.0  # questions a second
+SHOWN = 10  # wrong answers that are printed
+FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
+WARM_UP = 0.5  # of the run: what is allocated once is not growth
+
+
+class Soaked(NamedTuple):
+    """What a soak found."""
+
+    answers: list[Answer]
+    levels: Floats  # (n, 2): minutes, and MB of the node
+    figures: dict[str, str]  # of the source of markers, as the node reports them
+
+    def faults(self) -> list[str]:
+        """What is wrong with answers."""
+        return [answer.fault for answer in self.answers if answer.fault]
+
+    def growth(self) -> float:
+        """MB an hour: the slope of a straight line through all after the warm-up."""
+        minutes, megabytes = self.levels[self.settled() :].T
+        return float(60.0 * np.polyfit(minutes, megabytes, 1)[0]) if len(minutes) > 1 else 0.0
+
+    def leaks(self) -> bool:
+        """Whether memory grows."""
+        minutes, megabytes = self.levels.T
+        return self.growth() * minutes[-1] / 60.0 > FLAT * megabytes[self.settled()]
+
+    def settled(self) -> int:
+        """Where the warm-up ends."""
+        return int(WARM_UP * len(self.levels))
+
+
+def memory(process: int) -> float:
+    """Resident memory of a process, MB."""
+    status = Path(f'/proc/{process}/status').read_text(encoding='utf-8')
+    return int(status.partition('VmRSS:')[2].split()[0]) / 1024
+
+
+def soak(minutes: float) -> Soaked:
+    """Ask a node of its own for so long."""
+    answers, levels = list[Answer](), list[tuple[float, float]]()
+    figures: dict[str, str] = {}
+
+    def note(message: Any) -> None:
+        for status in message.status:
+            if status.name.endswith('source markers'):
+                figures.update({pair.key: pair.value for pair in status.values})
+
+    with (
+        TemporaryFile() as log,
+        running.served('soak', log=log) as (client, process),
+        publishing(client.node.get_namespace()),
+    ):
+        asker = Asker(client.node)
+        client.node.create_subscription(DiagnosticArray, '/diagnostics', note, 10)
+        began = now = time.monotonic()
+        levels.append((0.0, memory(process.pid)))
+        while now < began + 60.0 * minutes:
+            answers.append(asker.ask())
+            time.sleep(max(0.0, now + 1.0 / ASKED - time.monotonic()))
+            now = time.monotonic()
+            if now - began >= 60.0 * levels[-1][0] + 1.0:
+                levels.append(((now - began) / 60.0, memory(process.pid)))
+    return Soaked(answers, np.array(levels), figures)
+
+
+def main(minutes: str) -> int:
+    """Soak, and print what was found."""
+    found = soak(float(minutes))
+    milliseconds = 1e3 * np.array([answer.seconds for answer in found.answers])
+    for what, figure in (
+        ('answers', len(found.answers)),
+        ('wrong answers', len(found.faults())),
+        ('frames asked about', len({answer.frame for answer in found.answers})),
+        ('messages that the node took', found.figures.get('messages', '')),
+        (
+            'round trip, p50, p99, longest [ms]',
+            np.percentile(milliseconds, (50, 99, 100)).round(2),
+        ),
+        ('memory after warm-up, at the end [MB]', found.levels[[found.settled(), -1], 1].round(1)),
+        ('growth [MB an hour]', round(found.growth(), 1)),
+    ):
+        print(f'{what:40s} {figure}')
+    for fault in found.faults()[:SHOWN]:
+        print(f'wrong: {fault}')
+    return int(bool(found.faults()) or found.leaks())
+
+
 if __name__ == '__main__':
-    main(*sys.argv[1:])
+    if sys.argv[1:2] == ['--publish']:
+        publish(sys.argv[2])
+    else:
+        sys.exit(main(*sys.argv[1:]))
