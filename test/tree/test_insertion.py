@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from tree.reference import Floats
 
-from bvh_ros import DynamicBVH
 from bvh_ros.tree.insertion import MOST_TRIES, branch_and_bound_sibling, greedy_sibling
 from bvh_ros.tree.nodes import FREE_LEAF, ROOT, is_leaf
+from bvh_ros.tree.open_tree import OpenTree
 
 SEARCHES = ['greedy', 'branch_and_bound']
 
@@ -30,16 +30,16 @@ def exact_half_area(lo: Floats, hi: Floats) -> Fraction:
     return x * y + y * z + z * x
 
 
-def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fraction]:
+def insertion_costs(tree: OpenTree, lo: Floats, hi: Floats) -> dict[int, Fraction]:
     """For each node as sibling: the area of the new parent and the growth of all ancestors."""
-    nodes = tree._view().tree.nodes
+    nodes = tree.view().tree.nodes
 
     def grown(node: int) -> Fraction:
         return exact_half_area(
             np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi)
         )
 
-    costs, stack = {}, [(int(tree._state[ROOT]), Fraction(0))]
+    costs, stack = {}, [(int(tree.view().tree.state[ROOT]), Fraction(0))]
     while stack:
         node, inherited = stack.pop()
         costs[node] = inherited + grown(node)
@@ -49,9 +49,9 @@ def insertion_costs(tree: DynamicBVH, lo: Floats, hi: Floats) -> dict[int, Fract
     return costs
 
 
-def greedy_cost(tree: DynamicBVH, costs: dict[int, Fraction], leaf_area: Fraction) -> Fraction:
+def greedy_cost(tree: OpenTree, costs: dict[int, Fraction], leaf_area: Fraction) -> Fraction:
     """The least cost seen on one descent towards the child below which the bound is lower."""
-    nodes, node = tree._view().tree.nodes, int(tree._state[ROOT])
+    nodes, node = tree.view().tree.nodes, int(tree.view().tree.state[ROOT])
     best = costs[node]
     while not is_leaf(node):
         children = [int(nodes[node][side]) for side in ('left', 'right')]
@@ -60,7 +60,7 @@ def greedy_cost(tree: DynamicBVH, costs: dict[int, Fraction], leaf_area: Fractio
         for place, child in enumerate(children):
             if not is_leaf(child):
                 area = exact_half_area(nodes[child]['lo'], nodes[child]['hi'])
-                height = int(tree._view().tree.heights[child])
+                height = int(tree.view().tree.heights[child])
                 bounds.append((costs[child] - area + leaf_area, height, place, child))
         if not bounds or min(bounds)[0] > best:
             break
@@ -76,16 +76,16 @@ def search_costs(
     The boxes are dyadic, so that their areas are exact.
     """
     rng = np.random.default_rng(seed)
-    tree = DynamicBVH(ndim, capacity=128)
+    tree = OpenTree(ndim, capacity=128)
     results = []
     for _ in range(100):
         lo = rng.integers(0, 64, ndim) / 4.0
         hi = lo + rng.integers(0, rng.choice([2, 12, 80]), ndim) / 4.0  # some in others
         if len(tree):
-            leaf = int(tree._state[FREE_LEAF])  # the place that the next box takes
-            nodes, heights = tree._view().tree[:2]
+            leaf = int(tree.view().tree.state[FREE_LEAF])  # the place that the next box takes
+            nodes, heights = tree.view().tree[:2]
             nodes[leaf]['lo'], nodes[leaf]['hi'] = lo, hi
-            found = search(nodes, heights, int(tree._state[ROOT]), leaf)
+            found = search(nodes, heights, int(tree.view().tree.state[ROOT]), leaf)
             costs = insertion_costs(tree, lo, hi)
             greedy = greedy_cost(tree, costs, exact_half_area(lo, hi))
             results.append((costs[int(found)], greedy, min(costs.values())))
@@ -184,7 +184,7 @@ def test_height(
     lo, hi = boxes(count, ndim)
     if backwards:
         lo, hi = lo[::-1], hi[::-1]
-    tree = DynamicBVH(ndim, sibling_search=search)
+    tree = OpenTree(ndim, sibling_search=search)
     for row in range(count):
         tree.insert(lo[row], hi[row])
         if row % 250 == 0:
@@ -219,15 +219,15 @@ def some_endless_boxes(count: int, ndim: int) -> tuple[Floats, Floats]:
     return center - size * 0.5, center + size * 0.5
 
 
-class CountsWork(DynamicBVH):
+class CountsWork(OpenTree):
     """Counts the nodes that are rewritten since the tree is too high."""
 
     rewritten = 0
 
     def _settle_soon(self) -> None:
-        before = self._view().tree.nodes.copy()
+        before = self.view().tree.nodes.copy()
         super()._settle_soon()
-        self.rewritten += int(np.count_nonzero(self._view().tree.nodes != before))
+        self.rewritten += int(np.count_nonzero(self.view().tree.nodes != before))
 
 
 STIFF_BOXES = boxes_of_600_decades, some_endless_boxes, nested_boxes, powers_of_two
@@ -263,14 +263,14 @@ def test_boxes_of_all_sizes_cost_no_rebuilding(
 def test_a_search_ends_early_where_no_bound_prunes(count: int, exhaustive: bool) -> None:
     """A box within all others is best beside the smallest, which may be anywhere."""
     hi, found = np.full((count, 3), 10.0), []
-    tree = DynamicBVH(capacity=count + 1)
-    slots = tree._slots(tree.insert_many(-hi, hi))
-    leaf = int(tree._state[FREE_LEAF])
-    nodes, heights = tree._view().tree[:2]
+    tree = OpenTree(capacity=count + 1)
+    slots = tree.slots(tree.insert_many(-hi, hi))
+    leaf = int(tree.view().tree.state[FREE_LEAF])
+    nodes, heights = tree.view().tree[:2]
     nodes[leaf]['lo'], nodes[leaf]['hi'] = -1.0, 1.0
     for smallest in (2 * slots[:: count // 6]).tolist():
         nodes[smallest]['lo'], nodes[smallest]['hi'] = -9.0, 9.0
-        sibling = branch_and_bound_sibling(nodes, heights, int(tree._state[ROOT]), leaf)
+        sibling = branch_and_bound_sibling(nodes, heights, int(tree.view().tree.state[ROOT]), leaf)
         found.append(int(sibling) == smallest)
         nodes[smallest]['lo'], nodes[smallest]['hi'] = -10.0, 10.0
     assert all(found) == exhaustive
@@ -280,7 +280,7 @@ def test_a_search_ends_early_where_no_bound_prunes(count: int, exhaustive: bool)
 
 
 def test_storage_grows_and_places_are_used_again() -> None:
-    tree = DynamicBVH(2, capacity=1)
+    tree = OpenTree(2, capacity=1)
     for k in range(100):
         tree.insert([k, 0], [k, 1])
         tree.validate()

@@ -7,7 +7,6 @@ cost.
 import numpy as np
 import pytest
 
-from bvh_ros import DynamicBVH
 from bvh_ros.tree.nodes import (
     HIGHEST,
     NONE,
@@ -19,16 +18,21 @@ from bvh_ros.tree.nodes import (
     take_inner,
     take_leaf,
 )
+from bvh_ros.tree.open_tree import OpenTree
 from bvh_ros.tree.rotation import rotate
 
 Shape = int | tuple['Shape', 'Shape']  # a row of boxes, or two subtrees
 
 
-def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
+def hang(tree: OpenTree, shape: Shape, at: list[float]) -> int:
     """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return
     its root.
     """
-    nodes, heights, state = tree._view().tree.nodes, tree._view().tree.heights, tree._state
+    nodes, heights, state = (
+        tree.view().tree.nodes,
+        tree.view().tree.heights,
+        tree.view().tree.state,
+    )
     if isinstance(shape, int):
         leaf = int(take_leaf(nodes, state))
         nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (
@@ -37,8 +41,10 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
             1,
         )
         heights[leaf] = 0
-        tree._view().tree.handles[leaf >> 1] = tree._state[SERIAL] << SLOT_BITS | leaf >> 1
-        tree._state[SERIAL] += 1
+        tree.view().tree.handles[leaf >> 1] = (
+            tree.view().tree.state[SERIAL] << SLOT_BITS | leaf >> 1
+        )
+        tree.view().tree.state[SERIAL] += 1
         return leaf
     node = int(take_inner(nodes, state))
     for side, below in zip(('left', 'right'), shape, strict=True):
@@ -50,8 +56,8 @@ def hang(tree: DynamicBVH, shape: Shape, at: list[float]) -> int:
     return node
 
 
-def shape_of(tree: DynamicBVH, node: int, at: list[float]) -> Shape:
-    record = tree._view().tree.nodes[node]
+def shape_of(tree: OpenTree, node: int, at: list[float]) -> Shape:
+    record = tree.view().tree.nodes[node]
     if is_leaf(node):
         return at.index(record['lo'][0])
     return shape_of(tree, int(record['left']), at), shape_of(tree, int(record['right']), at)
@@ -83,11 +89,11 @@ ROTATIONS = {
 )
 def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, less: float) -> None:
     at = [float(x) for x in at]
-    tree = DynamicBVH(2, capacity=len(at))
-    tree._state[ROOT] = root = hang(tree, before, at)
+    tree = OpenTree(2, capacity=len(at))
+    tree.view().tree.state[ROOT] = root = hang(tree, before, at)
     tree.validate()
     assert tree.cost() == pytest.approx(cost)
-    assert rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST) == (
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST) == (
         before != after
     )
     tree.validate()
@@ -102,13 +108,13 @@ def unordered(shape: Shape) -> object:
 def test_at_equal_cost_the_lower_tree() -> None:
     """A list of four coincident boxes becomes a balanced tree; a balanced one stays."""
     at = [0.0, 0.0, 0.0, 0.0]
-    tree = DynamicBVH(2, capacity=4)
-    tree._state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
+    tree = OpenTree(2, capacity=4)
+    tree.view().tree.state[ROOT] = root = hang(tree, (0, (1, (2, 3))), at)
     assert tree.height == 3
-    assert rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST)
+    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
     assert tree.height == 2
     tree.validate()
-    assert not rotate(tree._view().tree.nodes, tree._view().tree.heights, root, HIGHEST)
+    assert not rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
@@ -117,11 +123,11 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
     done = 0
     for _ in range(20):
         lo = rng.uniform(0, 10, (50, ndim))
-        tree = DynamicBVH.from_boxes(lo, lo + rng.uniform(0, 3, lo.shape))
+        tree = OpenTree.from_boxes(lo, lo + rng.uniform(0, 3, lo.shape))
         shuffle_leaves(tree, rng)
         for node in np.repeat(inner_nodes(tree), 2).tolist():
             cost, height = tree.cost(), tree.height
-            rotated = rotate(tree._view().tree.nodes, tree._view().tree.heights, node, HIGHEST)
+            rotated = rotate(tree.view().tree.nodes, tree.view().tree.heights, node, HIGHEST)
             repair_heights(tree)
             tree.validate()
             assert tree.cost() <= cost * (1 + 1e-12)
@@ -130,9 +136,9 @@ def test_no_rotation_raises_the_cost(ndim: int) -> None:
     assert done > 100
 
 
-def inner_nodes(tree: DynamicBVH) -> list[int]:
+def inner_nodes(tree: OpenTree) -> list[int]:
     """Children before parents."""
-    nodes, found, stack = tree._view().tree.nodes, [], [int(tree._state[ROOT])]
+    nodes, found, stack = tree.view().tree.nodes, [], [int(tree.view().tree.state[ROOT])]
     while stack:
         node = stack.pop()
         if not is_leaf(node):
@@ -141,15 +147,15 @@ def inner_nodes(tree: DynamicBVH) -> list[int]:
     return found[::-1]
 
 
-def shuffle_leaves(tree: DynamicBVH, rng: np.random.Generator) -> None:
+def shuffle_leaves(tree: OpenTree, rng: np.random.Generator) -> None:
     """Deal the boxes out anew over the leaves, so that the tree is bad."""
-    nodes, leaves = tree._view().tree.nodes, 2 * (tree.ids() & 0xFFFF)
+    nodes, leaves = tree.view().tree.nodes, 2 * (tree.ids() & 0xFFFF)
     order = rng.permutation(leaves)
     for side in ('lo', 'hi'):
         nodes[side][leaves] = nodes[side][order].copy()
     repair_heights(tree)
 
 
-def repair_heights(tree: DynamicBVH) -> None:
+def repair_heights(tree: OpenTree) -> None:
     for node in inner_nodes(tree):
-        refit_node(tree._view().tree.nodes, tree._view().tree.heights, node)
+        refit_node(tree.view().tree.nodes, tree.view().tree.heights, node)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.open_tree import OpenTree
 
 
 def fast_world(rng, ndim):
@@ -20,7 +21,7 @@ def fast_world(rng, ndim):
 def test_many_rays_at_a_time_among_fast_boxes(ndim):
     rng = np.random.default_rng(ndim)
     lo, hi, velocities = fast_world(rng, ndim)
-    tree = DynamicBVH.from_boxes(lo, hi, mask=rng.integers(1, 4, len(lo)))
+    tree = OpenTree.from_boxes(lo, hi, mask=rng.integers(1, 4, len(lo)))
     tree.set_velocities(tree.ids(), velocities, reference=-1.0)
     there = DynamicBVH.from_boxes(lo + 2.0 * velocities, hi + 2.0 * velocities)
     assert (there.ids() == tree.ids()).all()
@@ -31,6 +32,6 @@ def test_many_rays_at_a_time_among_fast_boxes(ndim):
         exact = there.raycast_many(origins, directions, 30.0, mask=0xFFFFFFFF)
         assert (hits.ids == exact.ids).all()
         assert (hits.t == exact.t).all()
-    sweep = tree._motion.swept_for(tree, tree._view(), len(origins), (1.0, 1.0))
-    own = tree._snapshot_for(len(origins), tree._view())
+    sweep = tree.motion.swept_for(tree, tree.view(), len(origins), (1.0, 1.0))
+    own = tree.snapshot_for(len(origins), tree.view())
     assert not np.array_equal(sweep.snapshot.children, own.children)

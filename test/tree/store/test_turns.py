@@ -13,6 +13,7 @@ from tree.compiler.alone import run_alone
 from tree.reference import effort
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.open_tree import OpenTree
 
 # Boxes stand in one of two places, all at once. Further ones come and go, and make the arrays
 # grow, where masks hide them. So each answer is that for one of the two places.
@@ -143,14 +144,14 @@ def test_queries_while_others_change(queries: str, margin: float) -> None:
 def test_a_change_from_a_signal_handler_or_the_like_within_a_query() -> None:
     """It is done between two kernels, where no turn is taken; the query says that it was."""
     lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
-    tree = DynamicBVH(capacity=301)
+    tree = OpenTree(capacity=301)
     tree.insert_many(lo, lo + 1)
-    view = tree._view()
+    view = tree.view()
     tree.insert([0, 0, 0], [1, 1, 1])
     with pytest.raises(RuntimeError, match='changed'):
-        tree._check_unchanged(view)
+        tree.check_unchanged(view)
     with pytest.raises(RuntimeError, match='changed'):
-        tree._snapshot_for(10**6, view)
+        tree.snapshot_for(10**6, view)
     tree.validate()
 
 
@@ -159,11 +160,11 @@ def test_a_growth_within_a_query() -> None:
     leaves behind is not taken for the tree of now.
     """
     lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
-    tree = DynamicBVH.from_boxes(lo, lo + 1)
-    view = tree._view()
+    tree = OpenTree.from_boxes(lo, lo + 1)
+    view = tree.view()
     new = tree.insert([-9, 0, 0], [-8, 1, 1])
-    tree._check_unchanged(view)
-    before = tree._snapshot_for(10**6, view)
+    tree.check_unchanged(view)
+    before = tree.snapshot_for(10**6, view)
     starts, ways = np.tile([-10.0, 0.5, 0.5], (70, 1)), np.tile([1.0, 0, 0], (70, 1))
     assert before is not None
     assert new not in view.tree.handles
