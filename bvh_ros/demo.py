@@ -119,6 +119,8 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
         parser.error(f'there is no file or folder {options.replay}')
     if options.view and options.picture is not None:
         parser.error('--view and --picture are two things')
+    if options.picture is not None and not options.picture.parent.is_dir():
+        parser.error(f'--picture {options.picture}: there is no folder {options.picture.parent}')
     if options.topic and (options.replay is None or options.replay.suffix == '.csv'):
         parser.error('--topic is for bags')
     return options

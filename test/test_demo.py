@@ -123,6 +123,7 @@ def test_a_picture_needs_no_node(tmp_path):
         ('--speed', '0'),
         ('--speed', 'nan'),
         ('--view', '--picture', 'a.png'),
+        ('--picture', '/nowhere/a.png'),
     ],
 )
 def test_wrong_arguments(arguments):

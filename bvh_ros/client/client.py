@@ -73,7 +73,7 @@ class BvhClient:
         Raises
         ------
         BvhTimeoutError
-            If it does not in time; the first start on a machine compiles for half a minute.
+            If it does not in time; the first start on a machine compiles for 20 to 40 s.
         """
         self._nodes.wait_until_ready(self._seconds(timeout))
 

@@ -14,7 +14,6 @@ from types import ModuleType
 from . import error, features, peers, planner, speed, stability
 from .page import Page, bar
 
-DATA = Path(__file__).resolve().parents[3] / 'shared' / 'data'  # beside the checkout
 # A part is a module with SECTIONS: by heading, functions of the page and of whether the report is
 # to be brief, which return how many cases failed, or None. Docstrings are the text on the page.
 PARTS: dict[str, ModuleType] = {
@@ -80,7 +79,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help='folder to write to; parts of earlier runs stay on its page (%(default)s)',
     )
     parser.add_argument(
-        '--data', type=Path, default=DATA, help='folder of the recordings (%(default)s)'
+        '--data',
+        type=Path,
+        help='folder of recordings; tables that need some are left out without it',
     )
     parser.add_argument(
         '--quick',
@@ -88,6 +89,8 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         help='small scenes and few repeats: shows that it runs, no more',
     )
     options = parser.parse_args(arguments)
+    if options.data is not None and not options.data.is_dir():
+        parser.error(f'--data {options.data}: there is no such folder')
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

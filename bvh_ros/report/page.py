@@ -71,13 +71,13 @@ class Page:
     ----------
     folder : Path
         Where `report.md`, the CSV files and the pictures go; made if it is not there.
-    data : Path
+    data : Path, optional
         Folder of recorded input, for the parts that use some.
     """
 
-    def __init__(self, folder: Path, data: Path = Path('data')) -> None:
+    def __init__(self, folder: Path, data: Path | None = None) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.data = folder, data
+        self.folder, self.data = folder, data or Path()
         self._parts: dict[str, list[str]] = {}  # paragraphs by the title of the part
 
     def begin(self, title: str, text: str) -> None:

@@ -61,3 +61,9 @@ def test_parts_of_several_runs_share_a_page(tmp_path):
 def test_an_unknown_part_is_refused(tmp_path):
     with pytest.raises(SystemExit):
         cli.main(['guess', '--out', str(tmp_path)])
+
+
+def test_a_folder_of_recordings_must_be_there(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(['error', '--data', str(tmp_path / 'nowhere')])
+    assert f'--data {tmp_path}/nowhere: there is no such folder' in capsys.readouterr().err
