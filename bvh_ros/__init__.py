@@ -12,11 +12,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .orientations import quaternions
     from .scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
     from .tree import ALL, DynamicBVH, RayHit, RayHits
 
 __version__ = '0.1.0'
-OF_SCENE = 'NO_NODE', 'Mesh', 'Scene', 'ShapeKind', 'Shapes'
+ROOMS = dict.fromkeys(('NO_NODE', 'Mesh', 'Scene', 'ShapeKind', 'Shapes'), 'scene')
+ROOMS['quaternions'] = 'orientations'  # all others are of the tree
 __all__ = [
     'ALL',
     'NO_NODE',
@@ -28,13 +30,14 @@ __all__ = [
     'ShapeKind',
     'Shapes',
     '__version__',
+    'quaternions',
 ]
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    room = 'scene' if name in OF_SCENE else 'tree'
+    room = ROOMS.get(name, 'tree')
     return getattr(import_module(f'.{room}', __name__), name)
 
 

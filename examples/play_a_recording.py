@@ -28,6 +28,7 @@ def main(bag: Path) -> None:
                 poses = [m.pose for m in cubes]
                 centres = [[getattr(p.position, axis) for axis in 'xyz'] for p in poses]
                 turns = [[getattr(p.orientation, axis) for axis in 'xyzw'] for p in poses]
+                turns = [turn if any(turn) else [0, 0, 0, 1] for turn in turns]  # as RViz does
                 sizes = [[m.scale.x, m.scale.y, m.scale.z] for m in cubes]
                 names = [f'{m.ns}/{m.id}' for m in cubes]
                 for refusal in scene.update(

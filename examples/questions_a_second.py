@@ -56,6 +56,7 @@ def questions(client, rows):
     places, ways = rng.uniform(0.0, SIDE, (rows, 3)), rng.normal(size=(rows, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     turns = rng.normal(size=(rows, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     rays = places.astype(np.float32), ways.astype(np.float32), LONG
     return {
         'thin rays of 5 m': lambda: client.raycast_many(*rays, timeout=PATIENCE),

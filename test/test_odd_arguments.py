@@ -20,7 +20,7 @@ from bvh_ros.forest import Forest
 from bvh_ros.scene import Mesh, NodeScene, Scene, ShapeKind, Shapes, TooManyHitsError
 
 ORIGIN, ROWS, ENDS = [0.0] * 3, np.zeros((5, 3)), np.ones((5, 3))
-BALL = Shapes(np.array([ShapeKind.SPHERE]), np.zeros((1, 3)), np.zeros((1, 4)), np.ones((1, 3)))
+BALL = Shapes(np.array([ShapeKind.SPHERE]), np.zeros((1, 3)), [0, 0, 0, 1], np.ones((1, 3)))
 FIVE = Shapes.boxes(ROWS, ENDS)
 CUBE = Mesh(box_of_triangles((1, 1, 1)))
 # For each method good arguments, of which one at a time is replaced.

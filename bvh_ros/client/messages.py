@@ -58,7 +58,9 @@ def request(
     ValueError if an argument has the wrong form.
     """
     made = GetPlan.Request(tolerance=tolerance)
-    made.start = _pose(start, checks.vector('orientation', orientation, 4).tolist())
+    turn = checks.vector('orientation', orientation, 4)
+    checks.rotations('orientation', turn[None])
+    made.start = _pose(start, turn.tolist())
     made.goal = _pose(goal, UPRIGHT)
     for stamped, name, stamp in ((made.start, 'at', at), (made.goal, 'until', until)):
         stamped.header.frame_id = frame(frame_id)
@@ -305,7 +307,9 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
 
 
 def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    return _rows('orientations', UPRIGHT if given is None else given, count, 4)
+    rows = _rows('orientations', UPRIGHT if given is None else given, count, 4)
+    checks.rotations('orientations', np.ascontiguousarray(rows))
+    return rows
 
 
 def _rows(

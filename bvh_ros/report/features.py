@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from bvh_ros.scene.shapes.shape import unit_quaternions
+
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
 from .page import Cell, Page
@@ -172,7 +174,9 @@ def times(page: Page, brief: bool) -> None:
     lines = starts, directions, starts + directions
     queries = Queries(*lines, 1.0, small, directions, RADIUS, CALLS, (0, 1, 16))
     still = Shapes.boxes(boxes.centers, boxes.edges)
-    turned = Shapes.boxes(boxes.centers, boxes.edges, rng.normal(size=(len(slow), 4)))
+    turned = Shapes.boxes(
+        boxes.centers, boxes.edges, unit_quaternions(rng.normal(size=(len(slow), 4)))
+    )
     fast, along = FAST / SPEED * slow, np.array(ALONG) + OF_SPEED * slow
     worlds: dict[str, tuple[Callable[..., Questions], Any, Floats]] = {
         'tree': (_tree, boxes, slow),

@@ -148,9 +148,10 @@ def batches(page: Page, brief: bool) -> None:
     """
     rng, counts = np.random.default_rng(3), ROWS[:2] if brief else ROWS
     boxes, starts = uniform_boxes(300 if brief else BOXES, rng), spread(counts[-1], rng)
-    turns, few = rng.normal(size=(len(starts), 4)), slice(min(LOOPED, counts[-1]))
+    turns = unit_quaternions(rng.normal(size=(len(starts), 4)))
+    few = slice(min(LOOPED, counts[-1]))
     goals = starts + LONG * units(turns[:, :3])
-    poses = Poses(rotations(unit_quaternions(turns))[few], starts[few], goals[few])
+    poses = Poses(rotations(turns)[few], starts[few], goals[few])
     peers = [peer for peer in (FCL, COAL) if peer.installed()]
     rows: list[list[Cell]] = []
     for name, question in questions(boxes, starts, goals, turns).items():

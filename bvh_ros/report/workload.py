@@ -17,6 +17,7 @@ import numpy as np
 from bvh_ros.report.compiled_kernels import compiled
 from bvh_ros.report.timing import memory, seconds
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
+from bvh_ros.scene.shapes.shape import IDENTITY, unit_quaternions
 
 RAYS, OVERLAPS = 300, 100
 STEP = 0.05  # m that obstacles go from frame to frame
@@ -51,7 +52,11 @@ def obstacles(job: Configuration, rng: np.random.Generator) -> Shapes:
     if kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.CAPSULE):
         size[:, 1] = size[:, 0]
         size[:, 2] = size[:, 0] + (0.0 if kind == ShapeKind.SPHERE else 0.5)
-    turns = rng.normal(size=(count, 4)) if job.turned else np.zeros((count, 4))
+    turns = (
+        unit_quaternions(rng.normal(size=(count, 4)))
+        if job.turned
+        else np.tile(IDENTITY, (count, 1))
+    )
     places = rng.uniform(0, 3.0 * count**0.5, (count, 3))
     places[:, 2] = 1.0
     if kind == ShapeKind.MESH:

@@ -76,8 +76,8 @@ class Job(NamedTuple):
 MANY = 4096  # boxes and rays enough that the batch is sorted and cast through a wide snapshot
 BOXES = 24  # enough that every branch of building, inserting and rotating runs
 EDGE = (0.9, 0.9, 0.9)
-ABOUT_Z = (0.0, 0.0, 0.3, 0.9)  # the only way to turn what is seen from above
-TURNED = (0.1, 0.2, 0.3, 0.9)
+ABOUT_Z = (0.0, 0.0, 0.3, 0.954)  # the only way to turn what is seen from above
+TURNED = (0.1, 0.3, 0.3, 0.9)
 CORNERS = np.vstack((np.zeros(3), np.eye(3)))
 TETRAHEDRON = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]  # its faces
 # Through boxes, seen from above or not: what writes down a hit is compiled by hitting.

@@ -12,7 +12,6 @@ from .distance import batch
 from .distance.batch import WANTED
 from .distance.query import (
     BOXES,
-    NO_TURN,
     UNTURNED,
     QueryShape,
     box_query,
@@ -22,9 +21,20 @@ from .distance.query import (
     shape_query,
 )
 from .results import SceneHit, require_few
-from .shapes.shape import Shapes, as_shapes, unchecked_shapes
+from .shapes.shape import Floats, Shapes, as_shapes, unchecked_shapes
 from .store import Obstacles
 from .timed_queries import TimedQueries
+
+
+def turns_of(orientations: ArrayLike, count: int) -> Floats:
+    """Quaternions of all rows, or one for all, as (n, 4) or (1, 4)."""
+    if not isinstance(orientations, np.ndarray):
+        orientations = checks.floats('orientations', orientations)
+    if orientations.shape == (4,):
+        orientations, count = orientations[None], 1
+    turns = checks.rows('orientations', orientations, 4, count)
+    checks.rotations('orientations', turns)
+    return turns
 
 
 class OverlapQueries:
@@ -38,7 +48,7 @@ class OverlapQueries:
         self,
         start: ArrayLike,
         goal: ArrayLike,
-        orientation: ArrayLike = NO_TURN,
+        orientation: ArrayLike | None = None,
         tolerance: float = 0.0,
         mask: int = ALL,
         most: int | None = None,
@@ -51,8 +61,8 @@ class OverlapQueries:
         start, goal : array_like, shape (3,)
             Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a
             ball.
-        orientation : array_like, shape (4,)
-            Quaternion x, y, z, w of the box's axes; zero is the identity.
+        orientation : array_like, shape (4,), optional
+            Quaternion x, y, z, w of the box's axes.
         tolerance : float
             The box is grown by this all round, with rounded corners: obstacles at most so far from
             it count, m.
@@ -146,8 +156,8 @@ class OverlapQueries:
             m.
         sizes : array_like, shape (n, 3), or (3,) for all
             Edge lengths, m. A box without any is a point, with `tolerance` a ball.
-        orientations : array_like, shape (n, 4), optional
-            Quaternions x, y, z, w of the boxes' axes; zero is the identity, as is None.
+        orientations : array_like, shape (n, 4), or (4,) for all, optional
+            Quaternions x, y, z, w of the boxes' axes.
         tolerance, mask, at : one for all boxes, or array_like of shape (n,)
             As in `overlap`.
         want : {'any', 'count', 'first', 'all', 'hits'}
@@ -184,7 +194,7 @@ class OverlapQueries:
             edges = checks.floats('sizes', sizes)
             edges = edges[None] if edges.shape == (3,) else checks.rows('sizes', edges, 3, count)
         if orientations is not None:
-            turns = checks.rows('orientations', orientations, 4, count)
+            turns = turns_of(orientations, count)
         given = BOXES, places, turns, edges
         names = 'centers', 'sizes', 'orientations'
         return self._answer(given, None, names, (tolerance, mask, threads, at), want)
@@ -208,8 +218,8 @@ class OverlapQueries:
             One row. Its poses are those given here, not its own.
         positions : array_like, shape (n, 3)
             m.
-        orientations : array_like, shape (n, 4), optional
-            Quaternions x, y, z, w; zero is the identity. None: that of the shape.
+        orientations : array_like, shape (n, 4), or (4,) for all, optional
+            Quaternions x, y, z, w. None: that of the shape.
         tolerance, mask, want, threads, at
             As in `overlap_many`, which see for what is returned and raised.
         """
@@ -221,8 +231,8 @@ class OverlapQueries:
         places = checks.rows('positions', positions, 3)
         count = len(places)
         if orientations is not None:
-            turns = checks.rows('orientations', orientations, 4, count)
-        elif mesh is not None:
+            turns = turns_of(orientations, count)
+        if mesh is not None and len(turns) != count:
             turns = turns.repeat(count, axis=0)
         if mesh is not None:
             kinds, sizes, mesh = kinds.repeat(count), sizes.repeat(count, 0), mesh.repeat(count)

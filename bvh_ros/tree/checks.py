@@ -42,6 +42,28 @@ def first_not_finite(values):
     return -1
 
 
+@kernel
+def first_not_unit(quaternions):
+    for i in range(quaternions.shape[0]):
+        square = 0.0
+        for part in range(4):
+            square += quaternions[i, part] * quaternions[i, part]
+        if not 0.99**2 <= square <= 1.01**2:
+            return i
+    return -1
+
+
+def rotations(name: str, array: Floats) -> None:
+    """Refuse rows (n, 4) that are no quaternions of length 1, to within 1 %."""
+    row = first_not_unit(array)
+    if row >= 0:
+        finite(name, array)
+        raise ValueError(
+            f'{name} must be quaternions x, y, z, w of length 1 (bvh_ros.quaternions makes them '
+            f'from angles): row {row} is {array[row].tolist()}'
+        )
+
+
 def floats(name: str, value: ArrayLike) -> Floats:
     """An own, writable, C-ordered float64 copy: kernels then meet one array type only, and never
     the caller's memory.

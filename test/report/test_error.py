@@ -42,7 +42,7 @@ EIGHTH = (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8))
 ROOT = Fraction(math.isqrt(2 << 200), 1 << 100)
 # kind, size, quaternion, origin, direction, exact t or None; all shapes stand at (10, 0, 0)
 SHAPES = {
-    'box': ('BOX', (2, 4, 6), (0, 0, 0, 0), (0, 0, 0), (1, 0, 0), 9),
+    'box': ('BOX', (2, 4, 6), (0, 0, 0, 1), (0, 0, 0), (1, 0, 0), 9),
     'box, quarter turn': ('BOX', (2, 4, 6), HALF_TURN, (0, 0, 0), (1, 0, 0), 8),
     'box, edge first': ('BOX', (2, 2, 2), EIGHTH, (0, 0, 0), (1, 0, 0), 10 - ROOT),
     'sphere': ('SPHERE', (10, 10, 10), (0, 0, 0, 1), (0, 3, 0), (1, 0, 0), 6),

@@ -92,6 +92,8 @@ BAD_MARKERS = {
     'negative size': {'size': (1, -1e-300, 1)},
     'NaN orientation': {'turn': (0, NAN, 0, 1)},
     'infinite orientation': {'turn': (0, 0, INF, 1)},
+    'quaternion not normalised': {'turn': (0, 0, 1, 1)},
+    'huge quaternion': {'turn': (0, 0, 0, 1e200)},
     'too large': {'at': (1.7e308, 0, 0), 'size': (1e308, 1, 1)},
     'not round': {'type': 2, 'size': (1, 2, 1)},
     'unknown frame': {'frame': 'mars'},
@@ -121,7 +123,7 @@ def test_bad_markers(filled, messages):
 LEGAL_MARKERS = {
     'zero size': ({'size': (0, 0, 0)}, 'a/5'),
     'zero quaternion': ({'turn': (0, 0, 0, 0)}, 'a/5'),
-    'quaternion not normalised': ({'turn': (0, 0, 0, 1e200)}, 'a/5'),
+    'quaternion nearly normalised': ({'turn': (0, 0, 0.7, 0.71)}, 'a/5'),
     'largest id': ({'number': 2**31 - 1}, 'a/2147483647'),
     'smallest id': ({'number': -(2**31)}, 'a/-2147483648'),
     'empty namespace': ({'ns': ''}, '/5'),

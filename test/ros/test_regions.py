@@ -14,6 +14,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 pytestmark = pytest.mark.slow
 
@@ -105,7 +106,7 @@ def test_batches_of_four_nodes_are_those_of_one(nodes):
     ways = np.where(rng.random((ROWS, 1)) < 0.5, np.rint(ways / 6), ways - at)
     at[:40] = np.rint(at[:40])  # some on the faces of regions
     at[:9] = [0, 0, 20], [0, 0, 0], [0, 5, 0], [5, 0, 0], [0, 3, 20], *rng.uniform(-9, 9, (4, 3))
-    sizes, turns = rng.uniform(0, 1.5, (ROWS, 3)), rng.normal(size=(ROWS, 4))
+    sizes, turns = rng.uniform(0, 1.5, (ROWS, 3)), unit_quaternions(rng.normal(size=(ROWS, 4)))
     turns[::2] = 0, 0, 0, 1
     t_max, radius = rng.uniform(0, 1.5, ROWS), rng.choice([0.0, 0.3], ROWS)
     reach = rng.choice([0.5, 2.0, 4.0], ROWS)
@@ -199,7 +200,7 @@ def test_two_nodes_answer_as_one_about_other_times(moving):
     assert hits > CALLS
     at = told + rng.integers(0, SECOND, ROWS)
     places, ways = rng.uniform(-9, 9, (2, ROWS, 3))
-    turns, radius = rng.normal(size=(ROWS, 4)), rng.choice([0.0, 0.3], ROWS)
+    turns, radius = unit_quaternions(rng.normal(size=(ROWS, 4))), rng.choice([0.0, 0.3], ROWS)
     asks = [
         lambda client: client.raycast_many(places, ways, 1.0, at=at),
         lambda client: client.raycast_many(places, ways, 1.0, at=at, until=at + SECOND),

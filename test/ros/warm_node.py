@@ -26,7 +26,7 @@ from bvh_ros.ros.server import BvhServer
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SPHERE, CYLINDER, CUBE_LIST, TRIANGLE_LIST = 2, 3, 6, 11
-TURNS = ((0, 0, 0, 0), (0, 0, 0.6, 0.8), (0.1, 0.2, 0.3, 0.9))
+TURNS = ((0, 0, 0, 0), (0, 0, 0.6, 0.8), (0.1, 0.3, 0.3, 0.9))
 TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
 FACES = [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)]
 LARGE = 130_000  # boxes: more are applied in slices

@@ -18,6 +18,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 Floats = NDArray[np.float64]
 
@@ -152,9 +153,10 @@ def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> S
     size[kind != ShapeKind.BOX, 1] = size[kind != ShapeKind.BOX, 0]
     size[kind == ShapeKind.SPHERE, 2] = size[kind == ShapeKind.SPHERE, 0]
     size[kind == ShapeKind.CAPSULE, 2] += size[kind == ShapeKind.CAPSULE, 0]
-    turns = rng.normal(size=(count, 4)) * rng.uniform(0.1, 9.0, (count, 1))
+    turns = rng.normal(size=(count, 4))
     manner = rng.integers(0, 4, count)
     turns[manner == 0] = 0.0
     turns[manner == 1] = rng.integers(-1, 2, (int((manner == 1).sum()), 4))
     turns[manner == 2, :2] = 0.0
+    turns = unit_quaternions(turns) * rng.uniform(0.991, 1.009, (count, 1))
     return Shapes(kind, rng.uniform(-reach, reach, (count, 3)), turns, size)

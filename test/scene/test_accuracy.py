@@ -57,6 +57,7 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
             size[2] += size[0]
         position = (rng.uniform(-2, 2, 3) + offset) * scale
         turn = rng.normal(size=4)
+        turn /= np.linalg.norm(turn)
         scene = Scene()
         shapes = Shapes(np.array([kind], np.uint8), position[None], turn[None], size[None])
         assert scene.update('s', ['it'], shapes, stamp=1) == []

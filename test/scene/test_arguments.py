@@ -67,7 +67,7 @@ BAD_ROWS += [Shapes.of_meshes([CUBE], [[0, 0, 0]])._replace(size=np.full((1, 3),
 def scene():
     scene = NodeScene()
     scene.update('s', ['a', 'ball'], Shapes(
-        np.array([0, 1]), np.array([[0.0, 0, 0], [3, 0, 0]]), np.zeros((2, 4)), np.ones((2, 3))
+        np.array([0, 1]), np.array([[0.0, 0, 0], [3, 0, 0]]), [0, 0, 0, 1], np.ones((2, 3))
     ), stamp=7, expires=100, categories=3)  # fmt: skip
     return scene
 
@@ -183,7 +183,7 @@ def test_queries(scene):
         refused(scene, scene.nearest, spot, bad)
     for k in (10**400, 2**63, 2**31):
         assert len(scene.nearest(spot, k)) == 2
-    for bad in (None, 'x', [1, 2], [1, 2, 3], [np.nan, 0, 0, 1], 5):
+    for bad in ('x', [1, 2], [1, 2, 3], [np.nan, 0, 0, 1], 5, [0, 0, 0, 0]):
         refused(scene, scene.overlap, spot, spot, bad)
     for bad in NOT_SHAPES:
         refused(scene, scene.overlap_shape, bad)

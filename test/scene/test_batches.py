@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
 
 from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 NOBODY = np.full(3, np.nan)
 
@@ -27,7 +28,7 @@ def scene_with(shapes, planar, masks, meshes=0):
     if meshes:
         held = [Mesh(bulging(rng)) for _ in range(meshes)]
         rows = Shapes.of_meshes(
-            held, rng.uniform(-4, 4, (meshes, 3)), rng.normal(size=(meshes, 4))
+            held, rng.uniform(-4, 4, (meshes, 3)), unit_quaternions(rng.normal(size=(meshes, 4)))
         )
         scene.update('test', [f'mesh{i}' for i in range(meshes)], rows, stamp=1)
     return scene
@@ -88,8 +89,8 @@ def assert_wants(lists, ask, *asked):
 def test_overlaps_of_boxes(world):
     scene, rng = world
     centers, sizes = points_of(rng, 200), rng.integers(0, 5, (200, 3)) * 0.25
-    turns = rng.normal(size=(200, 4))
-    turns[:100] = 0.0
+    turns = unit_quaternions(rng.normal(size=(200, 4)))
+    turns[:100] = (0.0, 0.0, 0.0, 1.0)
     tolerances, masks = rng.choice([0.0, 0.5, 0.25], 200), rng.integers(0, 4, 200)
     lists = [
         scene.overlap_shape(Shapes.boxes([c], s, [q]), float(t), int(m))
@@ -106,7 +107,7 @@ def test_overlaps_of_one_shape(world):
     mesh = Shapes.of_meshes([Mesh(bulging(rng))], [[0, 0, 0]])
     forms = [every.take(np.flatnonzero(every.kind == kind)[:1]) for kind in range(4)]
     for shape in [*forms, mesh]:
-        places, turns = points_of(rng, 40), rng.normal(size=(40, 4))
+        places, turns = points_of(rng, 40), unit_quaternions(rng.normal(size=(40, 4)))
         for orientations in (turns, None):
             rows = np.tile(shape.orientation, (40, 1)) if orientations is None else orientations
             lists = [
@@ -253,7 +254,7 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
         ('nearest_many', (NAN,), 'points.* row 1'),
         ('nearest_many', (POINT, 0), r'\bk\b'),
         ('nearest_many', (POINT, 1, [1.0, -1.0]), 'max_distance.* row 1'),
-        ('clearance_many', (Shapes.boxes(NAN, ONE),), 'row 1'),
+        ('clearance_many', (Shapes.boxes(POINT, ONE)._replace(position=np.array(NAN)),), 'row 1'),
         ('clearance_many', (Shapes.boxes(POINT, ONE), math.nan), 'max_distance'),
         ('clearance_many', (Shapes.boxes(POINT, ONE), 1.0, 1, False, 1.5), 'threads'),
     ],
@@ -280,7 +281,7 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
 @pytest.mark.parametrize('planar', [False, True])
 @pytest.mark.parametrize('turned', [False, True])
 def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
-    scene, turn = NodeScene(planar=planar), [[0.0, 0.0, 0.3, 1.0]] if turned else None
+    scene, turn = NodeScene(planar=planar), [[0.0, 0.0, 0.3, 0.95]] if turned else None
     scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
     good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
     for axis in range(3):

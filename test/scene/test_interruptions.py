@@ -23,7 +23,7 @@ ROOMS = 'scene', 'tree'
 def rows(positions, numbers):
     """Boxes, turned boxes and balls."""
     kinds = np.resize([ShapeKind.BOX, ShapeKind.BOX, ShapeKind.SPHERE], len(positions))
-    turns = np.resize([[0.0, 0, 0, 1], [0.1, 0.2, 0.3, 0.9]], (len(positions), 4))
+    turns = np.resize([[0.0, 0, 0, 1], [0.1, 0.3, 0.3, 0.9]], (len(positions), 4))
     shapes = Shapes(kinds.astype(np.uint8), positions, turns, np.ones((len(positions), 3)))
     return Numbered('c#', np.array(numbers)), shapes
 

@@ -189,7 +189,7 @@ def test_a_scene_tells_exactly_who_is_met_first():
     """Two boxes are met within the last digit of t; the younger one, who comes, is first."""
     sizes = np.full((3, 3), 2.0)
     places = np.array([[2.0, 0, 0], [2.0, 0, 0], [0, 9.0, 0]])
-    shapes = Shapes(np.array([BOX, BOX, SPHERE], np.uint8), places, np.zeros((3, 4)), sizes)
+    shapes = Shapes(np.array([BOX, BOX, SPHERE], np.uint8), places, [0, 0, 0, 1], sizes)
     scene = NodeScene()
     slow = np.array([[0, 0, 0], [-1e-20, 0, 0], [0, 0, 0]])
     scene.update('s', ['rests', 'comes', 'a ball'], shapes, stamp=0, velocities=slow)

@@ -9,6 +9,7 @@ import pytest
 from scene.reference import geometry_arrays, random_shapes, scene_of
 
 from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 
 def distances_of(world, point, planar):
@@ -76,7 +77,9 @@ def test_far_from_the_origin_distances_keep_their_digits():
     rng = np.random.default_rng(12)
     shapes = random_shapes(rng, 40, 2.0)
     places = np.round(shapes.position * 2.0**36) * 2.0**-36
-    turned = shapes._replace(position=places, orientation=rng.normal(size=(40, 4)))
+    turned = shapes._replace(
+        position=places, orientation=unit_quaternions(rng.normal(size=(40, 4)))
+    )
     near, far = scene_of(turned), scene_of(turned._replace(position=places + 8192.0))
     for point in np.round(rng.uniform(-3, 3, (60, 3)) * 2.0**36) * 2.0**-36:
         here, there = near.nearest(point, 5), far.nearest(point + 8192.0, 5)

@@ -10,13 +10,13 @@ import sys
 import numpy as np
 import pytest
 
-from bvh_ros.scene import NodeScene, Numbered, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Shapes, unchecked_shapes
 
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
 
 
-def shape(kind=0, position=(0, 0, 0), orientation=(0, 0, 0, 0), size=(1, 1, 1)):
-    return Shapes(
+def shape(kind=0, position=(0, 0, 0), orientation=(0, 0, 0, 1), size=(1, 1, 1)):
+    return unchecked_shapes(
         np.array([kind]), *(np.array([part], float) for part in (position, orientation, size))
     )
 
@@ -103,12 +103,14 @@ def test_a_scene_of_aligned_boxes_compiles_and_imports_nothing_narrow():
 import sys, numpy as np
 from bvh_ros.scene import NodeScene, Shapes
 half = np.pi / 4
-turns = [[0] * 4, [0, 0, 1, 1], [0.5, -0.5, 0.5, 0.5], [0, 0, np.sin(half), np.cos(half)]]
+root = 0.5**0.5
+turns = [[0, 0, 0, 1], [0, 0, root, root], [0.5, -0.5, 0.5, 0.5]]
+turns += [[0, 0, np.sin(half), np.cos(half)]]
 scene = NodeScene()
 crates = Shapes.boxes(np.eye(4, 3) * 9, [1, 2, 3], turns)
 assert scene.update('a', list('abcd'), crates, stamp=1) == []
 assert scene.raycast([-5, 0, 0], [9, 0, 0]) and scene.raycast_all([-5, 0, 0], [9, 0, 0])
-assert scene.overlap([0, 0, 0], [9, 9, 9], [0, 0, 1, 1], 0.1)
+assert scene.overlap([0, 0, 0], [9, 9, 9], turns[1], 0.1)
 assert scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
 assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
@@ -116,7 +118,7 @@ assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
 from bvh_ros.scene.cast import query
 from bvh_ros.scene.distance.query import overlap_kernel
 assert not query.every_hit.signatures and len(overlap_kernel.signatures) == 1
-scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 1]]), stamp=1)
+scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 0.995]]), stamp=1)
 assert scene.overlap([0, 0, 8], [1, 1, 9]) and len(overlap_kernel.signatures) == 2
 assert 'fcl' not in sys.modules
 """
@@ -152,7 +154,7 @@ def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypat
 
 def test_an_aligned_box_in_the_place_of_a_turned_one():
     scene = NodeScene(planar=True)
-    turned = Shapes.boxes([[0, 0, 0], [9, 0, 0]], [4, 1, 1], [[0.0, 0.0, 0.3, 0.9]] * 2)
+    turned = Shapes.boxes([[0, 0, 0], [9, 0, 0]], [4, 1, 1], [[0.0, 0.0, 0.3, 0.95]] * 2)
     scene.update('a', ['gone', 'stays'], turned, stamp=1)
     scene.remove('a', ['gone'])
     scene.update('a', ['new'], Shapes.boxes([[0, 0, 0]], [4, 1, 1]), stamp=2)

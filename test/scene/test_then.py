@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
@@ -22,7 +23,7 @@ COUNT = 24
 def some_shapes(rng, count):
     """Boxes, turned boxes, spheres and cylinders."""
     kinds = np.array([BOX, BOX, SPHERE, CYLINDER], np.uint8)[np.arange(count) % 4]
-    sizes, turns = rng.uniform(0.2, 3, (count, 3)), rng.normal(size=(count, 4))
+    sizes, turns = rng.uniform(0.2, 3, (count, 3)), unit_quaternions(rng.normal(size=(count, 4)))
     sizes[kinds == CYLINDER, 1] = sizes[kinds == CYLINDER, 0]
     sizes[kinds == SPHERE] = sizes[kinds == SPHERE, :1]
     turns[::4] = 0.0

@@ -261,7 +261,7 @@ def test_other_shapes_are_where_they_are_after_weeks(days, radius):
     rng, scene = np.random.default_rng(days), Scene(max_prediction=0.5)
     names, kinds, places = (['ball', 'box'], np.array([SPHERE, BOX], np.uint8), np.zeros((2, 3)))
     places[1, 1] = 9.0
-    shapes = Shapes(kinds, places, np.zeros((2, 4)), np.ones((2, 3)))
+    shapes = Shapes(kinds, places, [0, 0, 0, 1], np.ones((2, 3)))
     for stamp in (0, *(days * 86_400 * SECOND + rng.integers(1, SECOND, 50)).tolist()):
         scene.update('s', names, shapes, stamp=stamp, velocities=[[30.0, 0.0, 0.0]] * 2)
         at = stamp + int(rng.integers(0, SECOND))

@@ -32,7 +32,9 @@ def random_pairs(count: int, rng: np.random.Generator) -> Shapes:
     size[is_round, 1] = size[is_round, 0]
     size[kind == ShapeKind.SPHERE, 2] = size[kind == ShapeKind.SPHERE, 0]
     size[kind == ShapeKind.CAPSULE, 2] += size[kind == ShapeKind.CAPSULE, 0]
-    return Shapes(kind, rng.uniform(-1.0, 1.0, (rows, 3)), rng.normal(size=(rows, 4)), size)
+    return Shapes(
+        kind, rng.uniform(-1.0, 1.0, (rows, 3)), unit_quaternions(rng.normal(size=(rows, 4))), size
+    )
 
 
 def contacts(count: int, gap: float, rng: np.random.Generator) -> Shapes:

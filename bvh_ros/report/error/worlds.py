@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bvh_ros.scene.shapes.shape import unit_quaternions
+
 from ... import DynamicBVH
 from ...scene import NO_NODE, CastHits, Numbered, Scene, ShapeKind, Shapes
 from ...scene.shapes.shape import as_shapes, canonicalise
@@ -144,7 +146,7 @@ def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
     size = rng.uniform(0.3, 1.7, (count, 3)) * (0.02 * EDGE**3 / count) ** (1 / 3)
     size[kind == ShapeKind.CYLINDER, 1] = size[kind == ShapeKind.CYLINDER, 0]
     size[kind == ShapeKind.SPHERE] = size[kind == ShapeKind.SPHERE, :1]
-    return Shapes(kind, spread(count, rng), rng.normal(size=(count, 4)), size)
+    return Shapes(kind, spread(count, rng), unit_quaternions(rng.normal(size=(count, 4))), size)
 
 
 def shelves(page: Page, brief: bool) -> None:

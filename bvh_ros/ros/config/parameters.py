@@ -173,7 +173,7 @@ class TransformSettings:
     frame_id: str
     parent: str
     xyz: tuple[float, ...]  # m
-    xyzw: tuple[float, ...]  # of any length but zero
+    xyzw: tuple[float, ...]  # of length 1, to within 1 %
 
 
 @dataclass(frozen=True)
@@ -324,7 +324,9 @@ TRANSFORM_OPTIONS = (
     Option('frame_id', '', 'The frame that is placed; empty: that of the name of the transform.'),
     Option('parent', '', 'The frame in which it is placed; empty: that of the node.'),
     Option('xyz', [0.0, 0.0, 0.0], 'Its origin in the parent, m.'),
-    Option('xyzw', [0.0, 0.0, 0.0, 1.0], 'Its orientation in the parent, a quaternion.'),
+    Option(
+        'xyzw', [0.0, 0.0, 0.0, 1.0], 'Its orientation in the parent, a quaternion x, y, z, w.'
+    ),
 )
 MOST_VIEWS = 31  # one bit each of a 32-bit mask; the first is for everything
 # Other options and what rclpy itself declares: a source or view of such a name could not have its
@@ -461,8 +463,10 @@ def _read_transform(node: Node, name: str, frame_id: str) -> TransformSettings:
             f"parameter '{name}.xyz' must be 3 numbers of at most {FARTHEST:g}, "
             f'not {shortened(str(list(xyz)))}'
         )
-    if len(xyzw) != 4 or not any(xyzw):
-        raise ConfigurationError(f"parameter '{name}.xyzw' must be 4 numbers that are not all 0")
+    if len(xyzw) != 4 or abs(math.hypot(*xyzw) - 1.0) > 0.01:
+        raise ConfigurationError(
+            f"parameter '{name}.xyzw' must be 4 numbers, a quaternion x, y, z, w of length 1"
+        )
     return TransformSettings(values['frame_id'] or name, values['parent'] or frame_id, xyz, xyzw)
 
 

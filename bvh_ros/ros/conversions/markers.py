@@ -509,7 +509,7 @@ class _Reader:
             if done == len(local):
                 continue
             place = begin + np.flatnonzero(np.isin(table.type[marker], list(LISTED_SHAPES)))
-            turn[place] = rotations.normalised(turn[place])
+            turn[place] = rotations.normalised_if_near(turn[place])
             position[place] += rotations.rotate(turn[place], local[done : done + len(place)])
             done += len(place)
         return unchecked_shapes(_KINDS[table.type[of]], position, turn, size)

@@ -159,9 +159,12 @@ def _origin(pose: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and yaw rotation of the grid's origin."""
     at = np.array((pose.position.x, pose.position.y, pose.position.z))
     q = pose.orientation
-    x, y, z, w = rotations.normalised((q.x, q.y, q.z, q.w))
+    given = q.x, q.y, q.z, q.w
+    x, y, z, w = rotations.normalised(given)
     if not (np.isfinite(at).all() and math.isfinite(x + y + z + w)):
         raise ValueError('the origin is not finite')
+    if rotations.are_off(given):
+        raise ValueError("the length of the origin's orientation is neither 1 nor 0")
     if math.hypot(x, y) > MAX_TILT:
         raise ValueError('the origin is tilted; a grid can only be turned about z')
     return at, rotations.normalised((0.0, 0.0, z, w))

@@ -27,7 +27,7 @@ class Poses(NamedTuple):
 
     def moved(self, transform: Transform) -> Poses:
         """Return the same in the node's frame."""
-        turns = transform.orientations(rotations.normalised(self.turns))
+        turns = transform.orientations(self.turns)
         return self._replace(places=transform.points(self.places), turns=turns)
 
     def faults(self) -> Faults:
@@ -36,6 +36,7 @@ class Poses(NamedTuple):
         return {
             'its position is not finite, or beyond 1e300': ~near.all(axis=1),
             'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
+            rotations.OFF: rotations.are_off(self.turns),
             'its frame is not that of the path': self.elsewhere,
         }
 

@@ -27,7 +27,7 @@ class Query(NamedTuple):
 
     start: Vector
     goal: Vector
-    orientation: rotations.Quaternion  # of the box; 0, 0, 0, 0 = identity
+    orientation: rotations.Quaternion  # of the box
     tolerance: float  # m
 
 
@@ -52,12 +52,9 @@ def query(
     if not (math.isfinite(tolerance) and tolerance >= 0.0):
         raise ValueError(f'tolerance must be finite and at least 0, not {tolerance:g}')
     start, goal = _position('start', request.start), _position('goal', request.goal)
-    turn = (0.0, 0.0, 0.0, 0.0)
+    turn = rotations.IDENTITY
     if oriented:
-        q = request.start.pose.orientation
-        turn = (q.x, q.y, q.z, q.w)
-        if not all(map(math.isfinite, turn)):
-            raise ValueError('start.pose.orientation is not finite')
+        turn = _turn('start', request.start)
     for_start = into_node(request.start.header.frame_id, nanoseconds(request.start.header.stamp))
     for_goal = into_node(request.goal.header.frame_id, nanoseconds(request.goal.header.stamp))
     if for_start is not None:
@@ -137,6 +134,18 @@ def _position(what: str, stamped: Any) -> Vector:
     if not all(map(math.isfinite, place)):
         raise ValueError(f'{what}.pose.position is not finite')
     return place
+
+
+def _turn(what: str, stamped: Any) -> rotations.Quaternion:
+    q = stamped.pose.orientation
+    turn = (q.x, q.y, q.z, q.w)
+    if not any(turn):  # an unset field
+        return rotations.IDENTITY
+    if not all(map(math.isfinite, turn)):
+        raise ValueError(f'{what}.pose.orientation is not finite')
+    if abs(math.hypot(*turn) - 1.0) > 0.01:
+        raise ValueError(f'{what}.pose.orientation has length {math.hypot(*turn):g}, not 1')
+    return turn
 
 
 def _moved(transform: Transform, turn: rotations.Quaternion) -> rotations.Quaternion:

@@ -128,6 +128,7 @@ class Boxes(NamedTuple):
                 np.isfinite(self.sizes) & (self.sizes >= 0.0)
             ).all(axis=1),
             'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
+            rotations.OFF: rotations.are_off(self.turns),
             'its tolerance is not finite, or negative': ~(
                 np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
             ),
@@ -136,10 +137,8 @@ class Boxes(NamedTuple):
 
     def moved(self, transform: Transform) -> Boxes:
         """Return the same in the node's frame."""
-        turns = rotations.normalised(self.turns)
-        return self._replace(
-            places=transform.points(self.places), turns=transform.orientations(turns)
-        )
+        turns = transform.orientations(self.turns)
+        return self._replace(places=transform.points(self.places), turns=turns)
 
 
 Question = TypeVar('Question', bound=tuple[Any, ...])

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Quaternion = tuple[float, float, float, float]
 
+SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of lengths
+OFF = 'the length of its orientation is neither 1 nor 0'
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -30,6 +32,26 @@ def normalised(quaternions: ArrayLike) -> NDArray[np.float64]:
         q = np.where(zero, IDENTITY, q / np.where(zero, 1.0, largest))
         unit: NDArray[np.float64] = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return unit
+
+
+def normalised_if_near(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Return the same, but those that `are_off` as they are, for the caller to refuse."""
+    return np.where(are_off(quaternions)[..., None], quaternions, normalised(quaternions))
+
+
+def set_ones(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Return the same with the identity where a quaternion is zero (an unset field)."""
+    q = np.array(quaternions, dtype=np.float64)
+    zero = ~q.any(axis=-1, keepdims=True)
+    return np.where(zero, IDENTITY, q)
+
+
+def are_off(quaternions: ArrayLike) -> NDArray[np.bool_]:
+    """Return which quaternions (..., 4) are neither zero nor of length 1 to within 1 %."""
+    q = np.asarray(quaternions, dtype=np.float64)
+    with np.errstate(over='ignore', invalid='ignore'):
+        square = (q * q).sum(axis=-1)
+    return np.asarray(~((square >= SHORTEST) & (square <= LONGEST)) & q.any(axis=-1))
 
 
 def multiply(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
 from bvh_ros.ros.compile_jobs import BALLS, BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
-from bvh_ros.ros.conversions import paths
+from bvh_ros.ros.conversions import paths, rotations
 from bvh_ros.ros.conversions.paths import PathPoses, Poses
 from bvh_ros.ros.conversions.query_clouds import (
     AnswerTable,
@@ -494,8 +494,11 @@ class BoxBatch(Batch):
     ) -> Touched:
         masks = self._masks(questions.masks)
         hits = scene.overlap_many(
-            *(questions.places, questions.sizes, questions.turns, questions.tolerances),
-            *(masks, 'hits', self._threads(len(masks))),
+            *(questions.places, questions.sizes, rotations.set_ones(questions.turns)),
+            tolerance=questions.tolerances,
+            mask=masks,
+            want='hits',
+            threads=self._threads(len(masks)),
             at=at,
         )
         return Touched(hits.points, hits.distances, hits.handles, hits.counts.astype(np.uint32))

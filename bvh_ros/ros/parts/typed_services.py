@@ -96,7 +96,7 @@ class ShapeRows(NamedTuple):
 
     def moved(self, transform: Transform) -> ShapeRows:
         """Return the same in the node's frame."""
-        turns = transform.orientations(rotations.normalised(self.turns))
+        turns = transform.orientations(self.turns)
         return self._replace(places=transform.points(self.places), turns=turns)
 
 
@@ -350,7 +350,8 @@ class TypedServices(NodePart):
     def _overlap(
         self, scene: NodeScene, request: Any, rows: Boxes, at: Any, _until: Any, limit: Limit
     ) -> Answers:
-        boxes = rows.places, rows.sizes, rows.turns, rows.tolerances, rows.masks
+        turns = rotations.set_ones(rows.turns)
+        boxes = rows.places, rows.sizes, turns, rows.tolerances, rows.masks
         given: dict[str, Any] = {'threads': self._threads(len(rows.masks)), 'at': at}
         if len(rows.masks) * len(scene) > limit.left:  # else there might be no room for them
             limit.check(int(scene.overlap_many(*boxes, want='count', **given).sum()))

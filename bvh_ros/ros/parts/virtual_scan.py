@@ -108,7 +108,10 @@ class VirtualScan(NodePart):
         """Return the way from the scanner's frame into the node's."""
         at, turn = stamped.pose.position, stamped.pose.orientation
         position = np.array((at.x, at.y, at.z))
-        orientation = rotations.normalised((turn.x, turn.y, turn.z, turn.w))
+        given = turn.x, turn.y, turn.z, turn.w
+        if rotations.are_off(given):
+            raise ValueError('the length of the orientation is neither 1 nor 0')
+        orientation = rotations.normalised(given)
         header = stamped.header
         transform = self._world.frames.into_node(header.frame_id, nanoseconds(header.stamp))
         if transform is not None:

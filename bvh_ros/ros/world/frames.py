@@ -48,8 +48,8 @@ class Transform(NamedTuple):
         return Transform(self.points(first.translation), turn)
 
     def orientations(self, quaternions: ArrayLike) -> NDArray[np.float64]:
-        """Return (..., 4) orientations in the node's frame."""
-        return rotations.multiply(self.rotation, rotations.normalised(quaternions))
+        """Return (..., 4) orientations in the node's frame; one that is off stays off."""
+        return rotations.multiply(self.rotation, rotations.normalised_if_near(quaternions))
 
 
 # target frame, source frame, stamp (ns, 0 = latest) -> Transform; raises FrameError, never waits.

@@ -61,7 +61,6 @@ from .penetration import signed_distance_in_box, signed_distance_in_obstacle
 
 # ---- The shape that an overlap query asks about.
 
-NO_TURN = (0.0, 0.0, 0.0, 0.0)
 LARGEST = 1.7976931348623157e308
 
 # The box between two corners is so, or is not, because, see `fill_box`.
@@ -146,13 +145,18 @@ def grow(query, grown):
 
 
 def box_query(
-    start: ArrayLike, goal: ArrayLike, orientation: ArrayLike, tolerance: float, planar: bool
+    start: ArrayLike,
+    goal: ArrayLike,
+    orientation: ArrayLike | None,
+    tolerance: float,
+    planar: bool,
 ) -> QueryShape:
     """Check the arguments of `Scene.overlap`."""
     first, second = _coordinates('start', start, 3), _coordinates('goal', goal, 3)
     turn = NO_ROTATION['orientation']
-    if orientation is not NO_TURN:
+    if orientation is not None:
         turn = _coordinates('orientation', orientation, 4)
+        checks.rotations('orientation', turn[None])
     record, bounds = np.empty(1, GEOMETRY), np.empty((2, 3))
     state = fill_box(first, second, turn, planar, record, bounds)
     if state > TURNED:

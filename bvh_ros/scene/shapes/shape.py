@@ -179,6 +179,7 @@ class Shapes(ShapeColumns):
         count = len(centres)
         kinds = _kinds_of_rows(kind, count)
         turns = _one_or_rows('orientation', orientation, count, 4)
+        checks.rotations('orientation', turns)
         made = unchecked_shapes(kinds, centres, turns, _sizes(size, count), _meshes(mesh, kinds))
         _require_legal(made)
         return made
@@ -407,7 +408,8 @@ def _require_legal(shapes: Shapes) -> None:
     kind, position, orientation, size, mesh = shapes
     row, fault = first_fault_entry()(kind, position, orientation, size)
     if fault != FINE:
-        shown = {BAD_POSITION: position, BAD_ORIENTATION: orientation}.get(fault, size)[row]
+        turned = fault in (BAD_ORIENTATION, NOT_UNIT)
+        shown = (position if fault == BAD_POSITION else orientation if turned else size)[row]
         raise ValueError(f'row {row} is no legal shape: {REASONS[fault]}: {shown.tolist()}')
     if mesh is not None:
         for row in np.flatnonzero(kind == MESH).tolist():
@@ -540,6 +542,7 @@ REASONS = (
     'its kind is none of BOX, SPHERE, CYLINDER, CAPSULE and MESH',
     'its position is not finite',
     'its orientation is not finite',
+    'the length of its orientation is not 1 (a quaternion is x, y, z, w)',
     'its size is not finite',
     'its size is negative',
     'the three sizes of a sphere must be equal (they are its diameter)',
@@ -554,6 +557,7 @@ REASONS = (
     UNKNOWN_KIND,
     BAD_POSITION,
     BAD_ORIENTATION,
+    NOT_UNIT,
     BAD_SIZE,
     NEGATIVE_SIZE,
     NOT_ROUND,
@@ -581,12 +585,33 @@ class Canonical(NamedTuple):
     """(n,) index into `REASONS` of the first fault of each row."""
 
 
+SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of lengths of quaternions
+
+
 @inlined
 def is_finite(vector):
     finite = True
     for axis in range(vector.shape[0]):
         finite &= math.isfinite(vector[axis])
     return finite
+
+
+@inlined
+def is_rotation(quaternion):
+    """Whether a quaternion has length 1 to within 1 %, or is zero, as a message leaves it that
+    tells no orientation.
+    """
+    square = 0.0
+    for part in range(4):
+        square += quaternion[part] * quaternion[part]
+    if SHORTEST <= square <= LONGEST:
+        return True
+    return (
+        quaternion[0] == 0.0
+        and quaternion[1] == 0.0
+        and quaternion[2] == 0.0
+        and quaternion[3] == 0.0
+    )
 
 
 @lean_kernel
@@ -596,6 +621,8 @@ def fault_of(kind, position, orientation, size):
         return BAD_POSITION
     if not is_finite(orientation):
         return BAD_ORIENTATION
+    if not is_rotation(orientation):
+        return NOT_UNIT
     if not is_finite(size):
         return BAD_SIZE
     if size[0] < 0.0 or size[1] < 0.0 or size[2] < 0.0:

@@ -68,7 +68,7 @@ GROUPS = {
         'frame_id': ('', *FRAME),
         'parent': ('',),
         'xyz': ([-1.0, 1.0, 1.0], [0.5] * 3),
-        'xyzw': ([1e200] * 4,),
+        'xyzw': ([0.5] * 4,),
     },
     'draw': {'limit': COUNT, 'first_depth': (0, 1, 3), 'last_depth': (0, 1, 3)},
     'virtual_scan': {

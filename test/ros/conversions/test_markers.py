@@ -14,7 +14,7 @@ from ros.conversions.generators import ended
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.world.frames import FrameError, Transform
-from bvh_ros.scene import Scene, ShapeKind
+from bvh_ros.scene import NodeScene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
 DELETE, DELETE_ALL = 2, 3
@@ -227,7 +227,7 @@ def test_triangles_become_a_mesh_in_the_frame_of_the_marker():
     assert step.shapes.kind.tolist() == [ShapeKind.BOX, ShapeKind.MESH]
     assert step.shapes.size[1].tolist() == [1, 2, 3]
     assert step.stamp.tolist() == [NOW, 7]
-    scene = Scene()
+    scene = NodeScene()
     assert scene.update('test', step.names, step.shapes, stamp=1) == []
     hit = scene.raycast((8.9, -0.2, 9), (8.9, -0.2, 0))
     # At (0.1, 0.2) in the marker's frame the face x + y / 2 + z / 3 = 1 is 2.4 m high.
@@ -348,7 +348,7 @@ def source_of():
 def test_any_message_ends_as_if_it_were_read_marker_by_marker(source_of):
     random = Random(7)
     for _ in range(100):
-        scene, told = Scene(), ToldScene()
+        scene, told = NodeScene(), ToldScene()
         source = source_of(scene)
         for _ in range(6):
             array = [random_marker(random) for _ in range(random.randrange(12))]

@@ -63,3 +63,12 @@ def test_normalised():
     root = math.sqrt(0.5)
     assert np.allclose(q, [[0, 0, 0, 1], [0, 0, 1, 0], [root, 0, 0, root], [1, 0, 0, 0]])
     assert np.isnan(rotations.normalised([math.nan, 0, 0, 1])).any()
+
+
+def test_only_what_is_near_length_1_is_normalised_where_others_are_refused():
+    given = [[0, 0, 0, 0], [0, 0, 0.7, 0.71], [0, 0, 90, 0], [0, 0, 0, 0.98], [math.nan, 0, 0, 1]]
+    assert rotations.are_off(given).tolist() == [False, False, True, True, True]
+    assert rotations.set_ones(given)[0].tolist() == [0, 0, 0, 1]
+    tidy = rotations.normalised_if_near(given)
+    assert np.allclose(np.linalg.norm(tidy[:2], axis=1), 1.0, atol=1e-15)
+    assert np.array_equal(tidy[2:], given[2:], equal_nan=True)

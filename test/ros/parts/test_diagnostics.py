@@ -16,7 +16,7 @@ from bvh_ros.ros.texts import LISTED, Refused
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
-from bvh_ros.scene import Refusal, Scene, Shapes
+from bvh_ros.scene import NodeScene, Refusal, Shapes
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
@@ -188,7 +188,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
     monkeypatch.setattr('time.monotonic', lambda: now[0])
     taken = []
 
-    class SlowScene(Scene):
+    class SlowScene(NodeScene):
         def stats(self):
             now[0] += 0.04
             taken.append(now[0])
@@ -209,7 +209,7 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
 @pytest.mark.slow
 def test_a_world_whose_change_was_interrupted(monkeypatch):
     """Nothing is answered before it is cleared, and diagnostics say so."""
-    scene = Scene()
+    scene = NodeScene()
     world = World(None, LargeChanges(scene), None, (), (WHOLE,))
     looks = diagnostics.SceneStatistics(world)
 

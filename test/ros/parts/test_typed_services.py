@@ -16,14 +16,15 @@ srv = pytest.importorskip('bvh_msgs.srv', reason='bvh_msgs is not built: pip ins
 if not hasattr(srv, 'Raycast'):
     pytest.skip('bvh_msgs is not built: pip install ./bvh_msgs', allow_module_level=True)
 
-from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes  # noqa: E402
+from bvh_ros.scene import NO_NODE, NodeScene, ShapeKind, Shapes  # noqa: E402
+from bvh_ros.scene.shapes.shape import unit_quaternions  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
 COUNT, ROWS = 80, 300
 RNG = np.random.default_rng(23)
 CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
-TURN = RNG.normal(size=(COUNT, 4))
+TURN = unit_quaternions(RNG.normal(size=(COUNT, 4)))
 TURN /= np.linalg.norm(TURN, axis=1)[:, None]
 TURN[::2] = 0, 0, 0, 1
 SIZE[-10:] = SIZE[-10:, :1]  # the last are balls
@@ -58,7 +59,7 @@ def world(start_node, messages):
 @pytest.fixture(scope='module')
 def scene():
     """The same world; its view shows every other one."""
-    scene, even = Scene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
+    scene, even = NodeScene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
     scene.update('markers', NAMES, Shapes(KIND, CENTRE, TURN, SIZE), stamp=1, categories=even)
     return scene
 
@@ -166,7 +167,7 @@ def test_another_frame_is_that_of_the_answers(world, scene):
 
 
 def test_boxes_touch_what_they_touch_in_a_scene(world, scene):
-    sizes, turns = RNG.uniform(0.0, 2.0, (ROWS, 3)), RNG.normal(size=(ROWS, 4))
+    sizes, turns = RNG.uniform(0.0, 2.0, (ROWS, 3)), unit_quaternions(RNG.normal(size=(ROWS, 4)))
     turns /= np.linalg.norm(turns, axis=1)[:, None]
     asked = {
         'centers': STARTS,

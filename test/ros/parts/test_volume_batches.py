@@ -21,14 +21,15 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
 from bvh_ros.ros.config.parameters import SHARED
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, NodeScene, ShapeKind, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 pytestmark = pytest.mark.slow
 
 COUNT, ASKED = 80, SHARED + 10
 RNG = np.random.default_rng(17)
 CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
-TURN = RNG.normal(size=(COUNT, 4))
+TURN = unit_quaternions(RNG.normal(size=(COUNT, 4)))
 TURN /= np.linalg.norm(TURN, axis=1)[:, None]
 TURN[::2] = 0, 0, 0, 1
 SIZE[-10:] = SIZE[-10:, :1]  # the last are balls
@@ -65,7 +66,7 @@ def world(start_node, messages):
 @pytest.fixture(scope='module')
 def scene():
     """The same world; its view sees every other one."""
-    scene, even = Scene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
+    scene, even = NodeScene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
     names = [f'a/{i}' for i in range(COUNT)]
     scene.update('markers', names, Shapes(KIND, CENTRE, TURN, SIZE), stamp=1, categories=even)
     return scene
@@ -121,7 +122,7 @@ def test_balls(client, scene):
 
 def test_boxes(client, scene):
     centers, sizes = RNG.uniform(-7, 7, (ASKED, 3)), RNG.uniform(0, 1.5, (ASKED, 3))
-    turns, tolerance = RNG.normal(size=(ASKED, 4)), RNG.choice([0.0, 0.3], ASKED)
+    turns, tolerance = unit_quaternions(RNG.normal(size=(ASKED, 4))), RNG.choice([0.0, 0.3], ASKED)
     told = answered(lambda: client.overlap_many(centers, sizes, turns, tolerance))
     expected = scene.overlap_many(centers, sizes, turns, tolerance, client.mask, 'hits')
     same(told.obstacles, expected.handles)
@@ -159,7 +160,7 @@ def test_points(client, scene):
 
 
 def test_paths(client, scene):
-    places, turns = RNG.uniform(-7, 7, (ASKED, 3)), RNG.normal(size=(ASKED, 4))
+    places, turns = RNG.uniform(-7, 7, (ASKED, 3)), unit_quaternions(RNG.normal(size=(ASKED, 4)))
     told = answered(lambda: client.check_path(places, turns))
     shapes = Shapes.boxes(places, FOOTPRINT, turns)
     handles, distances, mine, points = scene.clearance_many(shapes, mask=client.mask, signed=True)
@@ -173,7 +174,7 @@ def test_paths(client, scene):
         out = shapes._replace(position=places - share * distances[:, None] * told.normals)
         rows = np.flatnonzero(distances < 0)
         for row in rows:
-            one = Scene()
+            one = NodeScene()
             there = np.array([told.obstacles[row] - 1])
             one.update('t', ['x'], Shapes(KIND, CENTRE, TURN, SIZE).take(there), stamp=1)
             touches = one.overlap_shape(out.take([row]))

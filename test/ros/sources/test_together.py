@@ -26,7 +26,7 @@ from bvh_ros.ros.sources import create_source
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.spinning import SturdyExecutor
 from bvh_ros.ros.world.frames import Frames
-from bvh_ros.scene import Scene
+from bvh_ros.scene import NodeScene
 
 PATIENCE = 60.0  # seconds
 CUBE, SPHERE, CUBE_LIST, TRIANGLE_LIST, UNKNOWN = 1, 2, 6, 11, 99
@@ -76,7 +76,7 @@ def node(ros_context):
 def test_several_messages_at_once_are_as_good_as_one_by_one(node, groups):
     told = SourceSettings('s', 'MarkerArray', 't', '', False, 0.0, {'predict': 'none'})
     frames = Frames('map')
-    alone, joined = (create_source(node, told, Scene(), frames) for _ in range(2))
+    alone, joined = (create_source(node, told, NodeScene(), frames) for _ in range(2))
     for group in groups:
         for message in group:
             alone.receive([message])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -135,7 +135,7 @@ def test_a_clock_that_stands_still_is_said_in_diagnostics(simulate, diagnostics)
 
 @pytest.mark.parametrize('by', [-(10**18), -7, 0, 5, 10**17])
 def test_shifted_lifetimes(by):
-    scene = Scene()
+    scene = NodeScene()
     begin = 2 * 10**18
     lives = np.array([0, 1, 10, 10**12])
     boxes = Shapes.boxes(np.arange(12.0).reshape(4, 3), [0.5, 0.5, 0.5])

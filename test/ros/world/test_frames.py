@@ -97,7 +97,7 @@ def test_chains_of_fixed_transforms(lower, upper):
     transform = Frames('map', None, fixed).into_node('lidar')
     expected = (points @ TURNS[upper].T + lidar) @ TURNS[lower].T + base
     assert np.allclose(transform.points(points), expected, rtol=0, atol=1e-14)
-    turned = rotations.rotate(transform.orientations(QUARTER), np.eye(3)).T
+    turned = rotations.rotate(transform.orientations(rotations.normalised(QUARTER)), np.eye(3)).T
     assert np.allclose(turned, TURNS[lower] @ TURNS[upper] @ TURNS[QUARTER], rtol=0, atol=1e-14)
 
 
@@ -133,7 +133,7 @@ def test_fixed_transforms_over_ros(start_node, messages):
             'lidar.parent': 'base_link',
             'lidar.xyz': [0, 0, 1],
             'base_link.xyz': [10.0, 0.0, 0.0],
-            'base_link.xyzw': [0.0, 0.0, 1.0, 1.0],
+            'base_link.xyzw': [0.0, 0.0, 0.7071, 0.7071],
         }
     )
     world.markers(messages.marker(1, at=(5, 0, 0), frame='lidar'), messages.marker(2))

@@ -430,12 +430,12 @@ def test_a_clock_that_is_set_back(start_node):
 
 def test_a_client_asks_old_data_to_the_nanosecond(clean):
     from bvh_ros.client import BvhClient
-    from bvh_ros.scene import Scene, Shapes
+    from bvh_ros.scene import NodeScene, Shapes
 
     then = time.time_ns() - 25 * 365 * 86_400 * SECOND  # 25 years before the client's clock
     speed, rays = [1.3, 0.0, 0.0], ([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 100.0)
     tell(clean, [[0, 5, 0, 0, *speed]], then)
-    scene, client = Scene(), BvhClient(clean.node, clean.name, timeout=60.0)
+    scene, client = NodeScene(), BvhClient(clean.node, clean.name, timeout=60.0)
     shapes = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     scene.update('tracks', ['0'], shapes, stamp=then, velocities=[speed])
     for later in (0, 123_456_789, 876_543_211):

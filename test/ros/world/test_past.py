@@ -13,7 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from bvh_ros.client import BvhClient, BvhError
 from bvh_ros.ros.world.known_times import KnownTimes, Span
 from bvh_ros.ros.world.large_changes import LargeChanges
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 
 SECOND = 1_000_000_000
 TICK = SECOND // 10
@@ -41,7 +41,7 @@ def place_at(times, ticks, now=100):
 
 
 def test_each_time_has_what_was_known_then():
-    scene = Scene(max_prediction=1.0)
+    scene = NodeScene(max_prediction=1.0)
     times = KnownTimes(LargeChanges(scene), 1.0, 1.0)
     with pytest.raises(ValueError, match='nothing has been told'):
         times.require(Span(NOW), NOW)
@@ -67,7 +67,7 @@ def test_each_time_has_what_was_known_then():
 
 
 def test_a_stamp_in_the_future_hides_nothing_that_is_told_later():
-    scene = Scene(max_prediction=1.0)
+    scene = NodeScene(max_prediction=1.0)
     times = KnownTimes(LargeChanges(scene), 1.0, 5.0)
     other = Shapes.boxes([[0, 50, 0]], [1, 1, 1])
     for tick in range(20):
@@ -83,7 +83,7 @@ def test_a_stamp_in_the_future_hides_nothing_that_is_told_later():
 
 
 def test_a_copy_is_the_same_and_goes_its_own_way():
-    rng, scene = np.random.default_rng(3), Scene(max_obstacles=60)
+    rng, scene = np.random.default_rng(3), NodeScene(max_obstacles=60)
     names = [f'b{i}' for i in range(50)]
     boxes = Shapes.boxes(rng.uniform(-9, 9, (50, 3)), rng.uniform(0.1, 2, (50, 3)))
     speeds = rng.normal(size=(50, 3))
@@ -152,7 +152,7 @@ def test_a_node_answers_about_its_past(keeping, messages):
 
 
 def test_a_time_that_is_not_known_is_named_to_the_nanosecond():
-    scene = Scene(max_prediction=1.0)
+    scene = NodeScene(max_prediction=1.0)
     times = KnownTimes(LargeChanges(scene), 1.0, 1.5)
     told(times, scene, 0.0, 0)
     with pytest.raises(ValueError, match=r'1\.000000001 s after .* max_prediction \(1 s\)'):

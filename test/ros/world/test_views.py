@@ -16,7 +16,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from bvh_ros.ros.config.parameters import ConfigurationError, ViewSettings
 from bvh_ros.ros.world import views as world_views
 from bvh_ros.ros.world.views import Categoriser, Patterns, create_views
-from bvh_ros.scene import Numbered, Scene, Shapes
+from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.scene.names import as_families
 
 PATTERNS = st.text(alphabet='ab#/01*?[!]-', max_size=6)
@@ -94,7 +94,7 @@ def test_a_scene_asks_for_categories_when_an_obstacle_appears():
         asked.append([names.text(row) for row in range(len(names))])
         return np.full(len(names), 6, np.uint32)
 
-    scene = Scene(categorise=categorise)
+    scene = NodeScene(categorise=categorise)
     boxes = Shapes.boxes([[0, 0, 0], [5, 0, 0]], [1, 1, 1])
     scene.update('s', ['a', 'b'], boxes, stamp=1)
     scene.update('s', ['b', 'a'], boxes, stamp=2)

@@ -103,6 +103,7 @@ def test_no_ray_slips_through_an_edge_or_a_corner(splits):
     rng = np.random.default_rng(splits)
     mesh = Mesh(icosphere(splits) @ np.diag((1.0, 0.7, 0.4)))
     place, turn = np.array((3.0, -2.0, 1.0)), rng.normal(size=4)
+    turn /= np.linalg.norm(turn)
     rotation = Rotation.from_quat(turn)
     scene = scene_of(Shapes.of_meshes([mesh], [place], [turn]))
     targets = rotation.apply(aimed_at(mesh, rng, 200) * (1 - 1e-12) + mesh.centre) + place

@@ -151,7 +151,8 @@ def leaning(rng):
     if rng.random() < 0.3:  # after half a quarter, or a quarter turn about x
         s = math.sqrt(0.5)
         small = np.array([s * (x + w), s * (y + z), s * (z - y), s * (w - x)])
-    return rng.normal(size=4) if rng.random() < 0.2 else small
+    turn = rng.normal(size=4)
+    return turn / np.linalg.norm(turn) if rng.random() < 0.2 else small
 
 
 def units(rng, count, planar):

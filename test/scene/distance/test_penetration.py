@@ -12,12 +12,13 @@ from scene.distance.contacts import rotation
 from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
 
 from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 BOX, SPHERE, CYLINDER, CAPSULE = range(4)
 ASIDE = [0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)]
 
 
-def shape(kind, size, place=(0, 0, 0), turn=(0, 0, 0, 0)):
+def shape(kind, size, place=(0, 0, 0), turn=(0, 0, 0, 1)):
     rows = Shapes.boxes([place], size, [turn])
     return rows._replace(kind=np.array([kind], np.uint8))
 
@@ -104,7 +105,9 @@ def with_meshes(rng, rows):
         return rows, None
     triangles = bulging(rng, int(rng.choice([6, 20, 40])))
     mesh = Mesh(triangles)
-    return Shapes.of_meshes([mesh], rows.position, rng.normal(size=(1, 4))), triangles
+    return Shapes.of_meshes(
+        [mesh], rows.position, unit_quaternions(rng.normal(size=(1, 4)))
+    ), triangles
 
 
 @pytest.mark.slow
@@ -131,12 +134,14 @@ def test_shapes_that_lie_along_each_other():
     for kind, other_kind in itertools.product(range(5), repeat=2):
         for nearly in NEARLY:
             turn = rng.normal(size=4)
+            turn /= np.linalg.norm(turn)
             pair = []
             for number in (kind, other_kind):
                 a, b, c = rng.choice(sizes, 3)
                 size = [[a, b, c], [a, a, a], [a, a, c], [a, a, a + c], [1, 1, 1]][number]
                 place = rng.integers(-1, 2, 3) * 0.25 + rng.normal(size=3) * nearly
                 facing = turn + rng.normal(size=4) * nearly
+                facing /= np.linalg.norm(facing)
                 if number == 4:
                     triangles = hull_of(rng.integers(-2, 3, (30, 3)) * 0.25)
                     rows = Shapes.of_meshes([Mesh(triangles)], [place], [facing])
@@ -211,7 +216,10 @@ def test_turned_boxes_as_rationals():
         square = exact_square(boxes)
         if square < 0:
             continue
-        one, other = (shape(BOX, 2 * np.array(half), place, turn) for half, place, turn in boxes)
+        one, other = (
+            shape(BOX, 2 * np.array(half), place, turn / np.linalg.norm(turn))
+            for half, place, turn in boxes
+        )
         assert depth(one, other)[0] == pytest.approx(-math.sqrt(square), abs=4e-15)
         touching += 1
     assert touching > 50
@@ -246,7 +254,7 @@ CASES = [
 @pytest.mark.parametrize('planar', [False, True])
 def test_points_in_shapes(planar):
     """In closed form, at any scale and turned; the nearest point of the surface, the way out."""
-    turns = [[0, 0, 0, 0], ASIDE] if planar else [[0, 0, 0, 0], ASIDE, [1, 2, 3, 4]]
+    turns = [[0, 0, 0, 1], ASIDE] if planar else [[0, 0, 0, 1], ASIDE, [0.2, 0.4, 0.5, 0.74]]
     for (kind, size, place, expected), turn in itertools.product(CASES, turns):
         if planar and (place[2] or size[2] == 0):
             continue

@@ -23,6 +23,7 @@ from scene.distance.contacts import (
 )
 
 from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]
 OTHERS = [
@@ -102,7 +103,7 @@ def test_exact_contacts(position, size, turn, away):
     kind = np.array([CYLINDER, BOX if turn is None else CYLINDER], np.uint8)
     for gap in (0.0, 1e-12):
         places = np.array([(0, 0, 0), position + gap * np.array(away)])
-        turns = np.array([(0, 0, 0, 1), turn or (0, 0, 0, 1)], float)
+        turns = unit_quaternions(np.array([(0, 0, 0, 1), turn or (0, 0, 0, 1)], float))
         sizes = np.array([(10, 10, 20), size], float)
         scene = Scene()
         scene.update('a', ['a', 'b'], Shapes(kind, places, turns, sizes), stamp=1)

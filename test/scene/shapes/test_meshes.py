@@ -66,7 +66,7 @@ def test_a_row_needs_its_mesh():
 def test_an_inside_counts():
     """A mesh is solid: what is wholly within it touches it."""
     scene = scene_of(
-        Shapes.of_meshes([Mesh(box_of_triangles((4, 4, 4)))], [(0, 0, 0)], [(0.1, 0.2, 0, 1)])
+        Shapes.of_meshes([Mesh(box_of_triangles((4, 4, 4)))], [(0, 0, 0)], [(0.1, 0.2, 0, 0.97)])
     )
     assert scene.overlap((0, 0, 0), (0.1, 0.1, 0.1))[0].t == 0.0
     assert scene.overlap((0, 0, 0), (0, 0, 0))[0].normal.tolist() == [0, 0, 0]

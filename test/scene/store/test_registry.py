@@ -94,7 +94,8 @@ def test_a_number_and_a_string_are_one_name():
 
 def test_the_last_row_of_a_name_holds():
     scene = Scene()
-    shapes = Shapes.boxes([[1, 0, 0], [2, 0, 0], [3, 0, 0], [np.nan, 0, 0]], [1, 1, 1])
+    places = np.array([[1.0, 0, 0], [2, 0, 0], [3, 0, 0], [np.nan, 0, 0]])
+    shapes = Shapes.boxes(np.zeros((4, 3)), [1, 1, 1])._replace(position=places)
     refusals = scene.update('a', ['x', 'y', 'x', 'x'], shapes, stamp=1)
     assert [refusal.row for refusal in refusals] == [3]
     assert scene.get('x').position.tolist() == [3, 0, 0]

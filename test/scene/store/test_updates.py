@@ -40,9 +40,8 @@ class Model(RuleBasedStateMachine):
     def apply(self, source, group, names, x, expires, whole):
         written = spelled(names)
         x = (x * len(written))[: len(written)]
-        shapes = Shapes.boxes(
-            np.stack([x, np.zeros(len(x)), np.zeros(len(x))], axis=1), [1.0, 1.0, 1.0]
-        )
+        places = np.stack([x, np.zeros(len(x)), np.zeros(len(x))], axis=1)
+        shapes = Shapes.boxes(np.zeros_like(places), [1.0, 1.0, 1.0])._replace(position=places)
         arguments = (names, shapes)
         if whole:
             refusals = self.scene.replace(
