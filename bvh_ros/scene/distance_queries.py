@@ -73,8 +73,8 @@ class DistanceQueries:
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._timed.time_matters(at, None, 1):
-            asked = where, many, limits, sign_of(signed), self._timed.second(at)
-            return self._timed.distances().find_near(*asked)
+            options = where, many, limits, sign_of(signed), self._timed.second(at)
+            return self._timed.distances().find_near(*options)
         room, rows = self._nearness.find(where, many, limits, sign_of(signed))
         hits = self._store.hits(room.found, rows)
         self._nearness.spare.give(room)
@@ -122,10 +122,10 @@ class DistanceQueries:
 
     def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
         """What is nearest to the obstacle of a slot at a time."""
-        times, asked = self._timed.seconds(at, 1), (checks.FOREVER, slot, signed)
+        times, options = self._timed.seconds(at, 1), (checks.FOREVER, slot, signed)
         hulls, room = self._store.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
         rows = *room, np.zeros(1), checks.EVERYTHING, NO_GIVEN  # a kernel fills them in
-        found = self._timed.distances().clearances(rows, hulls, asked, times, 1)
+        found = self._timed.distances().clearances(rows, hulls, options, times, 1)
         assert found is not None
         return found
 
@@ -180,16 +180,16 @@ class DistanceQueries:
         masks = checks.masks_or_one(mask, count)
         # As Points(...), which would take one more call of a function of Python's.
         order = batch.NO_ORDER if count < batch.MANY else self._nearness.order_of(where)
-        asked = tuple.__new__(Points, (where, reaches, masks, order))
+        options = tuple.__new__(Points, (where, reaches, masks, order))
         sign: Signed = sign_of(signed)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         times = None if at is None else self._timed.seconds(at, count)
         if times is None:
-            near = self._nearness.find_rows(asked, many, sign, threads)
+            near = self._nearness.find_rows(options, many, sign, threads)
         else:
             most = 1 if many == 1 else min(many, max(len(self._store.tree), 1))
-            near = self._timed.distances().nearest(asked, most, sign, times, threads)
+            near = self._timed.distances().nearest(options, most, sign, times, threads)
         if near is None:
             checks.finite('points', where)
             raise RuntimeError(IS_CHANGED)
@@ -245,28 +245,28 @@ class DistanceQueries:
         reaches = checks.FOREVER
         if max_distance is not np.inf:
             reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
-        asked, found = (reaches, NONE, sign_of(signed)), None
+        options, found = (reaches, NONE, sign_of(signed)), None
         if given.mesh is None:
             rows = given_rows(given[:4], 0.0, mask)
             if at is None:
-                found = self._clearances.find_rows(rows, None, asked, threads)
+                found = self._clearances.find_rows(rows, None, options, threads)
             else:
-                found = self._find_then(rows, None, asked, threads, at)
+                found = self._find_then(rows, None, options, threads, at)
         if found is None:
             legal, hulls = query_rows(given, 0.0, mask, self._store.planar)
-            found = self._find_then(tuple(legal), hulls, asked, threads, at)
+            found = self._find_then(tuple(legal), hulls, options, threads, at)
         assert found is not None
         _, distances, points, other_points, handles = found
         return handles, distances, points, other_points
 
     def _find_then(
-        self, rows: tuple[Any, ...], hulls: Any, asked: tuple[Any, ...], threads: int, at: Any
+        self, rows: tuple[Any, ...], hulls: Any, options: tuple[Any, ...], threads: int, at: Any
     ) -> Neighbours | None:
         """What is nearest to shapes at times; None if a row that is `given` is not legal."""
         times = None if at is None else self._timed.seconds(at, number_of(rows))
         if times is None:
-            return self._clearances.find_rows(rows, hulls, asked, threads)
-        return self._timed.distances().clearances(rows, hulls, asked, times, threads)
+            return self._clearances.find_rows(rows, hulls, options, threads)
+        return self._timed.distances().clearances(rows, hulls, options, times, threads)
 
 
 def sign_of(signed: bool) -> Signed:

@@ -245,7 +245,7 @@ class OverlapQueries:
         given: tuple[Any, ...],
         mesh: Any,
         names: tuple[str, ...],
-        asked: tuple[ArrayLike, ArrayLike, int, Any],
+        options: tuple[ArrayLike, ArrayLike, int, Any],
         want: str,
     ) -> Any:
         """What `overlap_many` returns of any shapes, as of `Shapes`; asked = (tolerance, mask,
@@ -255,18 +255,18 @@ class OverlapQueries:
         if wanted is None:
             shown = checks.shown_short(want)
             raise ValueError(f'want must be any, count, first, all or hits, not {shown}')
-        tolerance, mask, threads, at = asked
+        tolerance, mask, threads, at = options
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         if mesh is None:
             rows = given_rows(given, tolerance, mask)
-            told = (
+            answers = (
                 self._touching.answer(rows, None, wanted, threads)
                 if at is None
                 else self._then_many(rows, None, wanted, threads, at)
             )
-            if told is not None:
-                return told
+            if answers is not None:
+                return answers
         shapes = unchecked_shapes(given[0], given[1], given[2], given[3], mesh)
         legal, hulls = query_rows(shapes, tolerance, mask, self._store.planar, *names)
         return self._then_many(tuple(legal), hulls, wanted, threads, at)

@@ -118,10 +118,10 @@ def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Flo
     asked for. Whoever is followed is seen before its velocity is known.
     """
     fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
-    way = np.zeros(speeds.shape)
+    reach = np.zeros(speeds.shape)
     with np.errstate(over='ignore'):  # infinite: anywhere
         fastest = fastest + store.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
-        return np.multiply(fastest, store.max_prediction, out=way, where=fastest > 0.0)
+        return np.multiply(fastest, store.max_prediction, out=reach, where=fastest > 0.0)
 
 
 def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validated:

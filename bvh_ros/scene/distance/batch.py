@@ -202,12 +202,12 @@ def tell_first(node_handles, found, count, wanted, answers, row):
 
 
 @lean_kernel
-def nearest_rows(view, bodies, points, asked, place, node_handles, memory, near):
-    """Fill in the rows [start, stop) of `near`; asked = (k, whether an obstacle may stand at two
+def nearest_rows(view, bodies, points, options, place, node_handles, memory, near):
+    """Fill in the rows [start, stop) of `near`; options = (k, whether an obstacle may stand at two
     places, see slicing.py, `Signed`), place = (start, stop). Returns (rows done, room wanted in
     `memory`) as `overlap_rows`; NOT_FINITE rows if a point is not.
     """
-    (k, twice, signed), found = asked, found_in(memory)
+    (k, twice, signed), found = options, found_in(memory)
     tree, (done, stop), everybody = view.tree, place, view.tree.state[COUNTED]
     in_order = bodies is None and signed is None and not twice  # as the tree has them
     if not begin_query(tree.state, view.version):
@@ -220,16 +220,16 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, memory, near)
         if not is_finite(point, point):
             end_query(tree.state)
             return NOT_FINITE, 0
-        wanted, kept = min(k if in_order else k + 1, everybody + 1), 0
+        wanted, filled = min(k if in_order else k + 1, everybody + 1), 0
         while wanted <= found.slots.shape[0]:
             question = (wanted, limit, mask)
             count = nearest_kernel(tree, bodies, point, question, signed, node_handles, found)
-            kept = keep(found, count, (k, reach, twice), node_handles, near, row)
+            filled = keep(found, count, (k, reach, twice), node_handles, near, row)
             if (
                 in_order
                 or count < wanted
                 or (
-                    kept == k
+                    filled == k
                     and found.bounds[count - 1] > max(near.distances[row, k - 1], 0.0) * ROUNDED
                 )
             ):
@@ -237,38 +237,38 @@ def nearest_rows(view, bodies, points, asked, place, node_handles, memory, near)
             wanted = min(wanted * 4, everybody + 1)
         if wanted > found.slots.shape[0]:
             break
-        pad(near, row, kept)
+        pad(near, row, filled)
         done += 1
     end_query(tree.state)
     return done, wanted
 
 
 @lean_kernel
-def keep(found, count, asked, node_handles, near, row):
+def keep(found, count, options, node_handles, near, row):
     """Write the first k that are within reach to a row of `near`; return how many there are."""
-    k, reach, twice = asked
-    kept = 0
+    k, reach, twice = options
+    filled = 0
     for i in range(count):
         place = found.order[i]
         handle, known = node_handles[found.slots[place]], False
-        if kept == k or not found.distances[place] <= reach:
+        if filled == k or not found.distances[place] <= reach:
             break
         if twice:
-            for j in range(kept):
+            for j in range(filled):
                 known = known or near.handles[row, j] == handle
         if known:
             continue
-        near.handles[row, kept], near.distances[row, kept] = handle, found.distances[place]
+        near.handles[row, filled], near.distances[row, filled] = handle, found.distances[place]
         for axis in range(3):
-            near.points[row, kept, axis] = found.points[place, axis]
-        kept += 1
-    return kept
+            near.points[row, filled, axis] = found.points[place, axis]
+        filled += 1
+    return filled
 
 
 @inlined
-def pad(near, row, kept):
+def pad(near, row, filled):
     """Write that there is nothing more."""
-    for j in range(kept, near.handles.shape[1]):
+    for j in range(filled, near.handles.shape[1]):
         near.handles[row, j], near.distances[row, j] = NO_NODE, np.inf
         near.points[row, j] = np.nan
 
@@ -354,57 +354,57 @@ class Overlaps:
         as `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
         columns, count, done = self._columns, len(rows[0]) or len(rows[4][1]), 0
-        narrow, told = columns.shaped > 0 or begin_shaped(rows), room_for(count, wanted)
+        narrow, results = columns.shaped > 0 or begin_shaped(rows), room_for(count, wanted)
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
             view, bodies = self._tree.latest(), bodies_of(columns, hulls) if narrow else None
             scratch, handles = self.spare.take(), columns.node_handle
-            every = view, bodies, rows, wanted, (0, count, 0), handles, scratch.memory, told
+            every = view, bodies, rows, wanted, (0, count, 0), handles, scratch.memory, results
             done, _, written, compared, more, version = self._rows(every)
             self.spare.give(scratch)
             if compared and done >= 0:
                 columns.pairs_compared += compared
                 columns.pairs_in_more_digits += more
             if wanted == ALL and done >= 0:
-                parts.append(told[2][:written])
+                parts.append(results[2][:written])
         if done < count or threads > 1:
             view = View(view.tree, version) if done > 0 else self._tree.view()
             some = wanted, threads, narrow, max(done, 0)
-            others = self._work_on(view, hulls, rows, some, Answers(*told))
+            others = self._work_on(view, hulls, rows, some, Answers(*results))
             if others is None:
                 return None
             parts += others
         if columns.shadows and wanted in (COUNT, HITS):
             every = self.answer(rows, hulls, ALL, threads)
-            return as_wanted(told, parts, wanted, True, every)
-        return as_wanted(told, parts, wanted, columns.shadows > 0)
+            return as_wanted(results, parts, wanted, True, every)
+        return as_wanted(results, parts, wanted, columns.shadows > 0)
 
     def _work_on(
         self,
         view: View,
         hulls: Hulls | None,
         rows: tuple[Any, ...],
-        asked: tuple[int, int, bool, int],
-        told: Answers,
+        options: tuple[int, int, bool, int],
+        results: Answers,
     ) -> list[NDArray[np.uint32]] | None:
-        """Answer the rows from `first` on, asked = (wanted, threads, whether some need a narrow
+        """Answer the rows from `first` on, options = (wanted, threads, whether some need a narrow
         phase, first); return what handles are met in parts, None if a row that is `given` is not
         legal.
         """
-        wanted, threads, narrow, first = asked
+        wanted, threads, narrow, first = options
         bodies = bodies_of(self._columns, hulls) if narrow else None
         count = len(rows[0]) or len(rows[4][1])
         parts: list[NDArray[np.uint32]] = []
-        work = partial(self._work, view, bodies, rows, wanted, told)
+        work = partial(self._work, view, bodies, rows, wanted, results)
         for done in in_threads(work, count, threads) if first == 0 else [work(first, count)]:
             if done.reason == NARROW:  # a kernel that comes to a row that is shaped begins anew
-                return self._work_on(view, hulls, rows, (wanted, threads, True, first), told)
+                return self._work_on(view, hulls, rows, (wanted, threads, True, first), results)
             if done.reason == FAULTY:
                 return None
             self._columns.pairs_compared += done.compared
             self._columns.pairs_in_more_digits += done.more
             if wanted == ALL and done.start > 0:
-                told.numbers[done.start + 1 : done.stop + 1] += told.numbers[done.start]
+                results.numbers[done.start + 1 : done.stop + 1] += results.numbers[done.start]
             parts += done.handles
         return parts
 
@@ -414,7 +414,7 @@ class Overlaps:
         bodies: Any,
         rows: tuple[Any, ...],
         wanted: int,
-        told: Answers,
+        results: Answers,
         start: int,
         stop: int,
     ) -> Part:
@@ -423,9 +423,9 @@ class Overlaps:
         begin, total, compared, more, room, legal = start, 0, 0, 0, FEW, None
         scratch = self.spare.take()
         while start < stop:
-            memory, answers = scratch.memory, told
+            memory, answers = scratch.memory, results
             if wanted == ALL:
-                answers = told._replace(handles=np.empty(room, UINT32))
+                answers = results._replace(handles=np.empty(room, UINT32))
             place = start, stop, total
             given = rows, wanted, place, self._columns.node_handle, memory, tuple(answers)
             start, needed, written, pairs, digits, _ = self._rows((view, bodies, *given))
@@ -436,11 +436,11 @@ class Overlaps:
                 parts.append(answers.handles[:written])
             if start < stop and needed == OPEN:
                 legal = legal or with_records(QueryRows(*rows))
-                parts.append(self._tell(legal, bodies, wanted, told, start))
+                parts.append(self._tell(legal, bodies, wanted, results, start))
                 total += len(parts[-1])
                 start += 1
                 if wanted == ALL:
-                    told.numbers[start] = total
+                    results.numbers[start] = total
                 continue
             room = max(2 * room, needed)
             if needed * FOUND > len(memory):
@@ -449,23 +449,23 @@ class Overlaps:
         return Part(0, begin, stop, parts, compared, more)
 
     def _tell(
-        self, rows: QueryRows, bodies: Any, wanted: int, told: Answers, row: int
+        self, rows: QueryRows, bodies: Any, wanted: int, results: Answers, row: int
     ) -> NDArray[np.uint32]:
         """Answer a row that is open, by `find`; return the handles."""
         hulls = None if bodies is None else bodies.query_hulls
         scratch, order = self.find(rows.one(row), hulls, rows.mask(row), None)
         found = scratch.found
         handles = self._columns.node_handle[found.slots[order]].astype(np.uint32)
-        met, first = len(order), order[0] if order else 0
+        touching, first = len(order), order[0] if order else 0
         if wanted == ANY:
-            told.touched[row] = met > 0
+            results.touched[row] = touching > 0
         if wanted in (COUNT, HITS):
-            told.numbers[row] = met
+            results.numbers[row] = touching
         if wanted in (FIRST, HITS):
-            told.handles[row] = handles[0] if met else NO_NODE
+            results.handles[row] = handles[0] if touching else NO_NODE
         if wanted == HITS:
-            told.distances[row] = found.distances[first] if met else np.inf
-            told.points[row] = found.points[first] if met else np.nan
+            results.distances[row] = found.distances[first] if touching else np.inf
+            results.points[row] = found.points[first] if touching else np.nan
         self.spare.give(scratch)
         return handles
 
@@ -478,8 +478,8 @@ class Overlaps:
         columns, variant = self._columns, None if bodies is None else bodies.hulls is not None
         while True:
             found = scratch.found
-            asked = bodies, query, mask, False
-            given = self._tree.view().tree, *asked, columns.node_handle, found
+            options = bodies, query, mask, False
+            given = self._tree.view().tree, *options, columns.node_handle, found
             entry = self._entries.get(variant)
             if entry is None:
                 entry = self._entries[variant] = entry_point(overlap_kernel, *given)
@@ -504,7 +504,7 @@ class Overlaps:
 
 
 def as_wanted(
-    told: tuple[Any, ...],
+    results: tuple[Any, ...],
     parts: list[NDArray[np.uint32]],
     wanted: int,
     shadows: bool,
@@ -515,13 +515,13 @@ def as_wanted(
     returns of which ALL are wanted.
     """
     if wanted == ALL:
-        met = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
-        return _once(told[1], met) if shadows else (told[1], met)
+        touching = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+        return _once(results[1], touching) if shadows else (results[1], touching)
     if every is not None:
-        told[1][:] = np.diff(every[0])
+        results[1][:] = np.diff(every[0])
     if wanted == HITS:
-        return tuple.__new__(BoxHits, (told[2], told[1], *told[3:]))
-    return told[wanted]
+        return tuple.__new__(BoxHits, (results[2], results[1], *results[3:]))
+    return results[wanted]
 
 
 def _once(offsets: Slots, handles: NDArray[np.uint32]) -> Any:
@@ -595,34 +595,34 @@ class Nearness:
         reach = max(max_distance * ROUNDED, max_distance)
         in_order = signed is None and not (self._columns.shaped or self._columns.shadows)
         # Some more, so that most know at once that no other is nearer.
-        asked = k if in_order else k + MORE
+        boxes = k if in_order else k + MORE
         while True:
-            asked = min(asked, everybody + 1)
-            if asked > len(scratch.found.slots):
-                scratch.make_room(asked)
+            boxes = min(boxes, everybody + 1)
+            if boxes > len(scratch.found.slots):
+                scratch.make_room(boxes)
             found = scratch.found
-            count = self._fill(point, (asked, reach, mask), signed, found)
+            count = self._fill(point, (boxes, reach, mask), signed, found)
             distances = found.distances[:count].tolist()
             order = [row for row in found.order[:count].tolist() if distances[row] <= max_distance]
             order = self._different(found, order)[:k]
             if (
                 in_order
-                or count < asked
+                or count < boxes
                 or (
                     len(order) == k
                     and found.bounds.item(count - 1) > max(distances[order[-1]], 0.0) * ROUNDED
                 )
             ):
                 return scratch, order
-            asked *= MORE
+            boxes *= MORE
 
     def _fill(
-        self, point: Floats, asked: tuple[int, float, np.uint32], signed: Signed, found: Found
+        self, point: Floats, options: tuple[int, float, np.uint32], signed: Signed, found: Found
     ) -> int:
         columns = self._columns
         bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
         variant = None if bodies is None else bodies.hulls is not None
-        given = self._tree.view().tree, bodies, point, asked, signed, columns.node_handle, found
+        given = self._tree.view().tree, bodies, point, options, signed, columns.node_handle, found
         entry = self._entries.get((variant, signed))
         if entry is None:
             entry = self._entries[variant, signed] = entry_point(nearest_kernel, *given)
@@ -644,17 +644,26 @@ class Nearness:
         parts = np.empty((count, k), UINT32), np.empty((count, k)), np.empty((count, k, 3))
         # As Near(...), which would take one more call of a function of Python's.
         near = tuple.__new__(Near, parts)
-        asked = k, columns.shadows > 0, signed
+        options = k, columns.shadows > 0, signed
         if threads == 1:  # without what others take
             scratch, start = self.spare.take(), 0
             memory = scratch.memory
             if k * FOUND < len(memory):
-                every = view, bodies, points, asked, (0, count), columns.node_handle, memory, near
+                every = (
+                    view,
+                    bodies,
+                    points,
+                    options,
+                    (0, count),
+                    columns.node_handle,
+                    memory,
+                    near,
+                )
                 start = self._rows[signed](every)[0]
             self.spare.give(scratch)
             if start == count:
                 return near
-        given = view, bodies, points, asked, near
+        given = view, bodies, points, options, near
         done = in_threads(partial(self._work, *given), count, threads)
         return near if all(done) else None
 
@@ -663,19 +672,19 @@ class Nearness:
         view: View,
         bodies: Any,
         points: Points,
-        asked: tuple[int, bool, Signed],
+        options: tuple[int, bool, Signed],
         near: Near,
         start: int,
         stop: int,
     ) -> bool:
         """Answer the rows [start, stop); whether all points are finite."""
-        (k, _, signed), everybody = asked, view.tree.state.item(COUNTED)
+        (k, _, signed), everybody = options, view.tree.state.item(COUNTED)
         wanted, kernel, scratch = min(k, everybody) + 1, self._rows[signed], self.spare.take()
         handles = self._columns.node_handle
         while start < stop:
             if wanted > len(scratch.found.slots):
                 scratch.make_room(wanted)
-            some = points, asked, (start, stop), handles, scratch.memory, near
+            some = points, options, (start, stop), handles, scratch.memory, near
             start, wanted = kernel((view, bodies, *some))
             if start == NOT_FINITE:
                 return False
@@ -736,13 +745,13 @@ class Room(NamedTuple):
 
 
 @lean_kernel
-def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
-    """Fill in the rows [start, stop) of `told`; rows as of `QueryRows`, asked = (reaches, the
+def clearance_rows(view, bodies, rows, options, place, node_handles, room, results):
+    """Fill in the rows [start, stop) of `results`; rows as of `QueryRows`, options = (reaches, the
     node handle that is not looked at, `Signed`), place = (start, stop). Returns
     (rows done, room wanted, version of the tree): fewer than there are where there is no room,
     REFUSED if the tree is changed, FAULTY if a shape is not legal.
     """
-    (reaches, besides, signed), (records, _, _, masks, _) = asked, rows
+    (reaches, besides, signed), (records, _, _, masks, _) = options, rows
     tree, (row, stop) = view.tree, place
     if not begin_query(tree.state, view.version):
         return REFUSED, 0, 0
@@ -753,16 +762,16 @@ def clearance_rows(view, bodies, rows, asked, place, node_handles, room, told):
         if fault != FINE:
             row = FAULTY
             break
-        tell_nobody(told, row)
+        tell_nobody(results, row)
         reach, wanted, looked = of_row(reaches, row), min(2, everybody + 1), 0
         while wanted <= room.slots.shape[0]:
             low, high = bounds[0], bounds[1]
             limit, mask = max(reach * ROUNDED_GAP, reach), of_row(masks, row)
             count = nearest(tree, low, high, wanted, limit, mask, room.slots, room.bounds)
             fresh = room.slots[looked:count]
-            asked_of = reach, besides, signed
-            look_at(bodies, record[0], row, asked_of, node_handles, fresh, told)
-            distance = max(told.distances[row], 0.0)
+            options_of = reach, besides, signed
+            look_at(bodies, record[0], row, options_of, node_handles, fresh, results)
+            distance = max(results.distances[row], 0.0)
             if count < wanted or room.bounds[count - 1] > distance * ROUNDED_GAP:
                 break
             looked, wanted = count, min(wanted * MORE_BOXES, everybody + 1)
@@ -787,44 +796,47 @@ def apart(one, other, bodies, signed, points):
 
 
 @lean_kernel
-def look_at(bodies, one, row, asked, node_handles, slots, told):
+def look_at(bodies, one, row, options, node_handles, slots, results):
     """Keep the nearest of some obstacles, if it is nearer than what is there; ties by handle."""
-    (reach, besides, signed), points = asked, stack_array((2, 3), np.float64)
+    (reach, besides, signed), points = options, stack_array((2, 3), np.float64)
     for i in range(slots.shape[0]):
         slot = slots[i]
         if node_handles[slot] != besides:
             distance = apart(one, bodies.shapes[slot], bodies, signed, points)
             if bodies.footprints is not None:
                 points[0, 2] = points[1, 2] = one.position[2]
-            keep_nearer(node_handles, (slot, distance, reach), points, told, row)
+            keep_nearer(node_handles, (slot, distance, reach), points, results, row)
 
 
 @inlined
-def tell_nobody(told, row):
+def tell_nobody(results, row):
     """Write that there is none."""
-    told.handles[row], told.distances[row] = NO_NODE, np.inf
-    if told.slots.shape[0] > 0:
-        told.slots[row] = NONE
+    results.handles[row], results.distances[row] = NO_NODE, np.inf
+    if results.slots.shape[0] > 0:
+        results.slots[row] = NONE
     for axis in range(3):
-        told.points[row, axis] = told.other_points[row, axis] = np.nan
+        results.points[row, axis] = results.other_points[row, axis] = np.nan
 
 
 @inlined
-def keep_nearer(node_handles, found, points, told, row):
+def keep_nearer(node_handles, found, points, results, row):
     """Keep an obstacle, found = (slot, distance, reach), and points (2, 3), if it is nearer than
     what is there; ties by handle.
     """
     slot, distance, reach = found
-    if distance > reach or distance > told.distances[row]:
+    if distance > reach or distance > results.distances[row]:
         return
-    handle, best = node_handles[slot], np.int64(told.handles[row])  # NO_NODE is the last one
-    if distance == told.distances[row] and best < handle:
+    handle, best = node_handles[slot], np.int64(results.handles[row])  # NO_NODE is the last one
+    if distance == results.distances[row] and best < handle:
         return
-    told.distances[row], told.handles[row] = distance, handle
-    if told.slots.shape[0] > 0:
-        told.slots[row] = slot
+    results.distances[row], results.handles[row] = distance, handle
+    if results.slots.shape[0] > 0:
+        results.slots[row] = slot
     for axis in range(3):
-        told.points[row, axis], told.other_points[row, axis] = points[0, axis], points[1, axis]
+        results.points[row, axis], results.other_points[row, axis] = (
+            points[0, axis],
+            points[1, axis],
+        )
 
 
 class Kept(threading.local):
@@ -848,45 +860,46 @@ class Clearances:
         self,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
-        asked: tuple[Floats, int, Signed],
+        options: tuple[Floats, int, Signed],
         threads: int,
         slots: NDArray[np.int64] = NOT_ASKED,
     ) -> Neighbours | None:
-        """The obstacles nearest to n shapes, plain `QueryRows`, ties by handle; asked = (reaches,
-        the node handle that is not looked at, whether distances have a sign), `slots`: room for
-        theirs. None if a row that is `given` is not legal.
+        """The obstacles nearest to n shapes, plain `QueryRows`, ties by handle.
+
+        options = (reaches, the node handle that is left out, whether distances have a sign),
+        `slots`: room for theirs. None if a row that is `given` is not legal.
         """
         columns, count = self._columns, len(rows[0]) or len(rows[4][1])
-        bodies, told, begun = bodies_of(columns, hulls), room_for_neighbours(count, slots), 0
+        bodies, results, begun = bodies_of(columns, hulls), room_for_neighbours(count, slots), 0
         view = self._tree.latest() if threads == 1 else self._tree.view()
         if threads == 1:  # without what others take
             room, handles = self._kept.room, columns.node_handle
-            every = view, bodies, rows, asked, (0, count), handles, room, told
-            begun, _, version = self._kernels[asked[2]](every)
+            every = view, bodies, rows, options, (0, count), handles, room, results
+            begun, _, version = self._kernels[options[2]](every)
             if begun == count:
-                return told
+                return results
             if begun == FAULTY:
                 return None
             view = View(view.tree, version)
-        work = partial(self._work, view, bodies, rows, asked, told)
+        work = partial(self._work, view, bodies, rows, options, results)
         done = [work(begun, count)] if threads == 1 else in_threads(work, count, threads)
-        return told if all(done) else None
+        return results if all(done) else None
 
     def _work(
         self,
         view: View,
         bodies: Any,
         rows: tuple[Any, ...],
-        asked: tuple[Any, ...],
-        told: Neighbours,
+        options: tuple[Any, ...],
+        results: Neighbours,
         start: int,
         stop: int,
     ) -> bool:
         """Fill in the rows [start, stop); whether all are legal."""
-        wanted, kernel, handles = FEW_BOXES, self._kernels[asked[2]], self._columns.node_handle
+        wanted, kernel, handles = FEW_BOXES, self._kernels[options[2]], self._columns.node_handle
         while start < stop:
             room = Room(np.empty(wanted, INT64), np.empty(wanted))
-            given = view, bodies, rows, asked, (start, stop), handles, room, told
+            given = view, bodies, rows, options, (start, stop), handles, room, results
             start, wanted, _ = kernel(given)
             if start == FAULTY:
                 return False
@@ -899,7 +912,7 @@ class Clearances:
         bounds = np.zeros((1, 2, 3))
         bounds[0, 0, : lo.shape[1]], bounds[0, 1, : lo.shape[1]] = lo, hi
         rows = records, bounds, checks.NOTHING, checks.EVERYTHING, NO_GIVEN
-        asked = checks.FOREVER, int(handle), signed
-        found = self.find_rows(rows, self._columns.hulls, asked, 1, np.empty(1, INT64))
+        options = checks.FOREVER, int(handle), signed
+        found = self.find_rows(rows, self._columns.hulls, options, 1, np.empty(1, INT64))
         assert found is not None
         return found

@@ -381,8 +381,8 @@ def certified_bounds(one, other, limit, measured, direction):
     Either the distance is proven to be above or not above `limit`, or the bounds agree; if it is
     to be `measured`, they agree wherever low is above the limit.
     """
-    asked = np.nan if measured else limit
-    low, high = gap_bounds(one, other, asked, direction)
+    least = np.nan if measured else limit
+    low, high = gap_bounds(one, other, least, direction)
     if decides(low, high, limit, measured):
         return low, high, False
     enough = np.inf if measured else limit

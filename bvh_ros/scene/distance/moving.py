@@ -104,35 +104,35 @@ def pose_at(tree, moving, then, spare, slot, at):
     """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
     box = box_of(tree, moving, slot)
     _, _, velocity, reference = box
-    way, shape = stack_array(3, np.float64), spare.shapes[0]
+    displaced, shape = stack_array(3, np.float64), spare.shapes[0]
     since = elapsed(at, reference, moving.nanoseconds)
     spare.shapes[0] = then.bodies.shapes[slot]
     for axis in range(velocity.shape[0]):
-        way[axis] = displacement(velocity[axis], since, moving.left)
-        shape.position[axis] += way[axis]
-    footprint_at(then.bodies.footprints, spare.footprints, slot, way)
+        displaced[axis] = displacement(velocity[axis], since, moving.left)
+        shape.position[axis] += displaced[axis]
+    footprint_at(then.bodies.footprints, spare.footprints, slot, displaced)
     return then.growth * abs(since[0]) if moves(box) else 0.0
 
 
 @inlined
-def footprint_at(footprints, spare, slot, way):
+def footprint_at(footprints, spare, slot, displaced):
     """Write the same of a planar scene."""
     if footprints is not None:
         spare[0] = footprints[slot]
         for axis in range(2):
-            spare[0].centre[axis] += way[axis]
+            spare[0].centre[axis] += displaced[axis]
 
 
 @lean_kernel
-def touch_rows(tree, moving, then, queries, asked, memory, answers):
-    """Answer the rows [start, stop) by plain `Answers`, asked = (start, stop, what
+def touch_rows(tree, moving, then, queries, options, memory, answers):
+    """Answer the rows [start, stop) by plain `Answers`, options = (start, stop, what
     is wanted, handles before these rows). Returns (rows done, room wanted, handles written, pairs
     compared): fewer rows than there are where there is no room for the next one, or where that is
     not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead. `memory` holds what
     touches the last row, if not ANY is wanted, see `room_in`.
     """
     room, found = room_in(memory)
-    (row, stop, wanted, before), (records, _, tolerances, masks, _) = asked, queries
+    (row, stop, wanted, before), (records, _, tolerances, masks, _) = options, queries
     why = begin_asking(tree, moving, stop - row)
     if why != 0:
         return why, 0, 0, 0
@@ -155,21 +155,23 @@ def touch_rows(tree, moving, then, queries, asked, memory, answers):
         if needed > fit or (wanted == ALL and written + needed > answers[2].shape[0]):
             break
         some = record[0], tolerance, at, wanted == ANY
-        met = _touch(tree, moving, then, some, room.slots[:needed], room.spare, found)
+        touching = _touch(tree, moving, then, some, room.slots[:needed], room.spare, found)
         if wanted != ANY:
-            order_found(found, met, then.node_handles)
-        written = tell_row(then.node_handles, found, met, wanted, answers, row, before, written)
+            order_found(found, touching, then.node_handles)
+        written = tell_row(
+            then.node_handles, found, touching, wanted, answers, row, before, written
+        )
         row, compared = row + 1, compared + needed
     end_query(tree.state)
     return np.int64(row), needed, written, compared
 
 
 @lean_kernel
-def _touch(tree, moving, then, asked, slots, spare, found):
-    """Fill in which of some obstacles touch, asked = (shape, tolerance, at, whether one is
+def _touch(tree, moving, then, options, slots, spare, found):
+    """Fill in which of some obstacles touch, options = (shape, tolerance, at, whether one is
     enough), and how they lie to its centre; return how many.
     """
-    (solid, tolerance, at, enough), bodies, count, growth = asked, then.bodies, 0, 0.0
+    (solid, tolerance, at, enough), bodies, count, growth = options, then.bodies, 0, 0.0
     # Else the tree was asked for more than touches.
     exact = not solid.shaped and tolerance == 0.0 and most_growth(then, at) == 0.0
     for slot in slots:
@@ -198,11 +200,11 @@ def apply_growth(found, row, growth, signed):
     if growth == 0.0:
         return
     distance = found.distances[row]
-    left, way = distance - growth, growth
+    left, displaced = distance - growth, growth
     if signed is None:
-        left, way = max(left, 0.0), min(growth, distance)
+        left, displaced = max(left, 0.0), min(growth, distance)
     for axis in range(3):
-        found.points[row, axis] += way * found.normals[row, axis]
+        found.points[row, axis] += displaced * found.normals[row, axis]
         if signed is None and left == 0.0:
             found.normals[row, axis] = 0.0
     found.distances[row] = left
@@ -243,13 +245,15 @@ def neighbours(tree, near_by, room, known, row):
 
 
 @lean_kernel
-def near_rows(tree, moving, then, points, known, asked, memory, told):
-    """Fill in the rows [start, stop) of `told`; asked = (start, stop, k, whether some boxes more
-    are likely to be wanted, how many there are, whether an obstacle may stand at two places,
-    `Signed`). `known`: what packets found of all rows, `Bounded`, or None. Returns
+def near_rows(tree, moving, then, points, known, options, memory, results):
+    """Fill in the rows [start, stop) of `results`.
+
+    options = (start, stop, k, whether some boxes more are likely to be wanted, how many there are,
+    whether an obstacle may stand at two places, `Signed`). `known`: what packets found of all
+    rows, `Bounded`, or None. Returns
     (rows done, room wanted) as `touch_rows`, and how many were found at last.
     """
-    (room, found), (done, stop, k, some_more, everybody, twice, signed) = room_in(memory), asked
+    (room, found), (done, stop, k, some_more, everybody, twice, signed) = room_in(memory), options
     why = begin_asking(tree, moving, stop - done)
     if why != 0:
         return why, 0, np.int64(0)
@@ -264,30 +268,30 @@ def near_rows(tree, moving, then, points, known, asked, memory, told):
             end_query(tree.state)
             return np.int64(done), FAULTY, np.int64(0)
         more, mask = most_growth(then, at), of_row(points.masks, row)
-        limit, kept = max(reach * ROUNDED, reach) + more, 0
+        limit, filled = max(reach * ROUNDED, reach) + more, 0
         wanted = min(k + 1 if some_more else k, everybody + 1)
         while wanted <= found.slots.shape[0]:
             near_by = near_at(moving, at, point, point, wanted, limit, mask)
             others, last, total = neighbours(tree, near_by, room, known, row)
             _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
-            kept = keep(found, total, (k, reach, twice), then.node_handles, told, row)
-            farthest = max(told.distances[row, k - 1], 0.0) * ROUNDED if kept == k else np.inf
+            filled = keep(found, total, (k, reach, twice), then.node_handles, results, row)
+            farthest = max(results.distances[row, k - 1], 0.0) * ROUNDED if filled == k else np.inf
             if not others or last - more > farthest:
                 break
             wanted = min(wanted * 4, everybody + 1)
         if wanted > found.slots.shape[0]:
             break
-        pad(told, row, kept)
+        pad(results, row, filled)
         done += 1
     end_query(tree.state)
     return np.int64(done), wanted, total
 
 
 @inlined
-def _lie(tree, moving, then, asked, signed, room, slots, found):
-    """Fill in how obstacles lie to a point at a time, asked = (point, at)."""
-    point, at = asked
+def _lie(tree, moving, then, options, signed, room, slots, found):
+    """Fill in how obstacles lie to a point at a time, options = (point, at)."""
+    point, at = options
     for i in range(slots.shape[0]):
         growth = pose_at(tree, moving, then, room.spare, slots[i], at)
         found.slots[i], found.points[i, 2], shape = 0, point[2], room.spare.shapes[0]
@@ -299,13 +303,13 @@ def _lie(tree, moving, then, asked, signed, room, slots, found):
 
 
 @lean_kernel
-def clear_rows(tree, moving, then, queries, asked, memory, told):
-    """Fill in the rows [start, stop) of `told`, a `batch.Neighbours`; asked = (start, stop,
+def clear_rows(tree, moving, then, queries, options, memory, results):
+    """Fill in the rows [start, stop) of `results`, a `batch.Neighbours`; options = (start, stop,
     reaches, how many boxes there are, the slot of the obstacle that is the only row, or NONE,
     `Signed`, whether the nearest box is likely to be that of the nearest obstacle).
     Returns (rows done, room wanted) as `touch_rows`.
     """
-    row, stop, reaches, everybody, itself, signed, alike = asked
+    row, stop, reaches, everybody, itself, signed, alike = options
     room, _ = room_in(memory)
     why = begin_asking(tree, moving, stop - row)
     if why != 0:
@@ -333,16 +337,16 @@ def clear_rows(tree, moving, then, queries, asked, memory, told):
         while wanted <= room.gaps.shape[0]:
             near_by = near_at(moving, at, low, high, wanted, limit, mask)
             others, last, total = neighbours(tree, near_by, room, None, row)
-            batch.tell_nobody(told, row)
+            batch.tell_nobody(results, row)
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
-                pair, least = (record[0], slot, at), max(told.distances[row], 0.0)
+                pair, least = (record[0], slot, at), max(results.distances[row], 0.0)
                 passed = least < np.inf and exact and _is_farther(tree, moving, then, pair, least)
                 if handles[slot] != besides and not passed:
                     growths = grown, pose_at(tree, moving, then, room.spare, slot, at)
                     pair = record[0], slot, reach
-                    _clear(room.spare, pair, growths, signed, handles, told, row)
-            distance = max(told.distances[row], 0.0)
+                    _clear(room.spare, pair, growths, signed, handles, results, row)
+            distance = max(results.distances[row], 0.0)
             if not others or last - more > distance * batch.ROUNDED_GAP:
                 break
             wanted = min(wanted * batch.MORE_BOXES, everybody + 1)
@@ -373,8 +377,8 @@ def _is_farther(tree, moving, then, pair, least):
     _, _, velocity, reference = box_of(tree, moving, slot)
     since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(velocity.shape[0]):
-        way = displacement(velocity[axis], since, moving.left)
-        position, half = other.position[axis] + way, other.half[axis]
+        displaced = displacement(velocity[axis], since, moving.left)
+        position, half = other.position[axis] + displaced, other.half[axis]
         low = max(one.position[axis] - one.half[axis], position - half)
         high = min(one.position[axis] + one.half[axis], position + half)
         gaps[axis] = max(low - high, 0.0)
@@ -391,15 +395,15 @@ def put_itself(tree, moving, then, query, slot, spare):
     at = then.at[0]
     since = elapsed(at, reference, moving.nanoseconds)
     for axis in range(lo.shape[0]):
-        way = displacement(velocity[axis], since, moving.left)
-        bounds[0, axis], bounds[1, axis] = lo[axis] + way, hi[axis] + way
+        displaced = displacement(velocity[axis], since, moving.left)
+        bounds[0, axis], bounds[1, axis] = lo[axis] + displaced, hi[axis] + displaced
     grown = pose_at(tree, moving, then, spare, slot, at)
     record[0] = spare.shapes[0]
     return grown
 
 
 @lean_kernel
-def _clear(spare, pair, growths, signed, node_handles, told, row):
+def _clear(spare, pair, growths, signed, node_handles, results, row):
     """Keep an obstacle where it stands, pair = (shape, slot, reach), if it is the nearer one."""
     one, slot, reach = pair
     points = stack_array((2, 3), np.float64)
@@ -408,7 +412,7 @@ def _clear(spare, pair, growths, signed, node_handles, told, row):
         distance = _swell_both(points, distance, growths, signed)
     if spare.footprints is not None:
         points[0, 2] = points[1, 2] = one.position[2]
-    batch.keep_nearer(node_handles, (slot, distance, reach), points, told, row)
+    batch.keep_nearer(node_handles, (slot, distance, reach), points, results, row)
 
 
 @inlined
@@ -422,7 +426,7 @@ def _swell_both(points, distance, growths, signed):
             points[0, axis] = points[1, axis]
         return 0.0
     for axis in range(3):
-        way = (points[0, axis] - points[1, axis]) / distance if distance != 0.0 else 0.0
-        points[0, axis] -= growths[0] * way
-        points[1, axis] += growths[1] * way
+        displaced = (points[0, axis] - points[1, axis]) / distance if distance != 0.0 else 0.0
+        points[0, axis] -= growths[0] * displaced
+        points[1, axis] += growths[1] * displaced
     return left

@@ -455,12 +455,12 @@ def overlap_kernel(tree, bodies, query, mask, enough, node_handles, found):
 
 
 @lean_kernel
-def nearest_kernel(tree, bodies, point, asked, signed, node_handles, found):
-    """Fill in what is in the boxes nearest to a point, `bodies` as of `overlap_kernel`; asked =
+def nearest_kernel(tree, bodies, point, options, signed, node_handles, found):
+    """Fill in what is in the boxes nearest to a point, `bodies` as of `overlap_kernel`; options =
     (count, max_distance, mask). Return how many there are. Where it is `signed`, not None, those
     that hold the point lie as deep as it is in them: see `penetration`.
     """
-    count, max_distance, mask = asked
+    count, max_distance, mask = options
     if not begin_query(tree.state, ANY_VERSION):
         return np.int64(REFUSED)
     count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)

@@ -69,7 +69,7 @@ class Scratch:
         self.at, self.limits, self.masks = np.empty(1), np.empty(1), np.empty(1, np.uint32)
         self.point = np.empty((1, 3))
         self.points = Points(self.point, self.limits, self.masks, NO_ORDER)
-        self.answers, self.told = answers_for(1, WANT_COUNT), no_rows(1, 1)
+        self.answers, self.results = answers_for(1, WANT_COUNT), no_rows(1, 1)
         self.make_room(FEW)
 
     def make_room(self, count: int) -> None:
@@ -115,11 +115,11 @@ class OneTimed:
         """What a query touches at a time, in the order of `batch.Overlaps.find`."""
         scratch, tree, done = self._spare.take(), self._store.tree, 0
         scratch.limits[0], scratch.masks[0] = query.tolerance, mask
-        asked = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
+        options = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
             arrays, found = tree._settled().tree, scratch.found
             then, memory = self._known(scratch, arrays, at, hulls)
-            given = asked, (0, 1, WANT_COUNT, 0), memory, scratch.answers
+            given = options, (0, 1, WANT_COUNT, 0), memory, scratch.answers
             done, wanted, _, compared = self._call(arrays, touch_rows, then, given, None)
             if not done:
                 scratch.have_room(wanted)
@@ -140,13 +140,13 @@ class OneTimed:
         scratch.limits[0] = reach
         if k > FEW:  # not more room than for all
             k = min(k, max(len(store.tree), 1))
-        if scratch.told.handles.shape[1] != k:
-            scratch.told = no_rows(1, k)
+        if scratch.results.handles.shape[1] != k:
+            scratch.results = no_rows(1, k)
         while not done:
             arrays, found = store.tree._settled().tree, scratch.found
             then, memory = self._known(scratch, arrays, at, None)
-            asked = 0, 1, k, *self._among(arrays, signed)
-            given = scratch.points, None, asked, memory, scratch.told
+            options = 0, 1, k, *self._among(arrays, signed)
+            given = scratch.points, None, options, memory, scratch.results
             done, wanted, count = self._call(arrays, near_rows, then, given, signed)
             if not done:
                 scratch.have_room(wanted)
@@ -231,20 +231,20 @@ class TimedDistances(OneTimed):
         """
         store, count = self._store, number_of(rows)
         columns, arrays = store.columns, store.tree._settled().tree
-        told = answers_for(count, wanted)
+        results = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
             scratch = self._spare.take()
             then, memory = self._known(scratch, arrays, at, hulls)
-            given = rows, (0, count, wanted, 0), memory, told
+            given = rows, (0, count, wanted, 0), memory, results
             done, _, written, compared = self._call(arrays, touch_rows, then, given, None)
             self._spare.give(scratch)
             if done == count:
                 if compared:
                     columns.pairs_compared += compared
                 if wanted != ALL and wanted != HITS:
-                    return told[wanted]
-                return as_wanted(told, [told[2][:written]], wanted, False)
-        return self._touching(arrays, rows, hulls, at, threads, wanted, told)
+                    return results[wanted]
+                return as_wanted(results, [results[2][:written]], wanted, False)
+        return self._touching(arrays, rows, hulls, at, threads, wanted, results)
 
     def _touching(
         self,
@@ -254,19 +254,19 @@ class TimedDistances(OneTimed):
         at: Any,
         threads: int,
         wanted: int,
-        told: tuple[Any, ...],
+        results: tuple[Any, ...],
     ) -> Any:
         """The same, in parts."""
         columns, count = self._store.columns, number_of(rows)
         shadows, parts = columns.shadows > 0, []
 
         def work(start: int, stop: int) -> Any:
-            begin, total, room, answers, some = start, 0, FEW, told, []
+            begin, total, room, answers, some = start, 0, FEW, results, []
             scratch = self._spare.take()
             while start < stop:
                 then, memory = self._known(scratch, arrays, at, hulls)
                 if wanted == ALL:
-                    answers = *told[:2], np.empty(room, np.uint32), *told[3:]
+                    answers = *results[:2], np.empty(room, np.uint32), *results[3:]
                 given = rows, (start, stop, wanted, total), memory, answers
                 done = self._call(arrays, touch_rows, then, given, None)
                 start, needed, written, compared = done
@@ -285,12 +285,12 @@ class TimedDistances(OneTimed):
                 return None
             begin, stop, some = done
             if wanted == ALL and begin > 0:
-                told[1][begin + 1 : stop + 1] += told[1][begin]
+                results[1][begin + 1 : stop + 1] += results[1][begin]
             parts += some
         every = None
         if shadows and wanted in (WANT_COUNT, HITS):
             every = self.touching(rows, hulls, at, threads, ALL)
-        return as_wanted(told, parts, wanted, shadows, every)
+        return as_wanted(results, parts, wanted, shadows, every)
 
     def nearest(
         self, points: Points, k: int, signed: Signed, at: Any, threads: int
@@ -299,31 +299,31 @@ class TimedDistances(OneTimed):
         point is not finite.
         """
         count, arrays = len(points.points), self._store.tree._settled().tree
-        told, among = no_rows(count, k), self._among(arrays, signed)
+        results, among = no_rows(count, k), self._among(arrays, signed)
         if threads == 1 and count < MANY:  # without what others take
             scratch = self._spare.take()
             then, memory = self._known(scratch, arrays, at, None)
-            given = points, None, (0, count, k, *among), memory, told
+            given = points, None, (0, count, k, *among), memory, results
             done, wanted, _ = self._call(arrays, near_rows, then, given, signed)
             self._spare.give(scratch)
             if done == count:
-                return told
+                return results
             if wanted == FAULTY:
                 return None
-        return told if self._nearest(points, (k, *among), at, threads, told) else None
+        return results if self._nearest(points, (k, *among), at, threads, results) else None
 
     def _nearest(
         self,
         points: Points,
-        asked: tuple[int, bool, int, bool, Signed],
+        options: tuple[int, bool, int, bool, Signed],
         at: Any,
         threads: int,
-        told: Near,
+        results: Near,
     ) -> bool:
         """The same, in parts; whether all points are finite."""
-        signed, count, tree = asked[-1], len(points.points), self._store.tree
+        signed, count, tree = options[-1], len(points.points), self._store.tree
         view = tree.view()
-        near, known = self._in_packets(points, asked)
+        near, known = self._in_packets(points, options)
         variant: Any = signed if known is None else (signed, Bounded)
         if near is not None:
             points = points._replace(order=near.order)
@@ -335,7 +335,7 @@ class TimedDistances(OneTimed):
             scratch = self._spare.take()
             while start < stop:
                 then, memory = self._known(scratch, view.tree, at, None)
-                given = points, known, (start, stop, *asked), memory, told
+                given = points, known, (start, stop, *options), memory, results
                 start, wanted, _ = self._call(view.tree, near_rows, then, given, variant)
                 if wanted == FAULTY:
                     return False
@@ -349,12 +349,12 @@ class TimedDistances(OneTimed):
         return finite
 
     def _in_packets(
-        self, points: Points, asked: tuple[int, bool, int, bool, Signed]
+        self, points: Points, options: tuple[int, bool, int, bool, Signed]
     ) -> tuple[PointQueries, Bounded] | tuple[None, None]:
         """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
         asks for the rest itself, as where obstacles grow.
         """
-        (k, some_more, everybody, *_), count = asked, len(points.points)
+        (k, some_more, everybody, *_), count = options, len(points.points)
         wanted, ndim = min(k + some_more, everybody + 1), self._store.tree.ndim
         dense = count >= MANY and are_dense(count, everybody)
         if not dense or wanted > MOST or self._store.uncertainty:
@@ -371,42 +371,42 @@ class TimedDistances(OneTimed):
         self,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
-        asked: tuple[Floats, int, Signed],
+        options: tuple[Floats, int, Signed],
         at: Any,
         threads: int,
     ) -> Neighbours | None:
-        """The obstacles nearest to n shapes at times, one in seconds for all or (n,); asked =
+        """The obstacles nearest to n shapes at times, one in seconds for all or (n,); options =
         (reaches, the slot of the obstacle that is the only row, or NONE, whether distances have a
         sign). None if a row that is `given` is not legal.
         """
-        reaches, itself, signed = asked
+        reaches, itself, signed = options
         count, arrays = number_of(rows), self._store.tree._settled().tree
         everybody = arrays[4].item(COUNTED)
-        told = room_for_neighbours(
+        results = room_for_neighbours(
             count, NOT_ASKED if itself == NONE else np.empty(count, np.int64)
         )
         alike = itself == NONE and not self._store.columns.shaped
         if threads == 1:  # without what others take
             scratch = self._spare.take()
             then, memory = self._known(scratch, arrays, at, hulls)
-            given = rows, (0, count, reaches, everybody, itself, signed, alike), memory, told
+            given = rows, (0, count, reaches, everybody, itself, signed, alike), memory, results
             done, wanted = self._call(arrays, clear_rows, then, given, signed)
             self._spare.give(scratch)
             if done == count:
-                return told
+                return results
             if wanted == FAULTY:
                 return None
-        every = arrays, rows, hulls, (reaches, everybody, itself, signed, alike), at, told
-        return told if all(in_threads(partial(self._clear, *every), count, threads)) else None
+        every = arrays, rows, hulls, (reaches, everybody, itself, signed, alike), at, results
+        return results if all(in_threads(partial(self._clear, *every), count, threads)) else None
 
     def _clear(
         self,
         arrays: Tree,
         rows: tuple[Any, ...],
         hulls: Hulls | None,
-        asked: tuple[Floats, int, int, Signed, bool],
+        options: tuple[Floats, int, int, Signed, bool],
         at: Any,
-        told: Neighbours,
+        results: Neighbours,
         start: int,
         stop: int,
     ) -> bool:
@@ -414,8 +414,8 @@ class TimedDistances(OneTimed):
         scratch = self._spare.take()
         while start < stop:
             then, memory = self._known(scratch, arrays, at, hulls)
-            given = rows, (start, stop, *asked), memory, told
-            start, wanted = self._call(arrays, clear_rows, then, given, asked[3])
+            given = rows, (start, stop, *options), memory, results
+            start, wanted = self._call(arrays, clear_rows, then, given, options[3])
             if wanted == FAULTY:
                 return False
             scratch.have_room(wanted)
