@@ -111,8 +111,8 @@ class BvhClient:
         end: Sequence[float],
         radius: float = 0.0,
         *,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Hit | None:
@@ -124,10 +124,10 @@ class BvhClient:
             Metres; z is 0 if left out.
         radius : float
             Of a ball swept along the segment; 0 is a thin ray.
-        at, until : int, optional
-            ns: the ball leaves `start` at `at` and reaches `end` at `until`, while those obstacles
-            move whose source predicts; without `until` the world is as it is at `at`. None: as
-            last reported.
+        at, until : time, optional
+            An int in ns, or a float in s: the ball leaves `start` at `at` and reaches `end` at
+            `until`, while those obstacles move whose source predicts; without `until` the world is
+            as it is at `at`. None: as last reported.
         frame_id : str
             Frame of the coordinates, by default the node's.
         timeout : float, optional
@@ -150,8 +150,8 @@ class BvhClient:
         end: Sequence[float],
         radius: float = 0.0,
         *,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
@@ -166,7 +166,7 @@ class BvhClient:
         orientation: Sequence[float] = UPRIGHT,
         tolerance: float = 0.0,
         *,
-        at: int | None = None,
+        at: float | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
@@ -191,7 +191,7 @@ class BvhClient:
         point: Sequence[float],
         max_distance: float = 0.0,
         *,
-        at: int | None = None,
+        at: float | None = None,
         frame_id: str = '',
         timeout: float | None = None,
     ) -> list[Hit]:
@@ -210,8 +210,8 @@ class BvhClient:
         end: Sequence[float],
         radius: float = 0.0,
         *,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast` does; return a future of its result, for use inside callbacks."""
@@ -224,8 +224,8 @@ class BvhClient:
         end: Sequence[float],
         radius: float = 0.0,
         *,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `raycast_all` does; return a future of its result."""
@@ -238,7 +238,7 @@ class BvhClient:
         orientation: Sequence[float] = UPRIGHT,
         tolerance: float = 0.0,
         *,
-        at: int | None = None,
+        at: float | None = None,
         frame_id: str = '',
     ) -> Future:
         """Ask as `overlap` does; return a future of its result."""
@@ -275,7 +275,8 @@ class BvhClient:
         radius : float or (n,) array_like, optional
             Of balls that go along the rays, m; where it is above 0, t_max must be finite.
         at, until : int or (n,) array_like, optional
-            ns: when t is 0 and 1, see `raycast`. Where `until` is later, t_max must be finite.
+            An int in ns, or a float in s: when t is 0 and 1, see `raycast`. Where `until` is
+            later, t_max must be finite.
         frame_id : str
             Frame of rays and hits, by default the node's.
         stamp : int, optional
@@ -320,7 +321,7 @@ class BvhClient:
         max_distance, mask : one for all points, or (n,) array_like
             Obstacles that are farther away (m), or have no bit in common, are left out.
         at : int or (n,) array_like, optional
-            ns: the world as it is then, see `raycast`.
+            An int in ns, or a float in s: the world as it is then, see `raycast`.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 
@@ -389,7 +390,7 @@ class BvhClient:
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w.
         at : int or (n,) array_like, optional
-            ns: when the footprint is there; 0 is now, as is None.
+            An int in ns, or a float in s: when the footprint is there; 0 is now, as is None.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 
@@ -455,8 +456,8 @@ def _segment(
     start: Sequence[float],
     end: Sequence[float],
     radius: float,
-    at: int | None,
-    until: int | None,
+    at: float | None,
+    until: float | None,
     frame_id: str,
 ) -> GetPlan.Request:
     ends = place('start', start), place('end', end)
@@ -468,7 +469,7 @@ def _box(
     opposite: Sequence[float],
     orientation: Sequence[float],
     tolerance: float,
-    at: int | None,
+    at: float | None,
     frame_id: str,
 ) -> GetPlan.Request:
     corners = place('corner', corner), place('opposite', opposite)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Points, Rays
-from bvh_ros.tree.access import checks
+from bvh_ros.tree.access import checks, whole_ns
 
 ERROR = 'error: '  # begins the frame_id of a reply that is an error
 COMPILING = 'compiling: '  # begins the reason of a node that will answer soon
@@ -51,8 +51,8 @@ def request(
     frame_id: str,
     orientation: Sequence[float] = UPRIGHT,
     *,
-    at: int | None = None,
-    until: int | None = None,
+    at: float | None = None,
+    until: float | None = None,
 ) -> GetPlan.Request:
     """Return a request of one question; `at` and `until` (ns) are the stamps of start and goal.
     ValueError if an argument has the wrong form.
@@ -116,14 +116,16 @@ def handles(obstacles: Iterable[int]) -> NDArray[np.int64]:
         raise ValueError(f'obstacles must be integers: {error}') from None
 
 
-def _time(name: str, stamp: int) -> Time:
+def _time(name: str, stamp: float) -> Time:
+    if isinstance(stamp, (float, np.floating)):
+        stamp = int(whole_ns(name, np.asarray(stamp)))
     if not checks.is_integer(stamp):
         shown = checks.shown_short(stamp)
-        raise ValueError(f'{name} must be a whole number of ns, not {shown}')
+        raise ValueError(f'{name} must be an int (ns) or a float (s), not {shown}')
     if not 0 < stamp <= LAST_STAMP:
         raise ValueError(f'{name} must be above 0 and below 2^31 s, not {stamp} ns')
-    seconds, nanoseconds = divmod(int(stamp), 10**9)
-    return Time(sec=seconds, nanosec=nanoseconds)
+    seconds, rest = divmod(int(stamp), 10**9)
+    return Time(sec=seconds, nanosec=rest)
 
 
 def _pose(position: Sequence[float], orientation: Sequence[float]) -> PoseStamped:
@@ -298,9 +300,11 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
     try:
         values = np.asarray(given)
     except Exception as error:  # whatever an object of another library raises
-        raise ValueError(f'{name} must be integers (ns): {error}') from None
+        raise ValueError(f'{name} must be ints (ns) or floats (s): {error}') from None
+    if values.dtype.kind == 'f' and values.size and values.shape in ((), (count,)):
+        values = whole_ns(name, values)
     if values.dtype.kind != 'i':
-        raise ValueError(f'{name} must be integers (ns), not {values.dtype}')
+        raise ValueError(f'{name} must be ints (ns) or floats (s), not {values.dtype}')
     if values.shape not in ((), (count,)):
         raise ValueError(f'{name} must be one number or have the shape ({count},)')
     return np.broadcast_to(values, (count,)).astype(np.int64)
@@ -308,7 +312,8 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
 
 def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
     rows = _rows('orientations', UPRIGHT if given is None else given, count, 4)
-    checks.rotations('orientations', np.ascontiguousarray(rows))
+    finite = np.isfinite(rows).all(axis=1, keepdims=True)  # the node answers other rows, not these
+    checks.rotations('orientations', np.where(finite, rows, UPRIGHT))
     return rows
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
+from ..scene.shapes.shape import unit_quaternions
 from .scenes import Boxes, Floats
 from .timing import Job, each
 
@@ -100,7 +101,7 @@ def of_scene(scene: Scene, names: list[str], queries: Queries) -> Questions:
     few = slice(queries.calls)
     starts, directions, goals, batches = *queries[:3], partial(_batches, queries)
     ends, boxes = (starts[few], goals[few]), (queries.small.lo[few], queries.small.hi[few])
-    turns = np.random.default_rng(1).normal(size=(len(ends[0]), 4))
+    turns = unit_quaternions(np.random.default_rng(1).normal(size=(len(ends[0]), 4)))
     size = tuple(queries.small.edges[0].tolist())
     found = {
         'raycast': Question(scene.raycast, ends, 0, TOGETHER),

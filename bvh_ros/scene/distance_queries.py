@@ -32,7 +32,7 @@ class DistanceQueries:
         max_distance: float = np.inf,
         mask: int = ALL,
         signed: bool = False,
-        at: int | None = None,
+        at: float | None = None,
     ) -> list[SceneHit]:
         """Return the up to k obstacles nearest to a point, nearest first, ties by handle.
 
@@ -50,9 +50,9 @@ class DistanceQueries:
             Within an obstacle the distance is minus the depth, the point the closest one of its
             surface, and the normal leads out there. So the first is that in which the given point
             lies deepest.
-        at : int, optional
-            ns: the world is asked for as it is then, with obstacles that have velocities where
-            they are at that time. None: it is as last told.
+        at : time, optional
+            An int in ns, or a float in s: the world is asked for as it is then, with obstacles
+            that have velocities where they are at that time. None: it is as last told.
 
         Returns
         -------
@@ -81,7 +81,7 @@ class DistanceQueries:
         return hits
 
     def clearance(
-        self, name: str, signed: bool = False, at: int | None = None
+        self, name: str, signed: bool = False, at: float | None = None
     ) -> Clearance | None:
         """Return how far an obstacle is from the nearest other one, ties by handle; None if there
         is no other.

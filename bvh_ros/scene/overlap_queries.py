@@ -52,7 +52,7 @@ class OverlapQueries:
         tolerance: float = 0.0,
         mask: int = ALL,
         most: int | None = None,
-        at: int | None = None,
+        at: float | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles that touch a box, nearest to its centre first, ties by handle.
 
@@ -70,9 +70,9 @@ class OverlapQueries:
             Only obstacles with ``categories & mask != 0`` are seen.
         most : int, optional
             More than so many are refused: an answer is never cut short.
-        at : int, optional
-            ns: the world is asked for as it is then, with obstacles that have velocities where
-            they are at that time. None: it is as last told.
+        at : time, optional
+            An int in ns, or a float in s: the world is asked for as it is then, with obstacles
+            that have velocities where they are at that time. None: it is as last told.
 
         Returns
         -------
@@ -119,7 +119,7 @@ class OverlapQueries:
         return hits
 
     def overlap_shape(
-        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL, at: int | None = None
+        self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL, at: float | None = None
     ) -> list[SceneHit]:
         """Return all obstacles that touch a shape of any kind; otherwise as `overlap`.
 

@@ -30,8 +30,8 @@ class RayQueries:
         radius: float = 0.0,
         mask: int = ALL,
         skip_inside: bool = False,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
     ) -> SceneHit | None:
         """Return the first obstacle on the segment from start to goal.
 
@@ -46,10 +46,10 @@ class RayQueries:
             Only obstacles with ``categories & mask != 0`` are seen.
         skip_inside : bool
             Ignore obstacles that the point or ball touches at the start.
-        at, until : int, optional
-            ns: the segment is left at `at`, and reached at `until`, while obstacles with
-            velocities move; without `until`, the world is frozen at that time. None: it is as
-            of the last update.
+        at, until : time, optional
+            An int in ns, or a float in s: the segment is left at `at`, and reached at `until`,
+            while obstacles with velocities move; without `until`, the world is frozen at that
+            time. None: it is as of the last update.
 
         Returns
         -------
@@ -90,8 +90,8 @@ class RayQueries:
         mask: int = ALL,
         skip_inside: bool = False,
         most: int | None = None,
-        at: int | None = None,
-        until: int | None = None,
+        at: float | None = None,
+        until: float | None = None,
     ) -> list[SceneHit]:
         """Return all obstacles on the segment, nearest first, ties by handle.
 

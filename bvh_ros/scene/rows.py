@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree.access import ALL, INT64, checks
+from ..tree.access import ALL, FIRST_TIME, INT64, LAST_TIME, checks, whole_ns
 from ..tree.compiler import entry_point, lean_kernel
 from .names import BARE, UNKNOWN, Families, Slots, last_of_each
 from .results import Reasons
@@ -61,13 +61,12 @@ class Owner(NamedTuple):
     name_of: Callable[[int], str]
 
 
-FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
-
-
 def column(
     name: str, value: ArrayLike, count: int, largest: int, least: int = 0
 ) -> NDArray[np.int64]:
-    """One integer for all rows, or one a row, from `least` to `largest`."""
+    """One integer for all rows, or one a row, from `least` to `largest`. If these are times in ns,
+    they may also be floats in s.
+    """
     exact: Any = value
     if type(exact) is int and least <= exact <= largest:  # much the most common
         same = np.zeros(count, INT64)
@@ -81,12 +80,15 @@ def column(
     masked = isinstance(value, np.ma.MaskedArray)
     if not array.size:
         array = array.astype(np.int64)  # an empty list is of floats
+    fits = array.shape in ((), (count,)) and not masked
+    if fits and largest == LAST_TIME and array.dtype.kind == 'f':
+        array = whole_ns(name, array)
     beyond = array.dtype == object and all(type(number) is int for number in array.flat)
     whole = beyond or array.dtype.kind in 'iu'  # numpy makes objects of integers beyond 64 bits
-    if array.shape not in ((), (count,)) or masked or not whole:
+    if not fits or not whole:
+        number = 'an integer (ns) or a float (s)' if largest == LAST_TIME else 'an integer'
         raise ValueError(
-            f'{name} must be an integer or {count} of them, '
-            f'not {array.dtype} of shape {array.shape}'
+            f'{name} must be {number} or {count} of them, not {array.dtype} of shape {array.shape}'
         )
     if array.size and not _spans(array, least, largest):
         wrong = int(array.min() if array.min() < least else array.max())

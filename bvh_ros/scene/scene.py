@@ -32,10 +32,11 @@ FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 class Scene(RayQueries, OverlapQueries, DistanceQueries):
     """Obstacles that come and go, and the questions about them.
 
-    Stamps and clocks are integers in nanoseconds that the caller passes in; the scene reads no
-    clock. Positions are in metres, all in one frame. Any number of threads may ask while none
-    changes the scene: who changes it sees to that. What is asked within a change, or after one
-    that was interrupted, is a RuntimeError.
+    The caller passes all times in; the scene reads no clock. A time (`stamp`, `expires`, `at`,
+    `until`, `now`) is an int in nanoseconds or a float in seconds, as of `time.time_ns()` and
+    `time.time()`. Positions are in metres, all in one frame. Any number of threads may ask while
+    none changes the scene: who changes it sees to that. What is asked within a change, or after
+    one that was interrupted, is a RuntimeError.
 
     Parameters
     ----------

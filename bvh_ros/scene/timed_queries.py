@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..tree import checks
+from ..tree.access import FIRST_TIME, LAST_TIME, checks
 from .cast.arguments import BoxHit, Rays, Sweep
 from .results import CastHits
-from .rows import FIRST_TIME, LAST_TIME, column
+from .rows import column
 from .shapes.shape import Floats
 from .store import EXACT, Obstacles, all_in_seconds, in_seconds
 

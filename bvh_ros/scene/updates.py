@@ -10,20 +10,10 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..tree.access import ALL, checks
+from ..tree.access import ALL, FIRST_TIME, LAST_TIME, checks, whole_ns
 from .names import UNKNOWN, Families, Names, Slots, as_families
 from .results import Refusals
-from .rows import (
-    FIRST_TIME,
-    LAST_TIME,
-    Owner,
-    Rows,
-    Validated,
-    column,
-    text,
-    validate_rows,
-    whole_time,
-)
+from .rows import Owner, Rows, Validated, column, text, validate_rows, whole_time
 from .shapes.shape import UINT8, Floats, Shapes, as_shapes
 from .store import NEVER, Obstacles
 
@@ -183,13 +173,25 @@ class Part(NamedTuple):
             yield Part(names.take(rows), shapes, *rest)
 
 
-def stamp_of(given: ArrayLike | None, velocities: ArrayLike | Follow | None) -> ArrayLike:
+def stamp_of(
+    given: ArrayLike | None, velocities: ArrayLike | Follow | None, shapes: Shapes
+) -> ArrayLike:
     """The stamp of an update, which may be left out where nothing moves by itself."""
     if given is not None:
-        return given
+        return given if type(given) is int else _stamps(given, shapes)
     if velocities is not None:
         raise ValueError('stamp must be given where obstacles have velocities')
     return 0
+
+
+def _stamps(given: Any, shapes: Shapes) -> Any:
+    """The same in ns, if these are floats."""
+    try:
+        times = np.asarray(given)
+    except checks.FOREIGN:
+        return given  # will be refused
+    few = isinstance(shapes, Shapes) and 0 < times.size <= max(np.size(shapes.kind), 1)
+    return whole_ns('stamp', times) if few and times.dtype.kind == 'f' else given
 
 
 def require_a_name_each(names: Families, count: int) -> None:
@@ -270,10 +272,11 @@ class Updates:
             Of several good rows with one name the last holds.
         shapes : Shapes
             n rows.
-        stamp : int or (n,) array, optional
-            Time of the data, ns. A scene without velocities needs none: None is 0.
-        expires : int or (n,) array
-            When they vanish on the caller's clock, ns, see `expire`; 0 is never.
+        stamp : one time, or array_like of shape (n,), optional
+            Time of the data: an int in ns, or a float in s. A scene without velocities needs none:
+            None is 0.
+        expires : one time, or array_like of shape (n,)
+            When they vanish on the caller's clock, see `expire`; 0 is never.
         categories : int or (n,) array, optional
             32-bit masks; a query sees an obstacle if its own mask has a bit in common. None: known
             obstacles keep theirs, new ones get what the scene's `categorise` says.
@@ -294,7 +297,7 @@ class Updates:
         OverflowError
             If the node handles of this run are used up; nothing is changed then.
         """
-        time = stamp_of(stamp, velocities)
+        time = stamp_of(stamp, velocities, shapes)
         return self.apply(source, '', Part(names, shapes, time, expires, categories, velocities))
 
     def replace(
@@ -314,7 +317,7 @@ class Updates:
 
         A refused row counts as named: its obstacle stays.
         """
-        time = stamp_of(stamp, velocities)
+        time = stamp_of(stamp, velocities, shapes)
         part = Part(names, shapes, time, expires, categories, velocities)
         return self.apply(source, group, part, whole=True)
 
@@ -543,13 +546,14 @@ class Removals:
             yield
 
     def expire(self, now: int, most: int | None = None) -> int:
-        """Remove the obstacles with 0 < expires <= now (ns); return how many there were.
+        """Remove the obstacles with 0 < expires <= now; return how many there were.
 
         Costs nothing while none can be due. `most` is how many are removed one by one; where more
         are due, the others are still there, see `has_expired`.
         """
         most = checks.whole_or_none('most', most, 0)
-        if whole_time('now', now) < self._store.next_expiry:
+        now = whole_time('now', now)
+        if now < self._store.next_expiry:
             return 0
         expires = self._store.columns.expires
         due = np.flatnonzero((expires > 0) & (expires <= now))

@@ -89,4 +89,5 @@ from .store.turns import (
     end_query,
 )
 from .store.workers import in_threads
+from .time_checks import FIRST_TIME, LAST_TIME, whole_ns
 from .unrounded import two_product, two_sum

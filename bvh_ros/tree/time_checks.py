@@ -1,19 +1,44 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Times made sound before they reach a kernel, see `checks`."""
+"""Times made sound before they reach a kernel, see `checks`.
+
+A moment is a float in seconds or an integer in nanoseconds, as of `time.time()` and
+`time.time_ns()`. A pace is in seconds, of whatever type.
+"""
 
 import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .checks import FLOAT64, Floats, first_not_finite, one, only, unless_refused
+
+FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
+
+
+def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
+    """Times in s as the nearest whole ns."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        times = np.rint(seconds.astype(np.longdouble) * 10**9)
+    if not ((times >= FIRST_TIME) & (times <= LAST_TIME)).all():
+        raise ValueError(f'{name} must be finite, and at most {LAST_TIME // 10**9} s')
+    return times.astype(np.int64)
+
+
+def _in_seconds(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
+    """As `unless_refused`, with integers of a moment brought to seconds."""
+    array = unless_refused(name, value, shape)
+    if name != 'pace' and array.shape in ((), shape):
+        given = np.asarray(value)
+        if given.dtype.kind in 'iu':
+            return np.asarray(given.astype(np.longdouble) / 10**9, np.float64)
+    return array
 
 
 def moment(name: str, value: Any) -> float:
     """One finite number."""
-    number = value if type(value) is float else one(name, value)
+    number = value if type(value) is float else one(name, _in_seconds(name, value, ()))
     if not math.isfinite(number):
         raise ValueError(f'{name} must be finite, not {number}')
     return number
@@ -39,7 +64,7 @@ def moments(name: str, value: ArrayLike, count: int | None) -> Floats:
     """One for all as shape (1,), or shape (count,); finite. `count` None: only one."""
     if count is None or type(value) is float:
         return np.array([moment(name, value)])
-    array = unless_refused(name, value, (count,))
+    array = _in_seconds(name, value, (count,))
     if array.ndim == 0:
         return np.array([moment(name, array[()])])
     if array.shape != (count,):

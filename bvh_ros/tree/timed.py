@@ -40,8 +40,8 @@ class Timed(Arrays):
         handles : array_like of int, shape (n,)
         velocities : array_like, shape (n, ndim)
             m/s; zero is at rest.
-        reference : float, or array_like of shape (n,)
-            When the boxes are where they were told to be, s.
+        reference : one time, or array_like of shape (n,)
+            When the boxes are where they were told to be: a float in s, or an int in ns.
 
         Raises
         ------

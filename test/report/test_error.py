@@ -20,7 +20,7 @@ from bvh_ros.report.error.worlds import (
     shapes_by_scene,
 )
 from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, unchecked_shapes
 
 
 @pytest.mark.parametrize('adversarial', [False, True])
@@ -62,7 +62,7 @@ SHAPES = {
 @pytest.mark.parametrize('name', SHAPES)
 def test_truth_of_shapes(name):
     kind, size, turn, origin, direction, expected = SHAPES[name]
-    shapes = Shapes(
+    shapes = unchecked_shapes(
         np.array([ShapeKind[kind]], np.uint8),
         np.array([[10.0, 0, 0]]),
         np.array([turn], float),

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and swept balls while obstacles move: as each obstacle, alone, sees them from its place."""
 
+import math
+
 import numpy as np
 import pytest
 from scene.test_then import some_shapes
@@ -116,7 +118,12 @@ def test_what_is_refused():
     assert len(scene) == 0
     scene.update('s', ['car'], boxes, stamp=NOW, velocities=[[1, 0, 0]])
     ends = [0, 0, 0], [20, 0, 0]
-    for times in ({'until': 5}, {'at': 6, 'until': 5}, {'at': 1.5}, {'at': 1, 'until': [1, 2]}):
+    for times in (
+        {'until': 5},
+        {'at': 6, 'until': 5},
+        {'at': math.nan},
+        {'at': 1, 'until': [1, 2]},
+    ):
         with pytest.raises(ValueError, match=r'at|until'):
             scene.raycast(*ends, **times)
         with pytest.raises(ValueError, match=r'at|until'):

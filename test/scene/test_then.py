@@ -242,7 +242,7 @@ def test_what_is_refused_and_what_nothing_moves():
         assert scene.overlap_many(np.empty((0, 3)), [1, 1, 1], want='count', at=NOW).shape == (0,)
         assert scene.nearest_many(np.empty((0, 3)), 3, at=NOW)[0].shape == (0, 3)
         assert scene.nearest_many([[0, 0, 0]], 3, at=NOW)[0].shape == (1, 3)
-        for wrong in (1.5, 'x', [1, 2], 1 << 70):
+        for wrong in (float('nan'), 'x', [1, 2], 1 << 70):
             for ask in (
                 lambda t: scene.overlap([0, 0, 0], [1, 1, 1], at=t),
                 lambda t: scene.nearest([0, 0, 0], at=t),

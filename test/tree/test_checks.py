@@ -118,8 +118,8 @@ UNKNOWN: list[tuple[Callable[[DynamicBVH], Any], str]] = [
     (lambda t: t.set_masks([5], 1), '5'),
     (lambda t: t.boxes([*t.ids(), 123456789]), '123456789'),
     (lambda t: t.masks([0]), '0'),
-    (lambda t: t.slots([t.ids()[4], 7]), '7'),
-    (lambda t: t.slot(-1), '-1'),
+    (lambda t: t._slots([t.ids()[4], 7]), '7'),
+    (lambda t: t._slot(-1), '-1'),
 ]
 
 

@@ -264,8 +264,9 @@ class RayQueries(RayAsking):
             Ignore boxes that contain the origin; else such a box is hit at ``t = 0`` with a zero
             normal.
         at, pace : float
-            Of boxes that have velocities: when the ray starts, s, and how much later it is a unit
-            of t. So `t` is when and where who moves along it meets the first box.
+            Of boxes that have velocities: when the ray starts (a float in s, or an int in ns), and
+            how much later it is a unit of t, s. So `t` is when and where who moves along it meets
+            the first box.
 
         Returns
         -------
