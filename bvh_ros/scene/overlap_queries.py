@@ -227,7 +227,9 @@ class OverlapQueries:
             self._store.change.require_none()
         kinds, _, turns, sizes, mesh = as_shapes(shape)
         if len(kinds) != 1:
-            raise ValueError(f'shape must be one row of Shapes, not {len(kinds)}')
+            raise ValueError(
+                f'shape must be one row of Shapes, not {len(kinds)}: take([row]) is one'
+            )
         places = checks.rows('positions', positions, 3)
         count = len(places)
         if orientations is not None:

@@ -319,7 +319,9 @@ def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QuerySha
     """`query_rows` of one row, as a query of its own."""
     given = as_shapes(shape)
     if len(given.kind) != 1:
-        raise ValueError(f'shape must be one row of Shapes, not {len(given.kind)}')
+        raise ValueError(
+            f'shape must be one row of Shapes, not {len(given.kind)}: take([row]) is one'
+        )
     rows, hulls = query_rows(given, checks.limit('tolerance', tolerance), ALL, planar)
     return rows.one(0), hulls
 
