@@ -256,5 +256,5 @@ def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, messa
     next(work)
     server.world.finish_changes()
     assert server.world.changes.owner is None
-    assert list(work) == [None]
+    assert len(list(work)) == 1
     triggers.destroy()
