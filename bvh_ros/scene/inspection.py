@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene tells about itself."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -16,6 +17,8 @@ from .shapes.footprint import Polygon
 from .shapes.mesh import convex_polygon
 from .shapes.shape import Floats, ShapeKind, Shapes, rotations, shapes_of
 from .store import Obstacles, run_in_thread
+
+MOST_COUNTED = 100_000  # boxes, whose cost takes 5 ms
 
 # ---- The surfaces of obstacles as polygons, and what is seen of them from above.
 
@@ -213,7 +216,15 @@ class Inspection:
 
     def stats(self) -> dict[str, Any]:
         """Sizes, the tree's shape, and which parts this scene uses."""
-        tree = self._store.tree.stats()
+        return self._figures(self._store.tree.stats())
+
+    def figures(self) -> dict[str, Any]:
+        """`stats`; the cost of a tree of more than MOST_COUNTED boxes is NaN."""
+        tree = self._store.tree
+        cost = tree.cost() if len(tree) <= MOST_COUNTED else math.nan
+        return self._figures(tree.figures() | {'cost': cost})
+
+    def _figures(self, tree: dict[str, Any]) -> dict[str, Any]:
         return {
             'boxes': len(self._store),
             'planar': self._store.planar,

@@ -49,6 +49,7 @@ class NodeScene(Scene):
     shapes_of = method_of('_inspection', Inspection.shapes_of)
     handles_of = method_of('_inspection', Inspection.handles_of)
     tree_levels = method_of('_inspection', Inspection.tree_levels)
+    figures = method_of('_inspection', Inspection.figures)
     validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)
 
     @property

@@ -190,15 +190,21 @@ class Introspection(Timed):
     def stats(self) -> dict[str, Any]:
         """Size, shape, memory, what has been done so far, and which parts are on."""
         view = self._view()
+        stats = self._figures() | {'cost': self.cost()}
+        self._check_unchanged(view)
+        return stats
+
+    def _figures(self) -> dict[str, Any]:
+        """`stats` without the cost: that takes 50 ns a box."""
+        view = self._view()
         tree, (written, _, snapshot, _) = view.tree, self._wide
         state = tree.state
         built_cost = state.view(np.float64).item(BUILT_COST)
-        stats = {
+        figures = {
             'boxes': len(self),
             'capacity': len(tree.handles),
             'ndim': self.ndim,
             'height': self.height,
-            'cost': self.cost(),
             'cost_when_built': built_cost,  # at the last bulk build; 0 before the first
             'bytes': sum(array.nbytes for array in tree),
             'snapshot_bytes': snapshot.nbytes if snapshot else 0,
@@ -213,7 +219,7 @@ class Introspection(Timed):
             **{name: state.item(place) for name, place in COUNTERS.items()},
         }
         self._check_unchanged(view)
-        return stats
+        return figures
 
     def _copied(self, room: Storage | None = None) -> Tree:
         """The tree's arrays, all as they were at one time; in `_room_for_copy`, if that fits."""

@@ -29,6 +29,7 @@ class OpenTree(DynamicBVH):
     room_for_copy = DynamicBVH._room_for_copy
     copied = DynamicBVH._copied
     validate_copy = DynamicBVH._validate_copy
+    figures = DynamicBVH._figures
 
     @property
     def motion(self) -> Optional['MotionQueries']:

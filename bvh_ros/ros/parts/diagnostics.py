@@ -35,7 +35,8 @@ class SceneStatistics:
     """Looks at the whole world, so seldom that it takes at most a hundredth of the time, and with
     many views bit by bit.
 
-    The cost of a tree of 10^6 boxes takes 40 ms: such a world is looked at every four seconds.
+    The cost of a tree is among the figures of up to 100,000 obstacles: that of 10^6 takes 55 ms.
+    `~/rebuild` and `~/validate` reply it.
     """
 
     def __init__(self, world: World) -> None:
@@ -77,13 +78,12 @@ class SceneStatistics:
 
     def _take_figures(self) -> dict[str, Any]:
         scene = self._world.scene
-        stats = scene.stats()
+        stats = scene.figures()
         tree = stats['tree']
         return {
             **{f'obstacles of {name}': count for name, count in stats['sources'].items()},
             'height': stats['height'],
-            'cost': f'{stats["cost"]:.4g}',
-            'cost over that of the last build': _ratio(stats['cost'], tree['cost_when_built']),
+            **_costs(stats['cost'], tree['cost_when_built']),
             'turned or round obstacles': stats['shaped'],
             'different meshes': stats['meshes'],
             'obstacles with a lifetime': stats['mortal'],
@@ -104,8 +104,11 @@ def resident_bytes() -> int | None:
     return pages * resource.getpagesize()
 
 
-def _ratio(cost: float, when_built: float) -> str:
-    return f'{cost / when_built:.3f}' if when_built > 0.0 else 'never built at once'
+def _costs(cost: float, when_built: float) -> dict[str, str]:
+    if math.isnan(cost):
+        return {'cost': 'of so many obstacles ~/validate replies it'}
+    ratio = f'{cost / when_built:.3f}' if when_built > 0.0 else 'never built at once'
+    return {'cost': f'{cost:.4g}', 'cost over that of the last build': ratio}
 
 
 # What has to be done again and again, whoever asks.

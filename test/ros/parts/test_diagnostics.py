@@ -5,6 +5,7 @@
 import logging
 import math
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
@@ -189,10 +190,10 @@ def test_a_survey_takes_a_hundredth_of_the_time(monkeypatch):
     taken = []
 
     class SlowScene(NodeScene):
-        def stats(self):
+        def figures(self):
             now[0] += 0.04
             taken.append(now[0])
-            return super().stats()
+            return super().figures()
 
     class World:
         scene = SlowScene()
@@ -227,3 +228,21 @@ def test_a_world_whose_change_was_interrupted(monkeypatch):
     scene.clear()
     assert world.problem(0) == ''
     assert world.at(0) is scene
+
+
+def test_the_cost_of_a_large_tree_is_not_counted_between_answers(monkeypatch):
+    """That of 10^6 boxes would silence the node for 55 ms."""
+    scene = NodeScene()
+    lo = np.random.default_rng(0).uniform(0, 50, (100, 3))
+    scene.update('s', [str(k) for k in range(100)], Shapes.boxes(lo, [1, 1, 1]))
+    assert scene.figures() == scene.stats()
+
+    def fail(_):
+        raise AssertionError('it was counted')
+
+    monkeypatch.setattr('bvh_ros.scene.inspection.MOST_COUNTED', 99)
+    monkeypatch.setattr(DynamicBVH, 'cost', fail)
+    world = World(None, LargeChanges(scene), None, (), (WHOLE,))
+    figures, _ = diagnostics.SceneStatistics(world).look()
+    assert '~/validate' in figures['cost']
+    assert figures['height'] == scene.figures()['height']
