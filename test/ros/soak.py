@@ -413,6 +413,7 @@ def main(minutes: str) -> int:
         ('wrong answers', len(found.faults())),
         ('frames asked about', len({answer.frame for answer in found.answers})),
         ('messages that the node took', found.figures.get('messages', '')),
+        ('messages refused', found.figures.get('refused', '')),
         (
             'round trip, p50, p99, longest [ms]',
             np.percentile(milliseconds, (50, 99, 100)).round(2),

@@ -215,8 +215,8 @@ def test_two_nodes_answer_as_one_about_other_times(moving):
         assert same_rows(found, wanted, here, there) > 25
     with pytest.raises(ValueError, match='until needs at'):
         both.raycast_many(places, ways, 1.0, until=at)
-    with pytest.raises(ValueError, match='integers'):
-        both.nearest_many(places, 4.0, at=0.5)
+    with pytest.raises(ValueError, match='at must'):
+        both.nearest_many(places, 4.0, at='x')
     with pytest.raises(BvhError, match='stamp'):
         both.raycast((0, 0, 0), (1, 0, 0), until=told)
 

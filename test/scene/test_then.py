@@ -26,7 +26,7 @@ def some_shapes(rng, count):
     sizes, turns = rng.uniform(0.2, 3, (count, 3)), unit_quaternions(rng.normal(size=(count, 4)))
     sizes[kinds == CYLINDER, 1] = sizes[kinds == CYLINDER, 0]
     sizes[kinds == SPHERE] = sizes[kinds == SPHERE, :1]
-    turns[::4] = 0.0
+    turns[::4] = 0.0, 0.0, 0.0, 1.0
     return Shapes(kinds, rng.uniform(-9, 9, (count, 3)), turns, sizes)
 
 

@@ -313,7 +313,7 @@ def test_points_boxes_and_paths_are_about_their_times(clean):
     for ask in (client.nearest_many, client.check_path):
         with pytest.raises(BvhError):
             ask(points[:2], at=now + 9 * SECOND)
-        for wrong in (0.5, [now], 'x'):
+        for wrong in (math.inf, [now], 'x'):
             with pytest.raises(ValueError, match='at must'):
                 ask(points[:2], at=wrong)
     with pytest.raises(ValueError, match='a stamp can hold'):
@@ -341,7 +341,7 @@ def test_the_client_asks_about_times(clean):
         client.raycast(*ends, at=now + 3 * SECOND)
     with pytest.raises(BvhError, match='start has none'):
         client.raycast(*ends, until=now)
-    for wrong in (-1, 0, (1 << 31) * SECOND, 1.5, math.nan):
+    for wrong in (-1, 0, (1 << 31) * SECOND, 0.0, math.nan):
         with pytest.raises(ValueError, match='at must be'):
             client.raycast(*ends, at=wrong)
     starts, ways = np.zeros((3, 3)), np.full((3, 3), [20.0, 0, 0])
