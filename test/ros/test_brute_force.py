@@ -172,5 +172,5 @@ def test_overlap_turned(filled):
             )
         )
         corner = half @ axes
-        poses = filled.plan('overlap', centre - corner, centre + corner, turn=q).poses
+        poses = filled.plan('overlap', centre - corner, centre + corner, turn=(x, y, z, w)).poses
         check_overlaps(poses, np.flatnonzero(~separated(axes, centre, half)), centre)
