@@ -353,7 +353,7 @@ def test_the_client_asks_about_times(clean):
     )
     assert hits.t[:2].tolist() == pytest.approx([9.5 / 20, 9.5 / 30], abs=1e-6)
     assert hits.obstacles[2] == UNANSWERED
-    for wrong in ({'until': now}, {'at': 0.5}, {'at': now, 'until': now - 1}, {'at': [now]}):
+    for wrong in ({'until': now}, {'at': math.inf}, {'at': now, 'until': now - 1}, {'at': [now]}):
         with pytest.raises(ValueError, match=r'at|until'):
             client.raycast_many(starts, ways, 1.0, **wrong)
     with pytest.raises(ValueError, match='t_max'):
