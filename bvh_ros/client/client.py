@@ -320,8 +320,8 @@ class BvhClient:
             m.
         max_distance, mask : one for all points, or (n,) array_like
             Obstacles that are farther away (m), or have no bit in common, are left out.
-        at : int or (n,) array_like, optional
-            An int in ns, or a float in s: the world as it is then, see `raycast`.
+        at : int, float or (n,) array_like, optional
+            ints in ns or floats in s: the world as it is then, see `raycast`.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 
@@ -389,8 +389,8 @@ class BvhClient:
             m.
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w.
-        at : int or (n,) array_like, optional
-            An int in ns, or a float in s: when the footprint is there; 0 is now, as is None.
+        at : int, float or (n,) array_like, optional
+            ints in ns or floats in s: when the footprint is there; 0 is now, as is None.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
 

@@ -54,7 +54,7 @@ def request(
     at: float | None = None,
     until: float | None = None,
 ) -> GetPlan.Request:
-    """Return a request of one question; `at` and `until` (ns) are the stamps of start and goal.
+    """Return a request of one question; `at` and `until` are the stamps of start and goal.
     ValueError if an argument has the wrong form.
     """
     made = GetPlan.Request(tolerance=tolerance)

@@ -34,9 +34,8 @@ class NodeScene(Scene):
         0.5 us an obstacle.
         """
         tree = self._store.tree
-        tree.snapshot_for(
-            2 * checks.whole('count', count, 0), tree.view()
-        )  # once more by the batch
+        rays = 2 * checks.whole('count', count, 0)  # the batch looks at the tree again
+        tree.snapshot_for(rays, tree.view())
 
     prepare_times = method_of('_timed', TimedQueries.prepare)
     is_prepared = method_of('_timed', TimedQueries.is_prepared)

@@ -250,7 +250,7 @@ class OverlapQueries:
         options: tuple[ArrayLike, ArrayLike, int, Any],
         want: str,
     ) -> Any:
-        """What `overlap_many` returns of any shapes, as of `Shapes`; asked = (tolerance, mask,
+        """What `overlap_many` returns of any shapes, as of `Shapes`; options = (tolerance, mask,
         threads, at).
         """
         wanted = WANTED.get(want) if isinstance(want, str) else None

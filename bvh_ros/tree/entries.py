@@ -15,7 +15,7 @@ def entry_points(
 ) -> Callable[[int], Callable[..., Any]]:
     """Return what gives, for a number of dimensions, the `entry_point` of a kernel of a tree and
     arguments of these types; compiled or loaded at its first use. An argument whose type depends
-    on that number is a function of it. `beside` takes it, too, see `entry_point`.
+    on that number is a function of it. `alongside` takes it, too, see `entry_point`.
     """
 
     @functools.cache

@@ -19,7 +19,7 @@ LAST_INT64 = (1 << 63) - 1
 @lean_kernel
 def _fill_slots(handles, given, taken, slots):
     """Fill in the slot of each handle, all int64 (n,): (row, why) of the first bad one. why 0 is
-    none, 1 an unknown handle, 2 one given before; `seen` is empty where that is allowed.
+    none, 1 an unknown handle, 2 one given before; `taken` is empty where that is allowed.
     """
     for i in range(given.shape[0]):
         number = given[i]

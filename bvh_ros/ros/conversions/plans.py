@@ -16,6 +16,7 @@ from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import SceneHit
+from bvh_ros.tree.access import checks
 
 ERROR = 'error: '  # begins the frame_id of a reply that is no answer
 
@@ -143,7 +144,7 @@ def _turn(what: str, stamped: Any) -> rotations.Quaternion:
         return rotations.IDENTITY
     if not all(map(math.isfinite, turn)):
         raise ValueError(f'{what}.pose.orientation is not finite')
-    if abs(math.hypot(*turn) - 1.0) > 0.01:
+    if not checks.are_unit(*turn):
         raise ValueError(f'{what}.pose.orientation has length {math.hypot(*turn):g}, not 1')
     return turn
 

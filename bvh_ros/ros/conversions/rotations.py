@@ -9,9 +9,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bvh_ros.tree.access import checks
+
 Quaternion = tuple[float, float, float, float]
 
-SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of lengths
 OFF = 'the length of its orientation is neither 1 nor 0'
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -50,8 +51,7 @@ def are_off(quaternions: ArrayLike) -> NDArray[np.bool_]:
     """Return which quaternions (..., 4) are neither zero nor of length 1 to within 1 %."""
     q = np.asarray(quaternions, dtype=np.float64)
     with np.errstate(over='ignore', invalid='ignore'):
-        square = (q * q).sum(axis=-1)
-    return np.asarray(~((square >= SHORTEST) & (square <= LONGEST)) & q.any(axis=-1))
+        return np.asarray(~checks.are_unit(*np.moveaxis(q, -1, 0)) & q.any(axis=-1))
 
 
 def multiply(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:

@@ -585,7 +585,7 @@ class Canonical(NamedTuple):
     """(n,) index into `REASONS` of the first fault of each row."""
 
 
-SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of lengths of quaternions
+SHORTEST, LONGEST = checks.SHORTEST, checks.LONGEST
 
 
 @inlined
@@ -598,9 +598,7 @@ def is_finite(vector):
 
 @inlined
 def is_rotation(quaternion):
-    """Whether a quaternion has length 1 to within 1 %, or is zero, as a message leaves it that
-    tells no orientation.
-    """
+    """Whether a quaternion has length 1 to within 1 %, or is zero: an unset field of a message."""
     square = 0.0
     for part in range(4):
         square += quaternion[part] * quaternion[part]

@@ -85,7 +85,7 @@ def entry_point(
 ) -> Callable[..., Any]:
     """Return the machine code of a kernel for arguments of exactly these types. It does not check
     the types of what it is given: other types are undefined behaviour. Where it has to be
-    compiled, another process calls `beside` meanwhile: that compiles what will be wanted next.
+    compiled, another process calls `alongside` meanwhile: that compiles what will be wanted next.
 
     numba's dispatcher looks at the types of all arguments at every call. For twelve arrays that
     takes 0.4 us, as long as a ray; for twelve in a NamedTuple, 1.3 us.

@@ -41,11 +41,11 @@ def _constant(builder: Any, value: Any) -> Any:
 
 @intrinsic
 def list_met8(typingctx, lists, start, count, hits, bit, into):
-    """Copy those of lists[start:start + count] whose `met` has a bit to lists[into:], in their
-    order; return where they end. `met` is 0 for AT_ONCE - 1 more; so many numbers behind the end
+    """Copy those of lists[start:start + count] whose `hits` has a bit to lists[into:], in their
+    order; return where they end. `hits` is 0 for AT_ONCE - 1 more; so many numbers behind the end
     are written, too.
 
-    Without a branch or a store for each: what a ray among others meets can't be guessed.
+    Without a branch or a store for each: what a ray among others hits can't be guessed.
     """
     sig = types.int64(lists, types.int64, types.int64, hits, types.int64, types.int64)
 

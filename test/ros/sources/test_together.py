@@ -158,7 +158,9 @@ def test_what_came_before_a_clear_goes(world, messages, ros):
     node, _ = ros
     topic = f'{world.namespace}/bvh/obstacles'
     publisher = node.create_publisher(MarkerArray, topic, QoSProfile(depth=DEPTH))
-    world.until(publisher.get_subscription_count)
+    # Messages before both ends have found each other arrive with a later heartbeat.
+    publisher.publish(MarkerArray(markers=[messages.marker(0, (0, 0, 0))]))
+    world.until(lambda: world.everything() == {'a/0'})
     for turn in range(20):
         for k in range(40):
             publisher.publish(MarkerArray(markers=[messages.marker(k, (k, turn, 0))]))
