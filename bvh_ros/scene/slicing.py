@@ -23,7 +23,7 @@ from .updates import NONE, Part, Sliced, Updates
 
 # An update is applied at once among fewer obstacles than this, or if it has a tenth of the rows:
 # that takes at most 30 ms. Slices and their shadows take up to ten times as long in all.
-AT_ONCE = 30_000
+AT_ONCE = 15_000
 SLICE = 256  # rows, 1 to 5 ms
 # Of rows with meshes of their own, 35 us each: in slices they take no longer.
 COSTLY_AT_ONCE, COSTLY_SLICE = 256, 64

@@ -18,16 +18,15 @@ from .shapes.shape import Floats
 from .updates import Sighting
 
 Ids = NDArray[np.int64]
-NOBODY = -1
 JITTER = 0.02  # s that a stamp may be wrong by: no jump is seen in what that explains
 LATE = 1.0  # s that an older update may come too late; what is older still begins anew
 
 
 class State(NamedTuple):
-    """What is known, by slot."""
+    """What is known of the slots that were ever seen, a row each."""
 
     owners: Ids
-    """Node handles: whoever has the slot now may not be who had it before."""
+    """Node handles plus 1, or 0: another obstacle may have a slot now than before."""
     stamps: Ids
     places: Floats
     steps: Floats
@@ -55,25 +54,42 @@ class Tracks:
     def __init__(self, smoothing: float = 0.3, max_speed: float = 50.0) -> None:
         self._smoothing = checks.limit('smoothing', smoothing)
         self.max_speed = checks.limit('max_speed', max_speed)
-        self._state = _room_for(0)
+        self._state, self._seen = _room_for(0), 0
+        self._rows = np.zeros(0, np.int32)
+        """By slot: its row in the state, plus 1; 0 if it was never seen. The scene may have far
+        more slots than one source.
+        """
 
     def __call__(self, slots: Ids, handles: Ids, before: Sighting, now: Sighting) -> Floats:
         """Return velocities, (n, 3) m/s, of n obstacles that are told again, each once: their
         slots, node handles, where they were told to be before, and where they are.
         """
-        if len(slots):
-            self._grow(int(slots.max()) + 1)
-        columns: Any = (column[slots] for column in self._state)
+        rows = self._rows_of(slots)
+        columns: Any = (column[rows] for column in self._state)
         known = State(*columns)
-        new = known.owners != handles
-        known.owners[:] = handles
+        owners = handles.astype(np.int64) + 1
+        new = known.owners != owners
+        known.owners[:] = owners
         known.stamps[new], known.places[new] = before.stamps[new], before.places[new]
         known.steps[new], known.times[new] = 0.0, 0.0
         with np.errstate(all='ignore'):  # what overflows is a jump
             velocities = self._note(known, now)
         for state, column in zip(self._state, known, strict=True):
-            state[slots] = column
+            state[rows] = column
         return velocities
+
+    def _rows_of(self, slots: Ids) -> Ids:
+        """Rows of slots, new ones where they have none."""
+        most = int(slots.max(initial=-1)) + 1
+        if most > len(self._rows):
+            rows = np.zeros(max(most, 2 * len(self._rows)), np.int32)
+            rows[: len(self._rows)] = self._rows
+            self._rows = rows
+        fresh = slots[self._rows[slots] == 0]
+        self._rows[fresh] = np.arange(self._seen + 1, self._seen + 1 + len(fresh))
+        self._seen += len(fresh)
+        self._grow(self._seen)
+        return self._rows[slots].astype(np.int64) - 1
 
     def _note(self, known: State, now: Sighting) -> Floats:
         """Update what is known; return velocities."""
@@ -105,7 +121,5 @@ class Tracks:
 
 
 def _room_for(count: int) -> State:
-    return State(
-        *(np.full(count, NOBODY, np.int64), np.zeros(count, np.int64), np.zeros((count, 3))),
-        *(np.zeros((count, 3)), np.zeros(count)),
-    )
+    ids = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    return State(*ids, np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count))

@@ -313,7 +313,7 @@ class Batch(NodePart):
         self._now()
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         questions = self._questions(request)
-        self._require(questions)
+        yield from self._load(questions)
         stamp = request.stamp or self.node.get_clock().now().nanoseconds
         table = AnswerTable(self.answer, request.height, request.width, questions.real)
 
@@ -333,11 +333,11 @@ class Batch(NodePart):
         self._pieces[kind] = rows, time.monotonic()
         return table.cloud()
 
-    def _require(self, questions: Any) -> None:
-        """IncompleteWorldError while kernels are compiled."""
-        self._kernels.require(self.needed)
+    def _load(self, questions: Any) -> Iterator[None]:
+        """Pause while kernels are loaded; IncompleteWorldError while they are compiled."""
+        yield from self._kernels.load(self.needed)
         if questions.has_times:
-            self._kernels.require(self.needed_then)
+            yield from self._kernels.load(self.needed_then)
 
     def _now(self) -> NodeScene:
         return self._world.at(self.node.get_clock().now().nanoseconds)
@@ -420,9 +420,9 @@ class RayBatch(Batch):
         super().__init__(node, world, view, kernels)
         self._drawing = drawing
 
-    def _require(self, questions: Any) -> None:
+    def _load(self, questions: Any) -> Iterator[None]:
         if questions.has_radii and not questions.has_times:
-            self._kernels.require(BALLS)
+            yield from self._kernels.load(BALLS)
 
     def _draw(self, questions: Rays, answers: Hits) -> None:
         if self._drawing.is_watched:

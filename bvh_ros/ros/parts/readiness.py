@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 from bvh_ros.ros.compilation import Compilation, Progress
 from bvh_ros.ros.parts.part import NodePart
 from bvh_ros.ros.world.world import CompilingError
+from bvh_ros.scene.store import run_in_thread
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -41,20 +42,30 @@ class OnDemand(NodePart):
         CompilingError
             If they are not, with how far they have come.
         """
-        job = self._jobs.get(name)
-        if job is None:
+        if name not in self._jobs:
             return
-        if name not in self._under_way:
-            compilation = self._under_way[name] = Compilation([job], 1)
-            if compilation.seconds:  # else it was compiled before, and is but loaded
-                self.node.get_logger().info(f'compiling {name}: somebody asks for the first time')
-            self._close.append(partial(self._end, name))
-        compilation = self._under_way[name]
+        compilation = self._begun(name)
         compilation.go_on()
         if not compilation.is_done:
             raise CompilingError(compilation.in_words())
         self._end(name)
         del self._jobs[name]
+
+    def load(self, name: str) -> Iterator[None]:
+        """`require` with pauses: the helper thread loads the kernels, which takes longer than a
+        turn.
+        """
+        if name in self._jobs:
+            yield from run_in_thread(self._begun(name).go_on)
+        self.require(name)
+
+    def _begun(self, name: str) -> Compilation:
+        if name not in self._under_way:
+            compilation = self._under_way[name] = Compilation([self._jobs[name]], 1)
+            if compilation.seconds:  # else it was compiled before, and is but loaded
+                self.node.get_logger().info(f'compiling {name}: somebody asks for the first time')
+            self._close.append(partial(self._end, name))
+        return self._under_way[name]
 
     def _end(self, name: str) -> None:
         compilation = self._under_way.pop(name, None)

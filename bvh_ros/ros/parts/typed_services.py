@@ -258,7 +258,7 @@ class TypedServices(NodePart):
             )
         begin = stamp or self.node.get_clock().now().nanoseconds
         for name in question.needs(request, rows.since is not None):
-            self._kernels.require(name)
+            yield from self._kernels.load(name)
         statuses = np.full(count, STATUS.OK, np.uint8)
         parts: list[tuple[NDArray[np.int64], Answers]] = []
         reasons: list[str] = []
