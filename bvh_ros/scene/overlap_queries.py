@@ -21,19 +21,19 @@ from .distance.query import (
     shape_query,
 )
 from .results import SceneHit, require_few
-from .shapes.shape import Floats, Shapes, as_shapes, unchecked_shapes
+from .shapes.shape import Floats, Shapes, as_one_shape, unchecked_shapes
 from .store import Obstacles
 from .timed_queries import TimedQueries
 
 
-def turns_of(orientations: ArrayLike, count: int) -> Floats:
+def turns_of(orientations: ArrayLike, count: int, name: str = 'orientations') -> Floats:
     """Quaternions of all rows, or one for all, as (n, 4) or (1, 4)."""
     if not isinstance(orientations, np.ndarray):
-        orientations = checks.floats('orientations', orientations)
+        orientations = checks.floats(name, orientations)
     if orientations.shape == (4,):
         orientations, count = orientations[None], 1
-    turns = checks.rows('orientations', orientations, 4, count)
-    checks.rotations('orientations', turns)
+    turns = checks.rows(name, orientations, 4, count)
+    checks.rotations(name, turns)
     return turns
 
 
@@ -225,11 +225,7 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        kinds, _, turns, sizes, mesh = as_shapes(shape)
-        if len(kinds) != 1:
-            raise ValueError(
-                f'shape must be one row of Shapes, not {len(kinds)}: take([row]) is one'
-            )
+        kinds, _, turns, sizes, mesh = as_one_shape(shape)
         places = checks.rows('positions', positions, 3)
         count = len(places)
         if orientations is not None:

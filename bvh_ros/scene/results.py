@@ -71,6 +71,22 @@ class CastHits(NamedTuple):
     """(n, 3) outward; zero where the way is free, or begins in the obstacle."""
 
 
+class ShapeSweeps(NamedTuple):
+    """The first obstacles on n ways of a shape that may turn."""
+
+    handles: NDArray[np.uint32]
+    """(n,) node handles, NO_NODE (0xFFFFFFFF) where the way is free."""
+    t: NDArray[np.float64]
+    """(n,) from 0 at the start to 1 at the goal: where the shape touches the obstacle, or is not
+    farther from it than the resolution; inf where the way is free."""
+    free_until: NDArray[np.float64]
+    """(n,) up to there it is certain that the shape touches nothing; inf where the way is free."""
+    points: NDArray[np.float64]
+    """(n, 3), m: the obstacle's closest point then; NaN where the way is free."""
+    normals: NDArray[np.float64]
+    """(n, 3) from there to the shape; zero where the way is free, or they overlap at the start."""
+
+
 class BoxHits(NamedTuple):
     """What touches n boxes: how many obstacles, and the first of each."""
 

@@ -20,6 +20,7 @@ from .overlap_queries import OverlapQueries
 from .ray_queries import RayQueries
 from .shapes.shape import Floats
 from .store import Obstacles, in_seconds
+from .sweep_queries import SweepQueries
 from .timed_queries import TimedQueries
 from .updates import Categorise, Removals, Updates, as_region
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 
 
-class Scene(RayQueries, OverlapQueries, DistanceQueries):
+class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
     """Obstacles that come and go, and the questions about them.
 
     The caller passes all times in; the scene reads no clock. A time (`stamp`, `expires`, `at`,

@@ -99,6 +99,14 @@ class TimedQueries:
             return None
         return store.seconds(column('at', at, count, LAST_TIME, FIRST_TIME))
 
+    def spans(self, at: Any, until: Any, count: int) -> tuple[Floats, Floats] | None:
+        """When n ways start, s, and how many seconds pass a unit of t, one for all or (n,); None
+        if it does not matter. ValueError as of `time_matters`.
+        """
+        if not self.time_matters(at, until, count):
+            return None
+        return self._columns(at, until, count)
+
     def _when(self, at: Any, until: Any) -> tuple[float, float]:
         """When one ray starts, s, and how many seconds pass a unit of t."""
         store, last = self._store, at if until is None else until

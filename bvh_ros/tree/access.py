@@ -38,7 +38,7 @@ from .nodes import (
 from .open_tree import OpenTree
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
 from .query.nearest import PointQueries, are_dense, nearest, order_of
-from .query.overlap import overlap
+from .query.overlap import overlap, overlap_swept
 from .query.ray import (
     CLOSEST,
     EVERY,

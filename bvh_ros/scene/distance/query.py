@@ -36,7 +36,7 @@ from ..shapes.shape import (
     Floats,
     Records,
     Shapes,
-    as_shapes,
+    as_one_shape,
     canonical_row,
     canonicalise,
     different,
@@ -317,11 +317,7 @@ def _row_by_row(given: Shapes, count: int) -> Shapes:
 
 def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QueryShape, Hulls | None]:
     """`query_rows` of one row, as a query of its own."""
-    given = as_shapes(shape)
-    if len(given.kind) != 1:
-        raise ValueError(
-            f'shape must be one row of Shapes, not {len(given.kind)}: take([row]) is one'
-        )
+    given = as_one_shape(shape)
     rows, hulls = query_rows(given, checks.limit('tolerance', tolerance), ALL, planar)
     return rows.one(0), hulls
 

@@ -420,6 +420,16 @@ def _require_legal(shapes: Shapes) -> None:
                 )
 
 
+def as_one_shape(shape: Shapes) -> Shapes:
+    """`as_shapes` of one row; ValueError if it has more or none."""
+    given = as_shapes(shape)
+    if len(given.kind) != 1:
+        raise ValueError(
+            f'shape must be one row of Shapes, not {len(given.kind)}: take([row]) is one'
+        )
+    return given
+
+
 def as_shapes(shapes: Shapes) -> Shapes:
     """The same with arrays of the right types; ValueError where they cannot be made so, or their
     lengths disagree.

@@ -17,7 +17,7 @@ from .exact_contact import (
     moves,
 )
 from .nearest import Bounded, at_least, near_at, nearest_bounds
-from .overlap import overlap_at
+from .overlap import overlap_at, overlap_swept_at
 from .state import span_of, times_of
 from .sweep import (
     AHEAD,

@@ -15,7 +15,7 @@ from ..query.slab import RAY_ROWS, set_swept_box
 from ..simd.moving_sides import FRONTS, is_behind, is_beside
 from ..store.turns import NOT_FINITE, end_query
 from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, no_motion, set_fronts
-from .entries import is_sound
+from .entries import enter_bounds, is_sound, path_at
 from .exact_contact import box_of, course_of, elapsed, meet, moment_of, surely_below
 
 
@@ -87,6 +87,31 @@ def overlap_at(tree, moving, at, lo, hi, mask, found, count):
     query = box_at(moving, at, lo, hi)
     return find_touching(
         tree, moving.nodes, query, mask, found, count, _node_may_touch, _leaf_touches
+    )
+
+
+@inlined
+def _bounds_may_meet(nodes, node, path):
+    return enter_bounds(nodes, node, path, 1.0) < np.inf
+
+
+@inlined
+def _leaf_may_meet(_tree, leaf, path):
+    return enter_bounds(path.moving.nodes, leaf, path, 1.0) < np.inf
+
+
+@lean_kernel
+def overlap_swept_at(tree, moving, times, lo, hi, way, mask, found):
+    """`query.overlap.overlap_swept` among moving boxes; times = (when the box starts, s, how many
+    seconds its way takes).
+    """
+    course = course_of(stack_array((RAY_ROWS, 3), np.float64), times[0], times[1], moving)
+    fronts = stack_array(FRONTS, np.float64)
+    set_swept_box(course.ray, lo, hi, way)
+    set_fronts(fronts, moving, lo, hi, way)
+    path = path_at(tree, moving, course, 1.0, mask, fronts)
+    return find_touching(
+        tree, moving.nodes, path, mask, found, 0, _bounds_may_meet, _leaf_may_meet
     )
 
 

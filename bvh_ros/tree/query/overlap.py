@@ -19,6 +19,7 @@ from ..nodes import DEEPEST, NONE, ROOT, is_leaf, leaf_box, next_node
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query
 from ..store.workers import in_threads
 from .ray import of_row
+from .slab import RAY_ROWS, intersect_node, prepare_ray, set_swept_box, traversal_distance
 
 Ids = NDArray[np.int64]
 FEW = 64  # handles that there is room for at first
@@ -100,6 +101,42 @@ def overlap(tree, lo, hi, mask, found, count):
     return find_touching(
         tree, tree.nodes, Box(lo, hi), mask, found, count, _node_touches, _leaf_touches
     )
+
+
+class SweptBox(NamedTuple):
+    """A box that is swept along a way, for callers that decide by other shapes."""
+
+    ray: NDArray[np.float64]
+    """See `slab.set_swept_box`."""
+    limit: float
+    wide: bool
+
+
+@inlined
+def _node_may_meet(nodes, node, query):
+    lo, hi = nodes[node].lo, nodes[node].hi
+    return intersect_node(lo, hi, query.ray, query.limit, query.wide) < np.inf
+
+
+@inlined
+def _leaf_may_meet(tree, leaf, query):
+    lo, hi = leaf_box(tree.nodes, tree.tight, leaf)
+    return intersect_node(lo, hi, query.ray, query.limit, query.wide) < np.inf
+
+
+@lean_kernel
+def overlap_swept(tree, lo, hi, way, mask, found):
+    """`find_touching` of the box from lo to hi that is swept along a way; it may err towards a
+    box that is not touched, never away from one that is.
+    """
+    root = tree.state[ROOT]
+    if root == NONE:
+        return np.int64(0)
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    set_swept_box(ray, lo, hi, way)
+    scale, wide = prepare_ray(ray, tree.nodes[root].lo, tree.nodes[root].hi)
+    query = SweptBox(ray, traversal_distance(1.0, scale), wide)
+    return find_touching(tree, tree.nodes, query, mask, found, 0, _node_may_meet, _leaf_may_meet)
 
 
 # ---- the kernels that Python calls

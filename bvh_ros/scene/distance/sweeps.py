@@ -1,0 +1,606 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Shapes that go from pose to pose, and turn on the way: when each first touches an obstacle."""
+
+import math
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...tree.access import (
+    INT64,
+    IS_CHANGED,
+    REFUSED,
+    OpenTree,
+    Tree,
+    begin_query,
+    end_query,
+    in_threads,
+    of_row,
+    overlap_swept,
+)
+from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
+from ...tree.motion.access import (
+    OUTSIDE,
+    begin_asking,
+    box_of,
+    covers,
+    elapsed,
+    moves,
+    overlap_swept_at,
+    times_of,
+)
+from ..results import NO_NODE, ShapeSweeps
+from ..shapes.hull import Hulls, hull_of
+from ..shapes.shape import (
+    CAPSULE,
+    CYLINDER,
+    LEAST,
+    MESH,
+    SPHERE,
+    Floats,
+    Records,
+    fill_rotation,
+    fill_unit,
+    reach_along,
+    rotate,
+)
+from ..store import Obstacles, movers
+from .batch import bodies_of
+from .certified import certified_bounds, plus, set_normal, times
+from .gjk import (
+    AXES,
+    CENTRE,
+    CORE_ROWS,
+    DIRECTION_ROOM,
+    FIRST,
+    HALF,
+    SECOND,
+    SLACK,
+    Core,
+    corner_of,
+    dot,
+    gap_bounds,
+)
+from .moving import QueryTimes, displacement, most_growth
+from .narrow_phase import fill_core
+
+# ---- How a shape goes from one pose to another.
+#
+# Its centre, the position of the row, goes along a straight line at constant speed. It turns about
+# one axis at constant rate, by at most half a turn: q(t) = (axis sin(t a), cos(t a)) q(0), a being
+# half the angle between the two quaternions (Shoemake 1985, "Animating rotation with quaternion
+# curves"). The sign of the product of the quaternions says which way is shorter; it is computed
+# with twice the digits, as the motion is another one on either side. Where it is zero, both ways
+# are half a turn, and the quaternions are taken as they are given.
+#
+# `body` is the shape unturned, with its position at the origin: a mesh lies beside that by the
+# position of its record.
+
+START, WAY, TURN, AXIS, HALF_ANGLE, ARM, REACH = 0, 3, 6, 10, 13, 14, 15
+MOTION = 16  # floats: of these START, WAY and AXIS have three, TURN has four
+OUTWARD = 1.0 + 2.0**-40  # no computed length is off by as much
+
+
+@lean_kernel
+def set_motion(body, start, goal, turn, goal_turn, motion):
+    """Fill in how a body goes from a start to a goal.
+
+    ARM is a length beyond which no point of its core is from the axis about which it turns, REACH
+    one beyond which no point of the shape is from its position.
+    """
+    first, last = stack_array(4, np.float64), stack_array(4, np.float64)
+    fill_unit(turn, first)
+    fill_unit(goal_turn, last)
+    total = np.float64(0.0), np.float64(0.0)
+    for part in range(4):
+        product = times((turn[part], np.float64(0.0)), (goal_turn[part], np.float64(0.0)))
+        total = plus(total, product)
+    sign = -1.0 if total[0] < 0.0 else 1.0
+    x, y, z, w = -first[0], -first[1], -first[2], first[3]
+    a, b, c, d = sign * last[0], sign * last[1], sign * last[2], sign * last[3]
+    motion[AXIS] = d * x + w * a + (b * z - c * y)
+    motion[AXIS + 1] = d * y + w * b + (c * x - a * z)
+    motion[AXIS + 2] = d * z + w * c + (a * y - b * x)
+    length = math.sqrt(dot(motion[AXIS:], motion[AXIS:]))
+    same = sign > 0.0
+    for part in range(4):
+        same = same and first[part] == last[part]
+        motion[TURN + part] = first[part]
+    for axis in range(3):
+        motion[START + axis], motion[WAY + axis] = start[axis], goal[axis] - start[axis]
+        motion[AXIS + axis] = motion[AXIS + axis] / length if length > 0.0 else 0.0
+    motion[HALF_ANGLE] = 0.0
+    if length > 0.0 and not same and body.kind != SPHERE:
+        motion[HALF_ANGLE] = math.atan2(length, d * w - (a * x + b * y + c * z))
+    set_reach(body, motion)
+
+
+@lean_kernel
+def set_reach(body, motion):
+    """Fill in ARM and REACH, from the corners of the box around the core."""
+    corner, half = stack_array(3, np.float64), stack_array(3, np.float64)
+    radius = fill_half(body, half)
+    arm, reach = 0.0, 0.0
+    for number in range(8):
+        for axis in range(3):
+            side = half[axis] if number >> axis & 1 == 1 else -half[axis]
+            corner[axis] = body.position[axis] + side
+        reach = max(reach, math.sqrt(dot(corner, corner)))
+        rotate(motion[TURN:AXIS], corner, 1.0)
+        along = dot(corner, motion[AXIS:])
+        for axis in range(3):
+            corner[axis] -= along * motion[AXIS + axis]
+        arm = max(arm, math.sqrt(dot(corner, corner)))
+    motion[ARM] = arm + (OUTWARD - 1.0) * reach
+    motion[REACH] = (reach + radius) * OUTWARD
+
+
+@inlined
+def fill_half(body, half):
+    """Fill in the half sizes of a body's core; return the radius by which that is grown."""
+    radius = 0.0
+    if body.kind == SPHERE or body.kind == CAPSULE:
+        radius = body.half[0]
+    for axis in range(3):
+        half[axis] = max(body.half[axis] - radius, 0.0)
+    return radius
+
+
+@inlined
+def fill_turn(motion, t, turn):
+    """Fill in the quaternion at t."""
+    angle = t * motion[HALF_ANGLE]
+    sine, w = math.sin(angle), math.cos(angle)
+    x, y, z = sine * motion[AXIS], sine * motion[AXIS + 1], sine * motion[AXIS + 2]
+    a, b, c, d = motion[TURN], motion[TURN + 1], motion[TURN + 2], motion[TURN + 3]
+    turn[0] = w * a + x * d + (y * c - z * b)
+    turn[1] = w * b + y * d + (z * a - x * c)
+    turn[2] = w * c + z * d + (x * b - y * a)
+    turn[3] = w * d - (x * a + y * b + z * c)
+
+
+@lean_kernel
+def fill_swept_box(body, motion, more, lo, hi):
+    """Fill in a box, seen from the position, that holds the body grown by `more` all the way.
+
+    A point that turns by an angle of 2 a leaves the line between its ends by at most
+    ARM (1 - cos a).
+    """
+    turn, matrix = stack_array(4, np.float64), stack_array((3, 3), np.float64)
+    offset = stack_array(3, np.float64)
+    aside = motion[ARM] * (1.0 - math.cos(motion[HALF_ANGLE]))
+    pad = (OUTWARD - 1.0) * (motion[REACH] + more) + LEAST
+    for axis in range(3):
+        lo[axis], hi[axis] = np.inf, -np.inf
+        pad = max(pad, (OUTWARD - 1.0) * (abs(motion[START + axis]) + abs(motion[WAY + axis])))
+    for end in range(2):
+        fill_turn(motion, np.float64(end), turn)
+        fill_rotation(turn, matrix)
+        for axis in range(3):
+            offset[axis] = body.position[axis]
+        rotate(turn, offset, 1.0)
+        for axis in range(3):
+            reach = reach_along(body.kind, body.half, matrix, axis) + aside + more + pad
+            lo[axis] = min(lo[axis], offset[axis] - reach)
+            hi[axis] = max(hi[axis], offset[axis] + reach)
+
+
+# ---- When a body on its way first touches an obstacle: conservative advancement.
+#
+# A plane between the two, with the unit normal n towards the body, leaves a gap g. A point of the
+# body comes nearer along n at most at the rate -v . n + |n x w| ARM; v is the velocity of the
+# centre, w that of the turn. So the body is free for g divided by that rate; from there the
+# next plane is looked for (Mirtich, "Impulse-based dynamic simulation of rigid body systems",
+# 1996, section 2.3; Zhang, Lee and Kim, "Interactive continuous collision detection for
+# non-convex polyhedra", 2006). A plane stays in use while it leaves a good gap. Then GJK finds
+# another, and where that leaves no more than the resolution, the certified distance decides: what
+# is not farther than the resolution is contact.
+#
+# Each step but the last goes on by more than the resolution divided by the largest rate, so the
+# search ends; where t is rounded to what it was, that is contact, too.
+#
+# Gaps are computed from poses that are rounded. ROUNDED is more than all of that, of the largest
+# length in play: the distance of the two at the start, the way, and their sizes. What a gap has
+# beyond it is certain.
+
+ROUNDED = 2.0**-46
+LESS = 1.0 - 2.0**-40  # of a step
+ENOUGH = 0.25  # of its first gap, as long as a plane stays in use
+LONGEST = 2.0**1000
+BOTH = 2 * CORE_ROWS
+
+
+class Drift(NamedTuple):
+    """How an obstacle moves while a body is on its way."""
+
+    before: Any
+    """(3,) how far it has gone at the start."""
+    velocity: Any
+    """(3,) a unit of t."""
+    stop: float
+    """From this t on it rests."""
+    since: float
+    """s since it was told, at the start, of one that grows."""
+    pace: float
+    """s a unit of t."""
+    growth: float
+    """m/s, by which it grows with either sign of the time."""
+
+
+@inlined
+def growth_at(drift, t):
+    """By how much an obstacle has grown at t."""
+    return drift.growth * abs(drift.since + drift.pace * t)
+
+
+@lean_kernel
+def set_pose(motion, body, place, scale, t, core):
+    """Fill in the core of the body at t; place = (start, way), scaled, seen from the obstacle."""
+    (start, way), turn = place, stack_array(4, np.float64)
+    fill_turn(motion, t, turn)
+    for axis in range(3):
+        core[CENTRE, axis] = body.position[axis] * scale
+        for row in range(3):
+            core[AXES + axis, row] = 1.0 if axis == row else 0.0
+        rotate(turn, core[AXES + axis], 1.0)
+    rotate(turn, core[CENTRE], 1.0)
+    for axis in range(3):
+        core[CENTRE, axis] += start[axis] + t * way[axis]
+
+
+@inlined
+def flatten(core):
+    """The core seen from above."""
+    for row in range(AXES, CORE_ROWS):
+        core[row, 2] = 0.0
+
+
+@inlined
+def plane_gap(cores, normal, corner):
+    """The gap that a plane with this normal leaves between two cores."""
+    corner_of(cores[0], cores[1], normal, corner)
+    return dot(normal, corner)
+
+
+@inlined
+def approach(motion, velocity, normal, scale):
+    """At most how fast a body comes nearer along a normal, a unit of t."""
+    a, b, c = motion[AXIS], motion[AXIS + 1], motion[AXIS + 2]
+    x, y = normal[1] * c - normal[2] * b, normal[2] * a - normal[0] * c
+    z = normal[0] * b - normal[1] * a
+    turning = 2.0 * motion[HALF_ANGLE] * math.sqrt(x * x + y * y + z * z) * motion[ARM] * scale
+    rate = turning * OUTWARD - dot(velocity, normal)
+    # What rounding takes off the product.
+    size = abs(velocity[0]) + abs(velocity[1]) + abs(velocity[2])
+    return rate + (OUTWARD - 1.0) * (size + turning)
+
+
+@inlined
+def fastest(motion, velocity, scale):
+    """At most how fast a body comes nearer along any normal."""
+    turning = 2.0 * motion[HALF_ANGLE] * motion[ARM] * scale
+    return (math.sqrt(dot(velocity, velocity)) + turning) * OUTWARD
+
+
+@lean_kernel
+def first_contact(bodies, body, motion, obstacle, drift, options, latest, contact):
+    """The first t, up to `latest`, at which a body touches an obstacle or is not surely farther
+    from it than the resolution; inf if there is none. options = (tolerance, resolution).
+
+    Fills in contact (2, 3): the obstacle's point that is closest then, and the unit vector from
+    there to the body, zero where they overlap at the start.
+    """
+    planar, (tolerance, resolution) = bodies.footprints is not None, options
+    rows, room = stack_array((BOTH, 3), np.float64), stack_array((6, 3), np.float64)
+    direction, corner = stack_array(DIRECTION_ROOM, np.float64), stack_array(6, np.float64)
+    start, way, drifting, velocity, normal, last = (
+        *(room[0], room[1], room[2]),
+        *(room[3], room[4], room[5]),
+    )
+    largest = max(motion[REACH], tolerance, growth_at(drift, 0.0), growth_at(drift, 1.0))
+    for axis in range(3):
+        start[axis] = (motion[START + axis] - obstacle.position[axis]) - drift.before[axis]
+        way[axis], drifting[axis] = motion[WAY + axis], drift.velocity[axis]
+        if planar and axis == 2:
+            start[axis] = way[axis] = drifting[axis] = 0.0
+        largest = max(largest, abs(start[axis]), abs(way[axis]), obstacle.half[axis])
+        largest = max(largest, abs(drifting[axis]) * min(drift.stop, 1.0))
+        contact[0, axis], contact[1, axis] = obstacle.position[axis] + drift.before[axis], 0.0
+    if not largest < LONGEST:
+        return 0.0  # not decided
+    exponent = math.frexp(largest)[1] + 2
+    scale = math.ldexp(1.0, -exponent)
+    moving, fixed = rows[:CORE_ROWS], rows[CORE_ROWS:]
+    is_round, other_radius = fill_core(obstacle, obstacle.position, exponent, planar, fixed)
+    radius = fill_half(body, moving[HALF]) * scale
+    for axis in range(3):
+        moving[HALF, axis] = scale if body.kind == MESH else moving[HALF, axis] * scale
+        start[axis], way[axis] = start[axis] * scale, way[axis] * scale
+        drifting[axis], last[axis] = drifting[axis] * scale, 0.0
+    cores = (
+        Core(moving, body.kind == CYLINDER, hull_of(bodies.query_hulls, body)),
+        Core(fixed, is_round, hull_of(bodies.hulls, obstacle)),
+    )
+    reach, near = radius + other_radius + tolerance * scale, resolution * scale
+    growing = drift.growth * abs(drift.pace) * scale
+    t, widest = 0.0, np.inf  # inf: there is no plane yet
+    while True:
+        going = t < drift.stop
+        set_pose(motion, body, (start, way), scale, t, moving)
+        for axis in range(3):
+            velocity[axis] = way[axis] - (drifting[axis] if going else 0.0)
+            moving[CENTRE, axis] -= drifting[axis] * min(t, drift.stop)
+        if planar:
+            flatten(moving)
+        taken = reach + growth_at(drift, t) * scale + ROUNDED
+        gap = plane_gap(cores, normal, corner) - taken if widest < np.inf else -np.inf
+        if not (gap > near and gap > ENOUGH * widest):
+            gap_bounds(cores[0], cores[1], np.nan, direction)
+            set_normal(direction, normal)
+            gap = widest = plane_gap(cores, normal, corner) - taken
+        rate = approach(motion, velocity, normal, scale) + growing
+        following = next_time(t, gap, rate, drift.stop)
+        if not (gap > near or following > latest):
+            low, _, _ = certified_bounds(cores[0], cores[1], taken, True, direction)
+            set_normal(direction, normal)
+            gap = widest = plane_gap(cores, normal, corner) - taken
+            rate = approach(motion, velocity, normal, scale) + growing
+            following = next_time(t, gap, rate, drift.stop)
+            if low - taken > near:
+                rate = fastest(motion, velocity, scale) + growing
+                following = max(following, next_time(t, low - taken, rate, drift.stop))
+            elif not following > latest:
+                break
+        if gap > 0.0:
+            for axis in range(3):
+                last[axis] = normal[axis]
+        if following > latest:
+            return np.inf
+        if not following > t:
+            break
+        t = following
+    fill_contact(cores, (radius, other_radius + growth_at(drift, t) * scale), direction, last)
+    for axis in range(3):
+        gone = drift.before[axis] + drift.velocity[axis] * min(t, drift.stop)
+        contact[0, axis] = direction[SECOND + axis] / scale + (obstacle.position[axis] + gone)
+        contact[1, axis] = last[axis]
+    return t
+
+
+@inlined
+def next_time(t, gap, rate, stop):
+    """Until when a gap lasts at a rate, from t on, at which it is next looked at."""
+    following = t
+    if gap > 0.0:
+        following = t + gap / rate * LESS if rate > 0.0 else np.inf
+    return min(following, stop) if t < stop else following
+
+
+@lean_kernel
+def fill_contact(cores, radii, direction, last):
+    """Fill in direction[SECOND:] with the obstacle's closest point, and `last` with the unit
+    vector from it to the body. Where the two touch up to rounding, that across the last plane
+    between them is meant: zero if there was none.
+    """
+    low, _, _ = certified_bounds(cores[0], cores[1], SLACK, True, direction)
+    length = 0.0
+    for axis in range(3):
+        apart = direction[FIRST + axis] - direction[SECOND + axis]
+        length += apart * apart
+    length, (radius, other_radius) = math.sqrt(length), radii
+    if low > SLACK and length > 2.0 * SLACK and length > radius + other_radius - SLACK:
+        for axis in range(3):
+            last[axis] = (direction[FIRST + axis] - direction[SECOND + axis]) / length
+    for axis in range(3):
+        along = last[axis]
+        if length > 0.0 and last[0] == 0.0 and last[1] == 0.0 and last[2] == 0.0:
+            along = (direction[FIRST + axis] - direction[SECOND + axis]) / length
+        direction[SECOND + axis] += along * min(other_radius, length)
+
+
+# ---- Rows of a batch.
+
+
+class Rows(NamedTuple):
+    """n ways of one body, for kernels."""
+
+    body: Records
+    """(1,)"""
+    starts: Floats
+    """(n, 3), as `goals`."""
+    goals: Floats
+    turns: Floats
+    """(n, 4), or (1, 4) for all, as `goal_turns`."""
+    goal_turns: Floats
+    tolerances: Floats
+    """One for all, or (n,)."""
+    masks: NDArray[np.uint32]
+    """One for all, or (n,)."""
+    resolution: float
+
+
+class Then(NamedTuple):
+    """When the ways are gone, among obstacles that move."""
+
+    times: QueryTimes
+    """`at` is when they start."""
+    pace: Floats
+    """s a unit of t, one for all or (n,)."""
+
+
+@inlined
+def fill_drift(tree, moving, slot, at, pace, before, velocity):
+    """Fill in how far the obstacle of a slot has gone at a time, and how fast it goes then, a unit
+    of t; return (t from which on it rests, s since it was told, whether it moves).
+    """
+    box = box_of(tree, moving, slot)
+    since, left = elapsed(at, box[3], moving.nanoseconds), moving.left
+    for axis in range(box[2].shape[0]):
+        before[axis] = displacement(box[2][axis], since, left)
+        velocity[axis] = box[2][axis] * pace
+    stop = np.inf
+    if left < np.inf and pace > 0.0:
+        stop = max(left - since[0], 0.0) / pace
+    return stop, since[0], moves(box)
+
+
+@lean_kernel
+def sweep_rows(tree, moving, then, bodies, rows, options, node_handles, slots, results):
+    """Fill in the rows [start, stop) of `results`, slots of obstacles and the columns of
+    `ShapeSweeps`; options = (start, stop, whether any contact will do, version of the tree).
+    `moving` and `then` are None where no obstacle moves. Returns (rows done, room wanted in
+    `slots`): fewer rows than there are where there is no room; OUTSIDE or REFUSED instead.
+    """
+    row, stop, enough, version = options
+    slots_met, handles, t, free_until, points, normals = results
+    motion, contact = stack_array(MOTION, np.float64), stack_array((2, 3), np.float64)
+    room = stack_array((5, 3), np.float64)
+    lo, hi, way, before, velocity = room[0], room[1], room[2], room[3], room[4]
+    for axis in range(3):
+        before[axis] = velocity[axis] = 0.0
+    if moving is None:
+        if not begin_query(tree.state, version):
+            return np.int64(REFUSED), np.int64(0)
+    else:
+        why = begin_asking(tree, moving, 0)
+        if why != 0:
+            return why, np.int64(0)
+    wanted, body, ndim = np.int64(0), rows.body[0], tree.nodes[0].lo.shape[0]
+    while row < stop:
+        turn = rows.turns[row if rows.turns.shape[0] > 1 else 0]
+        goal_turn = rows.goal_turns[row if rows.goal_turns.shape[0] > 1 else 0]
+        set_motion(body, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
+        tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
+        at, pace, more = 0.0, 0.0, tolerance + rows.resolution
+        if moving is not None:
+            at, pace = of_row(then.times.at, row), of_row(then.pace, row)
+            more += max(most_growth(then.times, at), most_growth(then.times, at + pace))
+            if covers(moving, at, pace, 1.0) == 0:
+                row = np.int64(OUTSIDE)
+                break
+        fill_swept_box(body, motion, more, lo, hi)
+        for axis in range(3):
+            lo[axis] += motion[START + axis]
+            hi[axis] += motion[START + axis]
+            way[axis] = motion[WAY + axis]
+        low, high, along = lo[:ndim], hi[:ndim], way[:ndim]
+        if moving is None:
+            wanted = overlap_swept(tree, low, high, along, mask, slots)
+        else:
+            wanted = overlap_swept_at(tree, moving, (at, pace), low, high, along, mask, slots)
+        if wanted > slots.shape[0]:
+            break
+        first, best = np.inf, np.int64(NO_NODE)
+        for slot in slots[:wanted]:
+            resting, since, growth = np.inf, 0.0, 0.0
+            if moving is not None:
+                resting, since, moves_on = fill_drift(
+                    tree, moving, slot, at, pace, before, velocity
+                )
+                growth = then.times.growth if moves_on else 0.0
+            drift = Drift(before, velocity, resting, since, pace, growth)
+            asked = tolerance, rows.resolution
+            found = first_contact(
+                bodies, body, motion, bodies.shapes[slot], drift, asked, min(first, 1.0), contact
+            )
+            handle = np.int64(node_handles[slot])
+            if found < first or (found == first and found < np.inf and handle < best):
+                first, best, slots_met[row] = found, handle, slot
+                for axis in range(3):
+                    points[row, axis], normals[row, axis] = contact[0, axis], contact[1, axis]
+                if enough:
+                    break
+        handles[row], t[row], free_until[row] = best, first, first
+        if not first < np.inf:
+            for axis in range(3):
+                points[row, axis], normals[row, axis] = np.nan, 0.0
+        elif bodies.footprints is not None:
+            points[row, 2] = rows.starts[row, 2]
+        row += 1
+    end_query(tree.state)
+    return np.int64(row), wanted
+
+
+# ---- How the kernel is called.
+
+FEW = 64  # obstacles that there is room for at first
+ONE = np.ones(1)
+
+
+class TurningSweeps:
+    """Ways of shapes in one scene."""
+
+    def __init__(self, store: Obstacles) -> None:
+        self._store = store
+        self._entries: dict[tuple[bool, bool], Any] = {}
+
+    def find(
+        self,
+        rows: Rows,
+        hulls: Hulls | None,
+        when: tuple[Floats, Floats] | None,
+        enough: bool,
+        threads: int,
+    ) -> tuple[NDArray[np.int64], ShapeSweeps]:
+        """First contacts on n ways, and the slots of the obstacles; `hulls` are the body's.
+
+        when = (when they start, s, and how many seconds a unit of t takes), each one for all or
+        (n,), where obstacles move. `enough`: of each row any contact will do.
+        """
+        count = len(rows.starts)
+        slots, handles = np.empty(count, INT64), np.empty(count, np.uint32)
+        places = np.empty((count, 3)), np.empty((count, 3))
+        found = ShapeSweeps(handles, np.empty(count), np.empty(count), *places)
+        results = slots, *found
+        in_threads(partial(self._work, rows, hulls, when, enough, results), count, threads)
+        return slots, found
+
+    def _work(
+        self,
+        rows: Rows,
+        hulls: Hulls | None,
+        when: tuple[Floats, Floats] | None,
+        enough: bool,
+        results: tuple[Any, ...],
+        start: int,
+        stop: int,
+    ) -> None:
+        """Fill in the rows [start, stop)."""
+        store = self._store
+        tree: OpenTree = store.tree
+        bodies, then, wanted = bodies_of(store.columns, hulls), None, FEW
+        if when is not None:
+            ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
+            handles = store.columns.node_handle
+            known = QueryTimes(bodies, handles, when[0], store.uncertainty, *ends)
+            then = Then(known, when[1])
+        while start < stop:
+            view = tree.view()
+            options = start, stop, enough, int(view.version)
+            slots = np.empty(wanted, INT64)
+            given = bodies, rows, options, store.columns.node_handle, slots, results
+            start, wanted = self._call(view.tree, then, given)
+
+    def _call(self, arrays: Tree, then: Then | None, given: tuple[Any, ...]) -> tuple[int, int]:
+        tree: Any = self._store.tree
+        motion = None if then is None else tree.motion
+        moving = None if motion is None else motion.moving
+        variant = then is not None, given[0].hulls is not None
+        entry = self._entries.get(variant)
+        if entry is None:
+            entry = entry_point(sweep_rows, arrays, moving, then, *given)
+            self._entries[variant] = entry
+        done: tuple[int, int]
+        if then is None or motion is None:
+            done = entry(arrays, None, None, *given)
+            if done[0] == REFUSED:
+                raise RuntimeError(IS_CHANGED)
+            return done
+        spans = partial(times_of, then.times.at, then.pace, ONE)
+        done = motion.ask(
+            tree, spans, lambda arrays, moving: entry(arrays, moving, then, *given), moments=False
+        )
+        return done
