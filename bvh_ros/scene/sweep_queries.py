@@ -192,9 +192,10 @@ class SweepQueries:
         if long.any():
             raise ValueError(f'the way of row {int(long.argmax())} is longer than a double')
         kind, _, _, size, mesh = given
-        body = unchecked_shapes(kind, np.zeros((1, 3)), UNTURNED, size, mesh)
-        legal, hulls = query_rows(body, 0.0, ALL, False)
-        rows = Rows(legal.records, starts, goals, turns, goal_turns, grown, masks, resolution)
+        shape = unchecked_shapes(kind, np.zeros((1, 3)), UNTURNED, size, mesh)
+        legal, hulls = query_rows(shape, 0.0, ALL, False)
+        body = legal.records, legal.bounds[0]
+        rows = Rows(*body, starts, goals, turns, goal_turns, grown, masks, resolution)
         when = self._timed.spans(*span, count)
         if self._sweeps is None:
             self._sweeps = TurningSweeps(self._store)

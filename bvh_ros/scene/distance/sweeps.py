@@ -63,6 +63,7 @@ from .gjk import (
     corner_of,
     dot,
     gap_bounds,
+    support,
 )
 from .moving import QueryTimes, displacement, most_growth
 from .narrow_phase import fill_core
@@ -76,8 +77,8 @@ from .narrow_phase import fill_core
 # with twice the digits, as the motion is another one on either side. Where it is zero, both ways
 # are half a turn, and the quaternions are taken as they are given.
 #
-# `body` is the shape unturned, with its position at the origin: a mesh lies beside that by the
-# position of its record.
+# `body` is the shape unturned, with its position at the origin, and `box` (2, 3) the corners of a
+# box around it. A mesh may lie anywhere beside its position.
 
 START, WAY, TURN, AXIS, HALF_ANGLE, ARM, REACH = 0, 3, 6, 10, 13, 14, 15
 MOTION = 16  # floats: of these START, WAY and AXIS have three, TURN has four
@@ -85,7 +86,7 @@ OUTWARD = 1.0 + 2.0**-40  # no computed length is off by as much
 
 
 @lean_kernel
-def set_motion(body, start, goal, turn, goal_turn, motion):
+def set_motion(body, box, start, goal, turn, goal_turn, motion):
     """Fill in how a body goes from a start to a goal.
 
     ARM is a length beyond which no point of its core is from the axis about which it turns, REACH
@@ -115,19 +116,20 @@ def set_motion(body, start, goal, turn, goal_turn, motion):
     motion[HALF_ANGLE] = 0.0
     if length > 0.0 and not same and body.kind != SPHERE:
         motion[HALF_ANGLE] = math.atan2(length, d * w - (a * x + b * y + c * z))
-    set_reach(body, motion)
+    set_reach(body, box, motion)
 
 
 @lean_kernel
-def set_reach(body, motion):
+def set_reach(body, box, motion):
     """Fill in ARM and REACH, from the corners of the box around the core."""
-    corner, half = stack_array(3, np.float64), stack_array(3, np.float64)
-    radius = fill_half(body, half)
+    corner, radius = stack_array(3, np.float64), radius_of(body)
     arm, reach = 0.0, 0.0
     for number in range(8):
         for axis in range(3):
-            side = half[axis] if number >> axis & 1 == 1 else -half[axis]
-            corner[axis] = body.position[axis] + side
+            low, high = min(box[0, axis] + radius, 0.0), max(box[1, axis] - radius, 0.0)
+            if body.kind == MESH:
+                low, high = box[0, axis], box[1, axis]
+            corner[axis] = high if number >> axis & 1 == 1 else low
         reach = max(reach, math.sqrt(dot(corner, corner)))
         rotate(motion[TURN:AXIS], corner, 1.0)
         along = dot(corner, motion[AXIS:])
@@ -139,14 +141,9 @@ def set_reach(body, motion):
 
 
 @inlined
-def fill_half(body, half):
-    """Fill in the half sizes of a body's core; return the radius by which that is grown."""
-    radius = 0.0
-    if body.kind == SPHERE or body.kind == CAPSULE:
-        radius = body.half[0]
-    for axis in range(3):
-        half[axis] = max(body.half[axis] - radius, 0.0)
-    return radius
+def radius_of(body):
+    """The radius by which the core of a body is grown."""
+    return body.half[0] if body.kind == SPHERE or body.kind == CAPSULE else 0.0
 
 
 @inlined
@@ -163,14 +160,14 @@ def fill_turn(motion, t, turn):
 
 
 @lean_kernel
-def fill_swept_box(body, motion, more, lo, hi):
+def fill_swept_box(body, box, motion, more, lo, hi):
     """Fill in a box, seen from the position, that holds the body grown by `more` all the way.
 
     A point that turns by an angle of 2 a leaves the line between its ends by at most
     ARM (1 - cos a).
     """
     turn, matrix = stack_array(4, np.float64), stack_array((3, 3), np.float64)
-    offset = stack_array(3, np.float64)
+    offset, half = stack_array(3, np.float64), stack_array(3, np.float64)
     aside = motion[ARM] * (1.0 - math.cos(motion[HALF_ANGLE]))
     pad = (OUTWARD - 1.0) * (motion[REACH] + more) + LEAST
     for axis in range(3):
@@ -180,10 +177,15 @@ def fill_swept_box(body, motion, more, lo, hi):
         fill_turn(motion, np.float64(end), turn)
         fill_rotation(turn, matrix)
         for axis in range(3):
-            offset[axis] = body.position[axis]
+            offset[axis] = half[axis] = 0.0
+            if body.kind == MESH:
+                offset[axis] = 0.5 * box[0, axis] + 0.5 * box[1, axis]
+                half[axis] = 0.5 * box[1, axis] - 0.5 * box[0, axis]
+            else:
+                half[axis] = body.half[axis]
         rotate(turn, offset, 1.0)
         for axis in range(3):
-            reach = reach_along(body.kind, body.half, matrix, axis) + aside + more + pad
+            reach = reach_along(body.kind, half, matrix, axis) + aside + more + pad
             lo[axis] = min(lo[axis], offset[axis] - reach)
             hi[axis] = max(hi[axis], offset[axis] + reach)
 
@@ -199,6 +201,12 @@ def fill_swept_box(body, motion, more, lo, hi):
 # another, and where that leaves no more than the resolution, the certified distance decides: what
 # is not farther than the resolution is contact.
 #
+# Beside an obstacle that it only grazes, a body needs ever more of these steps. There the plane
+# holds for longer, as the motion is known to the second order: after a time s the height of a
+# point y above the plane is at least n . y + s n . (v + w x y) - |w|^2 ARM s^2 / 2. The least of
+# that over all points is concave in s, so where it is above zero at the end of a step, it is all
+# the way.
+#
 # Each step but the last goes on by more than the resolution divided by the largest rate, so the
 # search ends; where t is rounded to what it was, that is contact, too.
 #
@@ -208,9 +216,11 @@ def fill_swept_box(body, motion, more, lo, hi):
 
 ROUNDED = 2.0**-46
 LESS = 1.0 - 2.0**-40  # of a step
+ENDS = 1.0 + 2.0**-40  # past the end of the way
 ENOUGH = 0.25  # of its first gap, as long as a plane stays in use
 LONGEST = 2.0**1000
-BOTH = 2 * CORE_ROWS
+MOST_TRIALS = 40  # of longer steps, each twice as long
+ALL_ROWS = 3 * CORE_ROWS
 
 
 class Drift(NamedTuple):
@@ -252,10 +262,10 @@ def set_pose(motion, body, place, scale, t, core):
 
 
 @inlined
-def flatten(core):
-    """The core seen from above."""
+def flatten(core, flat):
+    """Fill in a core seen from above."""
     for row in range(AXES, CORE_ROWS):
-        core[row, 2] = 0.0
+        flat[row, 0], flat[row, 1], flat[row, 2] = core[row, 0], core[row, 1], 0.0
 
 
 @inlined
@@ -285,6 +295,25 @@ def fastest(motion, velocity, scale):
     return (math.sqrt(dot(velocity, velocity)) + turning) * OUTWARD
 
 
+@inlined
+def height_after(motion, core, place, normal, velocity, scale, step, room):
+    """A height above which the body's core surely is, along a normal, after a step; place is that
+    of its position.
+    """
+    lever, lowest = room[0], room[1]
+    rate, arm = 2.0 * motion[HALF_ANGLE], motion[ARM] * scale
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        cross = normal[y] * motion[AXIS + z] - normal[z] * motion[AXIS + y]
+        lever[axis], lowest[axis] = normal[axis] + step * rate * cross, 0.0
+    support(core.rows, core.is_round, core.hull, lever, 1.0, lowest)
+    height = 0.0
+    for axis in range(3):
+        height += lever[axis] * (lowest[axis] - place[axis])
+        height += normal[axis] * (place[axis] + step * velocity[axis])
+    return height - 0.5 * (rate * step) * (rate * step) * arm * OUTWARD
+
+
 @lean_kernel
 def first_contact(bodies, body, motion, obstacle, drift, options, latest, contact):
     """The first t, up to `latest`, at which a body touches an obstacle or is not surely farther
@@ -294,11 +323,12 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
     there to the body, zero where they overlap at the start.
     """
     planar, (tolerance, resolution) = bodies.footprints is not None, options
-    rows, room = stack_array((BOTH, 3), np.float64), stack_array((6, 3), np.float64)
+    rows, room = stack_array((ALL_ROWS, 3), np.float64), stack_array((9, 3), np.float64)
     direction, corner = stack_array(DIRECTION_ROOM, np.float64), stack_array(6, np.float64)
-    start, way, drifting, velocity, normal, last = (
+    start, way, drifting, velocity, normal, last, place = (
         *(room[0], room[1], room[2]),
         *(room[3], room[4], room[5]),
+        room[6],
     )
     largest = max(motion[REACH], tolerance, growth_at(drift, 0.0), growth_at(drift, 1.0))
     for axis in range(3):
@@ -313,28 +343,31 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
         return 0.0  # not decided
     exponent = math.frexp(largest)[1] + 2
     scale = math.ldexp(1.0, -exponent)
-    moving, fixed = rows[:CORE_ROWS], rows[CORE_ROWS:]
+    # A planar scene sees the shadow of a body, and that turns as the solid does.
+    fixed, solid = rows[:CORE_ROWS], rows[CORE_ROWS : 2 * CORE_ROWS]
+    moving = rows[2 * CORE_ROWS :] if planar else solid
     is_round, other_radius = fill_core(obstacle, obstacle.position, exponent, planar, fixed)
-    radius = fill_half(body, moving[HALF]) * scale
+    radius = radius_of(body)
     for axis in range(3):
-        moving[HALF, axis] = scale if body.kind == MESH else moving[HALF, axis] * scale
+        half = 1.0 if body.kind == MESH else max(body.half[axis] - radius, 0.0)
+        moving[HALF, axis] = solid[HALF, axis] = half * scale
         start[axis], way[axis] = start[axis] * scale, way[axis] * scale
         drifting[axis], last[axis] = drifting[axis] * scale, 0.0
-    cores = (
-        Core(moving, body.kind == CYLINDER, hull_of(bodies.query_hulls, body)),
-        Core(fixed, is_round, hull_of(bodies.hulls, obstacle)),
-    )
+    hull, radius = hull_of(bodies.query_hulls, body), radius * scale
+    other = Core(fixed, is_round, hull_of(bodies.hulls, obstacle))
+    cores = Core(moving, body.kind == CYLINDER, hull), other
+    solid_core = Core(solid, body.kind == CYLINDER, hull)
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
     t, widest = 0.0, np.inf  # inf: there is no plane yet
     while True:
         going = t < drift.stop
-        set_pose(motion, body, (start, way), scale, t, moving)
+        set_pose(motion, body, (start, way), scale, t, solid)
         for axis in range(3):
             velocity[axis] = way[axis] - (drifting[axis] if going else 0.0)
-            moving[CENTRE, axis] -= drifting[axis] * min(t, drift.stop)
+            solid[CENTRE, axis] -= drifting[axis] * min(t, drift.stop)
         if planar:
-            flatten(moving)
+            flatten(solid, moving)
         taken = reach + growth_at(drift, t) * scale + ROUNDED
         gap = plane_gap(cores, normal, corner) - taken if widest < np.inf else -np.inf
         if not (gap > near and gap > ENOUGH * widest):
@@ -357,6 +390,20 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
         if gap > 0.0:
             for axis in range(3):
                 last[axis] = normal[axis]
+                place[axis] = start[axis] + t * way[axis] - drifting[axis] * min(t, drift.stop)
+            # How high the obstacle reaches, and all that is taken off a gap.
+            top = dot(normal, corner[3:]) - (gap + taken) + taken
+            end = min(drift.stop, ENDS) if going else ENDS
+            for _ in range(MOST_TRIALS):
+                if not t < following <= latest:
+                    break
+                trial = min(t + 2.0 * (following - t), end)
+                height = height_after(
+                    motion, solid_core, place, normal, velocity, scale, trial - t, room[7:]
+                )
+                if not (trial > following and height - growing * (trial - t) > top):
+                    break
+                following = trial
         if following > latest:
             return np.inf
         if not following > t:
@@ -409,6 +456,8 @@ class Rows(NamedTuple):
 
     body: Records
     """(1,)"""
+    box: Floats
+    """(2, 3)"""
     starts: Floats
     """(n, 3), as `goals`."""
     goals: Floats
@@ -472,7 +521,7 @@ def sweep_rows(tree, moving, then, bodies, rows, options, node_handles, slots, r
     while row < stop:
         turn = rows.turns[row if rows.turns.shape[0] > 1 else 0]
         goal_turn = rows.goal_turns[row if rows.goal_turns.shape[0] > 1 else 0]
-        set_motion(body, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
+        set_motion(body, rows.box, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
         tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
         at, pace, more = 0.0, 0.0, tolerance + rows.resolution
         if moving is not None:
@@ -481,7 +530,7 @@ def sweep_rows(tree, moving, then, bodies, rows, options, node_handles, slots, r
             if covers(moving, at, pace, 1.0) == 0:
                 row = np.int64(OUTSIDE)
                 break
-        fill_swept_box(body, motion, more, lo, hi)
+        fill_swept_box(body, rows.box, motion, more, lo, hi)
         for axis in range(3):
             lo[axis] += motion[START + axis]
             hi[axis] += motion[START + axis]
