@@ -13,6 +13,7 @@ from .results import (
     Refusal,
     Refusals,
     SceneHit,
+    ShapeSweeps,
     TooManyHitsError,
 )
 from .scene import Scene
@@ -36,6 +37,7 @@ __all__ = [
     'Scene',
     'SceneHit',
     'ShapeKind',
+    'ShapeSweeps',
     'Shapes',
     'TooManyHitsError',
     'mesh_of',

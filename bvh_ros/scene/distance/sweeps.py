@@ -438,9 +438,8 @@ def fill_contact(cores, radii, direction, last):
         apart = direction[FIRST + axis] - direction[SECOND + axis]
         length += apart * apart
     length, (radius, other_radius) = math.sqrt(length), radii
-    if low > SLACK and length > 2.0 * SLACK and length > radius + other_radius - SLACK:
-        for axis in range(3):
-            last[axis] = (direction[FIRST + axis] - direction[SECOND + axis]) / length
+    if low > SLACK and length > radius + other_radius - SLACK:
+        set_normal(direction, last)
     for axis in range(3):
         along = last[axis]
         if length > 0.0 and last[0] == 0.0 and last[1] == 0.0 and last[2] == 0.0:
