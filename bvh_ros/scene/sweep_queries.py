@@ -20,7 +20,8 @@ from .store import Obstacles
 from .timed_queries import TimedQueries
 
 if TYPE_CHECKING:
-    from .distance.sweeps import TurningSweeps
+    from .distance.moving_sweeps import TimedShapeWays
+    from .distance.sweeps import ShapeWays
 
 UNTURNED = np.array([[0.0, 0.0, 0.0, 1.0]])
 WANTED = {'first': False, 'any': True}
@@ -31,7 +32,8 @@ class SweepQueries:
 
     _store: Obstacles
     _timed: TimedQueries
-    _sweeps: 'TurningSweeps | None' = None
+    _ways: 'ShapeWays | None' = None
+    _timed_ways: 'TimedShapeWays | None' = None
 
     def sweep_shape(
         self,
@@ -179,7 +181,7 @@ class SweepQueries:
         threads: int,
     ) -> tuple[NDArray[np.int64], ShapeSweeps]:
         """Check what both have in common, and ask the kernel; also the slots of the obstacles."""
-        from .distance.sweeps import Rows, TurningSweeps
+        from .distance.sweeps import Rows, ShapeWays
 
         (starts, turns, goals, goal_turns), (grown, masks, resolution) = poses, options
         resolution, count = checks.limit('resolution', resolution), len(starts)
@@ -197,6 +199,12 @@ class SweepQueries:
         body = legal.records, legal.bounds[0]
         rows = Rows(*body, starts, goals, turns, goal_turns, grown, masks, resolution)
         when = self._timed.spans(*span, count)
-        if self._sweeps is None:
-            self._sweeps = TurningSweeps(self._store)
-        return self._sweeps.find(rows, hulls, when, enough, threads)
+        if when is None:
+            if self._ways is None:
+                self._ways = ShapeWays(self._store)
+            return self._ways.find(rows, hulls, enough, threads)
+        if self._timed_ways is None:
+            from .distance.moving_sweeps import TimedShapeWays
+
+            self._timed_ways = TimedShapeWays(self._store)
+        return self._timed_ways.find(rows, hulls, enough, threads, *when)

@@ -3,7 +3,6 @@
 """Shapes that go from pose to pose, and turn on the way: when each first touches an obstacle."""
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,27 +10,14 @@ from numpy.typing import NDArray
 
 from ...tree.access import (
     INT64,
-    IS_CHANGED,
     REFUSED,
-    OpenTree,
-    Tree,
     begin_query,
     end_query,
     in_threads,
     of_row,
     overlap_swept,
 )
-from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
-from ...tree.motion.access import (
-    OUTSIDE,
-    begin_asking,
-    box_of,
-    covers,
-    elapsed,
-    moves,
-    overlap_swept_at,
-    times_of,
-)
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..results import NO_NODE, ShapeSweeps
 from ..shapes.hull import Hulls, hull_of
 from ..shapes.shape import (
@@ -47,8 +33,8 @@ from ..shapes.shape import (
     reach_along,
     rotate,
 )
-from ..store import Obstacles, movers
-from .batch import bodies_of
+from ..store import Obstacles
+from .batch import RowKernel, bodies_of
 from .certified import certified_bounds, plus, set_normal, times
 from .gjk import (
     AXES,
@@ -65,7 +51,6 @@ from .gjk import (
     gap_bounds,
     support,
 )
-from .moving import QueryTimes, displacement, most_growth
 from .narrow_phase import fill_core
 
 # ---- How a shape goes from one pose to another.
@@ -470,91 +455,45 @@ class Rows(NamedTuple):
     resolution: float
 
 
-class Then(NamedTuple):
-    """When the ways are gone, among obstacles that move."""
-
-    times: QueryTimes
-    """`at` is when they start."""
-    pace: Floats
-    """s a unit of t, one for all or (n,)."""
-
-
 @inlined
-def fill_drift(tree, moving, slot, at, pace, before, velocity):
-    """Fill in how far the obstacle of a slot has gone at a time, and how fast it goes then, a unit
-    of t; return (t from which on it rests, s since it was told, whether it moves).
-    """
-    box = box_of(tree, moving, slot)
-    since, left = elapsed(at, box[3], moving.nanoseconds), moving.left
-    for axis in range(box[2].shape[0]):
-        before[axis] = displacement(box[2][axis], since, left)
-        velocity[axis] = box[2][axis] * pace
-    stop = np.inf
-    if left < np.inf and pace > 0.0:
-        stop = max(left - since[0], 0.0) / pace
-    return stop, since[0], moves(box)
-
-
-@lean_kernel
-def sweep_rows(tree, moving, then, bodies, rows, options, node_handles, slots, results):
+def answer_rows(world, bodies, rows, options, handles_of, slots, results, candidates, drift_of):
     """Fill in the rows [start, stop) of `results`, slots of obstacles and the columns of
-    `ShapeSweeps`; options = (start, stop, whether any contact will do, version of the tree).
-    `moving` and `then` are None where no obstacle moves. Returns (rows done, room wanted in
-    `slots`): fewer rows than there are where there is no room; OUTSIDE or REFUSED instead.
+    `ShapeSweeps`; options = (start, stop, whether any contact will do). Returns (rows done, room
+    wanted in `slots`): fewer rows than there are where there is no room.
+
+    candidates(world, row, box, mask, slots) writes the slots of all that a swept box may touch,
+    box = (lo, hi, way), and returns how many they are, or a negative number, which ends it.
+    drift_of(world, row, slot, room) returns the `Drift` of an obstacle.
     """
-    row, stop, enough, version = options
+    row, stop, enough = options
     slots_met, handles, t, free_until, points, normals = results
     motion, contact = stack_array(MOTION, np.float64), stack_array((2, 3), np.float64)
     room = stack_array((5, 3), np.float64)
-    lo, hi, way, before, velocity = room[0], room[1], room[2], room[3], room[4]
-    for axis in range(3):
-        before[axis] = velocity[axis] = 0.0
-    if moving is None:
-        if not begin_query(tree.state, version):
-            return np.int64(REFUSED), np.int64(0)
-    else:
-        why = begin_asking(tree, moving, 0)
-        if why != 0:
-            return why, np.int64(0)
-    wanted, body, ndim = np.int64(0), rows.body[0], tree.nodes[0].lo.shape[0]
+    lo, hi, way = room[0], room[1], room[2]
+    room[:] = 0.0
+    wanted, body = np.int64(0), rows.body[0]
     while row < stop:
         turn = rows.turns[row if rows.turns.shape[0] > 1 else 0]
         goal_turn = rows.goal_turns[row if rows.goal_turns.shape[0] > 1 else 0]
         set_motion(body, rows.box, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
-        tolerance, mask = of_row(rows.tolerances, row), of_row(rows.masks, row)
-        at, pace, more = 0.0, 0.0, tolerance + rows.resolution
-        if moving is not None:
-            at, pace = of_row(then.times.at, row), of_row(then.pace, row)
-            more += max(most_growth(then.times, at), most_growth(then.times, at + pace))
-            if covers(moving, at, pace, 1.0) == 0:
-                row = np.int64(OUTSIDE)
-                break
-        fill_swept_box(body, rows.box, motion, more, lo, hi)
+        asked = of_row(rows.tolerances, row), rows.resolution
+        fill_swept_box(body, rows.box, motion, asked[0] + asked[1], lo, hi)
         for axis in range(3):
             lo[axis] += motion[START + axis]
             hi[axis] += motion[START + axis]
             way[axis] = motion[WAY + axis]
-        low, high, along = lo[:ndim], hi[:ndim], way[:ndim]
-        if moving is None:
-            wanted = overlap_swept(tree, low, high, along, mask, slots)
-        else:
-            wanted = overlap_swept_at(tree, moving, (at, pace), low, high, along, mask, slots)
+        wanted = candidates(world, row, (lo, hi, way), of_row(rows.masks, row), slots)
+        if wanted < 0:
+            row = wanted
+            break
         if wanted > slots.shape[0]:
             break
         first, best = np.inf, np.int64(NO_NODE)
         for slot in slots[:wanted]:
-            resting, since, growth = np.inf, 0.0, 0.0
-            if moving is not None:
-                resting, since, moves_on = fill_drift(
-                    tree, moving, slot, at, pace, before, velocity
-                )
-                growth = then.times.growth if moves_on else 0.0
-            drift = Drift(before, velocity, resting, since, pace, growth)
-            asked = tolerance, rows.resolution
-            found = first_contact(
-                bodies, body, motion, bodies.shapes[slot], drift, asked, min(first, 1.0), contact
-            )
-            handle = np.int64(node_handles[slot])
+            drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
+            latest = min(first, 1.0)
+            found = first_contact(bodies, body, motion, shape, drift, asked, latest, contact)
+            handle = np.int64(handles_of[slot])
             if found < first or (found == first and found < np.inf and handle < best):
                 first, best, slots_met[row] = found, handle, slot
                 for axis in range(3):
@@ -568,87 +507,68 @@ def sweep_rows(tree, moving, then, bodies, rows, options, node_handles, slots, r
         elif bodies.footprints is not None:
             points[row, 2] = rows.starts[row, 2]
         row += 1
-    end_query(tree.state)
     return np.int64(row), wanted
+
+
+@inlined
+def _touching(tree, _row, box, mask, slots):
+    ndim = tree.nodes[0].lo.shape[0]
+    return overlap_swept(tree, box[0][:ndim], box[1][:ndim], box[2][:ndim], mask, slots)
+
+
+@inlined
+def _at_rest(_tree, _row, _slot, room):
+    return Drift(room[0], room[1], np.inf, 0.0, 0.0, 0.0)
+
+
+@lean_kernel
+def sweep_rows(view, bodies, rows, options, handles_of, slots, results):
+    """`answer_rows` among obstacles at rest; REFUSED instead of rows if the tree is changed."""
+    if not begin_query(view.tree.state, view.version):
+        return np.int64(REFUSED), np.int64(0)
+    done = answer_rows(
+        view.tree, bodies, rows, options, handles_of, slots, results, _touching, _at_rest
+    )
+    end_query(view.tree.state)
+    return done
 
 
 # ---- How the kernel is called.
 
 FEW = 64  # obstacles that there is room for at first
-ONE = np.ones(1)
 
 
-class TurningSweeps:
-    """Ways of shapes in one scene."""
+class ShapeWays:
+    """Ways of shapes in one scene, among obstacles as they are."""
 
     def __init__(self, store: Obstacles) -> None:
         self._store = store
-        self._entries: dict[tuple[bool, bool], Any] = {}
+        self._kernel = RowKernel(sweep_rows)
 
     def find(
-        self,
-        rows: Rows,
-        hulls: Hulls | None,
-        when: tuple[Floats, Floats] | None,
-        enough: bool,
-        threads: int,
+        self, rows: Rows, hulls: Hulls | None, enough: bool, threads: int, *times: Floats
     ) -> tuple[NDArray[np.int64], ShapeSweeps]:
         """First contacts on n ways, and the slots of the obstacles; `hulls` are the body's.
-
-        when = (when they start, s, and how many seconds a unit of t takes), each one for all or
-        (n,), where obstacles move. `enough`: of each row any contact will do.
+        `enough`: of each row any contact will do. `times`: see `moving_sweeps`.
         """
         count = len(rows.starts)
         slots, handles = np.empty(count, INT64), np.empty(count, np.uint32)
         places = np.empty((count, 3)), np.empty((count, 3))
         found = ShapeSweeps(handles, np.empty(count), np.empty(count), *places)
-        results = slots, *found
-        in_threads(partial(self._work, rows, hulls, when, enough, results), count, threads)
+        columns = self._store.columns
+        bodies = bodies_of(columns, hulls)
+
+        def work(start: int, stop: int) -> None:
+            wanted = FEW
+            while start < stop:
+                options, some = (start, stop, enough), np.empty(wanted, INT64)
+                given = bodies, rows, options, columns.node_handle, some, (slots, *found)
+                start, wanted = self.call(given, *times)
+
+        in_threads(work, count, threads)
         return slots, found
 
-    def _work(
-        self,
-        rows: Rows,
-        hulls: Hulls | None,
-        when: tuple[Floats, Floats] | None,
-        enough: bool,
-        results: tuple[Any, ...],
-        start: int,
-        stop: int,
-    ) -> None:
-        """Fill in the rows [start, stop)."""
-        store = self._store
-        tree: OpenTree = store.tree
-        bodies, then, wanted = bodies_of(store.columns, hulls), None, FEW
-        if when is not None:
-            ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
-            handles = store.columns.node_handle
-            known = QueryTimes(bodies, handles, when[0], store.uncertainty, *ends)
-            then = Then(known, when[1])
-        while start < stop:
-            view = tree.view()
-            options = start, stop, enough, int(view.version)
-            slots = np.empty(wanted, INT64)
-            given = bodies, rows, options, store.columns.node_handle, slots, results
-            start, wanted = self._call(view.tree, then, given)
-
-    def _call(self, arrays: Tree, then: Then | None, given: tuple[Any, ...]) -> tuple[int, int]:
-        tree: Any = self._store.tree
-        motion = None if then is None else tree.motion
-        moving = None if motion is None else motion.moving
-        variant = then is not None, given[0].hulls is not None
-        entry = self._entries.get(variant)
-        if entry is None:
-            entry = entry_point(sweep_rows, arrays, moving, then, *given)
-            self._entries[variant] = entry
-        done: tuple[int, int]
-        if then is None or motion is None:
-            done = entry(arrays, None, None, *given)
-            if done[0] == REFUSED:
-                raise RuntimeError(IS_CHANGED)
-            return done
-        spans = partial(times_of, then.times.at, then.pace, ONE)
-        done = motion.ask(
-            tree, spans, lambda arrays, moving: entry(arrays, moving, then, *given), moments=False
-        )
+    def call(self, given: tuple[Any, ...], *_times: Floats) -> tuple[int, int]:
+        """(rows done, room wanted) of the kernel."""
+        done: tuple[int, int] = self._kernel.call((self._store.tree.view(), *given))
         return done
