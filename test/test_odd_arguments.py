@@ -51,6 +51,12 @@ SCENE: dict[str, dict[str, Any]] = {
                      'mask': 1, 'want': 'hits', 'threads': 1, 'at': 0},
     'overlap_pairs': {'mask': 1},
     'overlap_shape': {'shape': BALL, 'tolerance': 0.1, 'mask': 1, 'at': 0},
+    'sweep_shape': {'shape': BALL, 'goal_position': ONE, 'goal_orientation': None,
+                    'tolerance': 0.1, 'mask': 1, 'resolution': 1e-3, 'at': 0, 'until': 1},
+    'sweep_shape_many': {'shape': BALL, 'positions': ROWS, 'orientations': None,
+                         'goal_positions': ENDS, 'goal_orientations': None, 'tolerance': 0.1,
+                         'mask': 1, 'resolution': 1e-3, 'at': 0, 'until': 1, 'want': 'any',
+                         'threads': 1},
     'overlap_shape_many': {'shape': BALL, 'positions': ROWS, 'orientations': None,
                            'tolerance': 0.1, 'mask': 1, 'want': 'any', 'threads': 1, 'at': 0},
     'raycast': {'start': ORIGIN, 'goal': ONE, 'radius': 0.1, 'mask': 1, 'skip_inside': False,
@@ -280,7 +286,8 @@ BATCH: dict[str, Any] = {'origins': ROWS, 'directions': ENDS, 't_max': 9.0, 'mas
                          'stamp': 1}  # fmt: skip
 TIMEOUT: dict[str, Any] = {'timeout': 0.01}
 CLIENT: dict[str, dict[str, Any]] = {
-    'check_path': {'positions': ROWS, 'orientations': None, 'at': 1, 'frame_id': '', **TIMEOUT},
+    'check_path': {'positions': ROWS, 'orientations': None, 'at': 1, 'frame_id': '',
+                   'between': False, **TIMEOUT},
     'names': {'obstacles': [1], **TIMEOUT},
     'nearest': {'point': ORIGIN, 'max_distance': 9.0, 'at': 1, 'frame_id': '', **TIMEOUT},
     'nearest_many': {'points': ROWS, 'max_distance': 9.0, 'mask': 1, 'at': 1, 'frame_id': '',

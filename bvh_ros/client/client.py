@@ -17,7 +17,15 @@ from bvh_ros.client import messages
 from bvh_ros.client.messages import UPRIGHT, Batch, Hit, length, place, request
 from bvh_ros.client.node import OneNode
 from bvh_ros.client.waiting import Waiting
-from bvh_ros.ros.conversions.query_clouds import EVERYTHING, FREE, UNANSWERED, Hits, Near, Touched
+from bvh_ros.ros.conversions.query_clouds import (
+    EVERYTHING,
+    FREE,
+    UNANSWERED,
+    Hits,
+    Near,
+    PathHits,
+    Touched,
+)
 from bvh_ros.tree.access import checks
 
 
@@ -379,7 +387,8 @@ class BvhClient:
         at: ArrayLike | None = None,
         frame_id: str = '',
         timeout: float | None = None,
-    ) -> Near:
+        between: bool = False,
+    ) -> Near | PathHits:
         """Return how far the node's `footprint` is from the nearest obstacle at n poses, by the
         topics `paths` and `path_hits`.
 
@@ -393,15 +402,32 @@ class BvhClient:
             ints in ns or floats in s: when the footprint is there; 0 is now, as is None.
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
+        between : bool
+            Check the ways between the poses, too: for a node whose `path_between` is on. The
+            footprint goes along straight lines and turns at constant rate; see
+            `Scene.sweep_shape`. One node only.
 
         Returns
         -------
         Near
             As of `nearest_many`; where the footprint touches the obstacle, a distance is minus the
             depth, and the normal the shortest way out.
+        PathHits, with `between`
+            The same with `t` (n,), where the first contact is on the way from the pose before (0)
+            to the pose (1): inf if both are free, 1 if the pose alone touches. Where a pose is
+            free and the way to it is not, the obstacle is that of the way, at distance 0.
+
+        Raises
+        ------
+        BvhError
+            Also if `between` is asked of a node whose `path_between` is off.
         """
-        near: Near = self._answers(messages.poses(positions, orientations, at), frame_id, timeout)
-        return near
+        ways = checks.flag('between', between)
+        batch = messages.poses(positions, orientations, at, between=ways)
+        if ways:
+            self._only()
+        answers: Near | PathHits = self._answers(batch, frame_id, timeout)
+        return answers
 
     def raycast_many_async(
         self,
@@ -448,7 +474,7 @@ class BvhClient:
 
     def _only(self) -> OneNode:
         if self._one is None:
-            raise ValueError('several nodes have no _async calls')
+            raise ValueError('several nodes have no _async calls, and no paths `between` poses')
         return self._one
 
 

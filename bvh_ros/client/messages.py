@@ -174,7 +174,8 @@ class Poses(NamedTuple):
 class Batch(NamedTuple):
     """Questions of one kind, a row each."""
 
-    topic: str
+    kind: str
+    """Of `node.KINDS`."""
     asked: Rays | Points | Boxes | Poses
     begin: int | None
     """ns: the earliest time of the rows, where a stamp can be near it; None: now."""
@@ -262,7 +263,7 @@ def boxes(
 
 
 def _cloud_batch(
-    topic: str, given: Any, times: NDArray[np.int64] | None, real: DTypeLike = np.float64
+    kind: str, given: Any, times: NDArray[np.int64] | None, real: DTypeLike = np.float64
 ) -> Batch:
     def message(stamp: int, some: Any) -> Any:
         timed = given
@@ -271,11 +272,17 @@ def _cloud_batch(
         return query_clouds.questions_cloud(query_clouds.take(timed, some), real)
 
     begin = -1 if times is None or not len(times) else int(times.min())
-    return Batch(topic, given, begin if 0 <= begin <= LAST_STAMP else None, message)
+    return Batch(kind, given, begin if 0 <= begin <= LAST_STAMP else None, message)
 
 
-def poses(positions: ArrayLike, orientations: ArrayLike | None, at: ArrayLike | None) -> Batch:
-    """Return n poses; ValueError where an argument does not fit."""
+def poses(
+    positions: ArrayLike,
+    orientations: ArrayLike | None,
+    at: ArrayLike | None,
+    *,
+    between: bool = False,
+) -> Batch:
+    """Return n poses, or the ways `between` them; ValueError where an argument does not fit."""
     places = _rows('positions', positions)
     given = Poses(places, _orientations(orientations, len(places)))
     times = _times('at', 0 if at is None else at, len(places))
@@ -291,7 +298,7 @@ def poses(positions: ArrayLike, orientations: ArrayLike | None, at: ArrayLike | 
             made.poses.append(stamped)
         return made
 
-    return Batch('paths', given, None, message)
+    return Batch('ways' if between else 'paths', given, None, message)
 
 
 def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] | None:

@@ -28,7 +28,14 @@ from sensor_msgs.msg import PointCloud2
 from bvh_ros.client import messages
 from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit
 from bvh_ros.client.waiting import Patience, Question, Waiting, left
-from bvh_ros.ros.conversions.query_clouds import UNANSWERED, Hits, Near, Touched, read_answers
+from bvh_ros.ros.conversions.query_clouds import (
+    UNANSWERED,
+    Hits,
+    Near,
+    PathHits,
+    Touched,
+    read_answers,
+)
 from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS, repeated
 
 QUERIES = 'raycast', 'raycast_all', 'overlap', 'nearest'
@@ -46,23 +53,26 @@ NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
 class Kind(NamedTuple):
-    """A topic of questions."""
+    """Questions of one kind."""
 
+    questions: str
+    """Their topic."""
     answers: str
     """The topic of answers."""
     message: type
     """Of questions."""
     kind: Any
-    """Hits, Near or Touched."""
+    """Hits, Near, PathHits or Touched."""
     work: float
     """Seconds that an answer takes a row, at most."""
 
 
 KINDS = {
-    'rays': Kind('ray_hits', PointCloud2, Hits, 1e-5),
-    'points': Kind('nearest_hits', PointCloud2, Near, 1e-5),
-    'boxes': Kind('box_hits', PointCloud2, Touched, 1e-5),
-    'paths': Kind('path_hits', Path, Near, 1e-4),
+    'rays': Kind('rays', 'ray_hits', PointCloud2, Hits, 1e-5),
+    'points': Kind('points', 'nearest_hits', PointCloud2, Near, 1e-5),
+    'boxes': Kind('boxes', 'box_hits', PointCloud2, Touched, 1e-5),
+    'paths': Kind('paths', 'path_hits', Path, Near, 1e-4),
+    'ways': Kind('paths', 'path_hits', Path, PathHits, 1e-4),
 }
 
 
@@ -161,11 +171,9 @@ class OneNode:
     ) -> Question:
         """Return a question about some rows of a batch, which is not asked yet."""
         with self._opening:
-            if batch.topic not in self._topics:
-                self._topics[batch.topic] = _Topic(
-                    self._node, self.name, batch.topic, self._waiting
-                )
-        topic = self._topics[batch.topic]
+            if batch.kind not in self._topics:
+                self._topics[batch.kind] = _Topic(self._node, self.name, batch.kind, self._waiting)
+        topic = self._topics[batch.kind]
         if stamp is None:
             # Near the times of the rows, to keep their nanoseconds. But another frame is
             # transformed at the stamp, so there it is near the clock.
@@ -308,8 +316,9 @@ class _Call(Question):
 class _Topic:
     """A topic of questions and that of their answers, which bear the stamps of the questions."""
 
-    def __init__(self, node: Node, name: str, topic: str, waiting: Waiting) -> None:
-        self.kind = KINDS[topic]
+    def __init__(self, node: Node, name: str, kind: str, waiting: Waiting) -> None:
+        self.kind = KINDS[kind]
+        topic = self.kind.questions
         self.name = f"'{name}/{topic}'"
         self.patience = Patience()
         self.open: dict[int, _BatchQuestion] = {}
@@ -387,10 +396,12 @@ class _BatchQuestion(Question):
         self.settle(lambda: self._read(cloud), self._began, self._work)
 
     def _read(self, cloud: PointCloud2) -> Any:
+        kind = self._topic.kind.kind
         try:
-            hits = read_answers(cloud, self._topic.kind.kind)
+            hits = read_answers(cloud, kind)
         except ValueError as error:
-            raise BvhError(f'the reply cannot be read: {error}') from None
+            off = ': path_between of the node is off' if kind is PathHits else ''
+            raise BvhError(f'the reply cannot be read: {error}{off}') from None
         rows = len(hits.obstacles)
         if rows != self._rows or (rows and (hits.obstacles == UNANSWERED).all()):
             raise BvhError(f'{self._topic.name} cannot answer; its log and diagnostics say why')

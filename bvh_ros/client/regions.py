@@ -205,7 +205,7 @@ class SeveralNodes:
 
         def work(layout: Layout, deadline: float) -> Any:
             rows, coverage = _rows(batch, layout), layout.coverage
-            nearest = Nearest(KINDS[batch.topic].kind, rows.bad, coverage)
+            nearest = Nearest(KINDS[batch.kind].kind, rows.bad, coverage)
             count = len(rows.bad)
             answered = np.zeros((count, len(self._nodes)), np.bool_)
             waiting = answered.copy()

@@ -294,9 +294,15 @@ def later_jobs(needs: Needs) -> list[Job]:
     return _named(calls, needs)
 
 
-def path_jobs(needs: Needs) -> list[Job]:
-    """Return what paths need: compiled at the start, where there is a footprint."""
-    return _named([('paths', 20.0, _paths)], needs)
+def path_jobs(needs: Needs, *, meshes: bool = False, between: bool = False) -> list[Job]:
+    """Return what paths need: compiled at the start, where there is a footprint. `meshes`: that is
+    a polygon; `between`: the ways between poses count.
+    """
+    calls = [('paths of polygons', 20.0, _polygons) if meshes else ('paths', 20.0, _paths)]
+    if between:
+        name = 'ways of polygons' if meshes else 'ways'
+        calls.append((name, 20.0, _polygon_ways if meshes else _ways))
+    return _named(calls, needs)
 
 
 def _named(calls: Sequence[tuple[str, float, Callable[[Needs], None]]], needs: Needs) -> list[Job]:
@@ -347,6 +353,32 @@ def _paths(needs: Needs) -> None:
     path.read(path.EMPTY)
     for scene in scenes(needs):
         scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
+
+
+def _polygons(needs: Needs) -> None:
+    path.read(path.EMPTY)
+    for scene in scenes(needs):
+        scene.clearance_many(_prism(), signed=True)
+
+
+def _prism() -> Shapes:
+    return Shapes.of_meshes([Mesh(TETRAHEDRON)], [START])
+
+
+def _ways(needs: Needs) -> None:
+    _sweep(needs, Shapes.boxes([START], EDGE))
+
+
+def _polygon_ways(needs: Needs) -> None:
+    _sweep(needs, _prism())
+
+
+def _sweep(needs: Needs, shape: Shapes) -> None:
+    for scene in _moving_scenes(needs) if needs.moving else scenes(needs):
+        given = shape, [START], [ABOUT_Z], [FAR], [TURNED]
+        scene.sweep_shape_many(*given)
+        if needs.moving:
+            scene.sweep_shape_many(*given, at=2, until=3)
 
 
 def _obstacles(needs: Needs) -> None:

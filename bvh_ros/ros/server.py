@@ -158,8 +158,11 @@ class BvhServer:
         that wait until somebody asks.
         """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
-        needs, has_paths = self.needs(), self.settings.batch and self.settings.footprint
-        chosen, paths = jobs(needs), path_jobs(needs) if has_paths else []
+        needs, footprint = self.needs(), self.settings.footprint
+        chosen, paths = jobs(needs), []
+        if self.settings.batch and footprint:
+            has_meshes = footprint[0].mesh is not None
+            paths = path_jobs(needs, meshes=has_meshes, between=self.settings.path_between)
         early, later = [job for job in chosen if job.early], later_jobs(needs) if wholly else []
         return [*early[:2], *of_sources, *early[2:], *chosen[len(early) :], *paths, *later]
 
@@ -225,14 +228,21 @@ class BvhServer:
         """Create the parts that answer batches; none of it is imported where there are none."""
         node, world = self.node, self.world
         if self.settings.batch:
-            from bvh_ros.ros.parts.batches import BoxBatch, PathBatch, PointBatch, RayBatch
+            from bvh_ros.ros.parts.batches import (
+                BoxBatch,
+                PathBatch,
+                PointBatch,
+                RayBatch,
+                WayBatch,
+            )
 
+            path_batch = WayBatch if self.settings.path_between else PathBatch
             for view in world.views:
                 yield RayBatch(node, world, view, kernels, drawing)
                 yield BoxBatch(node, world, view, kernels)
                 yield PointBatch(node, world, view, kernels)
                 if self.settings.footprint:
-                    yield PathBatch(node, world, view, kernels, self.settings.footprint)
+                    yield path_batch(node, world, view, kernels, self.settings.footprint)
             if has_typed_services():
                 from bvh_ros.ros.parts.typed_services import TypedServices
 
@@ -290,6 +300,7 @@ class BvhServer:
             'region' if settings.region else 'region of its own': settings.region is not None,
             f'{views} views' if views else 'views': views > 0,
             'batches of rays': settings.batch,
+            'paths between poses': bool(settings.footprint) and settings.path_between,
             'typed services': settings.batch and has_typed_services(),
             f'{threads} threads' if threads > 1 else 'threads': threads > 1,
             'other times than now': self.world.times is not None,

@@ -21,6 +21,8 @@ from bvh_ros.scene.rows import ERROR_PREFIX
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+    from bvh_ros.scene import Shapes
+
 FARTHEST = 1e9  # m, of lengths: what is told in doubles is exact to a tenth of a micrometre there
 Value = bool | int | float | str | list[str] | list[float]
 
@@ -39,6 +41,7 @@ class Option:
     minimum: float = -sys.float_info.max
     maximum: float = sys.float_info.max
     choices: tuple[str, ...] = ()
+    or_text: bool = False  # a string will do, too
 
 
 def read(node: Node, prefix: str, option: Option) -> Any:
@@ -66,6 +69,8 @@ def read(node: Node, prefix: str, option: Option) -> Any:
 def _checked(name: str, option: Option, value: Any) -> Any:
     """Return the value in its option's type or raise ConfigurationError."""
     default = option.default
+    if option.or_text and isinstance(value, str):
+        return value
     if isinstance(default, list):
         return _checked_list(name, default, value)
     if isinstance(default, bool):
@@ -191,7 +196,8 @@ class Settings:
     uncertainty: float  # m/s
     history: float  # s
     batch: bool
-    footprint: tuple[float, ...]  # m: edge lengths of a box, a ball's radius, or none
+    footprint: tuple[Shapes, ...]  # its convex parts, one row each; none: there is none
+    path_between: bool
     threads: int  # that share the rows of a batch
     use_tf: bool
     sources: tuple[SourceSettings, ...]
@@ -212,6 +218,7 @@ class Settings:
 # The node's parameters, read once into plain settings.
 
 NO_FOOTPRINT = (0.0,)
+PLANAR_HEIGHT = 1.0  # m, of what is seen from above
 NODE_OPTIONS = (
     Option('frame_id', 'map', 'Frame in which obstacles are kept and answers are given.'),
     Option('planar', False, 'See the world from above: footprints in a 2D tree, z is ignored.'),
@@ -281,8 +288,21 @@ NODE_OPTIONS = (
     Option(
         'footprint',
         [*NO_FOOTPRINT],
-        'What goes along the paths on ~/paths, centred on each pose: edge lengths of a box, or '
-        'the radius of a ball (m). 0: there are no such topics.',
+        'What goes along the paths on ~/paths: edge lengths of a box or the radius of a ball (m), '
+        "centred on each pose; or a simple polygon as text, '[[x, y], ...]' as in Nav2, that "
+        'stands on each pose. 0: there are no such topics.',
+        or_text=True,
+    ),
+    Option(
+        'footprint_height',
+        0.0,
+        'Height of a footprint that is a polygon (m). A planar world needs none.',
+        *(0.0, FARTHEST),
+    ),
+    Option(
+        'path_between',
+        False,
+        'Each row of ~/path_hits is about the way from the pose before, too.',
     ),
     Option(
         'threads',
@@ -376,7 +396,8 @@ def read_settings(
             f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
         )
     region = _region(values.pop('region'), values['planar'])
-    footprint = _footprint(values.pop('footprint'))
+    height = values.pop('footprint_height')
+    footprint = _footprint(values.pop('footprint'), height, planar=values['planar'])
     settings = Settings(
         **values,
         region=region,
@@ -409,15 +430,24 @@ def _region(
     return tuple(lo[:axes]), tuple(hi[:axes])
 
 
-def _footprint(lengths: Sequence[float]) -> tuple[float, ...]:
-    if tuple(lengths) == NO_FOOTPRINT:
+def _footprint(given: str | Sequence[float], height: float, *, planar: bool) -> tuple[Shapes, ...]:
+    if not isinstance(given, str) and tuple(given) == NO_FOOTPRINT:
         return ()
-    if len(lengths) not in (1, 3) or not all(0.0 < length <= FARTHEST for length in lengths):
-        raise ConfigurationError(
-            "parameter 'footprint' must be [sx, sy, sz] of a box or [radius] of a ball, above 0 "
-            f'and at most {FARTHEST:g}, not {shortened(str(lengths))}'
-        )
-    return tuple(lengths)
+    from bvh_ros.ros.config import footprint
+
+    try:
+        if not isinstance(given, str):
+            return footprint.of_numbers(given, FARTHEST)
+        if not (planar or height > 0.0):
+            raise ConfigurationError(
+                "parameter 'footprint_height' must be above 0 where the footprint is a polygon"
+            )
+        return footprint.of_polygon(given, height or PLANAR_HEIGHT, FARTHEST)
+    except ConfigurationError:
+        raise
+    except ValueError as error:
+        shown = shortened(str(given))
+        raise ConfigurationError(f"parameter 'footprint' {error}; it is {shown}") from error
 
 
 def _read_source(node: Node, name: str, types: Mapping[str, Sequence[Option]]) -> SourceSettings:

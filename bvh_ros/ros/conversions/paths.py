@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import Faults, Floats, take
 from bvh_ros.ros.world.frames import Transform
-from bvh_ros.scene import ShapeKind, Shapes, unchecked_shapes
+from bvh_ros.scene import Shapes, unchecked_shapes
 
 
 class Poses(NamedTuple):
@@ -24,35 +23,44 @@ class Poses(NamedTuple):
     turns: Floats  # (n, 4) quaternions
     elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
     stamps: NDArray[np.int64]  # (n,) ns, the time that the pose is asked about; 0: now
+    before: Any = None  # Poses: those before, that itself of the first; None: nobody asks
 
     def moved(self, transform: Transform) -> Poses:
         """Return the same in the node's frame."""
         turns = transform.orientations(self.turns)
-        return self._replace(places=transform.points(self.places), turns=turns)
+        before = self.before and self.before.moved(transform)
+        return self._replace(places=transform.points(self.places), turns=turns, before=before)
 
     def faults(self) -> Faults:
         """Return why rows (n,) cannot be answered."""
         near = np.isfinite(self.places) & (np.abs(self.places) < 1e300)
-        return {
+        faults = {
             'its position is not finite, or beyond 1e300': ~near.all(axis=1),
             'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
             rotations.OFF: rotations.are_off(self.turns),
             'its frame is not that of the path': self.elsewhere,
         }
+        if self.before is not None:
+            bad = np.logical_or.reduce([*self.before.faults().values()])
+            faults['the pose before it cannot be used'] = bad
+        return faults
 
 
 class PathPoses:
     """The poses of a serialised path, to be read in parts as those of a `QueryCloud`; ValueError
-    if it is none.
+    if it is none. `between`: with the poses before.
     """
 
     real, height, has_radii = np.dtype(np.float64), 1, False
 
-    def __init__(self, message: bytes) -> None:
+    def __init__(self, message: bytes, between: bool = False) -> None:
         path = decoder.read(message)
         self.frame_id, self.stamp = path.frame_id, path.stamp
         self._poses = Poses(path.positions, path.orientations, path.elsewhere, path.stamps)
         self.width = len(path.stamps)
+        if between:
+            rows = np.maximum(np.arange(self.width) - 1, 0)
+            self._poses = self._poses._replace(before=take(self._poses, rows))
 
     def __len__(self) -> int:
         return self.width
@@ -71,11 +79,9 @@ class PathPoses:
         return take(self._poses, slice(begin, end))
 
 
-def shapes(poses: Poses, footprint: Sequence[float]) -> Shapes:
-    """Return the footprint, a box or a ball, at each pose."""
-    kind, size = ShapeKind.BOX, footprint
-    if len(footprint) == 1:
-        kind, size = ShapeKind.SPHERE, (2.0 * footprint[0],) * 3
+def shapes(poses: Poses, part: Shapes) -> Shapes:
+    """Return a part of the footprint at each pose."""
     count = len(poses.places)
-    kinds, sizes = np.full(count, kind, np.uint8), np.full((count, 3), size, np.float64)
-    return unchecked_shapes(kinds, poses.places, poses.turns, sizes)
+    kinds, sizes = part.kind.repeat(count), part.size.repeat(count, axis=0)
+    meshes = None if part.mesh is None else part.mesh.repeat(count)
+    return unchecked_shapes(kinds, poses.places, poses.turns, sizes, meshes)

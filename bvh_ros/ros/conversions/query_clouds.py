@@ -267,9 +267,9 @@ def take(questions: Question, rows: Any) -> Question:
     """Return some of the rows."""
     given: Any = questions
     some = {
-        name: column[rows]
+        name: column[rows] if isinstance(column, np.ndarray) else take(column, rows)
         for name, column in given._asdict().items()
-        if isinstance(column, np.ndarray)
+        if isinstance(column, (np.ndarray, tuple))
     }
     taken: Question = given._replace(**some)
     return taken
@@ -338,6 +338,16 @@ class Near(NamedTuple):
     obstacles: NDArray[np.uint32]  # (n,) node handles, FREE or UNANSWERED
 
 
+class PathHits(NamedTuple):
+    """What a footprint meets at n poses, or on the ways to them from the poses before."""
+
+    points: Floats  # as of `Near`, of the pose; of the way where the pose itself is free
+    distances: Floats  # as of `Near`; 0 where only the way is not free
+    normals: Floats
+    obstacles: NDArray[np.uint32]
+    t: Floats  # (n,) of the first contact, from the pose before (0) to this (1); inf: none
+
+
 class Touched(NamedTuple):
     """What touches n boxes."""
 
@@ -347,7 +357,7 @@ class Touched(NamedTuple):
     counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where nobody knows
 
 
-Answer = TypeVar('Answer', Hits, Near, Touched)
+Answer = TypeVar('Answer', Hits, Near, PathHits, Touched)
 ANSWER_FIELDS: dict[str, tuple[str, ...]] = {
     'points': ORIGIN,
     't': ('t',),
@@ -402,7 +412,7 @@ class AnswerTable:
         self._size = height, width
         self._table = np.zeros(height * width, row)
 
-    def write(self, rows: slice, answers: Hits | Near | Touched) -> None:
+    def write(self, rows: slice, answers: Hits | Near | PathHits | Touched) -> None:
         """Write answers into some rows, rounded to nearest."""
         with np.errstate(over='ignore'):  # farther than the largest float32 is inf in one
             for name in self._columns:
@@ -413,13 +423,13 @@ class AnswerTable:
         finite t or distance.
         """
         cloud = _cloud(self._table, *self._size)
-        certain = self._table['t' if 't' in self._columns else 'distance']
+        certain = self._table['distance' if 'distances' in self._columns else 't']
         cloud.is_dense = bool(np.isfinite(certain).all())
         return cloud
 
 
 def answers_cloud(
-    answers: Hits | Near | Touched, height: int, width: int, real: DTypeLike
+    answers: Hits | Near | PathHits | Touched, height: int, width: int, real: DTypeLike
 ) -> PointCloud2:
     """Write answers into a cloud of height x width points, its header left to the caller."""
     table = AnswerTable(type(answers), height, width, real)

@@ -27,6 +27,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     Hits,
     Masks,
     Near,
+    PathHits,
     Points,
     QueryCloud,
     Rays,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.known_times import KnownTimes
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import NodeScene
+    from bvh_ros.scene import NodeScene, Shapes
 
 Times = NDArray[np.int64]
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
@@ -513,16 +514,17 @@ class PathBatch(Batch):
     ----------
     node, world, view, kernels
         As of a `Batch`.
-    footprint : sequence of float
-        Edge lengths of a box, or the radius of a ball, m; centred on each pose.
+    footprint : sequence of Shapes
+        Its convex parts, one row each, as they lie to a pose.
     """
 
     question_topic, answer_topic = 'paths', 'path_hits'
-    question, answer, needed_then = Poses, Near, PATHS_THEN
+    question, needed_then = Poses, PATHS_THEN
+    answer: type = Near
     message = Path
 
     def __init__(
-        self, node: Node, world: World, view: View, kernels: OnDemand, footprint: Sequence[float]
+        self, node: Node, world: World, view: View, kernels: OnDemand, footprint: Sequence[Shapes]
     ) -> None:
         self._footprint = footprint
         super().__init__(node, world, view, kernels)
@@ -550,16 +552,77 @@ class PathBatch(Batch):
         at: Times | None = None,
         until: Times | None = None,
     ) -> Near:
-        shapes = paths.shapes(questions, self._footprint)
-        handles, distances, places, points = scene.clearance_many(
-            *(shapes, np.inf, self.view.mask, True), self._threads(len(questions.places)), at=at
-        )
+        mask, threads = self.view.mask, self._threads(len(questions.places))
+        parts = [
+            scene.clearance_many(paths.shapes(questions, part), np.inf, mask, True, threads, at=at)
+            for part in self._footprint
+        ]
+        handles, distances, places, points = nearest_of(parts, [part[1] for part in parts])
         return near(places, points, distances, handles)
 
     def _refusal(self, request: PathPoses, reason: str) -> PointCloud2:
         count = max(len(request), 1)
         self.refused.add(reason, count)
-        return answers_cloud(unanswered(Near, count), 1, count, np.float64)
+        return answers_cloud(unanswered(self.answer, count), 1, count, np.float64)
+
+
+class WayBatch(PathBatch):
+    """Answers the poses of paths, each with the way from the pose before: `~/paths` to
+    `~/path_hits`.
+    """
+
+    answer = PathHits
+
+    def _read(self, serialised: bytes) -> PathPoses:
+        return PathPoses(serialised, between=True)
+
+    def _spans(self, moments: Poses, stamp: int) -> Spans | None:
+        """A way begins when the pose before is asked about."""
+        before, stamps, times = moments.before.stamps, moments.stamps, self._world.times
+        if times is None or not (stamps.any() or before.any()):
+            return None
+        now = self.node.get_clock().now().nanoseconds
+        begin, end = (np.where(moment != 0, moment, now) for moment in (before, stamps))
+        timed, back = (stamps != 0) | (before != 0), end < begin
+        spans = spans_between(begin, np.where(back, begin, end), times, now)
+        which = np.where(timed, spans.which, NOW)
+        return spans._replace(which=which, unknown=(spans.unknown | back) & timed)
+
+    def _ask(
+        self,
+        scene: NodeScene,
+        questions: Poses,
+        at: Times | None = None,
+        until: Times | None = None,
+    ) -> Any:
+        poses = super()._ask(scene, questions, until)
+        before, mask = questions.before, self.view.mask
+        starts, turns = before.places, rotations.set_ones(before.turns)
+        goals, goal_turns = questions.places, rotations.set_ones(questions.turns)
+        threads = self._threads(len(goals))
+        given = starts, turns, goals, goal_turns
+        parts: list[Any] = [
+            scene.sweep_shape_many(part, *given, mask=mask, at=at, until=until, threads=threads)
+            for part in self._footprint
+        ]
+        handles, t, _, points, normals = nearest_of(parts, [part.t for part in parts])
+        # The first pose has no way before it.
+        still = (starts == goals).all(axis=1) & (turns == goal_turns).all(axis=1)
+        if at is not None and until is not None:
+            still &= at == until
+        met, touches = np.isfinite(t) & ~still, poses.distances <= 0.0
+        way = met & ~touches
+        poses.obstacles[way], poses.distances[way] = handles[way], 0.0
+        poses.points[way], poses.normals[way] = points[way], normals[way]
+        return PathHits(*poses, np.where(met, t, np.where(touches, 1.0, np.inf)))
+
+
+def nearest_of(parts: Sequence[Sequence[Any]], far: Sequence[Any]) -> Sequence[Any]:
+    """Of the answers about each part of a footprint those that are nearest, row by row."""
+    if len(parts) == 1:
+        return parts[0]
+    best, rows = np.argmin(far, axis=0), np.arange(len(far[0]))
+    return [np.stack(columns)[best, rows] for columns in zip(*parts, strict=True)]
 
 
 def moved_back(transform: Transform, answers: Any) -> Any:
