@@ -344,7 +344,10 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
     solid_core = Core(solid, body.kind == CYLINDER, hull)
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
-    t, widest = 0.0, np.inf  # inf: there is no plane yet
+    t, low, high, seen = 0.0, 0.0, 0.0, -1.0
+    # The first plane lies across the line between the positions: that often does, without GJK.
+    set_normal(start, normal)
+    widest = 0.0
     while True:
         going = t < drift.stop
         set_pose(motion, body, (start, way), scale, t, solid)
@@ -354,15 +357,18 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
         if planar:
             flatten(solid, moving)
         taken = reach + growth_at(drift, t) * scale + ROUNDED
-        gap = plane_gap(cores, normal, corner) - taken if widest < np.inf else -np.inf
+        gap = plane_gap(cores, normal, corner) - taken
         if not (gap > near and gap > ENOUGH * widest):
-            gap_bounds(cores[0], cores[1], np.nan, direction)
+            low, high = gap_bounds(cores[0], cores[1], np.nan, direction)
             set_normal(direction, normal)
             gap = widest = plane_gap(cores, normal, corner) - taken
+            seen = t
         rate = approach(motion, velocity, normal, scale) + growing
         following = next_time(t, gap, rate, drift.stop)
         if not (gap > near or following > latest):
-            low, _, _ = certified_bounds(cores[0], cores[1], taken, True, direction)
+            if high - taken <= near:
+                break
+            low, high, _ = certified_bounds(cores[0], cores[1], taken, True, direction)
             set_normal(direction, normal)
             gap = widest = plane_gap(cores, normal, corner) - taken
             rate = approach(motion, velocity, normal, scale) + growing
@@ -394,7 +400,10 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
         if not following > t:
             break
         t = following
-    fill_contact(cores, (radius, other_radius + growth_at(drift, t) * scale), direction, last)
+    if seen != t:
+        low, high = gap_bounds(cores[0], cores[1], np.nan, direction)
+    radii = radius, other_radius + growth_at(drift, t) * scale
+    fill_contact(low, radii, direction, last)
     for axis in range(3):
         gone = drift.before[axis] + drift.velocity[axis] * min(t, drift.stop)
         contact[0, axis] = direction[SECOND + axis] / scale + (obstacle.position[axis] + gone)
@@ -412,12 +421,11 @@ def next_time(t, gap, rate, stop):
 
 
 @lean_kernel
-def fill_contact(cores, radii, direction, last):
+def fill_contact(low, radii, direction, last):
     """Fill in direction[SECOND:] with the obstacle's closest point, and `last` with the unit
-    vector from it to the body. Where the two touch up to rounding, that across the last plane
-    between them is meant: zero if there was none.
+    vector from it to the body, from what `gap_bounds` found. Where the two touch up to rounding,
+    that across the last plane between them is meant: zero if there was none.
     """
-    low, _, _ = certified_bounds(cores[0], cores[1], SLACK, True, direction)
     length = 0.0
     for axis in range(3):
         apart = direction[FIRST + axis] - direction[SECOND + axis]
