@@ -44,6 +44,28 @@ def draw_prediction(file: Path, quick: bool) -> str:
     return ''
 
 
+def draw_edges(file: Path, quick: bool) -> str:
+    """Error against run time of edges between poses."""
+    from bvh_ros.report import ways
+    from bvh_ros.report.page import Page
+
+    with tempfile.TemporaryDirectory() as folder:
+        page = Page(Path(folder))
+        page.begin('Edges', '')
+        ways.resolutions(page, quick)
+        shutil.copy(Path(folder) / 'edge_resolutions.png', file)
+    return ''
+
+
+def draw_door(file: Path, quick: bool) -> str:
+    """A long load through a doorway, checked at the poses and between them."""
+    if quick:
+        return 'test/test_examples.py draws it'
+    script = ROOT / 'examples' / 'load_through_a_door.py'
+    subprocess.run([sys.executable, script, '--picture', file], check=True)
+    return ''
+
+
 def draw_view(file: Path, quick: bool) -> str:
     """The warehouse of the demo in a browser, with a segment along the aisle."""
     sys.path.insert(0, str(ROOT / 'test'))
@@ -86,6 +108,8 @@ def draw_view(file: Path, quick: bool) -> str:
 
 
 DRAWN = {
+    'door.png': draw_door,
+    'edge_resolutions.png': draw_edges,
     'error_adversarial.png': draw_error,
     'prediction.png': draw_prediction,
     'view.png': draw_view,

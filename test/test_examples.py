@@ -40,6 +40,15 @@ def test_without_ros(name, said):
 
 
 @pytest.mark.slow
+def test_a_load_through_a_door(tmp_path):
+    picture = tmp_path / 'door.png'
+    poses, ways = run('load_through_a_door.py', '--picture', str(picture)).splitlines()
+    assert not poses.endswith('; 0 of them hit a wall')
+    assert ways.endswith('; 0 of them hit a wall')
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
 def test_a_sampling_planner(tmp_path):
     picture = tmp_path / 'planner.png'
     said = run('sampling_planner.py', '--ticks', '3', '--picture', str(picture))
