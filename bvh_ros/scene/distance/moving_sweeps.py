@@ -38,7 +38,7 @@ class World(NamedTuple):
 
 
 @inlined
-def _touching(world, row, box, mask, slots):
+def _touching(world, row, box, span, mask, slots):
     at, pace = of_row(world.times.at, row), of_row(world.pace, row)
     if covers(world.moving, at, pace, 1.0) == 0:
         return np.int64(OUTSIDE)
@@ -47,7 +47,7 @@ def _touching(world, row, box, mask, slots):
     for axis in range(ndim):
         lo[axis] -= more
         hi[axis] += more
-    times = at, pace
+    times = at + pace * span[0], pace * (span[1] - span[0])
     return overlap_swept_at(
         world.tree, world.moving, times, lo[:ndim], hi[:ndim], way[:ndim], mask, slots
     )

@@ -145,21 +145,22 @@ def fill_turn(motion, t, turn):
 
 
 @lean_kernel
-def fill_swept_box(body, box, motion, more, lo, hi):
-    """Fill in a box, seen from the position, that holds the body grown by `more` all the way.
+def fill_swept_box(body, box, motion, span, more, lo, hi, way):
+    """Fill in a box and its way that hold the body, grown by `more`, for all of a span of t.
 
     A point that turns by an angle of 2 a leaves the line between its ends by at most
     ARM (1 - cos a).
     """
     turn, matrix = stack_array(4, np.float64), stack_array((3, 3), np.float64)
     offset, half = stack_array(3, np.float64), stack_array(3, np.float64)
-    aside = motion[ARM] * (1.0 - math.cos(motion[HALF_ANGLE]))
+    begin, length = span[0], span[1] - span[0]
+    aside = motion[ARM] * (1.0 - math.cos(length * motion[HALF_ANGLE]))
     pad = (OUTWARD - 1.0) * (motion[REACH] + more) + LEAST
     for axis in range(3):
         lo[axis], hi[axis] = np.inf, -np.inf
         pad = max(pad, (OUTWARD - 1.0) * (abs(motion[START + axis]) + abs(motion[WAY + axis])))
     for end in range(2):
-        fill_turn(motion, np.float64(end), turn)
+        fill_turn(motion, span[end], turn)
         fill_rotation(turn, matrix)
         for axis in range(3):
             offset[axis] = half[axis] = 0.0
@@ -173,6 +174,21 @@ def fill_swept_box(body, box, motion, more, lo, hi):
             reach = reach_along(body.kind, half, matrix, axis) + aside + more + pad
             lo[axis] = min(lo[axis], offset[axis] - reach)
             hi[axis] = max(hi[axis], offset[axis] + reach)
+    for axis in range(3):
+        place = motion[START + axis] + begin * motion[WAY + axis]
+        lo[axis], hi[axis], way[axis] = (
+            lo[axis] + place,
+            hi[axis] + place,
+            length * motion[WAY + axis],
+        )
+
+
+@inlined
+def goes_far(motion, span):
+    """Whether a body goes farther than it is large."""
+    turned = 2.0 * motion[HALF_ANGLE] * motion[ARM]
+    way = math.sqrt(dot(motion[WAY:], motion[WAY:]))
+    return (span[1] - span[0]) * (way + turned) > motion[REACH]
 
 
 # ---- When a body on its way first touches an obstacle: conservative advancement.
@@ -300,9 +316,10 @@ def height_after(motion, core, place, normal, velocity, scale, step, room):
 
 
 @lean_kernel
-def first_contact(bodies, body, motion, obstacle, drift, options, latest, contact):
-    """The first t, up to `latest`, at which a body touches an obstacle or is not surely farther
-    from it than the resolution; inf if there is none. options = (tolerance, resolution).
+def first_contact(bodies, body, motion, obstacle, drift, options, span, contact):
+    """The first t of a span, its ends included, at which a body touches an obstacle or is not
+    surely farther from it than the resolution; inf if there is none. options = (tolerance,
+    resolution).
 
     Fills in contact (2, 3): the obstacle's point that is closest then, and the unit vector from
     there to the body, zero where they overlap at the start.
@@ -344,7 +361,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, latest, contac
     solid_core = Core(solid, body.kind == CYLINDER, hull)
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
-    t, low, high, seen = 0.0, 0.0, 0.0, -1.0
+    (t, latest), low, high, seen = span, 0.0, 0.0, -1.0
     # The first plane lies across the line between the positions: that often does, without GJK.
     set_normal(start, normal)
     widest = 0.0
@@ -442,6 +459,8 @@ def fill_contact(low, radii, direction, last):
 
 # ---- Rows of a batch.
 
+MANY = 12  # obstacles beside a way: it is looked at in parts, the first of them first
+
 
 class Rows(NamedTuple):
     """n ways of one body, for kernels."""
@@ -469,8 +488,9 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
     `ShapeSweeps`; options = (start, stop, whether any contact will do). Returns (rows done, room
     wanted in `slots`): fewer rows than there are where there is no room.
 
-    candidates(world, row, box, mask, slots) writes the slots of all that a swept box may touch,
-    box = (lo, hi, way), and returns how many they are, or a negative number, which ends it.
+    candidates(world, row, box, span, mask, slots) writes the slots of all that a swept box may
+    touch in a span of t, box = (lo, hi, way), and returns how many they are, or a negative number,
+    which ends it.
     drift_of(world, row, slot, room) returns the `Drift` of an obstacle.
     """
     row, stop, enough = options
@@ -485,29 +505,35 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
         goal_turn = rows.goal_turns[row if rows.goal_turns.shape[0] > 1 else 0]
         set_motion(body, rows.box, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
         asked = of_row(rows.tolerances, row), rows.resolution
-        fill_swept_box(body, rows.box, motion, asked[0] + asked[1], lo, hi)
-        for axis in range(3):
-            lo[axis] += motion[START + axis]
-            hi[axis] += motion[START + axis]
-            way[axis] = motion[WAY + axis]
-        wanted = candidates(world, row, (lo, hi, way), of_row(rows.masks, row), slots)
+        first, best, mask = np.inf, np.int64(NO_NODE), of_row(rows.masks, row)
+        begin, end, wanted = 0.0, 1.0, np.int64(0)
+        while begin < 1.0 and not first < np.inf:
+            span = begin, end
+            fill_swept_box(body, rows.box, motion, span, asked[0] + asked[1], lo, hi, way)
+            wanted = candidates(world, row, (lo, hi, way), span, mask, slots)
+            if wanted > MANY and goes_far(motion, span):
+                end = 0.5 * (begin + end)  # a part of the way is near fewer of them
+                continue
+            if wanted < 0 or wanted > slots.shape[0]:
+                break
+            for slot in slots[:wanted]:
+                drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
+                span = begin, min(first, end)
+                found = first_contact(bodies, body, motion, shape, drift, asked, span, contact)
+                handle = np.int64(handles_of[slot])
+                if found < first or (found == first and found < np.inf and handle < best):
+                    first, best, slots_met[row] = found, handle, slot
+                    for axis in range(3):
+                        points[row, axis] = contact[0, axis]
+                        normals[row, axis] = contact[1, axis]
+                    if enough:
+                        break
+            begin, end = end, min(end + 2.0 * (end - begin), 1.0)
         if wanted < 0:
             row = wanted
             break
         if wanted > slots.shape[0]:
             break
-        first, best = np.inf, np.int64(NO_NODE)
-        for slot in slots[:wanted]:
-            drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
-            latest = min(first, 1.0)
-            found = first_contact(bodies, body, motion, shape, drift, asked, latest, contact)
-            handle = np.int64(handles_of[slot])
-            if found < first or (found == first and found < np.inf and handle < best):
-                first, best, slots_met[row] = found, handle, slot
-                for axis in range(3):
-                    points[row, axis], normals[row, axis] = contact[0, axis], contact[1, axis]
-                if enough:
-                    break
         handles[row], t[row], free_until[row] = best, first, first
         if not first < np.inf:
             for axis in range(3):
@@ -519,7 +545,7 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
 
 
 @inlined
-def _touching(tree, _row, box, mask, slots):
+def _touching(tree, _row, box, _span, mask, slots):
     ndim = tree.nodes[0].lo.shape[0]
     return overlap_swept(tree, box[0][:ndim], box[1][:ndim], box[2][:ndim], mask, slots)
 
