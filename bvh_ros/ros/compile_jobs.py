@@ -265,6 +265,7 @@ FEW = 128  # rays that go through the snapshot one by one, where there is one
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
 BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
+WAYS = 'ways of shapes'
 
 
 def jobs(needs: Needs) -> list[Job]:
@@ -289,6 +290,7 @@ def later_jobs(needs: Needs) -> list[Job]:
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
         *([(POINTS, 10.0, _points), (CLEARANCES, 20.0, _paths)] if needs.batch else []),
+        *([(WAYS, 20.0, _ways)] if needs.batch else []),
         *_moving(needs)[1:],
     ]
     return _named(calls, needs)
@@ -300,7 +302,7 @@ def path_jobs(needs: Needs, *, meshes: bool = False, between: bool = False) -> l
     """
     calls = [('paths of polygons', 20.0, _polygons) if meshes else ('paths', 20.0, _paths)]
     if between:
-        name = 'ways of polygons' if meshes else 'ways'
+        name = 'ways of polygons' if meshes else WAYS
         calls.append((name, 20.0, _polygon_ways if meshes else _ways))
     return _named(calls, needs)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_msgs.srv import Clearance, Nearest, Overlap, Raycast
+from bvh_msgs.srv import Clearance, Nearest, Overlap, Raycast, Sweep
 from bvh_ros.ros.compile_jobs import (
     BALLS,
     BOXES_ASKED,
@@ -21,6 +21,7 @@ from bvh_ros.ros.compile_jobs import (
     NEAREST_THEN,
     PATHS_THEN,
     POINTS,
+    WAYS,
 )
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import (
@@ -100,6 +101,50 @@ class ShapeRows(NamedTuple):
         return self._replace(places=transform.points(self.places), turns=turns)
 
 
+class WayRows(NamedTuple):
+    """Shapes that go from pose to pose; nothing is known of their values yet."""
+
+    kinds: NDArray[np.uint8]  # (n,)
+    places: Floats  # (n, 3) m
+    sizes: Floats  # (n, 3) m
+    turns: Floats  # (n, 4) quaternions
+    goals: Floats  # (n, 3) m
+    goal_turns: Floats  # (n, 4) quaternions
+    tolerances: Floats  # (n,) m
+    masks: Masks  # (n,)
+    since: Floats | None = None  # (n,) s after the request's stamp, when they start; None: now
+    durations: Floats | None = None  # (n,) s; None: the world stands still meanwhile
+
+    def _ends(self) -> tuple[ShapeRows, ShapeRows]:
+        """The shapes at the starts, and at the goals."""
+        reaches, masks = np.zeros(len(self.kinds)), self.masks
+        start = ShapeRows(self.kinds, self.places, self.sizes, self.turns, reaches, masks)
+        return start, start._replace(places=self.goals, turns=self.goal_turns)
+
+    def faults(self) -> dict[str, NDArray[np.bool_]]:
+        """Return why rows (n,) cannot be answered."""
+        start, goal = self._ends()
+        faults = start.faults()
+        del faults['its max_distance is NaN or negative']
+        faults |= {f'at its goal, {why}': rows for why, rows in goal.faults().items()}
+        good = np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
+        faults['its tolerance is not finite, or negative'] = ~good
+        with np.errstate(over='ignore', invalid='ignore'):
+            far = np.isfinite(self.goals - self.places).all(axis=1)
+        faults['its way is too long'] = np.logical_not(far)
+        if self.durations is not None:
+            good = np.isfinite(self.durations) & (self.durations >= 0.0)
+            faults['its duration is not finite, or negative'] = ~good
+        return faults
+
+    def moved(self, transform: Transform) -> WayRows:
+        """Return the same in the node's frame."""
+        start, goal = (end.moved(transform) for end in self._ends())
+        return self._replace(
+            places=start.places, turns=start.turns, goals=goal.places, goal_turns=goal.turns
+        )
+
+
 class Limit:
     """How many obstacles of all rows together may still come.
 
@@ -160,7 +205,7 @@ class Question(NamedTuple):
 
 
 class TypedServices(NodePart):
-    """Answers `query/raycast`, `overlap`, `nearest` and `clearance` of a view, row for row.
+    """Answers `query/raycast`, `overlap`, `nearest`, `clearance` and `sweep` of a view, by rows.
 
     Parameters
     ----------
@@ -191,6 +236,8 @@ class TypedServices(NodePart):
         self._serve('overlap', Question(Overlap, _boxes, _box_kernels, self._overlap))
         self._serve('nearest', near_point._replace(points=['closest'], vectors=['normals']))
         self._serve('clearance', shape._replace(points=['shape_points', 'obstacle_points']))
+        way = Question(Sweep, _ways, _way_kernels, self._sweep)
+        self._serve('sweep', way._replace(points=['points'], vectors=['normals']))
 
     def _serve(self, name: str, question: Question) -> None:
         async def callback(request: Any, response: Any) -> Any:
@@ -391,6 +438,35 @@ class TypedServices(NodePart):
         numbers = {'distances': distances, 'shape_points': points, 'obstacle_points': others}
         return Answers(np.ones(len(handles), np.int64), handles.astype(np.uint32), numbers)
 
+    def _sweep(
+        self, scene: NodeScene, request: Any, rows: WayRows, at: Any, until: Any, _limit: Limit
+    ) -> Answers:
+        handles = np.empty(len(rows.masks), np.uint32)
+        numbers: dict[str, Any] = {
+            **{name: np.empty((len(handles), 3)) for name in ('points', 'normals')},
+            **{name: np.empty(len(handles)) for name in ('t', 'free_until')},
+        }
+        forms = np.column_stack((rows.kinds, rows.sizes))
+        _, first, which = np.unique(forms, axis=0, return_index=True, return_inverse=True)
+        for number, row in enumerate(first):
+            these = np.flatnonzero(which.ravel() == number)
+            some = take(rows, these)
+            shape = unchecked_shapes(
+                *(rows.kinds[[row]], np.zeros((1, 3)), np.zeros((1, 4)), rows.sizes[[row]])
+            )
+            found: Any = scene.sweep_shape_many(
+                *(shape, some.places, rotations.set_ones(some.turns)),
+                *(some.goals, rotations.set_ones(some.goal_turns), some.tolerances, some.masks),
+                request.resolution,
+                at=None if at is None else at[these],
+                until=None if until is None else until[these],
+                threads=self._threads(len(these)),
+            )
+            handles[these] = found.handles
+            for name, column in numbers.items():
+                column[these] = getattr(found, name)
+        return Answers(np.ones(len(handles), np.int64), handles, numbers)
+
 
 # What a request asks, as columns.
 
@@ -443,8 +519,8 @@ def _otherwise(values: Floats | None, count: int, value: float) -> Floats:
     return np.full(count, value) if values is None else values
 
 
-def _turns(request: Any, count: int) -> Floats:
-    turns = _column(request, 'orientations', count, 4)
+def _turns(request: Any, count: int, name: str = 'orientations') -> Floats:
+    turns = _column(request, name, count, 4)
     return np.zeros((count, 4)) if turns is None else turns
 
 
@@ -493,6 +569,32 @@ def _shapes(request: Any) -> ShapeRows:
     return ShapeRows(kinds, places, sizes, turns, reaches, masks, since)
 
 
+def _ways(request: Any) -> WayRows:
+    places, goals = _places(request, 'positions'), _places(request, 'goal_positions')
+    count = len(places)
+    if len(goals) != count:
+        raise ValueError(f'there are {count} positions and {len(goals)} goal_positions')
+    if not 0.0 < request.resolution < np.inf:
+        raise ValueError(f'resolution must be finite and above 0, not {request.resolution:g}')
+    kinds = _needed(request, 'kinds', count, kind=np.uint8)
+    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
+    goal_turns = turns
+    if len(request.goal_orientations):
+        goal_turns = _turns(request, count, 'goal_orientations')
+    tolerances = _otherwise(_column(request, 'tolerances', count), count, 0.0)
+    since, durations = (_column(request, name, count) for name in ('departures', 'durations'))
+    if durations is not None and since is None:
+        since = np.zeros(count)
+    masks = _masks(request, count)
+    return WayRows(
+        *(kinds, places, sizes, turns, goals, goal_turns, tolerances, masks, since, durations)
+    )
+
+
+def _way_kernels(_request: Any, _timed: bool) -> Sequence[str]:
+    return [WAYS]
+
+
 def _ray_kernels(request: Any, timed: bool) -> Sequence[str]:
     return [BALLS] if len(request.radii) and not timed and not request.all_hits else []
 
@@ -537,6 +639,7 @@ def _states(
 
 WIDTHS = {
     't': 1,
+    'free_until': 1,
     'distances': 1,
     'points': 3,
     'closest': 3,

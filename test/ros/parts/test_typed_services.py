@@ -16,28 +16,15 @@ srv = pytest.importorskip('bvh_msgs.srv', reason='bvh_msgs is not built: pip ins
 if not hasattr(srv, 'Raycast'):
     pytest.skip('bvh_msgs is not built: pip install ./bvh_msgs', allow_module_level=True)
 
-from bvh_ros.scene import NO_NODE, NodeScene, ShapeKind, Shapes  # noqa: E402
+from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene  # noqa: E402
+
+from bvh_ros.scene import NO_NODE, Shapes  # noqa: E402
 from bvh_ros.scene.shapes.shape import unit_quaternions  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
-COUNT, ROWS = 80, 300
+ROWS = 300
 RNG = np.random.default_rng(23)
-CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
-TURN = unit_quaternions(RNG.normal(size=(COUNT, 4)))
-TURN /= np.linalg.norm(TURN, axis=1)[:, None]
-TURN[::2] = 0, 0, 0, 1
-SIZE[-10:] = SIZE[-10:, :1]  # the last are balls
-KIND = np.where(np.arange(COUNT) < COUNT - 10, ShapeKind.BOX, ShapeKind.SPHERE).astype(np.uint8)
-NAMES = [f'a/{i}' for i in range(COUNT)]
-PLACE, FACING = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.8, 2.0))
-PARAMETERS = {
-    'views': ['even'],
-    'even.include': NAMES[::2],
-    'transforms': ['lidar'],
-    'lidar.xyz': PLACE.tolist(),
-    'lidar.xyzw': FACING.as_quat().tolist(),
-}
 UNANSWERED = srv.Raycast.Response.UNANSWERED
 OK, INCOMPLETE_WORLD, BAD_REQUEST, COMPILING, TOO_MANY_HITS = range(5)
 
@@ -45,23 +32,14 @@ OK, INCOMPLETE_WORLD, BAD_REQUEST, COMPILING, TOO_MANY_HITS = range(5)
 @pytest.fixture(scope='module')
 def world(start_node, messages):
     world = start_node(PARAMETERS)
-    kinds = {ShapeKind.BOX: 1, ShapeKind.SPHERE: 2}
-    world.markers(
-        *(
-            messages.marker(i, CENTRE[i], SIZE[i], turn=TURN[i], type=kinds[ShapeKind(KIND[i])])
-            for i in range(COUNT)
-        )
-    )
-    world.until(lambda: len(world.everything()) == COUNT)
+    fill(world, messages)
     return world
 
 
 @pytest.fixture(scope='module')
 def scene():
     """The same world; its view shows every other one."""
-    scene, even = NodeScene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
-    scene.update('markers', NAMES, Shapes(KIND, CENTRE, TURN, SIZE), stamp=1, categories=even)
-    return scene
+    return same_scene()
 
 
 def ask(world, kind, name, **fields):
@@ -168,7 +146,6 @@ def test_another_frame_is_that_of_the_answers(world, scene):
 
 def test_boxes_touch_what_they_touch_in_a_scene(world, scene):
     sizes, turns = RNG.uniform(0.0, 2.0, (ROWS, 3)), unit_quaternions(RNG.normal(size=(ROWS, 4)))
-    turns /= np.linalg.norm(turns, axis=1)[:, None]
     asked = {
         'centers': STARTS,
         'sizes': sizes,
@@ -226,7 +203,53 @@ def test_shapes_are_as_far_as_in_a_scene(world, scene, signed):
     np.testing.assert_array_equal(np.isinf(far.distances), free)
 
 
+@pytest.mark.parametrize('frame_id', ['', 'lidar'])
+def test_ways_are_as_a_scene_sees_them(world, scene, frame_id):
+    kinds = np.arange(ROWS, dtype=np.uint8) % 4
+    sizes = np.broadcast_to(np.array((0.5, 0.5, 0.5)), (ROWS, 3)).copy()
+    sizes[kinds == 0] = 0.3, 0.6, 0.9
+    sizes[kinds >= 2, 2] = 1.2
+    goals = STARTS + RNG.normal(0.0, 0.7, (ROWS, 3))
+    turns, goal_turns = (unit_quaternions(RNG.normal(size=(ROWS, 4))) for _ in range(2))
+    asked = {'kinds': kinds, 'sizes': sizes, 'resolution': 1e-3, 'frame_id': frame_id}
+    given = {
+        'positions': STARTS,
+        'orientations': turns,
+        'goal_positions': goals,
+        'goal_orientations': goal_turns,
+    }
+    if frame_id:
+        back = FACING.inv()
+        given = {
+            'positions': in_lidar(STARTS),
+            'orientations': (back * Rotation.from_quat(turns)).as_quat(),
+            'goal_positions': in_lidar(goals),
+            'goal_orientations': (back * Rotation.from_quat(goal_turns)).as_quat(),
+        }
+    response = ask(world, 'Sweep', 'query/sweep', **asked, **given)
+    assert response.status == OK, response.message
+    for kind in range(4):
+        rows = np.flatnonzero(kinds == kind)
+        shape = Shapes([kind], np.zeros((1, 3)), [[0, 0, 0, 1]], sizes[rows[:1]])
+        ways = STARTS[rows], turns[rows], goals[rows], goal_turns[rows]
+        found = scene.sweep_shape_many(shape, *ways, resolution=1e-3)
+        met = np.isfinite(found.t)
+        assert met.any()
+        assert not met.all()
+        names = [scene.name_of(handle) if handle != NO_NODE else '' for handle in found.handles]
+        answered = [response.names[row] for row in rows]
+        if frame_id:  # turned there and back again
+            np.testing.assert_allclose(np.array(response.t)[rows], found.t, atol=1e-6)
+        else:
+            assert answered == names
+            np.testing.assert_array_equal(np.array(response.t)[rows], found.t)
+            np.testing.assert_array_equal(np.array(response.free_until)[rows], found.free_until)
+            np.testing.assert_array_equal(points_of(response, 'points')[rows], found.points)
+            np.testing.assert_array_equal(points_of(response, 'normals')[rows], found.normals)
+
+
 NAN = np.array((1.0, np.nan, 0.0))
+ONE = {'sizes': np.ones(3), 'kinds': np.zeros(1, np.uint8)}
 BAD_ROWS = [
     ('Raycast', {'starts': NAN, 'goals': np.zeros(3)}, 'row 0: its origin is not finite'),
     ('Raycast', {'starts': np.zeros(3), 'goals': np.full(3, np.inf)}, 'direction is not finite'),
@@ -244,6 +267,12 @@ BAD_ROWS = [
         'Clearance',
         {'positions': np.ones(3), 'sizes': np.arange(1.0, 4.0), 'kinds': np.ones(1, np.uint8)},
         'diameters',
+    ),
+    ('Sweep', {'positions': np.ones(3), 'goal_positions': NAN, **ONE}, 'at its goal, its centre'),
+    (
+        'Sweep',
+        {'positions': np.ones(3), 'goal_positions': np.ones(3), 'tolerances': -np.ones(1), **ONE},
+        'its tolerance is not finite, or negative',
     ),
 ]
 
@@ -263,7 +292,7 @@ def test_a_bad_row_is_not_answered_and_the_others_are(world, kind, fields, reaso
     assert response.status == BAD_REQUEST
     assert reason.replace('row 0', 'row 1') in response.message
     assert response.obstacles[-1] == UNANSWERED
-    if kind != 'Clearance':
+    if kind not in ('Clearance', 'Sweep'):
         assert rows_of(response)[1] == [UNANSWERED]
     assert UNANSWERED not in list(response.obstacles)[:-1]
 
@@ -281,6 +310,12 @@ BAD_REQUESTS = [
     ('Overlap', {'centers': np.zeros(3)}, 'sizes is empty'),
     ('Nearest', {'points': np.zeros(3), 'limit': 0}, 'limit is 0'),
     ('Clearance', {'positions': np.zeros(3), 'sizes': np.ones(3)}, 'kinds is empty'),
+    ('Sweep', {'positions': np.zeros(3), **ONE}, '1 positions and 0 goal_positions'),
+    (
+        'Sweep',
+        {'positions': np.zeros(3), 'goal_positions': np.ones(3), 'resolution': 0.0, **ONE},
+        'resolution must be finite and above 0',
+    ),
 ]
 
 

@@ -9,67 +9,41 @@ import time
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, SHAPES, fill, same_scene
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
 from bvh_ros.ros.config.parameters import SHARED
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.scene import NO_NODE, NodeScene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, NodeScene, Shapes
 from bvh_ros.scene.shapes.shape import unit_quaternions
 
 pytestmark = pytest.mark.slow
 
-COUNT, ASKED = 80, SHARED + 10
+ASKED = SHARED + 10
 RNG = np.random.default_rng(17)
-CENTRE, SIZE = RNG.uniform(-6, 6, (COUNT, 3)), RNG.uniform(0.2, 2.0, (COUNT, 3))
-TURN = unit_quaternions(RNG.normal(size=(COUNT, 4)))
-TURN /= np.linalg.norm(TURN, axis=1)[:, None]
-TURN[::2] = 0, 0, 0, 1
-SIZE[-10:] = SIZE[-10:, :1]  # the last are balls
-KIND = np.where(np.arange(COUNT) < COUNT - 10, ShapeKind.BOX, ShapeKind.SPHERE).astype(np.uint8)
 FOOTPRINT = [0.8, 0.5, 0.4]
-PLACE, FACING = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.8, 2.0))
-PARAMETERS = {
-    'footprint': FOOTPRINT,
-    'nearest_limit': 5,
-    'threads': 2,
-    'views': ['even'],
-    'even.include': [f'a/{i}' for i in range(0, COUNT, 2)],
-    'transforms': ['lidar'],
-    'lidar.xyz': PLACE.tolist(),
-    'lidar.xyzw': FACING.as_quat().tolist(),
-}
+GIVEN = {**PARAMETERS, 'footprint': FOOTPRINT, 'nearest_limit': 5, 'threads': 2}
 COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
 
 
 @pytest.fixture(scope='module')
 def world(start_node, messages):
-    world = start_node(PARAMETERS)
-    kinds = {ShapeKind.BOX: 1, ShapeKind.SPHERE: 2}
-    world.markers(
-        *(
-            messages.marker(i, CENTRE[i], SIZE[i], turn=TURN[i], type=kinds[ShapeKind(KIND[i])])
-            for i in range(COUNT)
-        )
-    )
-    world.until(lambda: len(world.everything()) == COUNT)
+    world = start_node(GIVEN)
+    fill(world, messages)
     return world
 
 
 @pytest.fixture(scope='module')
 def scene():
     """The same world; its view sees every other one."""
-    scene, even = NodeScene(), 1 + 2 * (np.arange(COUNT) % 2 == 0)
-    names = [f'a/{i}' for i in range(COUNT)]
-    scene.update('markers', names, Shapes(KIND, CENTRE, TURN, SIZE), stamp=1, categories=even)
-    return scene
+    return same_scene()
 
 
 @pytest.fixture
@@ -176,7 +150,7 @@ def test_paths(client, scene):
         for row in rows:
             one = NodeScene()
             there = np.array([told.obstacles[row] - 1])
-            one.update('t', ['x'], Shapes(KIND, CENTRE, TURN, SIZE).take(there), stamp=1)
+            one.update('t', ['x'], SHAPES.take(there), stamp=1)
             touches = one.overlap_shape(out.take([row]))
             assert bool(touches) != free
     places[2] = math.nan
