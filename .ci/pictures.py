@@ -46,13 +46,13 @@ def draw_prediction(file: Path, quick: bool) -> str:
 
 def draw_edges(file: Path, quick: bool) -> str:
     """Error against run time of edges between poses."""
-    from bvh_ros.report import ways
+    from bvh_ros.report import edges
     from bvh_ros.report.page import Page
 
     with tempfile.TemporaryDirectory() as folder:
         page = Page(Path(folder))
         page.begin('Edges', '')
-        ways.resolutions(page, quick)
+        edges.resolutions(page, quick)
         shutil.copy(Path(folder) / 'edge_resolutions.png', file)
     return ''
 

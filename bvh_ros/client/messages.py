@@ -282,7 +282,7 @@ def poses(
     *,
     between: bool = False,
 ) -> Batch:
-    """Return n poses, or the ways `between` them; ValueError where an argument does not fit."""
+    """Return n poses, or the sweeps `between` them; ValueError where an argument does not fit."""
     places = _rows('positions', positions)
     given = Poses(places, _orientations(orientations, len(places)))
     times = _times('at', 0 if at is None else at, len(places))
@@ -298,7 +298,7 @@ def poses(
             made.poses.append(stamped)
         return made
 
-    return Batch('ways' if between else 'paths', given, None, message)
+    return Batch('path sweeps' if between else 'paths', given, None, message)
 
 
 def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] | None:

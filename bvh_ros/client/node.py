@@ -72,7 +72,7 @@ KINDS = {
     'points': Kind('points', 'nearest_hits', PointCloud2, Near, 1e-5),
     'boxes': Kind('boxes', 'box_hits', PointCloud2, Touched, 1e-5),
     'paths': Kind('paths', 'path_hits', Path, Near, 1e-4),
-    'ways': Kind('paths', 'path_hits', Path, PathHits, 1e-4),
+    'path sweeps': Kind('paths', 'path_hits', Path, PathHits, 1e-4),
 }
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 from ..scene import Scene, Shapes
 from ..scene.cast import exact_ball
 from ..scene.shapes.shape import rotations, unit_quaternions
-from . import ways
+from . import edges
 from .libraries import COAL, FCL, Library, collision_objects
 from .page import Cell, Page
 from .scenes import Boxes, Floats, spread, uniform_boxes, units
@@ -180,4 +180,4 @@ def batches(page: Page, brief: bool) -> None:
     page.table('planner', header, rows)
 
 
-SECTIONS = {'Batches': batches, **ways.SECTIONS}
+SECTIONS = {'Batches': batches, **edges.SECTIONS}

@@ -265,7 +265,7 @@ FEW = 128  # rays that go through the snapshot one by one, where there is one
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
 BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
-WAYS = 'ways of shapes'
+SWEEPS = 'sweeps of shapes'
 
 
 def jobs(needs: Needs) -> list[Job]:
@@ -290,7 +290,7 @@ def later_jobs(needs: Needs) -> list[Job]:
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
         *([(POINTS, 10.0, _points), (CLEARANCES, 20.0, _paths)] if needs.batch else []),
-        *([(WAYS, 20.0, _ways)] if needs.batch else []),
+        *([(SWEEPS, 20.0, _sweeps)] if needs.batch else []),
         *_moving(needs)[1:],
     ]
     return _named(calls, needs)
@@ -298,12 +298,12 @@ def later_jobs(needs: Needs) -> list[Job]:
 
 def path_jobs(needs: Needs, *, meshes: bool = False, between: bool = False) -> list[Job]:
     """Return what paths need: compiled at the start, where there is a footprint. `meshes`: that is
-    a polygon; `between`: the ways between poses count.
+    a polygon; `between`: poses are connected by sweeps.
     """
     calls = [('paths of polygons', 20.0, _polygons) if meshes else ('paths', 20.0, _paths)]
     if between:
-        name = 'ways of polygons' if meshes else WAYS
-        calls.append((name, 20.0, _polygon_ways if meshes else _ways))
+        name = 'sweeps of polygons' if meshes else SWEEPS
+        calls.append((name, 20.0, _polygon_sweeps if meshes else _sweeps))
     return _named(calls, needs)
 
 
@@ -367,11 +367,11 @@ def _prism() -> Shapes:
     return Shapes.of_meshes([Mesh(TETRAHEDRON)], [START])
 
 
-def _ways(needs: Needs) -> None:
+def _sweeps(needs: Needs) -> None:
     _sweep(needs, Shapes.boxes([START], EDGE))
 
 
-def _polygon_ways(needs: Needs) -> None:
+def _polygon_sweeps(needs: Needs) -> None:
     _sweep(needs, _prism())
 
 

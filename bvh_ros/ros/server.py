@@ -233,10 +233,10 @@ class BvhServer:
                 PathBatch,
                 PointBatch,
                 RayBatch,
-                WayBatch,
+                SweepBatch,
             )
 
-            path_batch = WayBatch if self.settings.path_between else PathBatch
+            path_batch = SweepBatch if self.settings.path_between else PathBatch
             for view in world.views:
                 yield RayBatch(node, world, view, kernels, drawing)
                 yield BoxBatch(node, world, view, kernels)

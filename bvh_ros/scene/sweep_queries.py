@@ -20,8 +20,8 @@ from .store import Obstacles
 from .timed_queries import TimedQueries
 
 if TYPE_CHECKING:
-    from .distance.moving_sweeps import TimedShapeWays
-    from .distance.sweeps import ShapeWays
+    from .distance.moving_sweeps import TimedShapeSweeper
+    from .distance.sweeps import ShapeSweeper
 
 UNTURNED = np.array([[0.0, 0.0, 0.0, 1.0]])
 WANTED = {'first': False, 'any': True}
@@ -32,8 +32,8 @@ class SweepQueries:
 
     _store: Obstacles
     _timed: TimedQueries
-    _ways: 'ShapeWays | None' = None
-    _timed_ways: 'TimedShapeWays | None' = None
+    _sweeper: 'ShapeSweeper | None' = None
+    _timed_sweeper: 'TimedShapeSweeper | None' = None
 
     def sweep_shape(
         self,
@@ -181,7 +181,7 @@ class SweepQueries:
         threads: int,
     ) -> tuple[NDArray[np.int64], ShapeSweeps]:
         """Check what both have in common, and ask the kernel; also the slots of the obstacles."""
-        from .distance.sweeps import Rows, ShapeWays
+        from .distance.sweeps import Rows, ShapeSweeper
 
         (starts, turns, goals, goal_turns), (grown, masks, resolution) = poses, options
         resolution, count = checks.limit('resolution', resolution), len(starts)
@@ -200,11 +200,11 @@ class SweepQueries:
         rows = Rows(*body, starts, goals, turns, goal_turns, grown, masks, resolution)
         when = self._timed.spans(*span, count)
         if when is None:
-            if self._ways is None:
-                self._ways = ShapeWays(self._store)
-            return self._ways.find(rows, hulls, enough, threads)
-        if self._timed_ways is None:
-            from .distance.moving_sweeps import TimedShapeWays
+            if self._sweeper is None:
+                self._sweeper = ShapeSweeper(self._store)
+            return self._sweeper.find(rows, hulls, enough, threads)
+        if self._timed_sweeper is None:
+            from .distance.moving_sweeps import TimedShapeSweeper
 
-            self._timed_ways = TimedShapeWays(self._store)
-        return self._timed_ways.find(rows, hulls, enough, threads, *when)
+            self._timed_sweeper = TimedShapeSweeper(self._store)
+        return self._timed_sweeper.find(rows, hulls, enough, threads, *when)

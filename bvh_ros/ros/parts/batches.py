@@ -566,7 +566,7 @@ class PathBatch(Batch):
         return answers_cloud(unanswered(self.answer, count), 1, count, np.float64)
 
 
-class WayBatch(PathBatch):
+class SweepBatch(PathBatch):
     """Answers the poses of paths, each with the way from the pose before: `~/paths` to
     `~/path_hits`.
     """
@@ -610,11 +610,11 @@ class WayBatch(PathBatch):
         still = (starts == goals).all(axis=1) & (turns == goal_turns).all(axis=1)
         if at is not None and until is not None:
             still &= at == until
-        met, touches = np.isfinite(t) & ~still, poses.distances <= 0.0
-        way = met & ~touches
-        poses.obstacles[way], poses.distances[way] = handles[way], 0.0
-        poses.points[way], poses.normals[way] = points[way], normals[way]
-        return PathHits(*poses, np.where(met, t, np.where(touches, 1.0, np.inf)))
+        hits, touches = np.isfinite(t) & ~still, poses.distances <= 0.0
+        between = hits & ~touches
+        poses.obstacles[between], poses.distances[between] = handles[between], 0.0
+        poses.points[between], poses.normals[between] = (points[between], normals[between])
+        return PathHits(*poses, np.where(hits, t, np.where(touches, 1.0, np.inf)))
 
 
 def nearest_of(parts: Sequence[Sequence[Any]], far: Sequence[Any]) -> Sequence[Any]:

@@ -21,7 +21,7 @@ from bvh_ros.ros.compile_jobs import (
     NEAREST_THEN,
     PATHS_THEN,
     POINTS,
-    WAYS,
+    SWEEPS,
 )
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import (
@@ -101,7 +101,7 @@ class ShapeRows(NamedTuple):
         return self._replace(places=transform.points(self.places), turns=turns)
 
 
-class WayRows(NamedTuple):
+class SweepRows(NamedTuple):
     """Shapes that go from pose to pose; nothing is known of their values yet."""
 
     kinds: NDArray[np.uint8]  # (n,)
@@ -137,7 +137,7 @@ class WayRows(NamedTuple):
             faults['its duration is not finite, or negative'] = ~good
         return faults
 
-    def moved(self, transform: Transform) -> WayRows:
+    def moved(self, transform: Transform) -> SweepRows:
         """Return the same in the node's frame."""
         start, goal = (end.moved(transform) for end in self._ends())
         return self._replace(
@@ -236,8 +236,8 @@ class TypedServices(NodePart):
         self._serve('overlap', Question(Overlap, _boxes, _box_kernels, self._overlap))
         self._serve('nearest', near_point._replace(points=['closest'], vectors=['normals']))
         self._serve('clearance', shape._replace(points=['shape_points', 'obstacle_points']))
-        way = Question(Sweep, _ways, _way_kernels, self._sweep)
-        self._serve('sweep', way._replace(points=['points'], vectors=['normals']))
+        sweep = Question(Sweep, _swept_shapes, _sweep_kernels, self._sweep)
+        self._serve('sweep', sweep._replace(points=['points'], vectors=['normals']))
 
     def _serve(self, name: str, question: Question) -> None:
         async def callback(request: Any, response: Any) -> Any:
@@ -439,7 +439,7 @@ class TypedServices(NodePart):
         return Answers(np.ones(len(handles), np.int64), handles.astype(np.uint32), numbers)
 
     def _sweep(
-        self, scene: NodeScene, request: Any, rows: WayRows, at: Any, until: Any, _limit: Limit
+        self, scene: NodeScene, request: Any, rows: SweepRows, at: Any, until: Any, _limit: Limit
     ) -> Answers:
         handles = np.empty(len(rows.masks), np.uint32)
         numbers: dict[str, Any] = {
@@ -569,7 +569,7 @@ def _shapes(request: Any) -> ShapeRows:
     return ShapeRows(kinds, places, sizes, turns, reaches, masks, since)
 
 
-def _ways(request: Any) -> WayRows:
+def _swept_shapes(request: Any) -> SweepRows:
     places, goals = _places(request, 'positions'), _places(request, 'goal_positions')
     count = len(places)
     if len(goals) != count:
@@ -586,13 +586,13 @@ def _ways(request: Any) -> WayRows:
     if durations is not None and since is None:
         since = np.zeros(count)
     masks = _masks(request, count)
-    return WayRows(
+    return SweepRows(
         *(kinds, places, sizes, turns, goals, goal_turns, tolerances, masks, since, durations)
     )
 
 
-def _way_kernels(_request: Any, _timed: bool) -> Sequence[str]:
-    return [WAYS]
+def _sweep_kernels(_request: Any, _timed: bool) -> Sequence[str]:
+    return [SWEEPS]
 
 
 def _ray_kernels(request: Any, timed: bool) -> Sequence[str]:

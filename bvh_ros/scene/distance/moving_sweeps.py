@@ -22,7 +22,7 @@ from ...tree.motion.access import (
 from ..shapes.shape import Floats
 from ..store import Obstacles, movers
 from .moving import QueryTimes, displacement, most_growth
-from .sweeps import Drift, ShapeWays, answer_rows
+from .sweeps import Drift, ShapeSweeper, answer_rows
 
 
 class World(NamedTuple):
@@ -32,7 +32,7 @@ class World(NamedTuple):
     moving: Any
     """`Moving`"""
     times: QueryTimes
-    """`at` is when the ways start."""
+    """`at` is when the sweeps start."""
     pace: Floats
     """s a unit of t, one for all or (n,)."""
 
@@ -42,14 +42,14 @@ def _touching(world, row, box, span, mask, slots):
     at, pace = of_row(world.times.at, row), of_row(world.pace, row)
     if covers(world.moving, at, pace, 1.0) == 0:
         return np.int64(OUTSIDE)
-    (lo, hi, way), ndim = box, world.moving.velocities[0].velocity.shape[0]
+    (lo, hi, translation), ndim = box, world.moving.velocities[0].velocity.shape[0]
     more = max(most_growth(world.times, at), most_growth(world.times, at + pace))
     for axis in range(ndim):
         lo[axis] -= more
         hi[axis] += more
     times = at + pace * span[0], pace * (span[1] - span[0])
     return overlap_swept_at(
-        world.tree, world.moving, times, lo[:ndim], hi[:ndim], way[:ndim], mask, slots
+        world.tree, world.moving, times, lo[:ndim], hi[:ndim], translation[:ndim], mask, slots
     )
 
 
@@ -83,15 +83,15 @@ def sweep_rows_at(tree, moving, times, pace, bodies, rows, options, handles_of, 
 ONE = np.ones(1)
 
 
-class TimedShapeWays(ShapeWays):
-    """Ways of shapes in one scene, among obstacles that move."""
+class TimedShapeSweeper(ShapeSweeper):
+    """Sweeps shapes in one scene, among obstacles that move."""
 
     def __init__(self, store: Obstacles) -> None:
         super().__init__(store)
         self._entries: dict[bool, Any] = {}
 
     def call(self, given: tuple[Any, ...], *times: Floats) -> tuple[int, int]:
-        """(rows done, room wanted) of the kernel; times = (when the ways start, s, and how many
+        """(rows done, room wanted) of the kernel; times = (when the sweeps start, s, and how many
         seconds a unit of t takes), each one for all or (n,).
         """
         store, (at, pace) = self._store, times

@@ -145,8 +145,8 @@ def fill_turn(motion, t, turn):
 
 
 @lean_kernel
-def fill_swept_box(body, box, motion, span, more, lo, hi, way):
-    """Fill in a box and its way that hold the body, grown by `more`, for all of a span of t.
+def fill_swept_box(body, box, motion, span, more, lo, hi, translation):
+    """Fill in a box and its translation that hold the body, grown by `more`, for a span of t.
 
     A point that turns by an angle of 2 a leaves the line between its ends by at most
     ARM (1 - cos a).
@@ -176,7 +176,7 @@ def fill_swept_box(body, box, motion, span, more, lo, hi, way):
             hi[axis] = max(hi[axis], offset[axis] + reach)
     for axis in range(3):
         place = motion[START + axis] + begin * motion[WAY + axis]
-        lo[axis], hi[axis], way[axis] = (
+        lo[axis], hi[axis], translation[axis] = (
             lo[axis] + place,
             hi[axis] + place,
             length * motion[WAY + axis],
@@ -187,8 +187,8 @@ def fill_swept_box(body, box, motion, span, more, lo, hi, way):
 def goes_far(motion, span):
     """Whether a body goes farther than it is large."""
     turned = 2.0 * motion[HALF_ANGLE] * motion[ARM]
-    way = math.sqrt(dot(motion[WAY:], motion[WAY:]))
-    return (span[1] - span[0]) * (way + turned) > motion[REACH]
+    translation = math.sqrt(dot(motion[WAY:], motion[WAY:]))
+    return (span[1] - span[0]) * (translation + turned) > motion[REACH]
 
 
 # ---- When a body on its way first touches an obstacle: conservative advancement.
@@ -212,8 +212,8 @@ def goes_far(motion, span):
 # search ends; where t is rounded to what it was, that is contact, too.
 #
 # Gaps are computed from poses that are rounded. ROUNDED is more than all of that, of the largest
-# length in play: the distance of the two at the start, the way, and their sizes. What a gap has
-# beyond it is certain.
+# length in play: the distance of the two at the start, the translation, and their sizes. What a
+# gap has beyond it is certain.
 
 ROUNDED = 2.0**-46
 LESS = 1.0 - 2.0**-40  # of a step
@@ -249,8 +249,10 @@ def growth_at(drift, t):
 
 @lean_kernel
 def set_pose(motion, body, place, scale, t, core):
-    """Fill in the core of the body at t; place = (start, way), scaled, seen from the obstacle."""
-    (start, way), turn = place, stack_array(4, np.float64)
+    """Fill in the core of the body at t; place = (start, translation), scaled, as the obstacle
+    sees it.
+    """
+    (start, translation), turn = place, stack_array(4, np.float64)
     fill_turn(motion, t, turn)
     for axis in range(3):
         core[CENTRE, axis] = body.position[axis] * scale
@@ -259,7 +261,7 @@ def set_pose(motion, body, place, scale, t, core):
         rotate(turn, core[AXES + axis], 1.0)
     rotate(turn, core[CENTRE], 1.0)
     for axis in range(3):
-        core[CENTRE, axis] += start[axis] + t * way[axis]
+        core[CENTRE, axis] += start[axis] + t * translation[axis]
 
 
 @inlined
@@ -327,7 +329,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     planar, (tolerance, resolution) = bodies.footprints is not None, options
     rows, room = stack_array((ALL_ROWS, 3), np.float64), stack_array((9, 3), np.float64)
     direction, corner = stack_array(DIRECTION_ROOM, np.float64), stack_array(6, np.float64)
-    start, way, drifting, velocity, normal, last, place = (
+    start, translation, drifting, velocity, normal, last, place = (
         *(room[0], room[1], room[2]),
         *(room[3], room[4], room[5]),
         room[6],
@@ -335,10 +337,10 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     largest = max(motion[REACH], tolerance, growth_at(drift, 0.0), growth_at(drift, 1.0))
     for axis in range(3):
         start[axis] = (motion[START + axis] - obstacle.position[axis]) - drift.before[axis]
-        way[axis], drifting[axis] = motion[WAY + axis], drift.velocity[axis]
+        translation[axis], drifting[axis] = motion[WAY + axis], drift.velocity[axis]
         if planar and axis == 2:
-            start[axis] = way[axis] = drifting[axis] = 0.0
-        largest = max(largest, abs(start[axis]), abs(way[axis]), obstacle.half[axis])
+            start[axis] = translation[axis] = drifting[axis] = 0.0
+        largest = max(largest, abs(start[axis]), abs(translation[axis]), obstacle.half[axis])
         largest = max(largest, abs(drifting[axis]) * min(drift.stop, 1.0))
         contact[0, axis], contact[1, axis] = obstacle.position[axis] + drift.before[axis], 0.0
     if not largest < LONGEST:
@@ -353,7 +355,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     for axis in range(3):
         half = 1.0 if body.kind == MESH else max(body.half[axis] - radius, 0.0)
         moving[HALF, axis] = solid[HALF, axis] = half * scale
-        start[axis], way[axis] = start[axis] * scale, way[axis] * scale
+        start[axis], translation[axis] = start[axis] * scale, translation[axis] * scale
         drifting[axis], last[axis] = drifting[axis] * scale, 0.0
     hull, radius = hull_of(bodies.query_hulls, body), radius * scale
     other = Core(fixed, is_round, hull_of(bodies.hulls, obstacle))
@@ -367,9 +369,9 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     widest = 0.0
     while True:
         going = t < drift.stop
-        set_pose(motion, body, (start, way), scale, t, solid)
+        set_pose(motion, body, (start, translation), scale, t, solid)
         for axis in range(3):
-            velocity[axis] = way[axis] - (drifting[axis] if going else 0.0)
+            velocity[axis] = translation[axis] - (drifting[axis] if going else 0.0)
             solid[CENTRE, axis] -= drifting[axis] * min(t, drift.stop)
         if planar:
             flatten(solid, moving)
@@ -398,7 +400,9 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
         if gap > 0.0:
             for axis in range(3):
                 last[axis] = normal[axis]
-                place[axis] = start[axis] + t * way[axis] - drifting[axis] * min(t, drift.stop)
+                place[axis] = (
+                    start[axis] + t * translation[axis] - drifting[axis] * min(t, drift.stop)
+                )
             # How high the obstacle reaches, and all that is taken off a gap.
             top = dot(normal, corner[3:]) - (gap + taken) + taken
             end = min(drift.stop, ENDS) if going else ENDS
@@ -422,8 +426,8 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     radii = radius, other_radius + growth_at(drift, t) * scale
     fill_contact(low, radii, direction, last)
     for axis in range(3):
-        gone = drift.before[axis] + drift.velocity[axis] * min(t, drift.stop)
-        contact[0, axis] = direction[SECOND + axis] / scale + (obstacle.position[axis] + gone)
+        displaced = drift.before[axis] + drift.velocity[axis] * min(t, drift.stop)
+        contact[0, axis] = direction[SECOND + axis] / scale + (obstacle.position[axis] + displaced)
         contact[1, axis] = last[axis]
     return t
 
@@ -459,11 +463,11 @@ def fill_contact(low, radii, direction, last):
 
 # ---- Rows of a batch.
 
-MANY = 12  # obstacles beside a way: it is looked at in parts, the first of them first
+MANY = 12  # obstacles near a motion: it is looked at in parts, the first part first
 
 
 class Rows(NamedTuple):
-    """n ways of one body, for kernels."""
+    """n sweeps of one body, for kernels."""
 
     body: Records
     """(1,)"""
@@ -489,37 +493,39 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
     wanted in `slots`): fewer rows than there are where there is no room.
 
     candidates(world, row, box, span, mask, slots) writes the slots of all that a swept box may
-    touch in a span of t, box = (lo, hi, way), and returns how many they are, or a negative number,
-    which ends it.
+    touch in a span of t, box = (lo, hi, translation), and returns how many they are, or a negative
+    number, which ends it.
     drift_of(world, row, slot, room) returns the `Drift` of an obstacle.
     """
     row, stop, enough = options
     slots_met, handles, t, free_until, points, normals = results
     motion, contact = stack_array(MOTION, np.float64), stack_array((2, 3), np.float64)
     room = stack_array((5, 3), np.float64)
-    lo, hi, way = room[0], room[1], room[2]
+    lo, hi, translation = room[0], room[1], room[2]
     room[:] = 0.0
     wanted, body = np.int64(0), rows.body[0]
     while row < stop:
         turn = rows.turns[row if rows.turns.shape[0] > 1 else 0]
         goal_turn = rows.goal_turns[row if rows.goal_turns.shape[0] > 1 else 0]
         set_motion(body, rows.box, rows.starts[row], rows.goals[row], turn, goal_turn, motion)
-        asked = of_row(rows.tolerances, row), rows.resolution
+        limits = of_row(rows.tolerances, row), rows.resolution
         first, best, mask = np.inf, np.int64(NO_NODE), of_row(rows.masks, row)
         begin, end, wanted = 0.0, 1.0, np.int64(0)
         while begin < 1.0 and not first < np.inf:
             span = begin, end
-            fill_swept_box(body, rows.box, motion, span, asked[0] + asked[1], lo, hi, way)
-            wanted = candidates(world, row, (lo, hi, way), span, mask, slots)
+            fill_swept_box(
+                body, rows.box, motion, span, limits[0] + limits[1], lo, hi, translation
+            )
+            wanted = candidates(world, row, (lo, hi, translation), span, mask, slots)
             if wanted > MANY and goes_far(motion, span):
-                end = 0.5 * (begin + end)  # a part of the way is near fewer of them
+                end = 0.5 * (begin + end)  # a part is near fewer of them
                 continue
             if wanted < 0 or wanted > slots.shape[0]:
                 break
             for slot in slots[:wanted]:
                 drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
                 span = begin, min(first, end)
-                found = first_contact(bodies, body, motion, shape, drift, asked, span, contact)
+                found = first_contact(bodies, body, motion, shape, drift, limits, span, contact)
                 handle = np.int64(handles_of[slot])
                 if found < first or (found == first and found < np.inf and handle < best):
                     first, best, slots_met[row] = found, handle, slot
@@ -572,8 +578,8 @@ def sweep_rows(view, bodies, rows, options, handles_of, slots, results):
 FEW = 64  # obstacles that there is room for at first
 
 
-class ShapeWays:
-    """Ways of shapes in one scene, among obstacles as they are."""
+class ShapeSweeper:
+    """Sweeps shapes in one scene, among obstacles as they are."""
 
     def __init__(self, store: Obstacles) -> None:
         self._store = store
@@ -582,7 +588,7 @@ class ShapeWays:
     def find(
         self, rows: Rows, hulls: Hulls | None, enough: bool, threads: int, *times: Floats
     ) -> tuple[NDArray[np.int64], ShapeSweeps]:
-        """First contacts on n ways, and the slots of the obstacles; `hulls` are the body's.
+        """First contacts of n sweeps, and the slots of the obstacles; `hulls` are the body's.
         `enough`: of each row any contact will do. `times`: see `moving_sweeps`.
         """
         count = len(rows.starts)

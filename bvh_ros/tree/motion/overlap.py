@@ -101,14 +101,14 @@ def _leaf_may_meet(_tree, leaf, path):
 
 
 @lean_kernel
-def overlap_swept_at(tree, moving, times, lo, hi, way, mask, found):
+def overlap_swept_at(tree, moving, times, lo, hi, translation, mask, found):
     """`query.overlap.overlap_swept` among moving boxes; times = (when the box starts, s, how many
-    seconds its way takes).
+    seconds its translation takes).
     """
     course = course_of(stack_array((RAY_ROWS, 3), np.float64), times[0], times[1], moving)
     fronts = stack_array(FRONTS, np.float64)
-    set_swept_box(course.ray, lo, hi, way)
-    set_fronts(fronts, moving, lo, hi, way)
+    set_swept_box(course.ray, lo, hi, translation)
+    set_fronts(fronts, moving, lo, hi, translation)
     path = path_at(tree, moving, course, 1.0, mask, fronts)
     return find_touching(
         tree, moving.nodes, path, mask, found, 0, _bounds_may_meet, _leaf_may_meet

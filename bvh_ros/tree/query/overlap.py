@@ -104,7 +104,7 @@ def overlap(tree, lo, hi, mask, found, count):
 
 
 class SweptBox(NamedTuple):
-    """A box that is swept along a way, for callers that decide by other shapes."""
+    """A box that is swept along a translation, for callers that decide by other shapes."""
 
     ray: NDArray[np.float64]
     """See `slab.set_swept_box`."""
@@ -125,15 +125,15 @@ def _leaf_may_meet(tree, leaf, query):
 
 
 @lean_kernel
-def overlap_swept(tree, lo, hi, way, mask, found):
-    """`find_touching` of the box from lo to hi that is swept along a way; it may err towards a
-    box that is not touched, never away from one that is.
+def overlap_swept(tree, lo, hi, translation, mask, found):
+    """`find_touching` of the box from lo to hi that is swept along a translation; it may err
+    towards a box that is not touched, never away from one that is.
     """
     root = tree.state[ROOT]
     if root == NONE:
         return np.int64(0)
     ray = stack_array((RAY_ROWS, 3), np.float64)
-    set_swept_box(ray, lo, hi, way)
+    set_swept_box(ray, lo, hi, translation)
     scale, wide = prepare_ray(ray, tree.nodes[root].lo, tree.nodes[root].hi)
     query = SweptBox(ray, traversal_distance(1.0, scale), wide)
     return find_touching(tree, tree.nodes, query, mask, found, 0, _node_may_meet, _leaf_may_meet)

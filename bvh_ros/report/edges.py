@@ -155,7 +155,7 @@ def of_fcl(scene: Scene, boxes: Any, turned: Floats, edges: Edges) -> Callable[[
     return run
 
 
-def edges(page: Page, brief: bool) -> None:
+def comparison(page: Page, brief: bool) -> None:
     """2,000 edges of a box of 0.6 x 0.4 x 0.3 m, 0.5 m and 30 degrees each, that begin where it is
     free, among 10,000 turned boxes that fill 10 % of a cube of 100 m; one thread.
     `sweep_shape_many` at a resolution of 0.1 mm; poses no farther apart than 1 mm, by
@@ -168,12 +168,12 @@ def edges(page: Page, brief: bool) -> None:
     few = slice(30 if brief else LOOPED)
     some, their_axes = every.take(few), axes[few]
     exact = certified(scene, every, EXACT)
-    free, met = np.isinf(exact), np.isfinite(exact)
+    free, touching = np.isinf(exact), np.isfinite(exact)
     jobs = {
         'sweep_shape_many': Job(partial(certified, scene, every), len(every.starts)),
         'the same, free edges': Job(partial(certified, scene, every.take(free)), int(free.sum())),
         'the same, edges with contact': Job(
-            partial(certified, scene, every.take(met)), max(int(met.sum()), 1)
+            partial(certified, scene, every.take(touching)), max(int(touching.sum()), 1)
         ),
         'poses every 1 mm': Job(partial(sampled, scene, some, their_axes, 1e-3), len(some.starts)),
     }
@@ -261,4 +261,4 @@ def resolutions(page: Page, brief: bool) -> None:
     page.picture('edge_resolutions', 'Error against run time of edges', figure)
 
 
-SECTIONS = {'Edges': edges, 'Edges by resolution': resolutions}
+SECTIONS = {'Edges': comparison, 'Edges by resolution': resolutions}
