@@ -206,7 +206,8 @@ def goes_far(motion, span):
 # holds for longer, as the motion is known to the second order: after a time s the height of a
 # point y above the plane is at least n . y + s n . (v + w x y) - |w|^2 ARM s^2 / 2. The least of
 # that over all points is concave in s, so where it is above zero at the end of a step, it is all
-# the way.
+# the way. A plane that turns with the body, beside which the obstacle moves, is tried as well: a
+# tilted plate that turns below a ball stays as near to it as it is.
 #
 # Each step but the last goes on by more than the resolution divided by the largest rate, so the
 # search ends; where t is rounded to what it was, that is contact, too.
@@ -317,6 +318,30 @@ def height_after(motion, core, place, normal, velocity, scale, step, room):
     return height - 0.5 * (rate * step) * (rate * step) * arm * OUTWARD
 
 
+@inlined
+def top_after(motion, other, reach, place, normal, velocity, step, room):
+    """A height that the obstacle's core surely does not reach, along a normal that turns with the
+    body, seen from the body's position, after a step. No point of that core is farther than
+    `reach` from its centre.
+    """
+    lever, farthest = room[0], room[1]
+    rate, along, across = 2.0 * motion[HALF_ANGLE], dot(place, motion[AXIS:]), 0.0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        cross = motion[AXIS + y] * normal[z] - motion[AXIS + z] * normal[y]
+        lever[axis], farthest[axis] = normal[axis] + step * rate * cross, 0.0
+        apart = place[axis] - along * motion[AXIS + axis]
+        across += apart * apart
+    support(other.rows, other.is_round, other.hull, lever, -1.0, farthest)
+    speed = math.sqrt(dot(velocity, velocity))
+    arm = (math.sqrt(across) + reach + speed * step) * OUTWARD
+    top = 0.0
+    for axis in range(3):
+        top += lever[axis] * (-farthest[axis] - place[axis])
+        top -= normal[axis] * step * velocity[axis]
+    return top + 0.5 * step * step * rate * (rate * arm + 2.0 * speed) * OUTWARD
+
+
 @lean_kernel
 def first_contact(bodies, body, motion, obstacle, drift, options, span, contact):
     """The first t of a span, its ends included, at which a body touches an obstacle or is not
@@ -361,6 +386,15 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     other = Core(fixed, is_round, hull_of(bodies.hulls, obstacle))
     cores = Core(moving, body.kind == CYLINDER, hull), other
     solid_core = Core(solid, body.kind == CYLINDER, hull)
+    extent, rounded = math.sqrt(dot(fixed[HALF], fixed[HALF])), ROUNDED
+    if obstacle.kind == MESH:
+        extent = 2.0 * scale * math.sqrt(dot(obstacle.half, obstacle.half))
+        for axis in range(2 if planar else 3):  # the middle of a mesh is rounded where it lies
+            rounded = max(rounded, ROUNDED + 2.0**-50 * scale * abs(obstacle.position[axis]))
+    # A plane that turns with the body stays upright, as a shadow needs it, or there is no shadow.
+    turns = motion[HALF_ANGLE] > 0.0 and (
+        not planar or (motion[AXIS] == 0.0 and motion[AXIS + 1] == 0.0)
+    )
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
     (t, latest), low, high, seen = span, 0.0, 0.0, -1.0
@@ -375,7 +409,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
             solid[CENTRE, axis] -= drifting[axis] * min(t, drift.stop)
         if planar:
             flatten(solid, moving)
-        taken = reach + growth_at(drift, t) * scale + ROUNDED
+        taken = reach + growth_at(drift, t) * scale + rounded
         gap = plane_gap(cores, normal, corner) - taken
         if not (gap > near and gap > ENOUGH * widest):
             low, high = gap_bounds(cores[0], cores[1], np.nan, direction)
@@ -410,10 +444,17 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
                 if not t < following <= latest:
                     break
                 trial = min(t + 2.0 * (following - t), end)
+                step = trial - t
                 height = height_after(
-                    motion, solid_core, place, normal, velocity, scale, trial - t, room[7:]
+                    motion, solid_core, place, normal, velocity, scale, step, room[7:]
                 )
-                if not (trial > following and height - growing * (trial - t) > top):
+                if not height - growing * step > top and turns:
+                    own = dot(normal, corner[3:]) - dot(normal, place) - taken - growing * step
+                    higher = top_after(
+                        motion, other, extent, place, normal, velocity, step, room[7:]
+                    )
+                    height = np.inf if own > higher else -np.inf
+                if not (trial > following and height - growing * step > top):
                     break
                 following = trial
         if following > latest:

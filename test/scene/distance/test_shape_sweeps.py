@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shapes that go from pose to pose: against distances in more digits, and against many poses."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -334,3 +336,41 @@ def test_bad_arguments_are_named(change, message):
     }
     with pytest.raises(ValueError, match=message):
         scene.sweep_shape_many(**{**given, **change})
+
+
+@pytest.mark.parametrize('gap', [1e-4, 1e-8])
+def test_a_tilted_plate_turns_below_a_ball_on_its_axis(gap):
+    """Their distance stays the same, so no plane at rest keeps them apart for long."""
+    tilt, turn = 0.3, 1.5
+    height = (1.5 + gap) / np.cos(tilt)
+    scene = Scene()
+    scene.update('a', ['ball'], Shapes.spheres([[0.0, 0.0, height]], 1.0), stamp=1)
+    first = Rotation.from_rotvec([tilt, 0.0, 0.0])
+    last = Rotation.from_rotvec([0.0, 0.0, turn]) * first
+    plate = Shapes.boxes([0.0, 0.0, 0.0], [4.0, 4.0, 1.0], first.as_quat())
+    given = [0.0, 0.0, 0.0], last.as_quat()
+    assert scene.sweep_shape(plate, *given, resolution=gap / 2.0) is None
+    assert scene.sweep_shape(plate, *given, resolution=gap * 2.0) is not None
+    assert scene.sweep_shape(plate, *given, gap * 1.1, resolution=gap / 4.0).t == 0.0
+
+
+def test_a_mesh_far_from_its_origin_and_the_worlds():
+    """Where its middle is rounded, a ball that slides over its top is not free for that."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + 11.7
+    corners = corners.astype(np.float32).astype(float)
+    mesh, missed = Mesh(hull_of(corners)), 0
+    for k in range(60):
+        z = 1e6 + k * 0.37
+        top = Fraction(z) + Fraction(corners[:, 2].max())
+        above = float(top) + 1.25
+        gap = Fraction(above) - Fraction(0.25) - top
+        tolerance = float(gap)
+        if Fraction(tolerance) < gap:
+            tolerance = float(np.nextafter(tolerance, 9.0))
+        scene = Scene()
+        scene.update('a', ['mesh'], Shapes.of_meshes([mesh], [[0.0, 0.0, z]]), stamp=1)
+        ball = Shapes.spheres([[8.0, 12.2, above]], 0.25)
+        missed += (
+            scene.sweep_shape(ball, [16.0, 12.2, above], None, tolerance, resolution=1e-9) is None
+        )
+    assert missed == 0
