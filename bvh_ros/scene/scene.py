@@ -63,7 +63,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
     uncertainty : float
         An obstacle with a velocity other than zero is, at another time than its stamp, so much
         larger all round (m) for each second between. In a planar scene only vx and vy count.
-        Rays and sweeps meet it as large as it is at the end of their way, rounded corners and
+        Rays and swept balls meet it as large as it is at the end of their way, rounded corners and
         all: sooner than it may be there, never later. Its points and distances are those of the
         grown shape.
 

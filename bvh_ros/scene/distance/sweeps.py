@@ -70,6 +70,15 @@ MOTION = 16  # floats: of these START, WAY and AXIS have three, TURN has four
 OUTWARD = 1.0 + 2.0**-40  # no computed length is off by as much
 
 
+@inlined
+def fill_unit_as_given(turn, unit):
+    """`fill_unit`, which makes a rotation by nothing the identity, with the sign that is given."""
+    fill_unit(turn, unit)
+    if unit[3] * turn[3] < 0.0:
+        for part in range(4):
+            unit[part] = -unit[part]
+
+
 @lean_kernel
 def set_motion(body, box, start, goal, turn, goal_turn, motion):
     """Fill in how a body goes from a start to a goal.
@@ -78,8 +87,8 @@ def set_motion(body, box, start, goal, turn, goal_turn, motion):
     one beyond which no point of the shape is from its position.
     """
     first, last = stack_array(4, np.float64), stack_array(4, np.float64)
-    fill_unit(turn, first)
-    fill_unit(goal_turn, last)
+    fill_unit_as_given(turn, first)
+    fill_unit_as_given(goal_turn, last)
     total = np.float64(0.0), np.float64(0.0)
     for part in range(4):
         product = times((turn[part], np.float64(0.0)), (goal_turn[part], np.float64(0.0)))
@@ -217,6 +226,7 @@ def goes_far(motion, span):
 # gap has beyond it is certain.
 
 ROUNDED = 2.0**-46
+FAR = 2.0**-49  # of where an obstacle lies, that a displacement or the middle of a mesh is off by
 LESS = 1.0 - 2.0**-40  # of a step
 ENDS = 1.0 + 2.0**-40  # past the end of the way
 ENOUGH = 0.25  # of its first gap, as long as a plane stays in use
@@ -345,8 +355,8 @@ def top_after(motion, other, reach, place, normal, velocity, step, room):
 @lean_kernel
 def first_contact(bodies, body, motion, obstacle, drift, options, span, contact):
     """The first t of a span, its ends included, at which a body touches an obstacle or is not
-    surely farther from it than the resolution; inf if there is none. options = (tolerance,
-    resolution).
+    surely farther from it than the resolution; inf if there is none, or after `latest`. span =
+    (begin, end, latest), options = (tolerance, resolution).
 
     Fills in contact (2, 3): the obstacle's point that is closest then, and the unit vector from
     there to the body, zero where they overlap at the start.
@@ -359,9 +369,13 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
         *(room[3], room[4], room[5]),
         room[6],
     )
-    largest = max(motion[REACH], tolerance, growth_at(drift, 0.0), growth_at(drift, 1.0))
+    largest, far = max(motion[REACH], tolerance, growth_at(drift, 0.0), growth_at(drift, 1.0)), 0.0
     for axis in range(3):
         start[axis] = (motion[START + axis] - obstacle.position[axis]) - drift.before[axis]
+        if drift.before[axis] != 0.0:  # and that is rounded
+            far = max(far, abs(drift.before[axis]), abs(motion[START + axis]))
+        if obstacle.kind == MESH and not (planar and axis == 2):  # as is where its middle lies
+            far = max(far, abs(obstacle.position[axis]))
         translation[axis], drifting[axis] = motion[WAY + axis], drift.velocity[axis]
         if planar and axis == 2:
             start[axis] = translation[axis] = drifting[axis] = 0.0
@@ -386,18 +400,16 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
     other = Core(fixed, is_round, hull_of(bodies.hulls, obstacle))
     cores = Core(moving, body.kind == CYLINDER, hull), other
     solid_core = Core(solid, body.kind == CYLINDER, hull)
-    extent, rounded = math.sqrt(dot(fixed[HALF], fixed[HALF])), ROUNDED
+    extent, rounded = math.sqrt(dot(fixed[HALF], fixed[HALF])), ROUNDED + FAR * far * scale
     if obstacle.kind == MESH:
         extent = 2.0 * scale * math.sqrt(dot(obstacle.half, obstacle.half))
-        for axis in range(2 if planar else 3):  # the middle of a mesh is rounded where it lies
-            rounded = max(rounded, ROUNDED + 2.0**-50 * scale * abs(obstacle.position[axis]))
     # A plane that turns with the body stays upright, as a shadow needs it, or there is no shadow.
     turns = motion[HALF_ANGLE] > 0.0 and (
         not planar or (motion[AXIS] == 0.0 and motion[AXIS + 1] == 0.0)
     )
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
-    (t, latest), low, high, seen = span, 0.0, 0.0, -1.0
+    (t, end, latest), low, high, seen = span, 0.0, 0.0, -1.0
     # The first plane lies across the line between the positions: that often does, without GJK.
     set_normal(start, normal)
     widest = 0.0
@@ -418,7 +430,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
             seen = t
         rate = approach(motion, velocity, normal, scale) + growing
         following = next_time(t, gap, rate, drift.stop)
-        if not (gap > near or following > latest):
+        if not (gap > near or following > end):
             if high - taken <= near:
                 break
             low, high, _ = certified_bounds(cores[0], cores[1], taken, True, direction)
@@ -429,7 +441,7 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
             if low - taken > near:
                 rate = fastest(motion, velocity, scale) + growing
                 following = max(following, next_time(t, low - taken, rate, drift.stop))
-            elif not following > latest:
+            elif not following > end:
                 break
         if gap > 0.0:
             for axis in range(3):
@@ -439,11 +451,11 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
                 )
             # How high the obstacle reaches, and all that is taken off a gap.
             top = dot(normal, corner[3:]) - (gap + taken) + taken
-            end = min(drift.stop, ENDS) if going else ENDS
+            last_step = min(drift.stop, ENDS) if going else ENDS
             for _ in range(MOST_TRIALS):
                 if not t < following <= latest:
                     break
-                trial = min(t + 2.0 * (following - t), end)
+                trial = min(t + 2.0 * (following - t), last_step)
                 step = trial - t
                 height = height_after(
                     motion, solid_core, place, normal, velocity, scale, step, room[7:]
@@ -565,7 +577,7 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
                 break
             for slot in slots[:wanted]:
                 drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
-                span = begin, min(first, end)
+                span = begin, end, min(first, end)
                 found = first_contact(bodies, body, motion, shape, drift, limits, span, contact)
                 handle = np.int64(handles_of[slot])
                 if found < first or (found == first and found < np.inf and handle < best):

@@ -251,6 +251,9 @@ def test_a_half_turn_goes_as_the_signs_say():
         hit = scene.sweep_shape(rod, [0, 0, 0], [0.0, 0.0, sign, 0.0])
         assert hit.name == name
         assert hit.t == pytest.approx(0.5, abs=0.05)
+    # A quaternion and its negative are the same pose, but not the same half turn.
+    turned = rod._replace(orientation=np.array([[0.0, 0.0, 0.0, -1.0]]))
+    assert scene.sweep_shape(turned, [0, 0, 0], [0.0, 0.0, 1.0, 0.0]).name == 'right'
     # The nearest doubles to half a turn on either side.
     tiny = 1e-300
     assert scene.sweep_shape(rod, [0, 0, 0], [0.0, 0.0, 1.0, tiny]).name == 'left'
@@ -374,3 +377,43 @@ def test_a_mesh_far_from_its_origin_and_the_worlds():
             scene.sweep_shape(ball, [16.0, 12.2, above], None, tolerance, resolution=1e-9) is None
         )
     assert missed == 0
+
+
+def test_ties_go_to_the_smaller_handle():
+    box, rng = Shapes.boxes([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), np.random.default_rng(8)
+    for singly in (False, True):
+        scene = Scene()
+        same = Shapes.boxes(np.tile([5.0, 0.0, 0.0], (8, 1)), [1.0, 1.0, 1.0])
+        for k in range(8 if singly else 1):
+            rows = [k] if singly else list(range(8))
+            scene.update('a', [str(row) for row in rows], same.take(rows), stamp=1)
+        assert scene.sweep_shape(box, [10.0, 0.0, 0.0]).name == '0'
+        turn = random_turns(rng, 1)[0]
+        assert scene.sweep_shape(box, [10.0, 0.2, 0.0], turn).name == '0'
+    scene = Scene()  # both are within the resolution at the start
+    scene.update('a', ['1', '2'], Shapes.boxes([[5, 0, 0], [9, 0, 0]], [1, 1, 1]), stamp=1)
+    assert scene.sweep_shape(box, [10.0, 0.0, 0.0], resolution=9.0).name == '1'
+
+
+def test_an_arm_turns_round_a_column():
+    """Its distance stays 0.12 mm; it is the obstacle that is round about the axis."""
+    corners = [[x, y, z] for x in (10.0, 11.0) for y in (-20.0, 20.0) for z in (-0.5, 0.5)]
+    arm = Shapes.of_meshes([Mesh(hull_of(corners))], [0.0, 0.0, 0.0])
+    goal = [0.0, 0.0, 0.0], [0.0, 0.0, np.sin(1.5), np.cos(1.5)]
+    for planar in (False, True):
+        scene = Scene(planar=planar)
+        column = Shapes.cylinders([[0.0, 0.0, 0.0]], 10.0 - 1.2e-4, 1.0)
+        scene.update('a', ['column'], column, stamp=1)
+        assert scene.sweep_shape(arm, *goal) is None
+        assert scene.sweep_shape(arm, *goal, resolution=1e-6) is None
+        assert scene.sweep_shape(arm, *goal, resolution=1e-3).t == 0.0
+
+
+def test_an_obstacle_far_from_where_it_was_told():
+    """921.9 m/s for 64 s: where it is then is rounded, and a touch is not free for that."""
+    scene, z = Scene(), 59224.33241751894
+    crate = Shapes.boxes([[0.0, 0.0, 1.0021521802443287]], [1.0, 1.0, 1.0])
+    scene.update('a', ['x'], crate, stamp=0, velocities=[[0.0, 0.0, 921.9040736673851]])
+    box = Shapes.boxes([[-3.0, 0.0, z]], [0.5, 0.5, 0.5])
+    given = {'tolerance': 0.7500000000018653, 'resolution': 1e-12, 'at': 64238603513}
+    assert scene.sweep_shape(box, [2.0, 0.0, z], **given) is not None
