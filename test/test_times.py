@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Floats are seconds and integers are nanoseconds, for the tree, the scene and the client."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
@@ -87,3 +89,12 @@ def test_what_is_no_time(bad: object) -> None:
 
 
 BOX = Shapes.boxes([[0, 0, 0]], 1)
+
+
+def test_seconds_are_the_nearest_nanosecond() -> None:
+    """Also of times that have no digits left for their nanoseconds."""
+    from bvh_ros.tree.access import whole_ns
+
+    seconds = np.random.default_rng(2).uniform(-2e9, 2e9, 20_000)
+    exact = [round(Fraction(second) * 10**9) for second in seconds.tolist()]
+    assert whole_ns('at', seconds).tolist() == exact

@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..tree.access import OpenTree, box_checks, checks, mapped
 
-VERSION = 2
+VERSION = 3
 HEADER, TOP = 'forest.json', 'top.tree'
 ROWS_AT_ONCE = 1 << 18  # of a pile in memory
 CELL_BITS = 4  # an axis of the grid
@@ -109,19 +110,19 @@ def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
     return low, high, checks.masks(chunk[2] if len(chunk) == 3 else 1, len(low))
 
 
-def _plant(work: Path, whole: Pile, max_boxes: int) -> list[tuple[int, int]]:
+def _plant(work: Path, whole: Pile, max_boxes: int) -> list[tuple[int, int, int]]:
     """Write the trees of all parts, in the order of the curve, and the tree over them; how many
-    boxes each part has, and its checksum.
+    boxes each part has, its checksum, and that of its ids.
     """
-    piles, bounds, parts = [whole], list[tuple[Any, Any, Any]](), list[tuple[int, int]]()
+    piles, bounds, parts = [whole], list[tuple[Any, Any, Any]](), list[tuple[int, int, int]]()
     while piles:
         pile = piles.pop()
         if pile.rows > max_boxes:
             piles += reversed(_deal(pile, max_boxes))
         elif pile.rows:
-            mask, checksum = _plant_part(work, len(parts), pile)
+            mask, checksum, of_ids = _plant_part(work, len(parts), pile)
             bounds.append((pile.lo, pile.hi, mask))
-            parts.append((pile.rows, checksum))
+            parts.append((pile.rows, checksum, of_ids))
         pile.file.unlink()
     ndim = len(whole.lo)
     top = OpenTree(ndim, capacity=max(len(bounds), 1))
@@ -132,9 +133,9 @@ def _plant(work: Path, whole: Pile, max_boxes: int) -> list[tuple[int, int]]:
     return parts
 
 
-def _plant_part(work: Path, number: int, pile: Pile) -> tuple[np.uint32, int]:
-    """Write one part; return all its masks, and the checksum of its tree, which follows the ids,
-    too: files of two parts or forests do not go together.
+def _plant_part(work: Path, number: int, pile: Pile) -> tuple[np.uint32, int, int]:
+    """Write one part; return all its masks, the checksum of its tree, which follows the ids, too
+    (files of two parts or forests do not go together), and that of the ids.
     """
     rows = np.fromfile(pile.file, row_dtype(len(pile.lo)))
     tree = OpenTree.from_boxes(rows['lo'], rows['hi'], mask=rows['mask'])
@@ -143,7 +144,7 @@ def _plant_part(work: Path, number: int, pile: Pile) -> tuple[np.uint32, int]:
     ids[tree.slots(tree.ids())] = rows['id']
     ids[-1] = checksum = mapped.checksum(part_file(work, number))
     np.save(ids_file(work, number), ids)
-    return np.bitwise_or.reduce(rows['mask']), checksum
+    return np.bitwise_or.reduce(rows['mask']), checksum, zlib.crc32(ids.tobytes())
 
 
 def _deal(pile: Pile, max_boxes: int) -> list[Pile]:

@@ -61,29 +61,31 @@ class Forest:
                 raise ValueError(
                     f'it has version {header["version"]}; this is for {building.VERSION}'
                 )
-            counts = [checks.whole('boxes of a part', count, 1) for count, _ in header['parts']]
-            self._checksums = [checks.whole('checksum', crc, 0) for _, crc in header['parts']]
+            parts = header['parts']
+            counts = [checks.whole('boxes of a part', count, 1) for count, _, _ in parts]
+            self._checksums = [checks.whole('checksum', crc, 0) for _, crc, _ in parts]
             self._count, self._ndim = sum(counts), header['ndim']
             self._top = OpenTree.load(top, mmap=True, verify=True)
             known = self._ndim, len(counts), header['top']
             if (self._top.ndim, len(self._top), mapped.checksum(top)) != known:
                 raise ValueError('its top tree is of another forest')
             if verify:
-                self._verify(counts)
+                self._verify(counts, [of_ids for _, _, of_ids in parts])
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f'{folder} is no forest: {error}') from None
 
-    def _verify(self, counts: list[int]) -> None:
+    def _verify(self, counts: list[int], of_ids: list[int]) -> None:
         """ValueError unless every part is sound, and each id is given to one box."""
-        given = np.zeros(self._count, np.bool_)
-        for number, (count, checksum) in enumerate(zip(counts, self._checksums, strict=True)):
+        given, parts = np.zeros(self._count, np.bool_), zip(counts, self._checksums, strict=True)
+        for number, (count, checksum) in enumerate(parts):
             file = building.part_file(self._folder, number)
             tree = OpenTree.load(file, mmap=True, verify=True)
             if (len(tree), mapped.checksum(file)) != (count, checksum):
                 raise ValueError(f'{file} is of another forest or part')
             ids_path = building.ids_file(self._folder, number)
             ids = mapped.map_array(ids_path, count + 1)
-            if ids[-1] != checksum or ids[:-1].min() < 0 or ids[:-1].max() >= self._count:
+            inside = 0 <= ids[:-1].min() <= ids[:-1].max() < self._count
+            if ids[-1] != checksum or not inside or zlib.crc32(ids.tobytes()) != of_ids[number]:
                 raise ValueError(f'{ids_path} is of another forest or part')
             given[ids[:-1]] = True
         if not given.all():

@@ -19,11 +19,12 @@ FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
 
 def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
     """Times in s as the nearest whole ns."""
-    with np.errstate(over='ignore', invalid='ignore'):
-        times = np.rint(seconds.astype(np.longdouble) * 10**9)
-    if not ((times >= FIRST_TIME) & (times <= LAST_TIME)).all():
-        raise ValueError(f'{name} must be finite, and at most {LAST_TIME // 10**9} s')
-    return times.astype(np.int64)
+    last = LAST_TIME // 10**9
+    if not (np.abs(seconds) <= last).all():
+        raise ValueError(f'{name} must be finite, and at most {last} s')
+    whole = np.floor(seconds)  # the rest is exact, and so small that its product is rounded once
+    rest = np.rint((seconds - whole) * 1e9).astype(np.int64)
+    return np.asarray(whole.astype(np.int64) * 10**9 + rest)
 
 
 def _in_seconds(name: str, value: Any, shape: tuple[int, ...]) -> Floats:

@@ -321,3 +321,16 @@ def test_no_damaged_file_ends_the_process(tmp_path):
     counts = ast.literal_eval(run.stdout)
     wrong = {*counts} - {'True same', 'True refused'}
     assert wrong <= {'False same', 'False refused', 'False other'}, counts
+
+
+def test_ids_in_another_order_are_found(tmp_path):
+    """Each is given once, but to another box."""
+    rng = np.random.default_rng(4)
+    lo = rng.uniform(0.0, 100.0, (600, 3))
+    Forest.build(tmp_path / 'forest', [(lo, lo + 1.0)], 200)
+    file = next((tmp_path / 'forest').glob('part-*.ids.npy'))
+    ids = np.load(file)
+    ids[[3, 7]] = ids[[7, 3]]
+    np.save(file, ids)
+    with pytest.raises(ValueError, match='is of another forest or part'):
+        Forest.open(tmp_path / 'forest', verify=True)

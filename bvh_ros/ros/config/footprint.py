@@ -57,9 +57,17 @@ def of_polygon(text: str, height: float, farthest: float) -> tuple[Shapes, ...]:
 def _corners(text: str, farthest: float) -> list[Corner]:
     try:
         given: Any = ast.literal_eval(text.strip())
+        rows = [given, *given]
+        numbers = [number for x, y in given for number in (x, y)]
+        if not all(type(row) in (list, tuple) for row in rows):
+            raise TypeError
+        if not all(type(number) in (int, float) for number in numbers):
+            raise TypeError
         corners = [(float(x), float(y)) for x, y in given]
-    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError, OverflowError):
         raise ValueError("must be a polygon '[[x, y], [x, y], ...]'") from None
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        del corners[-1]  # a closed ring
     if not 3 <= len(corners) <= MOST_CORNERS:
         raise ValueError(f'must have 3 to {MOST_CORNERS} corners, not {len(corners)}')
     for corner in corners:

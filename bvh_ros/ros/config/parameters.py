@@ -398,6 +398,8 @@ def read_settings(
     region = _region(values.pop('region'), values['planar'])
     height = values.pop('footprint_height')
     footprint = _footprint(values.pop('footprint'), height, planar=values['planar'])
+    if values['path_between'] and not footprint:
+        raise ConfigurationError("parameter 'path_between' needs a 'footprint'")
     settings = Settings(
         **values,
         region=region,

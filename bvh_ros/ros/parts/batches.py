@@ -105,10 +105,13 @@ def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> Spans
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
 
 QOS_PERIOD = 1.0  # seconds
-SMALLEST_PIECE, LARGEST_PIECE = 32, 8192  # rows
+SMALLEST_PIECE, LARGEST_PIECE = 1, 8192  # rows
 PIECE_TIME = 0.005  # seconds
 RECENT = 1.0  # seconds: rows of the last batch of a kind took as long as those of the next
 GROWTH = 8.0  # at most, from a piece to the next: rows may take 100 times as long as others
+# A question that came again while its answer took longer than a repetition waits in the
+# middleware, and comes within so many seconds after the answer.
+LATE_REPEATS, LONG_ANSWER = 0.1, 0.02
 # What a batch of so many rows needs of so many obstacles takes longer than a turn.
 MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
 TURN = 0.01  # seconds after which others get a turn
@@ -213,6 +216,8 @@ class Batch(NodePart):
         self._pieces: dict[tuple[bool, bool], tuple[int, float]] = {}
         # Questions that wait, the first begun: their bytes, and what answers them.
         self._work: deque[tuple[bytes, Iterator[None]]] = deque()
+        self._answered: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
+        """Questions whose answers took long, and until when repetitions of them are not new."""
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
         self._publisher = self.publisher(PointCloud2, view.topic(self.answer_topic), DEPTH)
@@ -224,16 +229,21 @@ class Batch(NodePart):
         self.every(QOS_PERIOD, subscription.check)
 
     def receive(self, messages: Sequence[bytes]) -> None:
-        """Begin to answer one cloud, unless it repeats a question that still waits."""
+        """Begin to answer one cloud, unless it repeats a question that still waits, or waited
+        when this one was sent.
+        """
         (serialised,) = messages
+        now = time.monotonic()
         if any(serialised == waiting for waiting, _ in self._work):
+            return
+        if any(serialised == done and now < until for done, until in self._answered):
             return
         try:
             request = self._read(serialised)
         except ValueError as error:  # from whom, and what was asked, is not known
             self.refused.add(str(error))
             return
-        self._work.append((serialised, self._answering(request)))
+        self._work.append((serialised, self._answering(request, serialised)))
         while len(self._work) > DEPTH:
             for _ in self._work.popleft()[1]:
                 pass
@@ -258,21 +268,28 @@ class Batch(NodePart):
         while self._work and self._world.changes.owner is self:
             next(self._work[0][1])
 
-    def _answering(self, request: PointCloud) -> Iterator[None]:
+    def _answering(self, request: PointCloud, serialised: bytes) -> Iterator[None]:
         """Answer one cloud, with pauses."""
         began = time.perf_counter_ns()
         try:
             reply = yield from self._reply(request)
-            self._publish(reply, request)
-            self.timings.add(began)
+            self._finish(reply, request, serialised, began)
             return
         except ValueError as error:
             reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
             reason = explain(error)
         # Not earlier: an error holds in memory whatever its function was working on.
-        self._publish(self._refusal(request, reason), request)
+        self._finish(self._refusal(request, reason), request, serialised, began)
+
+    def _finish(
+        self, reply: PointCloud2, request: PointCloud, serialised: bytes, began: int
+    ) -> None:
+        """Publish the answer to a question, whose work began at a time (ns)."""
+        self._publish(reply, request)
         self.timings.add(began)
+        if time.perf_counter_ns() - began > LONG_ANSWER * 1e9:
+            self._answered.append((serialised, time.monotonic() + LATE_REPEATS))
 
     def _publish(self, reply: PointCloud2, request: PointCloud) -> None:
         seconds, rest = divmod(request.stamp, 1_000_000_000)

@@ -577,8 +577,10 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
                 break
             for slot in slots[:wanted]:
                 drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
-                span = begin, end, min(first, end)
-                found = first_contact(bodies, body, motion, shape, drift, limits, span, contact)
+                times_of = begin, end, min(first, end)
+                found = first_contact(
+                    bodies, body, motion, shape, drift, limits, times_of, contact
+                )
                 handle = np.int64(handles_of[slot])
                 if found < first or (found == first and found < np.inf and handle < best):
                     first, best, slots_met[row] = found, handle, slot
