@@ -30,6 +30,7 @@ EVERYTHING = {
     'transforms': ['t'],
     't.xyz': [0.0, 0.0, 1.0],
     'virtual_scan.pose_topic': '/p',
+    'footprint': [0.5],
 }
 RCLPYS_OWN = 'start_type_description_service'
 LONG = 'x' * 10_000
@@ -102,6 +103,8 @@ ACCEPTED = {
     'sources': NO_NAMES,
     'batch': FLAG,
     'footprint': ([0.5], [0.5] * 3),
+    'footprint_height': SPAN,
+    'path_between': FLAG,
     'threads': COUNT,
     'views': NO_NAMES,
     'transforms': NO_NAMES,
