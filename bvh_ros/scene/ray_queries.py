@@ -149,7 +149,7 @@ class RayQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        origins, directions = checks.both(checks.SWEEPS, origins, directions, 3)
+        origins, directions = checks.both(checks.RAY_ARGUMENTS, origins, directions, 3)
         limits = checks.limits_or_one('t_max', t_max, len(origins))
         rays = (
             origins,

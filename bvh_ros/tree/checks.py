@@ -23,7 +23,7 @@ BOOL = np.dtype(np.bool_)
 # One for all rows, where nothing else is asked for.
 FOREVER, NOTHING, EVERYTHING = np.array([np.inf]), np.zeros(1), np.array([EVERY])
 
-SWEEPS = 'origins', 'directions'  # names of the arguments of a batch of rays
+RAY_ARGUMENTS = 'origins', 'directions'
 SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of the lengths of quaternions of length 1
 
 # What others' objects raise when they are asked for numbers, warnings made errors among them. Not

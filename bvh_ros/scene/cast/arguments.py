@@ -85,7 +85,7 @@ def every_row(values: NDArray[Any], count: int) -> NDArray[Any]:
 
 def refuse_infinite(rays: Rays) -> None:
     """ValueError if a ray is not finite, or the path of a ball has no end."""
-    names = ('starts', 'goals') if rays.to_goals else checks.SWEEPS
+    names = ('starts', 'goals') if rays.to_goals else checks.RAY_ARGUMENTS
     checks.finite(names[0], rays.origins)
     checks.finite(names[1], rays.directions)
     count = len(rays.origins)

@@ -147,7 +147,7 @@ class RayAsking(Timed):
         copied, checked or written apart costs a fifth of a ray among 1,000 boxes.
         """
         ndim = self._ndim
-        origins, directions = checks.both(checks.SWEEPS, origins, directions, ndim)
+        origins, directions = checks.both(checks.RAY_ARGUMENTS, origins, directions, ndim)
         count = len(origins)
         t_max = checks.limits_or_one('t_max', t_max, count)
         masks = checks.masks_or_one(mask, count)
@@ -401,7 +401,7 @@ class RayQueries(RayAsking):
         1]]``, nearest first.
         """
         ndim = self._ndim
-        origins, directions = checks.both(checks.SWEEPS, origins, directions, ndim)
+        origins, directions = checks.both(checks.RAY_ARGUMENTS, origins, directions, ndim)
         motion = self._motion
         if motion is not None or not at is pace is NOW:
             motion = self._motion_at(at, pace, len(origins))
