@@ -95,6 +95,7 @@ def test_seconds_are_the_nearest_nanosecond() -> None:
     """Also of times that have no digits left for their nanoseconds."""
     from bvh_ros.tree.access import whole_ns
 
-    seconds = np.random.default_rng(2).uniform(-2e9, 2e9, 20_000)
-    exact = [round(Fraction(second) * 10**9) for second in seconds.tolist()]
-    assert whole_ns('at', seconds).tolist() == exact
+    times = np.random.default_rng(2).uniform(-2e9, 2e9, 20_000)
+    for seconds in times, (times * 1e-9).astype(np.float32):
+        exact = [round(Fraction(second) * 10**9) for second in seconds.tolist()]
+        assert whole_ns('at', seconds).tolist() == exact

@@ -22,6 +22,8 @@ def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
     last = LAST_TIME // 10**9
     if not (np.abs(seconds) <= last).all():
         raise ValueError(f'{name} must be finite, and at most {last} s')
+    # Of a shorter type the product would be rounded to that type.
+    seconds = seconds.astype(np.promote_types(seconds.dtype, np.float64))
     whole = np.floor(seconds)  # the rest is exact, and so small that its product is rounded once
     rest = np.rint((seconds - whole) * 1e9).astype(np.int64)
     return np.asarray(whole.astype(np.int64) * 10**9 + rest)
