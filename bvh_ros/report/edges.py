@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..ros.conversions import rotations
 from ..scene import Scene, Shapes
 from ..scene.shapes.shape import unit_quaternions
 from .page import BLUE, RED, Cell, Page
@@ -38,14 +39,7 @@ class Edges(NamedTuple):
         return Edges(*(column[rows] for column in self))
 
 
-def product(p: Floats, q: Floats) -> Floats:
-    """Of quaternions (n, 4)."""
-    (a, b, c, d), (x, y, z, w) = p.T, q.T
-    rows = d * x + a * w + b * z - c * y, d * y - a * z + b * w + c * x
-    return np.stack((*rows, d * z + a * y - b * x + c * w, d * w - a * x - b * y - c * z), axis=1)
-
-
-def half_turn(axes: Floats, angle: Any) -> Floats:
+def turn_about(axes: Floats, angle: Any) -> Floats:
     """Quaternions of turns by an angle about unit vectors (n, 3)."""
     angles = np.broadcast_to(angle, len(axes))[:, None] / 2.0
     return np.hstack([axes * np.sin(angles), np.cos(angles)])
@@ -68,7 +62,7 @@ def world(brief: bool, times: int = 1) -> tuple[Scene, Any, Floats, Edges, Float
     starts, turns = starts[free][:count], turns[free][:count]
     goals = starts + LENGTH * units(rng.normal(size=(count, 3)))
     axes = units(rng.normal(size=(count, 3)))
-    edges = Edges(starts, turns, goals, product(half_turn(axes, ANGLE), turns))
+    edges = Edges(starts, turns, goals, rotations.multiply(turn_about(axes, ANGLE), turns))
     return scene, boxes, turned, edges, axes
 
 
@@ -85,8 +79,8 @@ def sampled(scene: Scene, edges: Edges, axes: Floats, step: float) -> Floats:
     poses = int(np.ceil((LENGTH + ANGLE * ARM) / step)) + 1
     share, count = np.linspace(0.0, 1.0, poses), len(edges.starts)
     places = edges.starts[:, None] + share[:, None] * (edges.goals - edges.starts)[:, None]
-    turned = half_turn(np.repeat(axes, poses, axis=0), np.tile(share * ANGLE, count))
-    turns = product(turned, np.repeat(edges.turns, poses, axis=0))
+    turned = turn_about(np.repeat(axes, poses, axis=0), np.tile(share * ANGLE, count))
+    turns = rotations.multiply(turned, np.repeat(edges.turns, poses, axis=0))
     shape = Shapes.boxes([0.0, 0.0, 0.0], SIZE)
     touched = scene.overlap_shape_many(shape, places.reshape(-1, 3), turns).reshape(count, poses)
     return np.where(touched.any(axis=1), share[touched.argmax(axis=1)], np.inf)
