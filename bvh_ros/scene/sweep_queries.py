@@ -28,7 +28,7 @@ WANTED = {'first': False, 'any': True}
 
 
 class SweepQueries:
-    """Ways of shapes that turn. Any number of threads may ask while none changes the scene."""
+    """Sweeps of shapes that turn. Any number of threads may ask while none changes the scene."""
 
     _store: Obstacles
     _timed: TimedQueries
